@@ -1,0 +1,181 @@
+"""C-grids of quadrilaterals around any airfoil section with a blunt trailing edge, in closed form."""
+
+from collections.abc import Callable
+from typing import NamedTuple, cast
+
+import numpy as np
+from scipy.optimize import brentq, isotonic_regression
+
+import jaxmorph as jm
+
+# A section of unit chord: t in [-1, 1] -> (k, 2), from the lower trailing edge (-1) round the nose (0) to the upper.
+Section = Callable[[np.ndarray], np.ndarray]
+
+REFERENCE_POINTS = 39_666
+NOSE_SPACING, TRAILING_EDGE_SPACING = 0.003, 1.05e-3  # chords, along the wall, on the grid of REFERENCE_POINTS
+FARFIELD_X, RAY_LENGTH = 17.0, 15.0
+WAKE_FIRST_CELL, WAKE_WEIGHT = 1e-3, 0.892
+SMALLEST_CELL = 1e-12  # chords: what float64 still resolves at the trailing edge
+LEAST_TURN = 0.1  # radians that neighbouring rays turn at least, per chord of wall between them
+
+
+class Counts(NamedTuple):
+    """Cells along half of the wall, along the wake, along a ray and across the base."""
+
+    half: int
+    wake: int
+    normal: int
+    base: int
+
+
+REFERENCE = Counts(half=80, wake=50, normal=150, base=6)
+
+
+def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-5) -> jm.Mesh:
+    """A C-grid around a section of unit chord: straight rays of 15 chords, a wake to x = 17 chords.
+
+    `points` is how many are wanted; the mesh has about as many, and exactly as many for 39,666 (260 x 150 cells and
+    50 x 6 behind the base). Other numbers sample the same spacing laws along wall and wake, and scale the four counts
+    alike; `first_cell`, in chords, is kept at the wall whatever they are.
+
+    The cells of the C come first, layer after layer from the wall, in each from the lower wake's exit round the nose to
+    the upper wake's; then those behind the base. All are convex and counter-clockwise. Patches: `airfoil`, `farfield`.
+
+    Raises `ValueError` for fewer than 300 points, a first cell that does not fit, a section without a blunt trailing
+    edge (upper point above the lower one), and where the rays leave a cell that is not convex: a nose of 1 % thickness
+    at 9 % camber, or thickness and camber of which no airfoil is made.
+    """
+    counts = _counts(points)
+    largest = 0.9 * RAY_LENGTH / counts.normal
+    if not SMALLEST_CELL <= first_cell <= largest:
+        raise ValueError(
+            f"`first_cell` is {first_cell}; {counts.normal} growing cells on {RAY_LENGTH:g} chords need one "
+            f"between {SMALLEST_CELL:g} and {largest:.3g} chords."
+        )
+    wall, angles = _wall(section, counts)
+    if not wall[-1, 1] - wall[0, 1] > 1e-9:
+        raise ValueError(f"the trailing edge is not blunt: its lower point is {wall[0]}, its upper one {wall[-1]}.")
+    inner, weights = _with_wake(wall, counts)
+    angles = np.pad(angles, counts.wake, mode="edge")
+    lengths = _ray_lengths(weights, counts.normal, first_cell)
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    # vertical means vertical: the cosine of a rounded pi / 2 is not zero
+    directions[: counts.wake + 1], directions[-counts.wake - 1 :] = (0, -1), (0, 1)
+    rays = inner + lengths[:, :, None] * directions
+    mesh = _assemble(rays, _wake_strip(inner, counts), counts)
+    _check_convex(mesh)
+    return mesh
+
+
+def _counts(points: int) -> Counts:
+    if points < 300:
+        raise ValueError(f"`points` is {points}; a C-grid needs at least 300.")
+    scale = np.sqrt(points / REFERENCE_POINTS)
+    return Counts(*(max(2, round(scale * count)) for count in REFERENCE))
+
+
+def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes on the section (2 half + 1, 2), lower trailing edge first, and the angles of their rays in radians."""
+    lower, upper = (_half(section, end, counts.half) for end in (-1.0, 1.0))
+    t = np.concatenate([lower[::-1], upper[1:]])
+    nodes = section(t)
+    tangent = section(np.minimum(t + 1e-6, 1.0)) - section(np.maximum(t - 1e-6, -1.0))
+    phi = np.unwrap(np.arctan2(tangent[:, 0], -tangent[:, 1]))  # of the outer normal
+    phi += 2 * np.pi * np.round((np.pi - phi[counts.half]) / (2 * np.pi))  # about pi at the nose
+    # Rays must not meet: where the wall is concave, the nearest angles (least squares) that do turn steadily.
+    steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(steps)])
+    reach = np.convolve(steps, [0.5, 0.5])
+    phi = isotonic_regression(phi + LEAST_TURN * arc, weights=reach, increasing=False).x - LEAST_TURN * arc
+    return nodes, np.pi * (1.5 - (phi[0] - phi) / (phi[0] - phi[-1]))
+
+
+def _half(section: Section, end: float, cells: int) -> np.ndarray:
+    """Parameters of the nodes from the nose to one trailing edge, spaced in arc length."""
+    t = np.linspace(0.0, end, 20_001)
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(section(t), axis=0), axis=1))])
+    first, last = NOSE_SPACING / arc[-1], TRAILING_EDGE_SPACING / arc[-1]
+    return np.interp(arc[-1] * _two_sided(cells, REFERENCE.half, first, last), arc, t)
+
+
+def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarray:
+    """[0, 1] divided with given relative spacings at both ends were it into `cells`, sampled by `samples` cells.
+
+    Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J. Comput. Phys. 50 (1983).
+    """
+    ratio, intensity = np.sqrt(last / first), 1 / (cells * np.sqrt(first * last))
+    delta = _root(lambda delta: np.sinh(delta) / delta - intensity, 1e-6, 50.0)
+    u = 0.5 * (1 + np.tanh(delta * (np.linspace(0, 1, samples + 1) - 0.5)) / np.tanh(delta / 2))
+    u[[0, -1]] = 0, 1
+    return u / (ratio + (1 - ratio) * u)
+
+
+def _geometric(samples: int, cells: int, first: float) -> np.ndarray:
+    """[0, 1] divided with a constant growth and a given first spacing were it into `cells`, sampled by `samples`."""
+    growth = _root(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0)
+    return np.expm1(growth * np.linspace(0, 1, samples + 1)) / np.expm1(growth)
+
+
+def _root(function: Callable[[float], float], lower: float, upper: float) -> float:
+    return float(cast(float, brentq(function, lower, upper, xtol=1e-14)))
+
+
+def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
+    """The innermost line of the C: lower wake, wall, upper wake; and on each ray the wake distribution's weight."""
+    first = TRAILING_EDGE_SPACING / (FARFIELD_X - 1)
+    along = _geometric(counts.wake, REFERENCE.wake, first)[1:]
+    rows = []
+    for x, y in wall[[0, -1]]:
+        rows.append(np.column_stack([x + (FARFIELD_X - x) * along, np.full_like(along, y)]))
+    weights = WAKE_WEIGHT * np.concatenate([along[::-1], np.zeros(len(wall)), along])
+    return np.concatenate([rows[0][::-1], wall, rows[1]]), weights
+
+
+def _ray_lengths(weights: np.ndarray, cells: int, first_cell: float) -> np.ndarray:
+    """Distances of the nodes from the innermost line, (cells + 1, rays)."""
+    wall = _geometric(cells, cells, first_cell / RAY_LENGTH)[:, None]
+    wake_first = max(first_cell, min(WAKE_FIRST_CELL, 0.5 * RAY_LENGTH / cells))
+    wake = _geometric(cells, cells, wake_first / RAY_LENGTH)[:, None]
+    return RAY_LENGTH * ((1 - weights) * wall + weights * wake)
+
+
+def _wake_strip(inner: np.ndarray, counts: Counts) -> np.ndarray:
+    """Nodes strictly between lower and upper wake, (base - 1, wake + 1, 2), from the trailing edge to the exit."""
+    lower, upper = inner[counts.wake :: -1], inner[-counts.wake - 1 :]
+    across = np.linspace(0, 1, counts.base + 1)[1:-1, None, None]
+    return lower + across * (upper - lower)
+
+
+def _assemble(rays: np.ndarray, strip: np.ndarray, counts: Counts) -> jm.Mesh:
+    """The mesh of the C's nodes (normal + 1, rays, 2) and of those between the two wakes."""
+    ids = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
+    between = ids.size + np.arange(strip.shape[0] * strip.shape[1]).reshape(strip.shape[:2])
+    lower, upper = ids[0, counts.wake :: -1], ids[0, -counts.wake - 1 :]
+    behind = np.vstack([lower, between, upper])
+    return jm.Mesh(
+        points=np.concatenate([rays.reshape(-1, 2), strip.reshape(-1, 2)]),
+        cells={"quad": np.concatenate([_quads(ids), _quads(behind)])},
+        patches={
+            "airfoil": np.concatenate([ids[0, counts.wake : -counts.wake], between[:, 0]]),
+            "farfield": np.concatenate([ids[-1], ids[:, 0], ids[:, -1], between[:, -1]]),
+        },
+    )
+
+
+def _quads(ids: np.ndarray) -> np.ndarray:
+    return np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(-1, 4)
+
+
+def _check_convex(mesh: jm.Mesh) -> None:
+    quads = mesh.cells["quad"]
+    corners = mesh.points[quads]
+    edges = np.roll(corners, -1, axis=1) - corners
+    before = np.roll(edges, 1, axis=1)
+    jacobians = before[..., 0] * edges[..., 1] - before[..., 1] * edges[..., 0]
+    bad = np.flatnonzero(~(jacobians.min(axis=1) > 0))
+    if bad.size:
+        x, y = corners[bad[0]].mean(axis=0)
+        raise ValueError(
+            f"{bad.size} of {len(quads)} cells around this section are not convex, first cell {bad[0]} near "
+            f"({x:.4g}, {y:.4g}). Try less camber, a smoother section or more points."
+        )

@@ -1,0 +1,132 @@
+"""C-grids of the NACA 4-digit family, and of a cusped section, by the laws that the paper's one is held to."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from test_naca0015 import check_geometry
+
+from jaxmorph import cases
+from jaxmorph.cases._c_grid import c_grid
+
+# Percent of chord: station, upper and lower ordinate of the NACA 4412 as published (NACA Report 824, appendix II).
+NACA4412 = np.array(
+    [
+        [1.25, 2.44, -1.43],
+        [2.5, 3.39, -1.95],
+        [5, 4.73, -2.49],
+        [10, 6.59, -2.86],
+        [20, 8.80, -2.74],
+        [30, 9.76, -2.26],
+        [40, 9.80, -1.80],
+        [60, 8.14, -1.00],
+        [80, 4.89, -0.39],
+        [95, 1.47, -0.16],
+    ]
+)
+
+
+def cusped(t):
+    """A cusped section of 15 % thickness, concave behind 45 % of the chord, its cusp cut to 0.3 % of the chord."""
+    x = t**2
+    half = 0.15 / 0.75**1.5 * np.abs(t) * np.clip(1 - x, 0, None) ** 1.5 + 0.0015 * x
+    return np.column_stack([x, np.sign(t) * half])
+
+
+def turning(contour):
+    """Sine-like turn at each inner node of a polyline, positive to the left."""
+    steps = np.diff(contour, axis=0)
+    return steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]
+
+
+def test_ordinates_of_the_4412():
+    wall = cases.naca4("4412").points[50:211]
+    nose = np.argmin(wall[:, 0])
+    stations = NACA4412[:, 0] / 100
+    np.testing.assert_allclose(np.interp(stations, *wall[nose:].T), NACA4412[:, 1] / 100, atol=1.5e-4)
+    np.testing.assert_allclose(np.interp(stations, *wall[nose::-1].T), NACA4412[:, 2] / 100, atol=1.5e-4)
+
+
+def test_first_cell_and_counts():
+    for first_cell, mesh in [(1e-6, cases.naca4("4412")), (1e-7, cases.naca4("4412", first_cell=1e-7))]:
+        wall, layer = mesh.points[50:211], mesh.points[261 + 50 : 261 + 211]
+        np.testing.assert_allclose(np.linalg.norm(layer - wall, axis=1), first_cell, rtol=1e-6)
+        assert len(mesh.points) == 39_666
+        assert (len(mesh.patch("airfoil")), len(mesh.patch("farfield"))) == (166, 566)
+
+
+def test_first_cell_is_kept_on_coarse_meshes():
+    mesh = cases.naca4("4412", points=2_000)
+    airfoil = mesh.patch("airfoil")
+    outside = np.setdiff1d(np.arange(len(mesh.points)), airfoil)
+    gaps, _ = cKDTree(mesh.points[outside]).query(mesh.points[airfoil])
+    assert len(airfoil) < 50
+    assert np.sum(np.isclose(gaps, 1e-6, rtol=1e-6)) == len(airfoil) - 1  # all but the middle of the base
+
+
+def test_camber_makes_the_lower_wall_concave():
+    wall = cases.naca4("4412").points[50:211]
+    assert (turning(wall[:81]) > 0).sum() >= 20  # the wall lies to the right: a left turn is concave
+    assert (turning(wall[80:]) > 0).sum() == 0
+
+
+def test_without_camber_it_is_the_papers():
+    ours, paper = cases.naca4("0015", first_cell=1e-5), cases.naca0015()
+    np.testing.assert_array_equal(ours.points, paper.points)
+
+
+@pytest.mark.parametrize(
+    "code", ["0006", "1408", "2412", "4412", "4424", "6409", "6612", "9312", "9412", "9912", "0040"]
+)
+@pytest.mark.parametrize("points", [2_000, 12_000])
+def test_geometry(code, points):
+    check_geometry(cases.naca4(code, points=points))
+
+
+def test_geometry_of_thin_first_cells():
+    check_geometry(cases.naca4("4412", first_cell=1e-9))
+
+
+def test_rays_leave_the_wall_near_its_normal():
+    rays = cases.naca4("4412").points[: 151 * 261].reshape(151, 261, 2)[:, 50:211]
+    tangents = np.gradient(rays[0], axis=0)
+    normals = np.column_stack([-tangents[:, 1], tangents[:, 0]]) / np.linalg.norm(tangents, axis=1)[:, None]
+    directions = (rays[-1] - rays[0]) / 15
+    cosines = np.einsum("kd,kd->k", normals, directions)
+    assert np.degrees(np.arccos(cosines)).max() < 17
+
+
+def test_cusped_section():
+    mesh = c_grid(cusped)
+    wall = mesh.points[50:211]
+    assert np.ptp(wall[:, 1]) == pytest.approx(0.15, abs=1.5e-3)
+    assert (turning(wall[:81]) > 0).sum() >= 20
+    assert (turning(wall[80:]) > 0).sum() >= 20
+    check_geometry(mesh)
+
+
+@pytest.mark.parametrize("code", ["15", "00155", "naca", "-412", "4 12", 4412, "٤٤١٢"])
+def test_not_of_the_family(code):
+    with pytest.raises(ValueError, match="four digits"):
+        cases.naca4(code)
+
+
+@pytest.mark.parametrize(("code", "message"), [("4400", "no thickness"), ("4012", "place of its largest camber")])
+def test_codes_without_a_section(code, message):
+    with pytest.raises(ValueError, match=message):
+        cases.naca4(code)
+
+
+@pytest.mark.parametrize("first_cell", [0.0, -1e-6, 1e-14, 0.1, float("nan")])
+def test_first_cell_that_does_not_fit(first_cell):
+    with pytest.raises(ValueError, match=r"`first_cell` is .* between 1e-12 and 0\.09 chords"):
+        cases.naca4("4412", first_cell=first_cell)
+
+
+def test_section_that_no_ray_leaves():
+    with pytest.raises(ValueError, match=r"cells around this section are not convex, first cell \d+ near"):
+        cases.naca4("9999")
+
+
+def test_sharp_trailing_edge_is_refused():
+    with pytest.raises(ValueError, match="trailing edge is not blunt"):
+        c_grid(lambda t: cusped(t) - np.column_stack([0 * t, np.sign(t) * 0.0015 * t**2]))
