@@ -1,0 +1,177 @@
+"""Reduction of the source points: which nodes of a surface carry the radial basis functions (section 2.1 of the paper)."""
+
+import abc
+import dataclasses
+import heapq
+import itertools
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+
+class AbstractReduction(abc.ABC):
+    """Chooses source points. Called with points (k, d); returns the ids of the chosen ones, each once, ascending.
+
+    A reduction of your own is a frozen (hashable) dataclass with this one method.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, points: np.ndarray) -> np.ndarray: ...
+
+
+class AbstractSearchPoints(abc.ABC):
+    """Where in a leaf's box one looks for a source, in the box's local coordinates from -1 to 1."""
+
+    @abc.abstractmethod
+    def local(self, dimension: int) -> np.ndarray:
+        """(k, d) local coordinates."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Centre(AbstractSearchPoints):
+    """The middle of each box."""
+
+    def local(self, dimension: int) -> np.ndarray:
+        return np.zeros((1, dimension))
+
+
+@dataclasses.dataclass(frozen=True)
+class GaussPoints(AbstractSearchPoints):
+    """The 4 or 8 Gauss points of the linear element, at +-1/sqrt(3)."""
+
+    def local(self, dimension: int) -> np.ndarray:
+        return Corners().local(dimension) / np.sqrt(3)
+
+
+@dataclasses.dataclass(frozen=True)
+class Corners(AbstractSearchPoints):
+    """The 4 or 8 corners of each box."""
+
+    def local(self, dimension: int) -> np.ndarray:
+        return np.array(list(itertools.product((-1.0, 1.0), repeat=dimension)))
+
+
+@dataclasses.dataclass(frozen=True)
+class AllPoints(AbstractReduction):
+    """No reduction: every point is a source, as in the classic method; of coincident points one."""
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return drop_close(points, np.arange(len(points)), roundoff(points))
+
+
+@dataclasses.dataclass(frozen=True)
+class KDTree(AbstractReduction):
+    """The paper's explicit reduction by a k-d tree (section 2.1), all five steps.
+
+    The box with the most points is split at the median of its longest side, until there are `leaves` of them (and, where
+    given, until none holds more than `points_per_leaf` points or is longer than `largest_box`); a box not longer than
+    `smallest_box` is left whole. A leaf's box bounds its own points. `search_points` are laid into each box, the closest
+    mesh point to each becomes a source, duplicates are dropped, and so are sources closer to another one than `separation`
+    times the diagonal of all points: near-coincident sources ruin the conditioning of the solve, and derivatives with it.
+    `extremes=True` adds the points at which the bounding box of all points is touched: a blunt trailing edge, a wing's tip.
+    `smallest_box` and `largest_box` are lengths in the mesh's units. The result depends on the set of points, not on their
+    order.
+    """
+
+    leaves: int | None = None
+    search_points: AbstractSearchPoints = Corners()
+    _: dataclasses.KW_ONLY
+    points_per_leaf: int | None = None
+    smallest_box: float = 0.0
+    largest_box: float = np.inf
+    separation: float = 1e-3
+    extremes: bool = False
+
+    def __post_init__(self):
+        if self.leaves is None and self.points_per_leaf is None and not np.isfinite(self.largest_box):
+            raise ValueError("KDTree needs one of `leaves`, `points_per_leaf`, `largest_box` to know when to stop.")
+        for name in ("leaves", "points_per_leaf"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"`{name}` must be at least 1, not {value}.")
+        if not 0 <= self.smallest_box <= self.largest_box:
+            raise ValueError(f"need 0 <= smallest_box <= largest_box, not {self.smallest_box}, {self.largest_box}.")
+        if not 0 <= self.separation < 1:
+            raise ValueError(
+                f"`separation` is relative to the extent of the points, from 0 to 1; not {self.separation}."
+            )
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        points = np.asarray(points, dtype=float)
+        if len(points) == 0:
+            return np.zeros(0, dtype=np.int64)
+        order = canonical_order(points)
+        ordered = points[order]
+        boxes = self.boxes(ordered)
+        local = self.search_points.local(points.shape[1])
+        centre, half = boxes.mean(axis=1), np.ptp(boxes, axis=1) / 2
+        search = (centre[:, None] + half[:, None] * local).reshape(-1, points.shape[1])
+        found = np.unique(cKDTree(ordered).query(search)[1])
+        if self.extremes:
+            found = np.concatenate([extreme_points(ordered), found])
+        closest = max(self.separation * np.linalg.norm(np.ptp(points, axis=0)), roundoff(points))
+        return np.sort(order[drop_close(ordered, found, closest)])
+
+    def boxes(self, points: np.ndarray) -> np.ndarray:
+        """(k, 2, d): lower and upper corner of each leaf's box, for points (n, d)."""
+        counter = itertools.count()  # breaks ties: the leaf found first is split first
+
+        def entry(members):
+            box = points[members]
+            return -len(members), next(counter), members, np.array([box.min(axis=0), box.max(axis=0)])
+
+        heap, done = [entry(np.arange(len(points)))], []
+        while heap:
+            count, _, members, box = leaf = heapq.heappop(heap)
+            sides = np.ptp(box, axis=0)
+            if len(members) < 2 or sides.max() <= self.smallest_box:
+                done.append(leaf)
+            elif sides.max() > self.largest_box or self._too_few(-count, 1 + len(heap) + len(done)):
+                along = members[np.argsort(points[members, sides.argmax()], kind="stable")]
+                heapq.heappush(heap, entry(along[: (len(along) + 1) // 2]))
+                heapq.heappush(heap, entry(along[(len(along) + 1) // 2 :]))
+            else:
+                done.append(leaf)
+        return np.stack([box for *_, box in done])
+
+    def _too_few(self, count: int, leaves: int) -> bool:
+        wanted = self.leaves is not None and leaves < self.leaves
+        return wanted or (self.points_per_leaf is not None and count > self.points_per_leaf)
+
+
+def canonical_order(points: np.ndarray) -> np.ndarray:
+    """A permutation that sorts points by their coordinates: what follows does not depend on the order they came in."""
+    return np.lexsort(points.T[::-1])
+
+
+def roundoff(points: np.ndarray) -> float:
+    """The distance below which two points are taken to coincide."""
+    if len(points) == 0:
+        return 0.0
+    return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max())
+
+
+def extreme_points(points: np.ndarray) -> np.ndarray:
+    """Ids of points on the faces of the bounding box: for each side the ones furthest apart within round-off of it."""
+    found = []
+    for axis in range(points.shape[1]):
+        for sign in (-1, 1):
+            along = sign * points[:, axis]
+            touching = np.flatnonzero(along >= along.max() - 1e-9 * np.ptp(along))
+            others = np.delete(points[touching], axis, axis=1)
+            corners = [touching[pick(others[:, k])] for k in range(others.shape[1]) for pick in (np.argmin, np.argmax)]
+            found.extend(corners)
+    return np.unique(found)
+
+
+def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarray:
+    """`ids` without those whose point lies within `closest` of an earlier one that is kept; order kept."""
+    if len(ids) < 2:
+        return ids
+    ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
+    pairs = cKDTree(points[ids]).query_pairs(closest, output_type="ndarray")
+    keep = np.ones(len(ids), dtype=bool)
+    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # pairs come as first < second
+        if keep[first]:
+            keep[second] = False
+    return ids[keep]

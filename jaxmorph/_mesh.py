@@ -1,0 +1,89 @@
+"""The mesh: points, cells, and patches of boundary nodes."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Integer
+
+from ._host.topology import CORNERS, canonical_type
+
+# Arrays here are NumPy's or JAX's alike: a mesh is data, and quality traces through its points.
+ArrayLike = Any
+
+
+class Mesh(eqx.Module):
+    """Points, the cells between them, and named patches of boundary nodes.
+
+    `points` is (n, d) with d = 2 or 3, in the units of the file. `cells` maps a cell type to its corner ids (k, corners),
+    numbered as VTK numbers them; the types are `triangle`, `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron` (`tri`,
+    `tet`, `prism` and `hex` are understood too). `patches` maps a name to the ids of its nodes, without repetition.
+    `source` is what `jaxmorph.io.write` needs to give the file back as it was.
+
+    Raises `ValueError` for an unknown cell type, for corner or patch ids outside of `points`, and for wrong shapes.
+    """
+
+    points: Float[ArrayLike, "n d"]
+    cells: dict[str, Integer[ArrayLike, "k corners"]]
+    patches: dict[str, Integer[ArrayLike, " p"]]
+    source: Any = eqx.field(static=True, default=None)
+
+    def __init__(self, points, cells=None, patches=None, source=None):
+        self.points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
+        self.cells = {canonical_type(kind): _ids(corners) for kind, corners in dict(cells or {}).items()}
+        self.patches = {name: np.unique(_ids(nodes)) for name, nodes in dict(patches or {}).items()}
+        self.source = source
+        self._check()
+
+    def _check(self) -> None:
+        if self.points.ndim != 2 or self.points.shape[1] not in (2, 3):
+            raise ValueError(f"`points` has shape {self.points.shape}; expected (n, 2) or (n, 3).")
+        n = self.points.shape[0]
+        for kind, corners in self.cells.items():
+            if corners.ndim != 2 or corners.shape[1] != CORNERS[kind]:
+                raise ValueError(f"cells of type {kind!r} have shape {corners.shape}; expected (k, {CORNERS[kind]}).")
+        for name, ids in (self.cells | self.patches).items():
+            if ids.size and (ids.min() < 0 or ids.max() >= n):
+                bad = int(ids.max()) if ids.max() >= n else int(ids.min())
+                raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
+
+    def patch(self, *names: str) -> np.ndarray:
+        """Ids of the nodes of one patch, or of several together, each node once, ascending.
+
+        Raises `ValueError`, with the names there are, for one that is not among them.
+        """
+        for name in names:
+            if name not in self.patches:
+                known = ", ".join(map(repr, self.patches)) or "none"
+                raise ValueError(f"no patch is called {name!r}; this mesh has: {known}.")
+        if not names:
+            return np.zeros(0, dtype=np.int64)
+        return np.unique(np.concatenate([np.asarray(self.patches[name]) for name in names]))
+
+    def moved(self, points: Float[ArrayLike, "n d"]) -> "Mesh":
+        """The same mesh with other coordinates; this one stays as it is.
+
+        Raises `ValueError` when the shape of `points` differs.
+        """
+        if tuple(points.shape) != tuple(self.points.shape):
+            raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {tuple(self.points.shape)}.")
+        moved = object.__new__(Mesh)
+        for field in dataclasses.fields(self):
+            object.__setattr__(moved, field.name, points if field.name == "points" else getattr(self, field.name))
+        return moved
+
+    def __repr__(self) -> str:
+        n, d = self.points.shape
+        cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in self.cells.items()) or "no cells"
+        patches = ", ".join(f"{name} ({len(nodes)})" for name, nodes in self.patches.items()) or "none"
+        return f"Mesh({n} points in {d}-D; {cells}; patches: {patches})"
+
+
+def _ids(values) -> np.ndarray:
+    ids = np.asarray(values)
+    if ids.size == 0:
+        return ids.astype(np.int64)
+    if ids.dtype.kind not in "iu":
+        raise ValueError(f"ids must be integers, not {ids.dtype}.")
+    return ids

@@ -1,0 +1,1 @@
+"""Methods: each turns displacements of the surface into a displacement field."""

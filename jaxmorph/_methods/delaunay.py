@@ -1,0 +1,63 @@
+"""Delaunay graph mapping (Liu, Qin and Xia 2006; section 2.3 of the paper, eqs. 6 to 9)."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._host.graph import locate
+from .base import AbstractField, AbstractMethod, Surface
+
+
+class DelaunayGraph(AbstractMethod):
+    """Delaunay graph mapping: each point follows the simplex of surface nodes that holds it, linearly (eq. 8).
+
+    The graph stands on the undeformed surface and carries displacements, so that the map is one linear operator for any
+    motion. A surface node follows itself alone, whatever the graph does around it; of several coincident nodes the
+    first one (moving before fixed) stands for all in the graph.
+
+    `prepare` raises `ValueError` for points outside of the convex hull of the surface.
+    """
+
+    def connect(self, surface: Surface, points):
+        rows = surface.rows(len(points))
+        vertices = np.repeat(rows[:, None], points.shape[1] + 1, axis=1)  # a node of the surface: itself, d + 1 times
+        inside = np.flatnonzero(rows == len(surface.points))
+        if inside.size:
+            vertices[inside] = locate(surface.points, points, inside).vertices
+        return None, vertices
+
+    def fit(self, ids, surface):
+        return None
+
+    def field(self, ids, factors, surface, u):
+        return DelaunayField(surface, u)
+
+
+class DelaunayField(AbstractField):
+    """Displacements interpolated linearly between the nodes of a simplex."""
+
+    surface: Float[Array, "b d"]
+    u: Float[Array, "b d"]
+
+    def __call__(self, x: Float[Array, " d"], ids: Int[Array, " corners"]) -> Float[Array, " d"]:
+        e = barycentric(x, [self.surface[i] for i in ids], ids[0] == ids[1])
+        return sum((e[k] * self.u[i] for k, i in enumerate(ids)), start=jnp.zeros_like(x))  # eq. (8)
+
+
+def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
+    """Barycentric coordinates e of x (eqs. 6 and 7, and their like in 3-D) in closed form; (1, 0, ...) where `at_node`."""
+    edges = [corner - corners[0] for corner in corners[1:]]
+    inner = x - corners[0]
+    whole = _determinant(edges)
+    whole = jnp.where(at_node, 1, whole)
+    parts = [_determinant([*edges[:k], inner, *edges[k + 1 :]]) / whole for k in range(len(edges))]
+    parts = [jnp.where(at_node, 0, part) for part in parts]
+    return [1 - sum(parts), *parts]
+
+
+def _determinant(columns: list[Float[Array, " d"]]) -> Float[Array, ""]:
+    if len(columns) == 2:
+        (a, b), (c, d) = columns
+        return a * d - b * c
+    a, b, c = columns
+    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])

@@ -1,0 +1,58 @@
+"""Exact surface reconstruction: a coarse field, corrected by what it misses on the surface (section 2.3 of the paper)."""
+
+import equinox as eqx
+
+from .base import AbstractField, AbstractMethod, Surface, map_points
+from .delaunay import DelaunayGraph
+from .rbf import RBF
+
+
+class SurfaceReconstruction(AbstractMethod):
+    """The paper's method: a coarse field everywhere, plus the correction of its offset on the surface (eq. 5).
+
+    u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine; the surface is exact when
+    that of `correction` is. `correction_steps` is for `march(..., rebuild=True)` alone, which then carries the offset in so
+    many equal steps with a new graph before each, as the paper does for its wing (section 3.2); within one plan the
+    correction is linear, and steps make no difference.
+    """
+
+    coarse: AbstractMethod = eqx.field(default_factory=RBF)
+    correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
+    correction_steps: int = eqx.field(static=True, default=1)
+
+    @property
+    def exact(self) -> bool:
+        return self.correction.exact
+
+    def connect(self, surface: Surface, points):
+        coarse, coarse_at_points = self.coarse.connect(surface, points)
+        _, coarse_at_surface = self.coarse.connect(surface.itself(), surface.points)
+        correction, correction_at_points = self.correction.connect(surface, points)
+        return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)
+
+    def fit(self, ids, surface):
+        coarse, _, correction = ids
+        return self.coarse.fit(coarse, surface), self.correction.fit(correction, surface)
+
+    def check(self, factors):
+        self.coarse.check(factors[0])
+        self.correction.check(factors[1])
+
+    def field(self, ids, factors, surface, u):
+        coarse, at_surface, correction = ids
+        coarse_field = self.coarse.field(coarse, factors[0], surface, u)
+        offset = u - map_points(coarse_field, surface, at_surface)  # eq. (5)
+        return SumField(coarse_field, self.correction.field(correction, factors[1], surface, offset))
+
+
+class SumField(AbstractField):
+    """The sum of two fields, each with its own ids."""
+
+    first: AbstractField
+    second: AbstractField
+
+    def __call__(self, x, ids):
+        return self.first(x, ids[0]) + self.second(x, ids[1])
+
+    def evaluate(self, points, ids):
+        return self.first.evaluate(points, ids[0]) + self.second.evaluate(points, ids[1])

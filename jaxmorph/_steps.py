@@ -1,0 +1,98 @@
+"""Several steps: a path of surface displacements, followed on the host and replayed in traced code."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ._methods.base import AbstractMethod
+from ._methods.reconstruction import SurfaceReconstruction
+from ._plan import Plan, deform_surface, prepare, refit
+from ._symmetry import Plane
+
+Step = Plan | tuple[Plan, ...]
+"""One step of a march; of several plans the first goes the whole way, each other an equal part of what is then left."""
+
+
+def march(
+    plan: Plan, path: Float[ArrayLike, "k m d"], *, rebuild: bool = False
+) -> tuple[tuple[Step, ...], Float[Array, "n d"]]:
+    """Follows a path of total surface displacements, each step refitted on the mesh that the last one left.
+
+    `path` (k, m, d): `path[j]` displaces the moving nodes from the plan's base coordinates to where step j ends, so a
+    rotation is a path of rotated positions, not a straight line. Returns one plan a step, for `replay`, and the points
+    (n, d) at the end.
+
+    With `rebuild=True` the ids (sources, graph) are found again before each step, as the paper does. The result then
+    jumps wherever the graph of the moved surface changes, by as much as a step: a line search or a finite difference
+    meets cliffs. For a `SurfaceReconstruction` with several `correction_steps`, each step is then one of the coarse field
+    and so many of the correction, a new graph before each (section 3.2 of the paper).
+
+    Raises `ValueError` when `path` is not (k, m, d), and whatever `prepare` raises.
+    """
+    points, steps = plan.points, []
+    for j, target in enumerate(_targets(plan, path)):
+        if rebuild and isinstance(plan.method, SurfaceReconstruction) and plan.method.correction_steps > 1:
+            step, points = _split_step(plan, points, target, plan.method)
+        else:
+            step = plan if j == 0 else _anew(plan, points, plan.method) if rebuild else refit(plan, points)
+            points = _advance(step, target, 1)
+        steps.append(step)
+    return tuple(steps), points
+
+
+def replay(plans: Sequence[Step], path: Float[ArrayLike, "k m d"]) -> Float[Array, "n d"]:
+    """The steps of a `march` once more, with the ids that it recorded: traced, differentiable, equal to its points.
+
+    Differentiable with respect to `path` (k, m, d), and to the base coordinates through `refit(plans[0], points)`.
+
+    Raises `ValueError` when `path` does not have one entry a plan, each (m, d).
+    """
+    steps = [step if isinstance(step, tuple) else (step,) for step in plans]
+    if not steps:
+        raise ValueError("`plans` is empty: pass those that `march` returned.")
+    targets = _targets(steps[0][0], path)
+    if len(targets) != len(steps):
+        raise ValueError(
+            f"`path` has {len(targets)} steps, but there are {len(steps)} plans; pass the path that was marched."
+        )
+    points = steps[0][0].points
+    for step, target in zip(steps, targets, strict=True):
+        for k, plan in enumerate(step):
+            points = _advance(refit(plan, points), target, len(step) - k if k else 1)
+    return points
+
+
+def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
+    """Where the surface's own rows are to be at the end of each step."""
+    path = jnp.asarray(path, plan.points.dtype)
+    m, d = plan.moves, plan.points.shape[1]
+    if path.ndim != 3 or path.shape[1:] != (m, d):
+        raise ValueError(
+            f"`path` has shape {path.shape}; expected (steps, {m}, {d}): the total displacement at each step's end."
+        )
+    base = plan.points[plan.surface.nodes]
+    return jnp.broadcast_to(base, (len(path), *base.shape)).at[:, :m].add(path)
+
+
+@eqx.filter_jit
+def _advance(plan: Plan, target: Float[Array, "o d"], share) -> Float[Array, "n d"]:
+    """One step towards the target: 1 / `share` of what is left, on the fixed nodes too where a method moved them."""
+    return deform_surface(plan, (target - plan.points[plan.surface.nodes]) / share)
+
+
+def _split_step(plan: Plan, points, target, method: SurfaceReconstruction) -> tuple[Step, Float[Array, "n d"]]:
+    plans = [_anew(plan, points, method.coarse)]
+    points = _advance(plans[0], target, 1)
+    for left in range(method.correction_steps, 0, -1):
+        plans.append(_anew(plan, points, method.correction))
+        points = _advance(plans[-1], target, left)
+    return tuple(plans), points
+
+
+def _anew(plan: Plan, points, method: AbstractMethod) -> Plan:
+    mirror = plan.surface.mirror
+    planes = [] if mirror is None else [Plane(*plane) for plane in zip(mirror.normals, mirror.origins, strict=True)]
+    return prepare(np.asarray(points), plan.moving, plan.fixed, method=method, symmetry=planes)
