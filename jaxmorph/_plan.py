@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
-from ._methods.base import AbstractMethod, Surface, map_points
+from ._methods.base import AbstractMethod, Surface, map_points, place_points
 from ._methods.reconstruction import SurfaceReconstruction
 from ._symmetry import Mirror, Plane, check_planes, mirror
 
@@ -31,6 +31,7 @@ class VolumeHalf(eqx.Module):
     rows: Int[Array, " n"]
     on_plane: Bool[Array, "n p"] | None
     ids: PyTree
+    placed: PyTree
 
 
 class Plan(eqx.Module):
@@ -44,6 +45,7 @@ class Plan(eqx.Module):
     surface: SurfaceHalf
     volume: VolumeHalf
     moves: int = eqx.field(static=True)
+    carried: bool = eqx.field(static=True, default=False)
 
     @property
     def points(self) -> Float[Array, "n d"]:
@@ -105,7 +107,7 @@ def prepare(
     plan = Plan(
         method=method,
         surface=SurfaceHalf(everything, nodes.astype(np.int32), images, surface_ids, None),
-        volume=VolumeHalf(host, own_rows, on_plane, volume_ids),
+        volume=VolumeHalf(host, own_rows, on_plane, volume_ids, None),
         moves=m,
     )
     plan = jax.tree.map(jnp.asarray, plan)
@@ -166,20 +168,36 @@ def _node_ids(values, name: str, n: int) -> np.ndarray:
 def refit(plan: Plan, points: Float[ArrayLike, "n d"]) -> Plan:
     """The same plan on other base coordinates (n, d): ids are kept, floats computed anew. Traced and differentiable.
 
+    For another mesh of the same family; the steps of one motion are those of `march`, for points that a large motion has
+    carried out of their simplices extrapolate.
+
     Raises `ValueError` when the shape of `points` differs from the plan's.
     """
+    plan = _fitted(plan, points)
+    placed = place_points(plan.method, plan.points, plan.volume.ids, plan.surface.points)
+    return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
+
+
+@eqx.filter_jit
+def carry(plan: Plan, points: Float[ArrayLike, "n d"]) -> Plan:
+    """The plan on the mesh that one of its own steps left: the solve is made anew, each point keeps its place in the graph."""
+    return _fitted(plan, points, carried=True)
+
+
+def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
     points = jnp.asarray(points, plan.points.dtype)
     if points.shape != plan.points.shape:
         raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
-    surface = points[plan.surface.nodes]
-    if plan.surface.mirror is not None:
-        surface = plan.surface.mirror.points(surface)
-    factors = plan.method.fit(plan.surface.ids, surface)
+    old, volume = plan.surface, plan.volume
+    surface = points[old.nodes]
+    if old.mirror is not None:
+        surface = old.mirror.points(surface)
     return Plan(
         method=plan.method,
-        surface=SurfaceHalf(surface, plan.surface.nodes, plan.surface.mirror, plan.surface.ids, factors),
-        volume=VolumeHalf(points, plan.volume.rows, plan.volume.on_plane, plan.volume.ids),
+        surface=SurfaceHalf(surface, old.nodes, old.mirror, old.ids, plan.method.fit(old.ids, surface)),
+        volume=VolumeHalf(points, volume.rows, volume.on_plane, volume.ids, volume.placed),
         moves=plan.moves,
+        carried=carried,
     )
 
 
@@ -209,7 +227,7 @@ def deform_surface(plan: Plan, own: Float[Array, "o d"]) -> Float[Array, "n d"]:
         own = surface.mirror.within(own, volume.on_plane[surface.nodes])
         u = surface.mirror.vectors(own)
     field = plan.method.field(surface.ids, surface.factors, surface.points, u)
-    displacement = map_points(field, volume.points, volume.ids)
+    displacement = map_points(field, volume.points, volume.placed)
     if plan.method.exact:
         displacement = jnp.where(
             (volume.rows < len(own))[:, None], own[volume.rows.clip(max=len(own) - 1)], displacement

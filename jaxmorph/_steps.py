@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._methods.base import AbstractMethod
 from ._methods.reconstruction import SurfaceReconstruction
-from ._plan import Plan, deform_surface, prepare, refit
+from ._plan import Plan, carry, deform_surface, prepare, refit
 from ._symmetry import Plane
 
 Step = Plan | tuple[Plan, ...]
@@ -20,6 +20,8 @@ def march(
     plan: Plan, path: Float[ArrayLike, "k m d"], *, rebuild: bool = False
 ) -> tuple[tuple[Step, ...], Float[Array, "n d"]]:
     """Follows a path of total surface displacements, each step refitted on the mesh that the last one left.
+
+    The radial basis functions are solved for anew at each step; a Delaunay graph goes on standing on the undeformed mesh.
 
     `path` (k, m, d): `path[j]` displaces the moving nodes from the plan's base coordinates to where step j ends, so a
     rotation is a path of rotated positions, not a straight line. Returns one plan a step, for `replay`, and the points
@@ -37,7 +39,7 @@ def march(
         if rebuild and isinstance(plan.method, SurfaceReconstruction) and plan.method.correction_steps > 1:
             step, points = _split_step(plan, points, target, plan.method)
         else:
-            step = plan if j == 0 else _anew(plan, points, plan.method) if rebuild else refit(plan, points)
+            step = plan if j == 0 else _anew(plan, points, plan.method) if rebuild else carry(plan, points)
             points = _advance(step, target, 1)
         steps.append(step)
     return tuple(steps), points
@@ -58,10 +60,11 @@ def replay(plans: Sequence[Step], path: Float[ArrayLike, "k m d"]) -> Float[Arra
         raise ValueError(
             f"`path` has {len(targets)} steps, but there are {len(steps)} plans; pass the path that was marched."
         )
-    points = steps[0][0].points
+    current, points = steps[0][0], steps[0][0].points
     for step, target in zip(steps, targets, strict=True):
         for k, plan in enumerate(step):
-            points = _advance(refit(plan, points), target, len(step) - k if k else 1)
+            current = carry(current, points) if plan.carried else refit(plan, points) if current is not plan else plan
+            points = _advance(current, target, len(step) - k if k else 1)
     return points
 
 

@@ -63,7 +63,7 @@ class AllPoints(AbstractReduction):
 class KDTree(AbstractReduction):
     """The paper's explicit reduction by a k-d tree (section 2.1), all five steps.
 
-    The box with the most points is split at the median of its longest side, until there are `leaves` of them (and, where
+    The box with the most points is split at the median of its longest side, points at one coordinate staying together, until there are `leaves` of them (and, where
     given, until none holds more than `points_per_leaf` points or is longer than `largest_box`); a box not longer than
     `smallest_box` is left whole. A leaf's box bounds its own points. `search_points` are laid into each box, the closest
     mesh point to each becomes a source, duplicates are dropped, and so are sources closer to another one than `separation`
@@ -127,9 +127,8 @@ class KDTree(AbstractReduction):
             if len(members) < 2 or sides.max() <= self.smallest_box:
                 done.append(leaf)
             elif sides.max() > self.largest_box or self._too_few(-count, 1 + len(heap) + len(done)):
-                along = members[np.argsort(points[members, sides.argmax()], kind="stable")]
-                heapq.heappush(heap, entry(along[: (len(along) + 1) // 2]))
-                heapq.heappush(heap, entry(along[(len(along) + 1) // 2 :]))
+                for half in _halves(points, members, sides.argmax()):
+                    heapq.heappush(heap, entry(half))
             else:
                 done.append(leaf)
         return np.stack([box for *_, box in done])
@@ -137,6 +136,14 @@ class KDTree(AbstractReduction):
     def _too_few(self, count: int, leaves: int) -> bool:
         wanted = self.leaves is not None and leaves < self.leaves
         return wanted or (self.points_per_leaf is not None and count > self.points_per_leaf)
+
+
+def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Members before and after the median along an axis; points side by side (an outlet, both sides of a wing) stay together."""
+    members = members[np.argsort(points[members, axis], kind="stable")]
+    along = points[members, axis]
+    gaps = 1 + np.flatnonzero(np.diff(along) > 1e-9 * (along[-1] - along[0]))
+    return tuple(np.split(members, [gaps[np.abs(gaps - len(members) / 2).argmin()]]))
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:

@@ -6,13 +6,14 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 Reduction = Callable[[np.ndarray], np.ndarray]
 
-CHUNK = 512
-"""Points per block: memory for derivatives is that of one block, whatever the size of the mesh."""
+BLOCK = 512
+"""Points per block: memory, that for derivatives too, is that of one block, whatever the size of the mesh."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,11 +55,16 @@ class AbstractField(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """The displacement at `x`; `ids` is what the method's `connect` found for this point."""
+        """The displacement at `x`; `ids` is what the method's `connect` found for this point, or `place` made of it."""
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
         """The displacements of a block of points. Equal to the mapped one-point form; there for speed alone."""
         return jax.vmap(self)(points, ids)
+
+    @property
+    def local(self) -> bool:
+        """Whether a point costs a handful of numbers, so that all points make one block."""
+        return False
 
 
 class AbstractMethod(eqx.Module):
@@ -82,6 +88,13 @@ class AbstractMethod(eqx.Module):
     ) -> AbstractField:
         """Traced, and linear in `u`."""
 
+    def place(self, x: Float[Array, " d"], ids: PyTree, surface: Float[Array, "b d"]) -> PyTree:
+        """Traced: what a point's own place adds to its ids (barycentric coordinates), whatever `u` is; the ids by default.
+
+        Computed once per base mesh. The steps of `march` keep it: a graph stands on the undeformed mesh.
+        """
+        return ids
+
     def check(self, factors: PyTree) -> None:
         """Host, once, after the first `fit`: raises or warns when the factors are unusable."""
 
@@ -93,13 +106,29 @@ class AbstractMethod(eqx.Module):
 
 def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
     """The field at every point, block by block, each block recomputed instead of stored for derivatives."""
-    if len(points) <= CHUNK:
+    if field.local:
         return field.evaluate(points, ids)
-    block = jax.checkpoint(lambda part: field.evaluate(*part))
-    full = len(points) // CHUNK * CHUNK
-    blocks = jax.tree.map(lambda leaf: leaf[:full].reshape(-1, CHUNK, *leaf.shape[1:]), (points, ids))
-    mapped = jax.lax.map(block, blocks).reshape(full, points.shape[1])
-    if full == len(points):
-        return mapped
-    rest = block(jax.tree.map(lambda leaf: leaf[full:], (points, ids)))
-    return jax.numpy.concatenate([mapped, rest])
+    return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids))
+
+
+def place_points(
+    method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, surface: Float[Array, "b d"]
+) -> PyTree:
+    """`method.place` for every point."""
+    if not jax.tree.leaves(ids):
+        return ids
+    return map_rows(jax.checkpoint(jax.vmap(lambda part: method.place(*part, surface))), (points, ids))
+
+
+def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree) -> PyTree:
+    """`function` of blocks of rows, put together again: what it returns for a block has as many rows."""
+    n = len(jax.tree.leaves(rows)[0])
+    full = n // BLOCK * BLOCK
+    parts = []
+    if full:
+        blocks = jax.tree.map(lambda leaf: leaf[:full].reshape(-1, BLOCK, *leaf.shape[1:]), rows)
+        mapped = jax.lax.map(function, blocks)
+        parts.append(jax.tree.map(lambda leaf: leaf.reshape(full, *leaf.shape[2:]), mapped))
+    if full < n:
+        parts.append(function(jax.tree.map(lambda leaf: leaf[full:], rows)))
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts) if len(parts) > 1 else parts[0]

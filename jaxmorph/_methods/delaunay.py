@@ -1,8 +1,9 @@
 """Delaunay graph mapping (Liu, Qin and Xia 2006; section 2.3 of the paper, eqs. 6 to 9)."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from .._host.graph import locate
 from .base import AbstractField, AbstractMethod, Surface
@@ -29,19 +30,35 @@ class DelaunayGraph(AbstractMethod):
     def fit(self, ids, surface):
         return None
 
+    def place(self, x, ids, surface):
+        e = barycentric(x, [surface[i] for i in ids], ids[0] == ids[1])
+        return Interpolation(ids, jnp.stack(e))
+
     def field(self, ids, factors, surface, u):
-        return DelaunayField(surface, u)
+        return InterpolatedField(self, surface, u)
 
 
-class DelaunayField(AbstractField):
-    """Displacements interpolated linearly between the nodes of a simplex."""
+class Interpolation(eqx.Module):
+    """A point's displacement as a weighted sum of those of some surface nodes: one row of a sparse operator."""
 
+    nodes: Int[Array, " k"]
+    weights: Float[Array, " k"]
+
+
+class InterpolatedField(AbstractField):
+    """Displacements interpolated between surface nodes (eq. 8), with the weights that `method.place` gives."""
+
+    method: AbstractMethod
     surface: Float[Array, "b d"]
     u: Float[Array, "b d"]
 
-    def __call__(self, x: Float[Array, " d"], ids: Int[Array, " corners"]) -> Float[Array, " d"]:
-        e = barycentric(x, [self.surface[i] for i in ids], ids[0] == ids[1])
-        return sum((e[k] * self.u[i] for k, i in enumerate(ids)), start=jnp.zeros_like(x))  # eq. (8)
+    @property
+    def local(self) -> bool:
+        return True
+
+    def __call__(self, x: Float[Array, " d"], ids: Interpolation | PyTree) -> Float[Array, " d"]:
+        at = ids if isinstance(ids, Interpolation) else self.method.place(x, ids, self.surface)
+        return sum((at.weights[k] * self.u[i] for k, i in enumerate(at.nodes)), start=jnp.zeros_like(x))
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:

@@ -2,7 +2,7 @@
 
 import equinox as eqx
 
-from .base import AbstractField, AbstractMethod, Surface, map_points
+from .base import AbstractField, AbstractMethod, Surface, map_points, place_points
 from .delaunay import DelaunayGraph
 from .rbf import RBF
 
@@ -31,18 +31,23 @@ class SurfaceReconstruction(AbstractMethod):
         return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)
 
     def fit(self, ids, surface):
-        coarse, _, correction = ids
-        return self.coarse.fit(coarse, surface), self.correction.fit(correction, surface)
+        coarse, at_surface, correction = ids
+        placed = place_points(self.coarse, surface, at_surface, surface)
+        return self.coarse.fit(coarse, surface), placed, self.correction.fit(correction, surface)
+
+    def place(self, x, ids, surface):
+        return self.coarse.place(x, ids[0], surface), self.correction.place(x, ids[1], surface)
 
     def check(self, factors):
         self.coarse.check(factors[0])
-        self.correction.check(factors[1])
+        self.correction.check(factors[2])
 
     def field(self, ids, factors, surface, u):
-        coarse, at_surface, correction = ids
-        coarse_field = self.coarse.field(coarse, factors[0], surface, u)
+        coarse, _, correction = ids
+        coarse_factors, at_surface, correction_factors = factors
+        coarse_field = self.coarse.field(coarse, coarse_factors, surface, u)
         offset = u - map_points(coarse_field, surface, at_surface)  # eq. (5)
-        return SumField(coarse_field, self.correction.field(correction, factors[1], surface, offset))
+        return SumField(coarse_field, self.correction.field(correction, correction_factors, surface, offset))
 
 
 class SumField(AbstractField):
@@ -51,8 +56,12 @@ class SumField(AbstractField):
     first: AbstractField
     second: AbstractField
 
+    @property
+    def local(self) -> bool:
+        return True  # its parts make their own blocks
+
     def __call__(self, x, ids):
         return self.first(x, ids[0]) + self.second(x, ids[1])
 
     def evaluate(self, points, ids):
-        return self.first.evaluate(points, ids[0]) + self.second.evaluate(points, ids[1])
+        return map_points(self.first, points, ids[0]) + map_points(self.second, points, ids[1])
