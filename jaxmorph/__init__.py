@@ -17,6 +17,7 @@ from ._methods.base import AbstractField as AbstractField
 from ._methods.base import AbstractMethod as AbstractMethod
 from ._methods.base import Surface as Surface
 from ._methods.delaunay import DelaunayGraph as DelaunayGraph
+from ._methods.nearwall import NearWall as NearWall
 from ._methods.rbf import RBF as RBF
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._plan import Plan as Plan

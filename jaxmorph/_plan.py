@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
+from ._methods import default_method
 from ._methods.base import AbstractMethod, Surface, map_points, place_points
-from ._methods.reconstruction import SurfaceReconstruction
 from ._symmetry import Mirror, Plane, check_planes, mirror
 
 
@@ -81,15 +81,16 @@ def prepare(
     """Finds, once per mesh and on the host, everything that does not depend on the displacement.
 
     `points` (n, d), d = 2 or 3, in any unit; `moving` (m,) and `fixed` (f,) are node ids, and a node in both moves. Nodes in
-    neither are interior, and follow. Nodes on a plane of `symmetry` stay in it, the moving ones too. `method=None` is
-    `SurfaceReconstruction()`, the paper's. Precision and device are those of `points`: float64 needs JAX's x64 mode.
+    neither are interior, and follow. Nodes on a plane of `symmetry` stay in it, the moving ones too. `method=None` is the
+    paper's with two additions that real walls need, `SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True)),
+    NearWall())`. Precision and device are those of `points`: float64 needs JAX's x64 mode.
 
     Raises `ValueError` for ids out of range or named twice in `moving`, coordinates that are not finite, points outside of
     the hull of the surface (graph mapping), and sources that do not determine the interpolation.
     """
     host, ids = _checked(points, moving, fixed)
     dtype = points.dtype if hasattr(points, "dtype") and np.issubdtype(points.dtype, np.floating) else host.dtype
-    method = SurfaceReconstruction() if method is None else method
+    method = default_method() if method is None else method
     planes = [symmetry] if isinstance(symmetry, Plane) else list(symmetry)
     m, nodes = len(ids[0]), np.concatenate(ids)
     own, images, moves, on_plane = host[nodes], None, m, None
@@ -174,7 +175,7 @@ def refit(plan: Plan, points: Float[ArrayLike, "n d"]) -> Plan:
     Raises `ValueError` when the shape of `points` differs from the plan's.
     """
     plan = _fitted(plan, points)
-    placed = place_points(plan.method, plan.points, plan.volume.ids, plan.surface.points)
+    placed = place_points(plan.method, plan.points, plan.volume.ids, plan.surface.factors, plan.surface.points)
     return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
 
 

@@ -63,14 +63,14 @@ class AllPoints(AbstractReduction):
 class KDTree(AbstractReduction):
     """The paper's explicit reduction by a k-d tree (section 2.1), all five steps.
 
-    The box with the most points is split at the median of its longest side, points at one coordinate staying together, until there are `leaves` of them (and, where
-    given, until none holds more than `points_per_leaf` points or is longer than `largest_box`); a box not longer than
-    `smallest_box` is left whole. A leaf's box bounds its own points. `search_points` are laid into each box, the closest
-    mesh point to each becomes a source, duplicates are dropped, and so are sources closer to another one than `separation`
-    times the diagonal of all points: near-coincident sources ruin the conditioning of the solve, and derivatives with it.
-    `extremes=True` adds the points at which the bounding box of all points is touched: a blunt trailing edge, a wing's tip.
-    `smallest_box` and `largest_box` are lengths in the mesh's units. The result depends on the set of points, not on their
-    order.
+    The box with the most points is split at the median of its longest side, points at one coordinate staying together, until
+    there are `leaves` of them (and, where given, until none holds more than `points_per_leaf` points or is longer than
+    `largest_box`); a box not longer than `smallest_box` is left whole. A leaf's box bounds its own points. `search_points`
+    are laid into each box, the closest mesh point to each becomes a source, duplicates are dropped, and so are sources
+    closer to another one than `separation` times the diagonal of all points: near-coincident sources ruin the
+    conditioning of the solve, and derivatives with it. `extremes=True` adds the points at which the bounding box of all
+    points is touched: a blunt trailing edge, a wing's tip. `smallest_box` and `largest_box` are lengths in the mesh's
+    units. The result depends on the set of points, not on their order.
     """
 
     leaves: int | None = None

@@ -22,13 +22,15 @@ class Surface:
 
     `points` (b, d) are their coordinates, the `moving` first ones moving, the others fixed. `nodes` (b,) are their row
     numbers among the points that `connect` is asked about, -1 for one that is not among them. `images` (b,) names for each
-    row the row of which it is the mirror image, or itself.
+    row the row of which it is the mirror image, or itself. `matched` are rows whose displacement is known to vanish: the
+    sources of a coarse field, where a correction has nothing to do.
     """
 
     points: np.ndarray
     nodes: np.ndarray
     moving: int
     images: np.ndarray
+    matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
 
     def reduced(self, moving: Reduction, fixed: Reduction) -> np.ndarray:
         """Rows chosen among the moving nodes, then among the fixed ones, each with its mirror images."""
@@ -88,12 +90,16 @@ class AbstractMethod(eqx.Module):
     ) -> AbstractField:
         """Traced, and linear in `u`."""
 
-    def place(self, x: Float[Array, " d"], ids: PyTree, surface: Float[Array, "b d"]) -> PyTree:
+    def place(self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
         """Traced: what a point's own place adds to its ids (barycentric coordinates), whatever `u` is; the ids by default.
 
         Computed once per base mesh. The steps of `march` keep it: a graph stands on the undeformed mesh.
         """
         return ids
+
+    def matched(self, ids: PyTree) -> np.ndarray:
+        """Host: the surface's rows whose displacement the field takes, of those that `connect` chose (a coarse field's sources)."""
+        return np.zeros(0, dtype=np.int32)
 
     def check(self, factors: PyTree) -> None:
         """Host, once, after the first `fit`: raises or warns when the factors are unusable."""
@@ -112,12 +118,12 @@ def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -
 
 
 def place_points(
-    method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, surface: Float[Array, "b d"]
+    method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
 ) -> PyTree:
     """`method.place` for every point."""
     if not jax.tree.leaves(ids):
         return ids
-    return map_rows(jax.checkpoint(jax.vmap(lambda part: method.place(*part, surface))), (points, ids))
+    return map_rows(jax.checkpoint(jax.vmap(lambda part: method.place(*part, factors, surface))), (points, ids))
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree) -> PyTree:

@@ -30,12 +30,12 @@ class DelaunayGraph(AbstractMethod):
     def fit(self, ids, surface):
         return None
 
-    def place(self, x, ids, surface):
+    def place(self, x, ids, factors, surface):
         e = barycentric(x, [surface[i] for i in ids], ids[0] == ids[1])
         return Interpolation(ids, jnp.stack(e))
 
     def field(self, ids, factors, surface, u):
-        return InterpolatedField(self, surface, u)
+        return InterpolatedField(self, factors, surface, u)
 
 
 class Interpolation(eqx.Module):
@@ -48,7 +48,8 @@ class Interpolation(eqx.Module):
 class InterpolatedField(AbstractField):
     """Displacements interpolated between surface nodes (eq. 8), with the weights that `method.place` gives."""
 
-    method: AbstractMethod
+    method: AbstractMethod | None
+    factors: PyTree
     surface: Float[Array, "b d"]
     u: Float[Array, "b d"]
 
@@ -57,7 +58,7 @@ class InterpolatedField(AbstractField):
         return True
 
     def __call__(self, x: Float[Array, " d"], ids: Interpolation | PyTree) -> Float[Array, " d"]:
-        at = ids if isinstance(ids, Interpolation) else self.method.place(x, ids, self.surface)
+        at = ids if isinstance(ids, Interpolation) else self.method.place(x, ids, self.factors, self.surface)
         return sum((at.weights[k] * self.u[i] for k, i in enumerate(at.nodes)), start=jnp.zeros_like(x))
 
 

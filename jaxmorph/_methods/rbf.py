@@ -68,6 +68,9 @@ class RBF(AbstractMethod):
                 "Add fixed nodes (far field), more leaves, or use RBF(degree=0) with a basis that allows it."
             )
 
+    def matched(self, ids):
+        return ids
+
     def fit(self, ids: Int[Array, " s"], surface):
         points = surface[ids].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))
         centre = points.mean(axis=0)

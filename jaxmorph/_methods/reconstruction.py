@@ -1,5 +1,7 @@
 """Exact surface reconstruction: a coarse field, corrected by what it misses on the surface (section 2.3 of the paper)."""
 
+import dataclasses
+
 import equinox as eqx
 
 from .base import AbstractField, AbstractMethod, Surface, map_points, place_points
@@ -27,16 +29,22 @@ class SurfaceReconstruction(AbstractMethod):
     def connect(self, surface: Surface, points):
         coarse, coarse_at_points = self.coarse.connect(surface, points)
         _, coarse_at_surface = self.coarse.connect(surface.itself(), surface.points)
+        surface = dataclasses.replace(surface, matched=self.coarse.matched(coarse))
         correction, correction_at_points = self.correction.connect(surface, points)
         return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)
 
     def fit(self, ids, surface):
         coarse, at_surface, correction = ids
-        placed = place_points(self.coarse, surface, at_surface, surface)
-        return self.coarse.fit(coarse, surface), placed, self.correction.fit(correction, surface)
+        factors = self.coarse.fit(coarse, surface)
+        placed = place_points(self.coarse, surface, at_surface, factors, surface)
+        return factors, placed, self.correction.fit(correction, surface)
 
-    def place(self, x, ids, surface):
-        return self.coarse.place(x, ids[0], surface), self.correction.place(x, ids[1], surface)
+    def place(self, x, ids, factors, surface):
+        coarse = self.coarse.place(x, ids[0], factors[0], surface)
+        return coarse, self.correction.place(x, ids[1], factors[2], surface)
+
+    def matched(self, ids):
+        return self.correction.matched(ids[2])
 
     def check(self, factors):
         self.coarse.check(factors[0])

@@ -1,0 +1,60 @@
+"""Nearest nodes: which walls there are, and which of their nodes lie nearest to a point."""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .reduction import roundoff
+
+
+def walls(points: np.ndarray) -> np.ndarray:
+    """(b,) the number of the wall to which each surface node belongs, found without connectivity.
+
+    Two nodes are of one wall when a chain of nearest neighbours (4 in 2-D, 8 in 3-D) leads from one to the other: an
+    airfoil, the next blade of a cascade and the far field are walls of their own, an airfoil's two sides are not.
+    """
+    unique, inverse = np.unique(points, axis=0, return_inverse=True)
+    count = min(4 * (points.shape[1] - 1), len(unique) - 1)
+    if count < 1:
+        return np.zeros(len(points), dtype=np.int32)
+    nearest = cKDTree(unique).query(unique, k=count + 1)[1][:, 1:]
+    start = np.repeat(np.arange(len(unique)), count)
+    graph = coo_array((np.ones(start.size, dtype=bool), (start, nearest.ravel())), shape=(len(unique),) * 2)
+    return connected_components(graph, directed=False)[1][inverse.ravel()].astype(np.int32)
+
+
+def nearest_of(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """(b,) for each point the id of the nearest among the `chosen` ones."""
+    return chosen[cKDTree(points[chosen]).query(points)[1]].astype(np.int32)
+
+
+def extreme_of_each(points: np.ndarray, wall: np.ndarray) -> np.ndarray:
+    """One node of each wall, the first along its longest side."""
+    members = [np.flatnonzero(wall == label) for label in np.unique(wall)]
+    return np.array([ids[points[ids, np.ptp(points[ids], axis=0).argmax()].argmin()] for ids in members])
+
+
+def near_walls(
+    surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which points lie near a wall, and the ids (k, count + 1) of the surface nodes that matter to them.
+
+    `reach` (b,) is how far a node's wall reaches into the volume. A row holds the `count` nearest nodes of the nearest
+    wall, nearest first, and then the nearest node of any other wall (the first one again where there is none).
+    """
+    distance, first = cKDTree(surface).query(points, distance_upper_bound=max(reach.max(), roundoff(surface)))
+    near = np.flatnonzero(np.isfinite(distance))
+    near = near[distance[near] < reach[first[near]]]
+    rows = np.empty((len(near), count + 1), dtype=np.int32)
+    wall_of = wall[first[near]]
+    for label in np.unique(wall_of):
+        here = np.flatnonzero(wall_of == label)
+        own, others = np.flatnonzero(wall == label), np.flatnonzero(wall != label)
+        k = min(count, len(own))
+        found = cKDTree(surface[own]).query(points[near[here]], k=np.arange(1, k + 1))[1]
+        rows[here, :k] = own[found]
+        rows[here, k:] = rows[here, :1]
+        if others.size:
+            rows[here, count] = others[cKDTree(surface[others]).query(points[near[here]])[1]]
+    return near, rows

@@ -1,0 +1,141 @@
+"""A correction that keeps the boundary layer together on walls that are not convex."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._basis import WendlandC2
+from .._host.neighbours import extreme_of_each, near_walls, nearest_of, walls
+from .base import AbstractField, AbstractMethod, Surface, map_points
+from .delaunay import DelaunayGraph, InterpolatedField, Interpolation
+
+NEIGHBOURS = 6
+"""Wall nodes whose displacements a point near the wall averages, and one more, at which the average ends."""
+
+REACH = 0.25
+"""Width of the layer, relative to the largest distance from a wall's node to its nearest source."""
+
+
+class NearWall(AbstractMethod):
+    """A correction, replaced near the wall by the displacement of the wall itself.
+
+    u = chi u_wall + (1 - chi) u_correction, with chi = Wendland's C2 function of the distance to the wall over `width`, and
+    u_wall that of the nearest wall nodes, weighted by inverse distance (Franke and Little's weights, which end continuously).
+    A Delaunay graph lays chords over a concave or flat wall, and carries points above a chord differently from wall nodes
+    under it: by more than the thickness of a boundary layer's first cell. Points that follow the nearest wall keep their
+    place in the layer. The map is one fixed sparse operator, exact at the surface's nodes.
+
+    `width` is a length in the mesh's units. By default it is, for each wall, a quarter of the largest distance from a node
+    to the nearest one at which the correction has nothing to do (a source of the coarse field); of a wall without such nodes
+    a quarter of its extent. It ends before half of the gap to another wall.
+    """
+
+    correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
+    width: Float[Array, ""] | None = eqx.field(
+        default=None, converter=lambda width: None if width is None else jnp.asarray(width)
+    )
+
+    @property
+    def exact(self) -> bool:
+        return self.correction.exact
+
+    def connect(self, surface: Surface, points):
+        correction, correction_at_points = self.correction.connect(surface, points)
+        wall = walls(surface.points)
+        matched = nearest_of(
+            surface.points, surface.matched if len(surface.matched) else extreme_of_each(surface.points, wall)
+        )
+        width = np.asarray(self._width(matched, wall, jnp.asarray(surface.points)))
+        own = surface.rows(len(points))
+        inside = np.flatnonzero(own == len(surface.points))
+        near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1)
+        nodes = np.repeat(own[:, None], NEIGHBOURS + 2, axis=1)  # a node of the surface: itself
+        nodes[inside] = 0
+        nodes[inside[near]] = rows
+        reached = own < len(surface.points)
+        reached[inside[near]] = True
+        return (correction, matched, wall), (correction_at_points, WallRow(nodes, reached))
+
+    def fit(self, ids, surface):
+        correction, matched, wall = ids
+        return self.correction.fit(correction, surface), self._width(matched, wall, surface)
+
+    def place(self, x, ids, factors, surface):
+        chi, weights = _blend(x, ids[1], factors[1], surface)
+        follow = Interpolation(ids[1].nodes[:NEIGHBOURS], chi * weights)
+        return self.correction.place(x, ids[0], factors[0], surface), follow, 1 - chi
+
+    def field(self, ids, factors, surface, u):
+        field = self.correction.field(ids[0], factors[0], surface, u)
+        return NearWallField(self, field, InterpolatedField(None, factors, surface, u))
+
+    def check(self, factors):
+        self.correction.check(factors[0])
+
+    def _width(
+        self, matched: Int[Array, " b"], wall: Int[Array, " b"], surface: Float[Array, "b d"]
+    ) -> Float[Array, " b"]:
+        """The width of the layer over each surface node, the same for all of one wall."""
+        if self.width is not None:
+            return jnp.full(len(surface), self.width.astype(surface.dtype))
+        gap = _norm(surface - surface[matched])
+        widest = jax.ops.segment_max(gap, jnp.asarray(wall), len(surface))  # there are no more walls than nodes
+        return REACH * widest[wall]
+
+
+class WallRow(eqx.Module):
+    """For a point near a wall: its nearest nodes, nearest first, and last the nearest node of another wall."""
+
+    nodes: Int[Array, " k+2"]
+    reached: Bool[Array, ""]
+
+
+class NearWallField(AbstractField):
+    """chi u_wall + (1 - chi) u_correction at one point."""
+
+    method: NearWall
+    correction: AbstractField
+    wall: InterpolatedField
+
+    @property
+    def local(self) -> bool:
+        return True  # the correction makes its own blocks
+
+    def __call__(self, x, ids):
+        if isinstance(ids[1], WallRow):
+            ids = self.method.place(x, ids, self.wall.factors, self.wall.surface)
+        return self.wall(x, ids[1]) + ids[2] * self.correction(x, ids[0])
+
+    def evaluate(self, points, ids):
+        wall = jax.vmap(self.wall)(points, ids[1])
+        return wall + ids[2][:, None] * map_points(self.correction, points, ids[0])
+
+
+def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]):
+    """chi, and the weights of the nearest wall nodes."""
+    nearest, other = row.nodes[:-1], row.nodes[-1]
+    distance = _norm(surface[nearest] - x)
+    reach = distance.max() * (1 + 1e-6)
+    at_node = distance[0] == 0
+    safe = jnp.where(at_node, 1, distance)
+    weights = (
+        jnp.where(at_node, 0, (reach - safe) * (safe[0] / safe)) ** 2
+    )  # Franke and Little, times the first distance
+    weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
+    layer = jnp.where(width[nearest[0]] > 0, width[nearest[0]], 1)
+    between = jnp.where(other == nearest[0], 0, 2 * distance[0] / (distance[0] + _norm(surface[other] - x) + _tiny(x)))
+    chi = WendlandC2(1.0)((distance[0] / layer) ** 2 + between**2)
+    return jnp.where(row.reached & (width[nearest[0]] > 0), chi, 0), weights / weights.sum()
+
+
+def _norm(vectors: Float[Array, "... d"]) -> Float[Array, "..."]:
+    """Euclidean length, with derivative zero at zero."""
+    squared = jnp.sum(vectors**2, axis=-1)
+    positive = squared > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+
+
+def _tiny(x: Array):
+    return jnp.finfo(x.dtype).tiny
