@@ -15,6 +15,9 @@ from .reduction import canonical_order, roundoff
 JITTER = 1e-8
 """Relative to the distance of the nearest node: at 1e-9 location is five times slower, at 1e-7 weights go wrong."""
 
+FLAT = 64
+"""A simplex lower than this times the round-off of the coordinates holds no point."""
+
 TOLERANCE = 1e-6
 """A point whose smallest weight is below minus this is looked at again."""
 
@@ -30,8 +33,8 @@ class Location:
 def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Location:
     """Ids of the surface nodes whose simplex holds each of the `wanted` points.
 
-    `surface` is (b, d), `points` (n, d), `wanted` (w,) ids among them. Raises `ValueError` for points outside of the surface's convex hull, with their
-    count, the worst one and its distance, and for a surface without extent in some direction.
+    `surface` is (b, d), `points` (n, d), `wanted` (w,) ids among them. Raises `ValueError` for points outside of the surface's
+    convex hull, with their count, the worst one and its distance, and for a surface without extent in some direction.
     """
     dimension = surface.shape[1]
     centre, size = surface.min(axis=0), np.ptp(surface, axis=0).max() or 1.0
@@ -42,74 +45,76 @@ def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Locat
         raise ValueError(
             f"a Delaunay graph in {dimension}-D needs {dimension + 1} distinct surface nodes, got {len(nodes)}."
         )
-    try:
-        graph = Delaunay(_jittered(nodes))
-    except QhullError:
-        raise ValueError(
-            f"the {len(nodes)} surface nodes lie in one {'line' if dimension == 2 else 'plane'}, so no Delaunay graph spans the "
-            "mesh. Add the other boundaries (far field, walls) as fixed nodes."
-        ) from None
+    flat = FLAT * roundoff(surface) / size
+    graph = _graph(nodes, flat)
     order = morton_order(targets)
     simplex = np.empty(len(targets), dtype=np.int64)
     simplex[order] = graph.find_simplex(targets[order])
     smallest = np.full(len(targets), -np.inf)
     held = np.flatnonzero(simplex >= 0)
-    smallest[held] = smallest_weight(nodes, graph.simplices[simplex[held]], targets[held])
+    smallest[held] = smallest_weight(nodes, graph.simplices[simplex[held]], targets[held], flat)
     poor = np.flatnonzero(~(smallest >= -TOLERANCE))
     if poor.size:
-        simplex[poor], smallest[poor] = _repair(graph, nodes, targets[poor], simplex[poor])
+        simplex[poor], smallest[poor] = _repair(graph, nodes, targets[poor], simplex[poor], flat)
         still = poor[~(smallest[poor] >= -TOLERANCE)]
-        beyond = _beyond_hull(graph, nodes, targets[still])
-        _check_inside(points, wanted[still], beyond * size, roundoff(surface) + 1e-9 * size)
+        _check_inside(points, wanted[still], _beyond_hull(graph, nodes, targets[still], flat) * size)
+        simplex[still], beyond = _search(graph, nodes, targets[still], simplex[still], flat)
+        _check_inside(points, wanted[still], np.where(beyond > flat + JITTER, beyond, 0) * size)
     return Location(unique[graph.simplices[simplex]].astype(np.int32), len(poor))
 
 
-def smallest_weight(nodes: np.ndarray, simplices: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The smallest barycentric coordinate of each point in its simplex; -inf where the simplex has no volume."""
+def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
+    try:
+        graph = Delaunay(_jittered(nodes))
+        spans = (smallest_height(nodes[graph.simplices]) > flat).any()
+    except QhullError:
+        spans = False
+    if not spans:
+        raise ValueError(
+            f"the {len(nodes)} surface nodes lie in one {'line' if nodes.shape[1] == 2 else 'plane'}, so no Delaunay graph "
+            "spans the mesh. Add the other boundaries (far field, walls) as fixed nodes."
+        )
+    return graph
+
+
+def smallest_weight(nodes: np.ndarray, simplices: np.ndarray, points: np.ndarray, flat: float) -> np.ndarray:
+    """The smallest barycentric coordinate of each point in its simplex; -inf where the simplex is not higher than `flat`."""
     corners = nodes[simplices]
     edges = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 2)
-    volume = np.linalg.det(edges)
-    scale = np.prod(np.linalg.norm(edges, axis=1), axis=1)
-    sound = np.abs(volume) > 1e-12 * scale
+    sound = smallest_height(corners) > flat
     edges[~sound] = np.eye(nodes.shape[1])
     inner = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
     return np.where(sound, np.minimum(inner.min(axis=1), 1 - inner.sum(axis=1)), -np.inf)
 
 
+def smallest_height(corners: np.ndarray) -> np.ndarray:
+    """(k,) least height of simplices (k, c, d): content over that of the largest side, whichever corner comes first."""
+    sides = [np.delete(corners, corner, axis=1) for corner in range(corners.shape[1])]
+    largest = np.max([_content(side) for side in sides], axis=0)
+    return _content(corners) / np.where(largest > 0, largest, 1)
+
+
+def _content(corners: np.ndarray) -> np.ndarray:
+    """Lengths, twice the areas or six times the volumes of simplices (k, c, d); 1 for points."""
+    edges = corners[:, 1:] - corners[:, :1]
+    if edges.shape[1] == edges.shape[2]:
+        return np.abs(np.linalg.det(edges))
+    if edges.shape[1] < 2:
+        return np.linalg.norm(edges[:, 0], axis=1) if edges.shape[1] else np.ones(len(corners))
+    return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+
+
 def morton_order(points: np.ndarray) -> np.ndarray:
     """A permutation that sorts points along Morton's curve: neighbours in it are neighbours in space."""
     dimension = points.shape[1]
-    bits = 62 // dimension if dimension == 2 else 20
+    bits = 62 // dimension
     low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
     grid = ((points - low) / extent * (2**bits - 1)).astype(np.uint64)
     key = np.zeros(len(points), dtype=np.uint64)
-    for axis in range(dimension):
-        key |= _spread(grid[:, axis], dimension) << np.uint64(axis)
+    for bit in range(bits):
+        for axis in range(dimension):
+            key |= (grid[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(bit * dimension + axis)
     return np.argsort(key, kind="stable")
-
-
-def _spread(x: np.ndarray, dimension: int) -> np.ndarray:
-    """Puts dimension - 1 zero bits between the bits of x."""
-    steps = (
-        [
-            (16, 0x0000FFFF0000FFFF),
-            (8, 0x00FF00FF00FF00FF),
-            (4, 0x0F0F0F0F0F0F0F0F),
-            (2, 0x3333333333333333),
-            (1, 0x5555555555555555),
-        ]
-        if dimension == 2
-        else [
-            (32, 0x001F00000000FFFF),
-            (16, 0x001F0000FF0000FF),
-            (8, 0x100F00F00F00F00F),
-            (4, 0x10C30C30C30C30C3),
-            (2, 0x1249249249249249),
-        ]
-    )
-    for shift, mask in steps:
-        x = (x | (x << np.uint64(shift))) & np.uint64(mask)
-    return x
 
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
@@ -134,14 +139,14 @@ def _jittered(nodes: np.ndarray) -> np.ndarray:
 
 
 def _repair(
-    graph: Delaunay, nodes: np.ndarray, points: np.ndarray, simplex: np.ndarray
+    graph: Delaunay, nodes: np.ndarray, points: np.ndarray, simplex: np.ndarray, flat: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The best simplex for points that the search missed: of several the one with the largest smallest weight."""
     lost = np.flatnonzero(simplex < 0)
     simplex = simplex.copy()
     if lost.size:
         simplex[lost] = _from_inside(graph, nodes, points[lost])
-    best = smallest_weight(nodes, graph.simplices[simplex], points)
+    best = smallest_weight(nodes, graph.simplices[simplex], points, flat)
     best_simplex = simplex.copy()
     active = np.arange(len(points))
     for _ in range(32):  # breadth first over the neighbours, keeping the best simplex met
@@ -150,7 +155,7 @@ def _repair(
         valid = rings >= 0
         rings = np.where(valid, rings, 0)
         weight = smallest_weight(
-            nodes, graph.simplices[rings.ravel()], np.repeat(points[active], rings.shape[1], axis=0)
+            nodes, graph.simplices[rings.ravel()], np.repeat(points[active], rings.shape[1], axis=0), flat
         )
         weight = np.where(valid, weight.reshape(rings.shape), -np.inf)
         pick = weight.argmax(axis=1)
@@ -180,26 +185,49 @@ def _from_inside(graph: Delaunay, nodes: np.ndarray, points: np.ndarray) -> np.n
     return found
 
 
-def _beyond_hull(graph: Delaunay, nodes: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """How far each point lies beyond the planes of the hull's facets, negative inside."""
+def _search(
+    graph: Delaunay, nodes: np.ndarray, points: np.ndarray, simplex: np.ndarray, flat: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The best of all simplices for each of a few points, and how far the point lies beyond that one's sides.
+
+    Between the flat simplices that nodes in one plane give, the walk from neighbour to neighbour of `_repair` may end early.
+    """
+    heights = smallest_height(nodes[graph.simplices])
+    sound = np.flatnonzero(heights > flat)
+    corners = nodes[graph.simplices[sound]]
+    low, high = corners.min(axis=1) - 2 * JITTER - flat, corners.max(axis=1) + 2 * JITTER + flat
+    simplex, beyond = simplex.copy(), np.full(len(points), np.inf)
+    for i, point in enumerate(points):
+        near = sound[((point >= low) & (point <= high)).all(axis=1)]
+        near = near if near.size else sound
+        weight = smallest_weight(nodes, graph.simplices[near], np.broadcast_to(point, (len(near), len(point))), flat)
+        best = weight.argmax()
+        simplex[i], beyond[i] = near[best], -weight[best] * heights[near[best]]
+    return simplex, beyond
+
+
+def _beyond_hull(graph: Delaunay, nodes: np.ndarray, targets: np.ndarray, flat: float) -> np.ndarray:
+    """How far each point surely lies beyond the plane of one of the hull's facets, 0 or less inside.
+
+    A small facet says little about a distant point: the jitter and round-off may have turned it.
+    """
     corners = nodes[graph.convex_hull]
+    height = smallest_height(corners)
+    corners, height = corners[height > flat], height[height > flat]
     edges = corners[:, 1:] - corners[:, :1]
-    if nodes.shape[1] == 2:
-        normals = np.stack([edges[:, 0, 1], -edges[:, 0, 0]], axis=1)
-    else:
-        normals = np.cross(edges[:, 0], edges[:, 1])
-    length = np.linalg.norm(normals, axis=1)
-    sound = length > 1e-12 * np.prod(np.linalg.norm(edges, axis=2), axis=1)
-    normals, anchors = normals[sound] / length[sound, None], corners[sound, 0]
+    normals = edges[:, 0, ::-1] * [1, -1] if nodes.shape[1] == 2 else np.cross(edges[:, 0], edges[:, 1])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    anchors = corners[:, 0]
     normals *= np.sign(np.einsum("fd,fd->f", normals, anchors - nodes.mean(axis=0)))[:, None]
-    offsets = np.einsum("fd,fd->f", normals, anchors)
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    offsets = np.einsum("fd,fd->f", normals, anchors) + 4 * (JITTER * longest + flat) * np.maximum(1, 1 / height)
     parts = np.array_split(targets, 1 + len(targets) // 512)
     return np.concatenate([(part @ normals.T - offsets).max(axis=1) for part in parts])
 
 
-def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray, allowed: float) -> None:
+def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> None:
     """Raises for points truly outside of the hull; those on it within round-off pass."""
-    outside = beyond > allowed
+    outside = beyond > 0
     if outside.any():
         worst = ids[np.argmax(beyond)]
         place = ", ".join(f"{x:.6g}" for x in points[worst])
