@@ -22,9 +22,10 @@ from ._methods.rbf import RBF as RBF
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._plan import Plan as Plan
 from ._plan import deform as deform
-from ._plan import prepare as prepare
 from ._plan import pullback as pullback
 from ._plan import refit as refit
+from ._plan import shard as shard
+from ._prepare import prepare as prepare
 from ._steps import march as march
 from ._steps import replay as replay
 from ._symmetry import Plane as Plane

@@ -9,7 +9,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._methods.base import AbstractMethod
 from ._methods.reconstruction import SurfaceReconstruction
-from ._plan import Plan, carry, deform_surface, prepare, refit
+from ._plan import Plan, carry, deform_surface, refit
+from ._prepare import prepare
 from ._symmetry import Plane
 
 Step = Plan | tuple[Plan, ...]

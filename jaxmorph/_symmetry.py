@@ -62,13 +62,15 @@ class Plane(eqx.Module):
 class Mirror(eqx.Module):
     """Extends the own rows of a surface by their images in the planes.
 
-    Extended row i is the image of own row `rows[i]` in the planes k for which `mirrored[i, k]`.
+    Extended row i is the image of own row `rows[i]` in the planes k for which `mirrored[i, k]`; own row j lies on the planes
+    for which `on_plane[j, k]`.
     """
 
     normals: Float[Array, "p d"]
     origins: Float[Array, "p d"]
     rows: Int[Array, " b"]
     mirrored: Bool[Array, "b p"]
+    on_plane: Bool[Array, "o p"]
 
     def points(self, own: Float[Array, "o d"]) -> Float[Array, "b d"]:
         """Coordinates of all rows."""
@@ -119,4 +121,5 @@ def mirror(planes: Sequence[Plane], on_plane: np.ndarray, moving: int) -> tuple[
             flags.append(np.broadcast_to(flag, (len(images), len(planes))))
         extended = extended or sum(map(len, rows))
     normals, origins = np.stack([plane.normal for plane in planes]), np.stack([plane.origin for plane in planes])
-    return Mirror(normals, origins, np.concatenate(rows).astype(np.int32), np.concatenate(flags)), extended
+    parts = (normals, origins, np.concatenate(rows).astype(np.int32), np.concatenate(flags), on_plane)
+    return Mirror(*map(jnp.asarray, parts)), extended

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from .reduction import roundoff
 
@@ -18,7 +18,7 @@ def walls(points: np.ndarray) -> np.ndarray:
     count = min(4 * (points.shape[1] - 1), len(unique) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.int32)
-    nearest = cKDTree(unique).query(unique, k=count + 1)[1][:, 1:]
+    nearest = np.asarray(KDTree(unique).query(unique, k=count + 1)[1])[:, 1:]
     start = np.repeat(np.arange(len(unique)), count)
     graph = coo_array((np.ones(start.size, dtype=bool), (start, nearest.ravel())), shape=(len(unique),) * 2)
     return connected_components(graph, directed=False)[1][inverse.ravel()].astype(np.int32)
@@ -26,7 +26,7 @@ def walls(points: np.ndarray) -> np.ndarray:
 
 def nearest_of(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """(b,) for each point the id of the nearest among the `chosen` ones."""
-    return chosen[cKDTree(points[chosen]).query(points)[1]].astype(np.int32)
+    return chosen[np.asarray(KDTree(points[chosen]).query(points)[1])].astype(np.int32)
 
 
 def extreme_of_each(points: np.ndarray, wall: np.ndarray) -> np.ndarray:
@@ -43,7 +43,8 @@ def near_walls(
     `reach` (b,) is how far a node's wall reaches into the volume. A row holds the `count` nearest nodes of the nearest
     wall, nearest first, and then the nearest node of any other wall (the first one again where there is none).
     """
-    distance, first = cKDTree(surface).query(points, distance_upper_bound=max(reach.max(), roundoff(surface)))
+    found = KDTree(surface).query(points, distance_upper_bound=max(reach.max(), roundoff(surface)))
+    distance, first = map(np.asarray, found)
     near = np.flatnonzero(np.isfinite(distance))
     near = near[distance[near] < reach[first[near]]]
     rows = np.empty((len(near), count + 1), dtype=np.int32)
@@ -52,9 +53,9 @@ def near_walls(
         here = np.flatnonzero(wall_of == label)
         own, others = np.flatnonzero(wall == label), np.flatnonzero(wall != label)
         k = min(count, len(own))
-        found = cKDTree(surface[own]).query(points[near[here]], k=np.arange(1, k + 1))[1]
+        found = np.asarray(KDTree(surface[own]).query(points[near[here]], k=[*range(1, k + 1)])[1])
         rows[here, :k] = own[found]
         rows[here, k:] = rows[here, :1]
         if others.size:
-            rows[here, count] = others[cKDTree(surface[others]).query(points[near[here]])[1]]
+            rows[here, count] = others[KDTree(surface[others]).query(points[near[here]])[1]]
     return near, rows

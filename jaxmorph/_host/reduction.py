@@ -6,7 +6,7 @@ import heapq
 import itertools
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy.spatial
 
 
 class AbstractReduction(abc.ABC):
@@ -106,10 +106,10 @@ class KDTree(AbstractReduction):
         local = self.search_points.local(points.shape[1])
         centre, half = boxes.mean(axis=1), np.ptp(boxes, axis=1) / 2
         search = (centre[:, None] + half[:, None] * local).reshape(-1, points.shape[1])
-        found = np.unique(cKDTree(ordered).query(search)[1])
+        found = np.unique(scipy.spatial.KDTree(ordered).query(search)[1])
         if self.extremes:
             found = np.concatenate([extreme_points(ordered), found])
-        closest = max(self.separation * np.linalg.norm(np.ptp(points, axis=0)), roundoff(points))
+        closest = max(self.separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
         return np.sort(order[drop_close(ordered, found, closest)])
 
     def boxes(self, points: np.ndarray) -> np.ndarray:
@@ -143,7 +143,8 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndar
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
     gaps = 1 + np.flatnonzero(np.diff(along) > 1e-9 * (along[-1] - along[0]))
-    return tuple(np.split(members, [gaps[np.abs(gaps - len(members) / 2).argmin()]]))
+    middle = gaps[np.abs(gaps - len(members) / 2).argmin()]
+    return members[:middle], members[middle:]
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
@@ -176,7 +177,7 @@ def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarra
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
-    pairs = cKDTree(points[ids]).query_pairs(closest, output_type="ndarray")
+    pairs = scipy.spatial.KDTree(points[ids]).query_pairs(closest, output_type="ndarray")
     keep = np.ones(len(ids), dtype=bool)
     for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # pairs come as first < second
         if keep[first]:

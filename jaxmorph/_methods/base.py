@@ -123,7 +123,8 @@ def place_points(
     """`method.place` for every point."""
     if not jax.tree.leaves(ids):
         return ids
-    return map_rows(jax.checkpoint(jax.vmap(lambda part: method.place(*part, factors, surface))), (points, ids))
+    place = jax.vmap(lambda part: method.place(part[0], part[1], factors, surface))
+    return map_rows(jax.checkpoint(place), (points, ids))
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree) -> PyTree:

@@ -48,7 +48,7 @@ class Interpolation(eqx.Module):
 class InterpolatedField(AbstractField):
     """Displacements interpolated between surface nodes (eq. 8), with the weights that `method.place` gives."""
 
-    method: AbstractMethod | None
+    method: AbstractMethod
     factors: PyTree
     surface: Float[Array, "b d"]
     u: Float[Array, "b d"]
@@ -70,7 +70,7 @@ def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_nod
     whole = jnp.where(at_node, 1, whole)
     parts = [_determinant([*edges[:k], inner, *edges[k + 1 :]]) / whole for k in range(len(edges))]
     parts = [jnp.where(at_node, 0, part) for part in parts]
-    return [1 - sum(parts), *parts]
+    return [1 - sum(parts, start=jnp.zeros_like(whole)), *parts]
 
 
 def _determinant(columns: list[Float[Array, " d"]]) -> Float[Array, ""]:

@@ -47,7 +47,7 @@ class NearWall(AbstractMethod):
         matched = nearest_of(
             surface.points, surface.matched if len(surface.matched) else extreme_of_each(surface.points, wall)
         )
-        width = np.asarray(self._width(matched, wall, jnp.asarray(surface.points)))
+        width = np.asarray(self._width(jnp.asarray(matched), jnp.asarray(wall), jnp.asarray(surface.points)))
         own = surface.rows(len(points))
         inside = np.flatnonzero(own == len(surface.points))
         near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1)
@@ -56,7 +56,7 @@ class NearWall(AbstractMethod):
         nodes[inside[near]] = rows
         reached = own < len(surface.points)
         reached[inside[near]] = True
-        return (correction, matched, wall), (correction_at_points, WallRow(nodes, reached))
+        return (correction, matched, wall), (correction_at_points, WallRow(jnp.asarray(nodes), jnp.asarray(reached)))
 
     def fit(self, ids, surface):
         correction, matched, wall = ids
@@ -69,7 +69,7 @@ class NearWall(AbstractMethod):
 
     def field(self, ids, factors, surface, u):
         field = self.correction.field(ids[0], factors[0], surface, u)
-        return NearWallField(self, field, InterpolatedField(None, factors, surface, u))
+        return NearWallField(self, field, InterpolatedField(self, factors, surface, u))
 
     def check(self, factors):
         self.correction.check(factors[0])
@@ -81,7 +81,7 @@ class NearWall(AbstractMethod):
         if self.width is not None:
             return jnp.full(len(surface), self.width.astype(surface.dtype))
         gap = _norm(surface - surface[matched])
-        widest = jax.ops.segment_max(gap, jnp.asarray(wall), len(surface))  # there are no more walls than nodes
+        widest = jax.ops.segment_max(gap, wall, len(surface))  # there are no more walls than nodes
         return REACH * widest[wall]
 
 

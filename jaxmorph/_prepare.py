@@ -1,0 +1,113 @@
+"""Preparation: everything about a mesh that does not depend on the displacement, found once on the host."""
+
+import warnings
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._methods import default_method
+from ._methods.base import AbstractMethod, Surface
+from ._plan import Plan, SurfaceHalf, VolumeHalf, refit
+from ._symmetry import Plane, check_planes, mirror
+
+
+def prepare(
+    points: Float[Array | np.ndarray, "n d"],
+    moving: Int[Array | np.ndarray, " m"] | Sequence[int],
+    fixed: Int[Array | np.ndarray, " f"] | Sequence[int] = (),
+    *,
+    method: AbstractMethod | None = None,
+    symmetry: Plane | Sequence[Plane] = (),
+) -> Plan:
+    """Finds, once per mesh and on the host, everything that does not depend on the displacement.
+
+    `points` (n, d), d = 2 or 3, in any unit; `moving` (m,) and `fixed` (f,) are node ids, and a node in both moves. Nodes in
+    neither are interior, and follow. Nodes on a plane of `symmetry` stay in it, the moving ones too. `method=None` is the
+    paper's with two additions that real walls need, `SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True)),
+    NearWall())`. Precision and device are those of `points`: float64 needs JAX's x64 mode.
+
+    Raises `ValueError` for ids out of range or named twice in `moving`, coordinates that are not finite, points outside of
+    the hull of the surface (graph mapping), and sources that do not determine the interpolation.
+    """
+    host, ids = _checked(points, moving, fixed)
+    method = default_method() if method is None else method
+    planes = [symmetry] if isinstance(symmetry, Plane) else list(symmetry)
+    m, nodes = len(ids[0]), np.concatenate(ids)
+    own, images, moves, on_plane = host[nodes], None, m, None
+    everything, rows = own, np.arange(len(nodes))
+    if planes:
+        check_planes(planes, host.shape[1])
+        on_plane = np.stack([plane.holds(host) for plane in planes], axis=1)
+        images, moves = mirror(planes, on_plane[nodes], m)
+        everything, rows = np.asarray(images.points(jnp.asarray(own))), np.asarray(images.rows)
+    first = _first(rows)
+    surface = Surface(everything, np.where(np.arange(len(rows)) == first, nodes[rows], -1), moves, first)
+    surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, host))
+    own_rows = np.full(len(host), len(nodes), dtype=np.int32)
+    own_rows[nodes] = np.arange(len(nodes))
+    plan = Plan(
+        method=method,
+        surface=SurfaceHalf(jnp.asarray(everything), jnp.asarray(nodes, jnp.int32), images, surface_ids, None),
+        volume=VolumeHalf(
+            jnp.asarray(host),
+            jnp.asarray(own_rows),
+            None if on_plane is None else jnp.asarray(on_plane),
+            volume_ids,
+            None,
+        ),
+        moves=m,
+    )
+    if plan.points.dtype != host.dtype:
+        warnings.warn(
+            "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
+            'Call jax.config.update("jax_enable_x64", True) first.',
+            stacklevel=2,
+        )
+    plan = refit(plan, plan.points)
+    method.check(plan.surface.factors)
+    return plan
+
+
+def _first(rows: np.ndarray) -> np.ndarray:
+    """For each row, the first one with the same value."""
+    _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
+    return first[inverse]
+
+
+def _checked(points, moving, fixed) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    host = np.asarray(points)
+    if host.dtype not in (np.float32, np.float64):
+        host = host.astype(np.float64)
+    if host.ndim != 2 or host.shape[1] not in (2, 3):
+        raise ValueError(f"`points` has shape {host.shape}; expected (n, 2) or (n, 3).")
+    finite = np.isfinite(host).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"{(~finite).sum()} of {len(host)} points are not finite, first node {np.argmin(finite)}.")
+    moving, fixed = (_node_ids(ids, name, len(host)) for ids, name in ((moving, "moving"), (fixed, "fixed")))
+    unique, counts = np.unique(moving, return_counts=True)
+    if len(unique) < len(moving):
+        raise ValueError(
+            f"{(counts > 1).sum()} nodes are named more than once in `moving`, first node {unique[counts > 1][0]}."
+        )
+    if len(moving) == 0:
+        raise ValueError("`moving` is empty: name the nodes of the boundary that moves.")
+    fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]
+    return host, (moving, fixed[~np.isin(fixed, moving)])
+
+
+def _node_ids(values, name: str, n: int) -> np.ndarray:
+    ids = np.asarray(values)
+    if ids.size == 0:
+        return np.zeros(0, dtype=np.int64)
+    if ids.ndim != 1 or ids.dtype.kind not in "iu":
+        hint = f"; for a mask use np.flatnonzero({name})" if ids.dtype == bool else ""
+        raise ValueError(f"`{name}` must be a list of node ids, not {ids.dtype} of shape {ids.shape}{hint}.")
+    wrong = (ids < 0) | (ids >= n)
+    if wrong.any():
+        raise ValueError(
+            f"{wrong.sum()} ids in `{name}` are not nodes of the mesh (0 to {n - 1}), first {ids[wrong][0]}."
+        )
+    return ids.astype(np.int64)
