@@ -1,0 +1,62 @@
+"""What a file format is, and what a mesh remembers of the file it came from."""
+
+import dataclasses
+import importlib
+import pathlib
+from collections.abc import Mapping
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from jaxmorph import Mesh
+
+Arrays = Mapping[str, np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Source:
+    """The file a mesh was read from: `content` is whatever its format needs to give the file back as it was.
+
+    Compared by identity, so that it can be a static field of a pytree however large `content` is.
+    """
+
+    path: pathlib.Path
+    format: str
+    content: Any
+
+    def __repr__(self) -> str:
+        return f"Source({str(self.path)!r}, {self.format})"
+
+
+class Codec(Protocol):
+    """The two functions that the module of a format defines."""
+
+    def read(self, path: pathlib.Path) -> Mesh:
+        """The mesh in a file; `ValueError` with file, place and what was found for a bad one."""
+        ...
+
+    def write(self, path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+        """Write a new file. `cell_data` follows the order of `mesh.cells`, one type after the other."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Format:
+    """A name, the endings it goes by, and the module of this package that reads and writes it.
+
+    The module is imported when it is needed, and with it the extra that it may stand on.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    module: str
+    holds_arrays: bool = True
+
+    def codec(self) -> Codec:
+        return cast(Codec, importlib.import_module(f"{__package__}.{self.module}"))
+
+
+def source_of(mesh: Mesh, format_name: str) -> Source | None:
+    """The source of a mesh when it was read from a file of that format."""
+    source = mesh.source
+    return source if isinstance(source, Source) and source.format == format_name else None

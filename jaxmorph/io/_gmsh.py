@@ -1,0 +1,125 @@
+"""gmsh's .msh, versions 2.2 and 4.1, ascii and binary: read by meshio, written back by replacing the coordinates.
+
+meshio's own writer would lose bounding boxes, second physical groups and comments of a file it has read.
+"""
+
+import dataclasses
+import pathlib
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from jaxmorph import Mesh
+from jaxmorph._host.topology import DIMENSION
+
+from ._boundary import patch_faces
+from ._format import Arrays, Source, source_of
+from ._meshio import MeshioMesh, in_space, load, meshio, set_patches, to_mesh
+from ._text import replace
+
+NAME = "gmsh"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Content:
+    """The bytes of a file and the constant z of a mesh in the plane."""
+
+    data: bytes
+    points: np.ndarray
+
+
+def read(path: pathlib.Path) -> Mesh:
+    """`patches` from the physical groups of lower dimension than the mesh; one without a name is `physical_` and its tag."""
+    found = load(path, ".msh", meshio.gmsh.read)
+    patches = set_patches(found) | _physical_patches(found)
+    return to_mesh(path, found, patches, Source(path, NAME, _Content(path.read_bytes(), found.points)))
+
+
+def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    """The file the mesh came from with new coordinates; for any other mesh a new file of version 2.2, binary.
+
+    In a new file a patch becomes a physical group, with the boundary faces between its nodes as elements.
+    """
+    source = source_of(mesh, NAME)
+    if source is None:
+        meshio.gmsh.write(str(path), _new(mesh), fmt_version="2.2", binary=True)
+        return
+    points = in_space(np.asarray(mesh.points, dtype=float)).copy()
+    if mesh.points.shape[1] == 2:
+        points[:, 2] = source.content.points[:, 2]
+    with path.open("wb") as file:
+        file.writelines(_replaced(source.content.data, points))
+
+
+def _physical_patches(found: MeshioMesh) -> dict[str, np.ndarray]:
+    highest = max(block.dim for block in found.cells)
+    names = {(int(tag), int(dim)): name for name, (tag, dim) in found.field_data.items()}
+    patches: dict[str, list[np.ndarray]] = {}
+    for block, tags in zip(found.cells, found.cell_data.get("gmsh:physical", []), strict=False):
+        for tag in np.unique(tags).tolist() if block.dim < highest else []:
+            if tag > 0:
+                name = names.get((tag, block.dim), f"physical_{tag}")
+                patches.setdefault(name, []).append(np.asarray(block.data)[np.asarray(tags) == tag].ravel())
+    return {name: np.concatenate(nodes) for name, nodes in patches.items()}
+
+
+def _new(mesh: Mesh) -> MeshioMesh:
+    blocks: list[Any] = [(kind, np.asarray(corners)) for kind, corners in mesh.cells.items()]
+    tags = [np.zeros(len(corners), np.int32) for _, corners in blocks]
+    groups = {}
+    for tag, (name, faces) in enumerate(patch_faces(mesh).items(), start=1):
+        for kind, corners in faces.items():
+            if len(corners):
+                groups[name] = np.array([tag, DIMENSION[kind]])
+                blocks.append((kind, corners))
+                tags.append(np.full(len(corners), tag, np.int32))
+    points = in_space(np.asarray(mesh.points, dtype=float))
+    cell_data: Any = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+    return MeshioMesh(points, blocks, cell_data=cell_data, field_data=groups)
+
+
+def _replaced(data: bytes, points: np.ndarray) -> Iterator[bytes]:
+    """The file with other coordinates, in pieces; meshio numbers the points in the order of the file."""
+    at = data.index(b"$MeshFormat")
+    version, binary, _ = data[at:].split(b"\n", 2)[1].split()
+    start = data.index(b"\n", data.index(b"$Nodes", at)) + 1
+    if binary != b"0":
+        copy = bytearray(data)
+        done = 0
+        for view in _binary_blocks(data, start, version):
+            block = np.ndarray(view.shape, view.dtype, copy, view.offset, view.strides)
+            block[:] = points[done : done + len(block)]
+            done += len(block)
+        yield bytes(copy)
+        return
+    stop = data.index(b"$EndNodes", start)
+    rows, column = (4, 1) if version.startswith(b"2") else (3, 0)
+    yield data[:start]
+    yield from replace(data[start:stop], points, lambda counts: counts == rows, column)
+    yield data[stop:]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Block:
+    """Where coordinates lie in a binary file."""
+
+    offset: int
+    shape: tuple[int, int]
+    strides: tuple[int, int]
+    dtype: str = "<f8"
+
+
+def _binary_blocks(data: bytes, at: int, version: bytes) -> Iterator[_Block]:
+    if version.startswith(b"2"):
+        end = data.index(b"\n", at) + 1
+        yield _Block(end + 4, (int(data[at:end]), 3), (28, 8))
+        return
+    blocks = struct.unpack_from("<Q", data, at)[0]
+    at += 4 * 8
+    for _ in range(blocks):
+        count = struct.unpack_from("<Q", data, at + 12)[0]
+        at += 20 + 8 * count
+        yield _Block(at, (count, 3), (24, 8))
+        at += 24 * count

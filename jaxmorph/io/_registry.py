@@ -1,0 +1,115 @@
+"""The formats there are, and `read` and `write`, which choose among them."""
+
+import contextlib
+import os
+import pathlib
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Shaped
+
+from jaxmorph import Mesh
+
+from ._format import Arrays, Format, Source
+
+FORMATS = (
+    Format("SU2", (".su2",), "_su2", holds_arrays=False),
+    Format("VTK", (".vtu", ".vtk"), "_vtk"),
+    Format("gmsh", (".msh",), "_gmsh", holds_arrays=False),
+)
+
+
+def format_of(path: pathlib.Path) -> Format:
+    """The format of a file by its ending; `ValueError`, with those there are, for another."""
+    for candidate in FORMATS:
+        if path.suffix.lower() in candidate.suffixes:
+            return candidate
+    known = ", ".join(suffix for candidate in FORMATS for suffix in candidate.suffixes)
+    raise ValueError(f"{path}: unknown file ending {path.suffix!r}; known are {known}.")
+
+
+def read(path: str | os.PathLike[str]) -> Mesh:
+    """The mesh in a file: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh); the last two need the extra `io`.
+
+    Coordinates are float64, in the units and the order of the file. Patches are SU2's markers, gmsh's physical groups, and
+    in VTK files the point arrays called `patch:NAME`; a file that names none has the patch `boundary`. A mesh of cells in
+    the plane has two coordinates when all z of the file are equal.
+
+    Raises `ValueError`, with file, line and what was found there, for a file that is not a good mesh; `OSError` for one
+    that cannot be opened; `ImportError` when the extra is missing.
+    """
+    path = pathlib.Path(path)
+    return format_of(path).codec().read(path)
+
+
+def write(
+    path: str | os.PathLike[str],
+    mesh: Mesh,
+    *,
+    point_data: dict[str, Shaped[np.ndarray, "n *k"]] | None = None,
+    cell_data: dict[str, Shaped[np.ndarray, "c *k"]] | None = None,
+) -> None:
+    """Writes a mesh in the format of the file's ending. `mesh` may be one read from a file and then `moved`.
+
+    Written to the format it came from, everything but the coordinates is kept: SU2 and gmsh files byte for byte, and an
+    unmoved mesh gives the same file. Coordinates read back bit for bit. Between formats, and for generated meshes, points,
+    cells and patches are written; SU2 and gmsh express a patch by the boundary faces between its nodes.
+
+    `point_data` (one row a point) and `cell_data` (one row a cell, in the order of `mesh.cells`, one type after the other)
+    add arrays to formats that hold any.
+
+    The file appears when it is complete, under a temporary name until then. Raises `ValueError` when `path` is the file
+    that the mesh was read from, for arrays of a wrong length, points that are not finite, and what the format cannot say.
+    """
+    path = pathlib.Path(path)
+    chosen = check_output(path, mesh)
+    arrays = [_rows(dict(point_data or {}), len(mesh.points), "points")]
+    arrays.append(_rows(dict(cell_data or {}), sum(map(len, mesh.cells.values())), "cells"))
+    if any(arrays) and not chosen.holds_arrays:
+        raise ValueError(
+            f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
+        )
+    finite = np.asarray(np.isfinite(np.asarray(mesh.points)).all(axis=1))
+    if not finite.all():
+        raise ValueError(
+            f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
+        )
+    with _complete(path) as partial:
+        chosen.codec().write(partial, mesh, *arrays)
+
+
+def check_output(path: pathlib.Path, mesh: Mesh) -> Format:
+    """What `write` checks of a path before any work: its format. `ValueError` for one that must not be written."""
+    chosen = format_of(path)
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: there is no folder {path.parent}.")
+    if isinstance(mesh.source, Source) and same_file(path, mesh.source.path):
+        raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
+    return chosen
+
+
+def same_file(a: pathlib.Path, b: pathlib.Path) -> bool:
+    """Whether two paths lead to one file."""
+    try:
+        return os.path.samefile(a, b)
+    except OSError:
+        return a.resolve() == b.resolve()
+
+
+def _rows(arrays: dict[str, np.ndarray], rows: int, what: str) -> Arrays:
+    arrays = {name: np.asarray(values) for name, values in arrays.items()}
+    for name, values in arrays.items():
+        if values.ndim not in (1, 2) or len(values) != rows:
+            raise ValueError(f"array {name!r} has shape {values.shape}; expected one row for each of {rows} {what}.")
+    return arrays
+
+
+@contextlib.contextmanager
+def _complete(path: pathlib.Path) -> Iterator[pathlib.Path]:
+    """A temporary name beside `path`, which takes its place at the end; on failure nothing is left."""
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

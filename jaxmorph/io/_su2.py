@@ -1,0 +1,180 @@
+"""SU2's native mesh format, 2-D and 3-D (su2code.github.io/docs_v7/Mesh-File).
+
+A mesh that came from an SU2 file goes back into a copy of its text, with new coordinates and nothing else changed.
+"""
+
+import dataclasses
+import pathlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from jaxmorph import Mesh
+
+from ._format import Arrays, Source, source_of
+from ._su2_new import new_text
+from ._text import Section, blank_comments, replace
+
+NAME = "SU2"
+TYPES = {3: "line", 5: "triangle", 9: "quad", 10: "tetra", 12: "hexahedron", 13: "wedge", 14: "pyramid"}
+CORNERS = {1: 1, 3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5}
+"""SU2's element types are VTK's numbers, corners in VTK's order; 1 is the single node of a SEND_RECEIVE marker."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Keyword:
+    """A line `NAME= value`, and the lines up to the next keyword."""
+
+    name: str
+    value: str
+    section: Section
+
+    def number(self, least: int = 0) -> int:
+        """The first whole number of the value: `NPOIN= 9 6` counts points with and without halos."""
+        words = self.value.split()
+        if not words or not words[0].isdecimal() or int(words[0]) < least:
+            raise self.section.error(f"{self.name}= must be followed by a whole number, found {self.value[:40]!r}.")
+        return int(words[0])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Content:
+    """The text of a file, and where its coordinates are."""
+
+    text: bytes
+    start: int
+    stop: int
+    shape: tuple[int, int]
+
+
+def read(path: pathlib.Path) -> Mesh:
+    """Points in the order of the file; `patches` from the markers, those of one name together.
+
+    An index column after the coordinates is not looked at, as SU2 itself does not.
+    """
+    text = path.read_bytes()
+    keywords = list(_keywords(path, blank_comments(text)))
+    dimension = _only(path, keywords, "NDIME")
+    if (d := dimension.number()) not in (2, 3):
+        raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
+    for keyword in keywords:
+        if keyword.name == "NZONE" and keyword.number() > 1:
+            raise keyword.section.error(
+                f"the file holds {keyword.number()} zones; one is read. Split it into one file for each zone."
+            )
+    points = _points(_only(path, keywords, "NPOIN"), d)
+    cells = _elements(_only(path, keywords, "NELEM"), len(points))
+    patches = _markers(path, keywords, len(points))
+    section = _only(path, keywords, "NPOIN").section
+    content = _Content(text, section.start, section.stop, points.shape)
+    return Mesh(points, cells, patches, source=Source(path, NAME, content))
+
+
+def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    """The text the mesh came from with new coordinates; for any other mesh a new file, see `_su2_new`."""
+    source = source_of(mesh, NAME)
+    points = np.asarray(mesh.points)
+    with path.open("wb") as file:
+        if source is None:
+            file.writelines(new_text(mesh))
+            return
+        content: _Content = source.content
+        if points.shape != content.shape:
+            raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {content.shape}.")
+        d = content.shape[1]
+        file.write(content.text[: content.start])
+        file.writelines(replace(content.text[content.start : content.stop], points, lambda counts: counts >= d))
+        file.write(content.text[content.stop :])
+
+
+def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:
+    found = []
+    at = text.find(b"=")
+    while at >= 0:
+        start = text.rfind(b"\n", 0, at) + 1
+        end = text.find(b"\n", at) + 1 or len(text)
+        name, _, value = text[start:end].partition(b"=")
+        name = name.removeprefix(b"\xef\xbb\xbf").strip().decode(errors="replace")
+        found.append((name, value.strip().decode(errors="replace"), start, end))
+        at = text.find(b"=", end)
+    stops = [start for _, _, start, _ in found[1:]] + [len(text)]
+    for (name, value, _, end), stop in zip(found, stops, strict=True):
+        yield _Keyword(name, value, Section(path, text, end, stop))
+
+
+def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:
+    found = [keyword for keyword in keywords if keyword.name == name]
+    if not found:
+        raise ValueError(f"{path}: no {name}= in this file; it is not an SU2 mesh, or it is cut short.")
+    if len(found) > 1:
+        raise found[1].section.error(f"a second {name}=; files of several zones are not read.")
+    return found[0]
+
+
+def _points(keyword: _Keyword, d: int) -> np.ndarray:
+    n, section = keyword.number(least=1), keyword.section
+    rows = section.rows(np.float64)
+    _check_count(keyword, n, rows.counts, "points")
+    wrong = np.flatnonzero((rows.counts < d) | (rows.counts > d + 2))
+    if wrong.size:
+        row = int(wrong[0])
+        raise section.error(f"a point of {d} coordinates expected, found {rows.counts[row]} numbers.", row)
+    points = rows.values[rows.first[:, None] + np.arange(d)]
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise section.error(f"point {bad[0]} is not finite: {points[bad[0]].tolist()}.", int(bad[0]))
+    return points
+
+
+def _elements(keyword: _Keyword, n: int) -> dict[str, np.ndarray]:
+    tables = _table(keyword, keyword.section, n, "elements")
+    if 1 in tables:
+        raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
+    return {TYPES[kind]: corners for kind, corners in tables.items()}
+
+
+def _markers(path: pathlib.Path, keywords: list[_Keyword], n: int) -> dict[str, np.ndarray]:
+    patches: dict[str, list[np.ndarray]] = {}
+    tags = [number for number, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
+    for at in tags:
+        tag, rest = keywords[at], keywords[at + 1 : at + 3]
+        if not rest or rest[0].name != "MARKER_ELEMS":
+            raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
+        # a SEND_RECEIVE marker has one more keyword, SEND_TO=, before its rows
+        section = rest[1].section if len(rest) > 1 and rest[1].name == "SEND_TO" else rest[0].section
+        tables = _table(rest[0], section, n, f"elements of marker {tag.value!r}")
+        patches.setdefault(tag.value, []).extend(corners.ravel() for corners in tables.values())
+    stated = [keyword for keyword in keywords if keyword.name == "NMARK"]
+    if stated and stated[0].number() != len(tags):
+        raise stated[0].section.error(f"NMARK= {stated[0].number()}, but {len(tags)} markers are in the file.")
+    return {name: np.concatenate([*nodes, np.zeros(0, np.int64)]) for name, nodes in patches.items()}
+
+
+def _table(keyword: _Keyword, section: Section, n: int, what: str) -> dict[int, np.ndarray]:
+    """Corners (k, corners) by SU2's number of the type, in order of first appearance."""
+    rows = section.rows(np.int64)
+    _check_count(keyword, keyword.number(), rows.counts, what)
+    first, kinds = rows.first, rows.values[rows.first]
+    tables = {}
+    for kind in dict.fromkeys(kinds[np.sort(np.unique(kinds, return_index=True)[1])].tolist()):
+        mine = np.flatnonzero(kinds == kind)
+        if kind not in CORNERS:
+            known = ", ".join(map(str, CORNERS))
+            raise section.error(f"element type {kind} is not known; SU2's are {known}.", int(mine[0]))
+        corners = CORNERS[kind]
+        wrong = mine[(rows.counts[mine] < 1 + corners) | (rows.counts[mine] > 2 + corners)]
+        if wrong.size:
+            message = f"an element of type {kind} has {corners} nodes, found {rows.counts[wrong[0]]} numbers."
+            raise section.error(message, int(wrong[0]))
+        table = rows.values[first[mine][:, None] + np.arange(1, 1 + corners)]
+        outside = np.flatnonzero(((table < 0) | (table >= n)).any(axis=1))
+        if outside.size:
+            nodes = table[outside[0]].tolist()
+            raise section.error(f"nodes {nodes}, but there are points 0 to {n - 1}.", int(mine[outside[0]]))
+        tables[kind] = table
+    return tables
+
+
+def _check_count(keyword: _Keyword, stated: int, counts: np.ndarray, what: str) -> None:
+    if len(counts) != stated:
+        raise keyword.section.error(f"{keyword.name}= {stated}, but {len(counts)} rows of {what} follow.")

@@ -1,0 +1,52 @@
+"""Tables of surface nodes: node id, x, y[, z]."""
+
+import os
+import pathlib
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ._text import Section
+
+
+def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
+    """Node ids and d numbers for each, from lines `id, x, y[, z]`: SU2's surface files, or comma-separated values.
+
+    Numbers stand between blanks, commas or semicolons; a header line and what follows `%` or `#` are skipped. The
+    numbers are positions or displacements, as the caller knows.
+
+    Raises `ValueError`, with file and line, for other contents and for ids that come twice or are no whole numbers.
+    """
+    path = pathlib.Path(path)
+    text = path.read_bytes()
+    for mark in (b"%", b"#"):
+        text = b"\n".join(line.partition(mark)[0] for line in text.split(b"\n"))
+    text = text.replace(b",", b" ").replace(b";", b" ")
+    start = _after_header(text)
+    section = Section(path, text, start, len(text))
+    rows = section.rows(np.float64)
+    if not len(rows.counts):
+        raise ValueError(f"{path}: no rows of node id and {d} numbers in this file.")
+    wrong = np.flatnonzero(rows.counts != d + 1)
+    if wrong.size:
+        found = f"found {rows.counts[wrong[0]]} numbers"
+        raise section.error(f"a node id and {d} numbers expected, {found}.", int(wrong[0]))
+    table = rows.values.reshape(-1, d + 1)
+    wrong = np.flatnonzero(~np.isfinite(table).all(axis=1) | (table[:, 0] != np.floor(table[:, 0])) | (table[:, 0] < 0))
+    if wrong.size:
+        raise section.error(f"found {table[wrong[0]].tolist()}, not a node id and {d} finite numbers.", int(wrong[0]))
+    ids = table[:, 0].astype(np.int64)
+    _, first = np.unique(ids, return_index=True)
+    if len(first) < len(ids):
+        row = int(np.setdiff1d(np.arange(len(ids)), first)[0])
+        raise section.error(f"node {ids[row]} comes a second time.", row)
+    return ids, np.ascontiguousarray(table[:, 1:])
+
+
+def _after_header(text: bytes) -> int:
+    """Where the line after a header begins: a first line that begins with a name instead of a number."""
+    first = len(text) - len(text.lstrip())
+    end = text.find(b"\n", first)
+    word = text[first : end if end >= 0 else len(text)].split()[:1]
+    is_name = bool(word) and word[0].strip(b"\"'")[:1].isalpha() and word[0].lower() not in (b"nan", b"inf")
+    return (end + 1 if end >= 0 else len(text)) if is_name else 0

@@ -1,0 +1,151 @@
+"""Rows of numbers in a text file: read in bulk, and replaced where they stand.
+
+Everything goes through `scan`, which finds the numbers (runs of non-blank bytes) of many lines at once with NumPy.
+"""
+
+import dataclasses
+import pathlib
+import re
+import warnings
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+CHUNK = 1 << 24
+"""Bytes looked at together: bounds the memory that a large file needs on top of its own size."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """The numbers of the lines that hold any: `values` of all in a row, `counts` of them on each line."""
+
+    values: np.ndarray
+    counts: np.ndarray
+
+    @property
+    def first(self) -> np.ndarray:
+        """Where each row begins in `values`."""
+        return np.cumsum(self.counts) - self.counts
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """The bytes from `start` to `stop` of a file's text; knows how to say where something stands in it."""
+
+    path: pathlib.Path
+    text: bytes
+    start: int
+    stop: int
+
+    def error(self, message: str, row: int | None = None) -> ValueError:
+        """A `ValueError` naming the file and the line: of the row with that number, or the one before the section."""
+        return ValueError(f"{self.path}, line {self._line(row)}: {message}")
+
+    def _line(self, row: int | None) -> int:
+        line = self.text.count(b"\n", 0, self.start)
+        if row is None:
+            return max(line, 1)
+        for number, content in enumerate(self.text[self.start : self.stop].split(b"\n"), start=line + 1):
+            row -= bool(content.strip())
+            if row < 0:
+                return number
+        return line
+
+    def rows(self, dtype: type) -> Rows:
+        """All numbers of the section. `ValueError` for anything that is not a number of type `dtype`."""
+        values, counts = [np.zeros(0, dtype)], [np.zeros(0, np.int64)]
+        for chunk in chunks(self.text, self.start, self.stop):
+            counts.append(scan(chunk)[2])
+            values.append(parse(chunk, dtype))
+            if len(values[-1]) != counts[-1].sum():
+                raise self._not_a_number(dtype)
+        return Rows(np.concatenate(values), np.concatenate(counts))
+
+    def _not_a_number(self, dtype: type) -> ValueError:
+        kind = int if np.issubdtype(dtype, np.integer) else float
+        lines = [line for line in self.text[self.start : self.stop].split(b"\n") if line.strip()]
+        for row, line in enumerate(lines):
+            for word in line.split():
+                if len(parse(word, dtype)) != 1 or not _is(kind, word):
+                    expected = "an integer" if kind is int else "a number"
+                    return self.error(f"found {word[:40].decode(errors='replace')!r} in place of {expected}.", row)
+        return self.error("the rows that follow hold something that is not a number.")
+
+
+def blank_comments(text: bytes) -> bytes:
+    """The text with every `%` comment overwritten by spaces: what remains stands where it stood."""
+    if b"%" not in text:
+        return text
+    return re.sub(rb"%[^\r\n]*", lambda found: b" " * len(found[0]), text)
+
+
+def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
+    """The text from `start` to `stop` in pieces of whole lines, about `CHUNK` bytes each."""
+    while start < stop:
+        end = text.find(b"\n", min(start + CHUNK, stop - 1), stop) + 1 or stop
+        yield text[start:end]
+        start = end
+
+
+def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the words of a chunk begin and end, and how many stand on each line that holds any."""
+    codes = np.frombuffer(chunk, np.uint8)
+    blank = np.ones(len(codes) + 2, bool)
+    np.less_equal(codes, 32, out=blank[1:-1])
+    change = np.flatnonzero(blank[1:] != blank[:-1])
+    starts, ends = change[0::2], change[1::2]
+    line_ends = np.append(np.flatnonzero(codes == 10), len(codes))
+    counts = np.diff(np.searchsorted(starts, line_ends), prepend=0)
+    return starts, ends, counts[counts > 0]
+
+
+def parse(chunk: bytes, dtype: type) -> np.ndarray:
+    """The numbers of a chunk, up to the first thing that is none (`numpy.fromstring` rounds correctly)."""
+    if not chunk.strip():
+        return np.zeros(0, dtype)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        try:
+            return np.fromstring(chunk, dtype, sep=" ")
+        except ValueError:
+            return np.zeros(0, dtype)
+
+
+def replace(
+    text: bytes, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
+) -> Iterator[bytes]:
+    """The text with the coordinates of `points` in place of those that it holds, in pieces.
+
+    `is_row` tells from the number of words on a line whether it holds a point; its coordinates begin with word `column`.
+    A coordinate that has not changed keeps its digits; a changed one gets the shortest that read back bit for bit.
+    """
+    d = points.shape[1]
+    done = 0
+    for original, chunk in _both(text):
+        starts, ends, counts = scan(chunk)
+        first = (np.cumsum(counts) - counts)[is_row(counts)]
+        words = (first[:, None] + np.arange(column, column + d)).ravel()
+        new = points[done : done + len(first)].ravel()
+        done += len(first)
+        changed = np.flatnonzero(new != parse(chunk, np.float64)[words].astype(new.dtype))
+        at = 0
+        pieces = []
+        begins, stops = starts[words[changed]].tolist(), ends[words[changed]].tolist()
+        for begin, stop, value in zip(begins, stops, new[changed].tolist(), strict=True):
+            pieces += (original[at:begin], b"%r" % value)
+            at = stop
+        pieces.append(original[at:])
+        yield b"".join(pieces)
+
+
+def _both(text: bytes) -> Iterator[tuple[bytes, bytes]]:
+    bare = blank_comments(text)
+    return zip(chunks(text, 0, len(text)), chunks(bare, 0, len(bare)), strict=True)
+
+
+def _is(kind: type, word: bytes) -> bool:
+    try:
+        kind(word)
+    except ValueError:
+        return False
+    return True
