@@ -1,0 +1,21 @@
+"""The paper's test cases, from one command: tables, pictures and deformed meshes."""
+
+import importlib
+import pathlib
+
+CASES = {"naca0015": "_airfoil"}
+"""Name of a case, and the module whose `run` shows it."""
+
+
+def run(case: str, output: pathlib.Path, *, points: int | None = None) -> int:
+    """Shows a case: tables on the terminal; pictures and meshes, one a method, in the folder `output`, made if need be.
+
+    `points` asks for a smaller or larger mesh than the paper's. Returns 0, or 1 when a method has inverted a cell. It needs
+    float64: switch JAX's x64 mode on first.
+
+    Raises `ValueError` for a case that is not known, `ImportError` where an extra (`plot`, `io`) is missing.
+    """
+    if case not in CASES:
+        raise ValueError(f"no demo is called {case!r}; there are: {', '.join(CASES)}.")
+    module = importlib.import_module(f"{__name__}.{CASES[case]}")
+    return module.run(pathlib.Path(output), points=points)

@@ -1,0 +1,189 @@
+"""The paper's first case (section 3.1): a NACA0015 rotated by 15 degrees with every method; figures 5 and 6."""
+
+import dataclasses
+import pathlib
+import time
+from typing import Any
+
+import numpy as np
+
+import jaxmorph as jm
+from jaxmorph import cases, io
+
+from . import _airfoil_pictures as pictures
+from ._terminal import progress, table
+
+ANGLES = (5.0, 10.0, 15.0)
+"""Degrees, nose up, at the end of each step."""
+
+QUARTER_CHORD = np.array([0.25, 0.0])
+
+FAR_FIELD = jm.KDTree(2)
+"""Six sources on the paper's far field."""
+
+LEAVES = (1, 2, 4, 8)
+"""Of the reductions of the wall to compare, four sources each; the first is the paper's."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """A method to compare, as it is called in tables and pictures; `file` names its deformed mesh, if that is written."""
+
+    name: str
+    method: jm.AbstractMethod
+    rebuild: bool = False
+    file: str = ""
+    title: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What came of it: a report for each angle; lengths in chords, times in seconds."""
+
+    study: Study
+    points: np.ndarray
+    reports: list[jm.QualityReport]
+    change: float
+    error: float
+    first: float
+    again: float
+
+    @property
+    def skewness(self) -> list[tuple[float, float]]:
+        """Mean and maximum at each angle."""
+        return [(float(report.mean_skewness), float(report.max_skewness)) for report in self.reports]
+
+    @property
+    def inverted(self) -> int:
+        return max(int(report.inverted) for report in self.reports)
+
+
+def run(output: pathlib.Path, *, points: int | None = None) -> int:
+    """The whole comparison; returns 1 when a cell was inverted."""
+    mesh = cases.naca0015() if points is None else cases.naca0015(points=points)
+    studies = compare(mesh)
+    output.mkdir(parents=True, exist_ok=True)
+    with progress(len(studies) + 4) as say:
+        say("generating the mesh, judging it")
+        start, outcomes = jm.quality(mesh), []
+        written = _write(output / "naca0015-undeformed.su2", mesh, mesh.points, start)
+        for study in studies:
+            say(f"{study.name}: finding ids, moving {len(mesh.points)} points in {len(ANGLES)} steps")
+            outcomes.append(measure(mesh, start, study))
+        kept = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
+        say("writing meshes")
+        for name, outcome in kept.items():
+            written += _write(output / f"naca0015-{name}.su2", mesh, outcome.points, outcome.reports[-1])
+        figures = [output / "figure5.png", output / "figure6.png"]
+        say("drawing airfoil and trailing edge (figure 5)")
+        pictures.figure5(figures[0], mesh, [kept["dgm"], kept["reduced-rbf"]])
+        say("drawing the skewness of all methods (figure 6)")
+        pictures.figure6(figures[1], start, outcomes, ANGLES)
+    print(_tables(mesh, start, outcomes))
+    print("\nwrote", "\n      ".join(map(str, [*figures, *written])))
+    return int(any(outcome.inverted for outcome in outcomes))
+
+
+def compare(mesh: jm.Mesh) -> list[Study]:
+    """The paper's three methods; the third with four numbers of sources on the wall."""
+    wall, far = mesh.points[mesh.patch("airfoil")], mesh.points[mesh.patch("farfield")]
+    every = jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints())
+    studies = [
+        Study(f"full RBF, {len(wall)} + {len(far)}", every, file="full-rbf"),
+        Study("DGM, ids kept", jm.DelaunayGraph(), file="dgm", title="Delaunay graph mapping"),
+        Study("DGM, ids found again", jm.DelaunayGraph(), rebuild=True),
+    ]
+    for leaves in LEAVES:
+        rbf = jm.RBF(reduction=jm.KDTree(leaves), fixed_reduction=FAR_FIELD)
+        method = jm.SurfaceReconstruction(rbf, jm.DelaunayGraph())
+        count = f"{len(rbf.reduction(wall))} + {len(FAR_FIELD(far))}"
+        title, file = (f"Reduced RBF, {count} sources", "reduced-rbf") if leaves == LEAVES[0] else ("", "")
+        studies.append(Study(f"reduced RBF, {count}", method, file=file, title=title))
+    return studies
+
+
+def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
+    """Prepares and marches twice, the second time without compiling, and judges the mesh after each step."""
+    moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
+    path = np.stack([rotation(mesh.points[moving], angle) for angle in ANGLES])
+    begin = time.perf_counter()
+    plan = jm.prepare(mesh.points, moving, fixed, method=study.method)
+    plans, points = _march(plan, path, study.rebuild)
+    first = time.perf_counter() - begin
+    begin = time.perf_counter()
+    _march(plan, path, study.rebuild)
+    again = time.perf_counter() - begin
+    stages = [*(after.points for after in plans[1:]), points]
+    reports = [jm.quality(mesh, stage) for stage in stages]
+    near = near_wall(mesh)
+    points = np.asarray(points)
+    return Outcome(
+        study=study,
+        points=points,
+        reports=reports,
+        change=float(np.abs(np.asarray(reports[-1].skewness) - np.asarray(start.skewness))[near].mean()),
+        error=float(np.abs(points[moving] - mesh.points[moving] - path[-1]).max()),
+        first=first,
+        again=again,
+    )
+
+
+def _march(plan: jm.Plan, path: np.ndarray, rebuild: bool) -> tuple[Any, Any]:
+    plans, points = jm.march(plan, path, rebuild=rebuild)
+    return plans, points.block_until_ready()
+
+
+def rotation(points: np.ndarray, degrees: float) -> np.ndarray:
+    """Displacements (m, 2) that turn points nose up, which is clockwise, about the quarter chord."""
+    angle = -np.deg2rad(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return (points - QUARTER_CHORD) @ turn.T + QUARTER_CHORD - points
+
+
+def near_wall(mesh: jm.Mesh) -> np.ndarray:
+    """Cells in the inner 40 % of the layers round the airfoil, wake left out: 160 x 60 of them on the paper's mesh."""
+    quads, wall = mesh.cells["quad"], mesh.patch("airfoil")
+    wake, columns = wall[0], quads[0, 3] - 1
+    base = len(wall) - (columns - 2 * wake)
+    layers = (len(quads) - wake * base) // columns
+    return (np.arange(round(0.4 * layers))[:, None] * columns + np.arange(wake, columns - wake)).ravel()
+
+
+def _write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, report: jm.QualityReport) -> list[pathlib.Path]:
+    """A mesh for SU2, and one to look at."""
+    moved, picture = mesh.moved(points), path.with_suffix(".vtu")
+    io.write(path, moved)
+    skewness = np.asarray(report.skewness)
+    io.write(picture, moved, point_data={"displacement": points - mesh.points}, cell_data={"skewness": skewness})
+    return [path, picture]
+
+
+def _tables(mesh: jm.Mesh, start: jm.QualityReport, outcomes: list[Outcome]) -> str:
+    cells = len(mesh.cells["quad"])
+    undeformed = f"{float(start.mean_skewness):.4f}", f"{float(start.max_skewness):.4f}"
+    last: list[tuple[str, ...]] = [("undeformed", *undeformed, *[""] * 5)]
+    steps: list[tuple[str, ...]] = [("undeformed", *undeformed, *[""] * 4)]
+    for outcome in outcomes:
+        skewness = [(f"{mean:.4f}", f"{largest:.4f}") for mean, largest in outcome.skewness]
+        rest = f"{outcome.change:.3f}", str(outcome.inverted), f"{outcome.error:.1g}"
+        times = f"{outcome.first:.2f}", f"{outcome.again:.3f}"
+        last.append((outcome.study.name, *skewness[-1], *rest, *times))
+        steps.append((outcome.study.name, *(number for pair in skewness for number in pair)))
+    heads = [
+        ("", "mean", "max", "change", "inverted", "surface", "first", "once"),
+        (f"at {ANGLES[-1]:g} degrees", "skew", "skew", "at wall", "cells", "error", "time", "more"),
+    ]
+    at = [head for angle in ANGLES for head in (f"at {angle:g}", "degrees")]
+    angles = [("", *at), ("", *("mean", "max") * len(ANGLES))]
+    return "\n".join(
+        [
+            f"NACA0015 C-grid, {len(mesh.points)} points, {cells} cells: rotated nose up by {ANGLES[-1]:g} degrees",
+            f"about the quarter chord in {len(ANGLES)} steps, far field fixed; wall + far-field sources.\n",
+            table(heads, last),
+            "\nchange at wall: mean absolute change of skewness in the "
+            f"{len(near_wall(mesh))} cells next to it;\n"
+            "surface error in chords; first time: seconds for ids, compiling and three steps,\n"
+            "once more: for the three steps again.\n",
+            table(angles, steps),
+        ]
+    )

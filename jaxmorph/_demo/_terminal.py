@@ -1,0 +1,51 @@
+"""What a demo says: tables as plain text, progress only on a terminal."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Sequence
+
+Say = Callable[[str], None]
+
+
+@contextlib.contextmanager
+def progress(steps: int) -> Iterator[Say]:
+    """Gives a function to call before each of so many steps with what it is; silent when not on a terminal."""
+    try:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    except ImportError:
+        yield _silent
+        return
+    console = Console(stderr=True)
+    if not (console.is_terminal and sys.stdout.isatty()):
+        yield _silent
+        return
+    columns = BarColumn(20), TimeElapsedColumn(), TextColumn("{task.description}")
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=steps)
+        begun = False
+
+        def say(what: str) -> None:
+            nonlocal begun
+            bar.update(task, description=what, advance=int(begun))
+            begun = True
+
+        yield say
+
+
+def _silent(what: str) -> None:
+    """Not a terminal: nothing to say."""
+
+
+def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> str:
+    """Lines of text: the first column to the left, the others to the right, two spaces between, a rule under the heads."""
+    everything = [*heads, *rows]
+    widths = [max(map(len, column)) for column in zip(*everything, strict=True)]
+    lines = []
+    for row in everything:
+        first, *others = (
+            cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        lines.append("  ".join([first, *others]).rstrip())
+    lines.insert(len(heads), "-" * (sum(widths) + 2 * (len(widths) - 1)))
+    return "\n".join(lines)

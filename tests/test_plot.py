@@ -1,0 +1,190 @@
+"""Pictures, judged by what was drawn: numbers of polygons, their places and their colours."""
+
+import importlib
+import sys
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+import jaxmorph as jm
+from jaxmorph import cases, plot
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    yield
+    plt.close("all")
+
+
+@pytest.fixture(scope="module")
+def airfoil():
+    return cases.naca0015(points=600)
+
+
+def mixed():
+    """A unit square of one quad and two triangles beside it."""
+    points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0], [2, 1]], dtype=float)
+    return jm.Mesh(points, {"triangle": [[1, 4, 5], [1, 5, 2]], "quad": [[0, 1, 2, 3]]})
+
+
+def bricks(k=3):
+    """k^3 hexahedra in the unit cube; the patch `floor` is at z = 0."""
+    ids = np.arange((k + 1) ** 3).reshape(k + 1, k + 1, k + 1)
+    x, y, z = np.meshgrid(*[np.linspace(0, 1, k + 1)] * 3, indexing="ij")
+    low, high = slice(0, -1), slice(1, None)
+    ring = [(low, low), (high, low), (high, high), (low, high)]
+    corners = np.stack([ids[(*side, end)].ravel() for end in (low, high) for side in ring], axis=1)
+    points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
+    return jm.Mesh(points, {"hexahedron": corners}, {"floor": ids[:, :, 0].ravel()})
+
+
+def outlines(collection):
+    return [path.vertices for path in collection.get_paths()]
+
+
+def test_mesh_draws_each_cell_in_its_colour():
+    mesh = mixed()
+    axis = plot.mesh(mesh, values=[1.0, 2.0, 4.0], limits=(0, 4))
+    faces, edges = axis.collections
+    np.testing.assert_array_equal(faces.get_array(), [1, 2, 4])
+    assert faces.get_clim() == (0, 4)
+    assert len(outlines(faces)) == len(outlines(edges)) == 3
+    np.testing.assert_array_equal(outlines(faces)[2][:4], mesh.points[[0, 1, 2, 3]])
+    np.testing.assert_array_equal(outlines(faces)[0][:3], mesh.points[[1, 4, 5]])
+
+
+def test_mesh_at_other_points_in_a_window_of_a_given_axis():
+    mesh, given = mixed(), plt.subplots()[1]
+    axis = plot.mesh(
+        mesh, mesh.points + np.array([10, 0]), values=[1, 2, 4], window=((10.1, 10.9), (0.2, 0.5)), axis=given
+    )
+    assert axis is given
+    assert axis.get_xlim() == (10.1, 10.9)
+    np.testing.assert_array_equal(axis.collections[0].get_array(), [4])
+
+
+def test_lines_are_thin_where_cells_are(airfoil):
+    widths = plot.mesh(airfoil).collections[0].get_linewidths()
+    corners = airfoil.points[airfoil.cells["quad"]]
+    height = np.linalg.norm(corners[:, 3] - corners[:, 0], axis=1)
+    assert widths[height.argmin()] == min(widths) < 0.1
+    assert max(widths) <= 0.6
+
+
+def test_mesh_refuses_what_it_cannot_draw():
+    with pytest.raises(ValueError, match="3 cells"):
+        plot.mesh(mixed(), values=np.zeros(6))
+    with pytest.raises(ValueError, match=r"plot\.surface"):
+        plot.mesh(bricks())
+    with pytest.raises(ValueError, match=r"plot\.mesh"):
+        plot.surface(mixed())
+
+
+def test_before_and_after_in_two_colours(airfoil):
+    moved = airfoil.points * [1, 2]
+    axis = plot.before_after(airfoil, moved)
+    before, after = axis.collections
+    np.testing.assert_array_equal(outlines(before)[0][:4], airfoil.points[airfoil.cells["quad"][0]])
+    np.testing.assert_array_equal(outlines(after)[0][:4], moved[airfoil.cells["quad"][0]])
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["undeformed", "deformed"]
+    assert axis.get_ylim()[1] == moved[:, 1].max()
+
+
+def test_sources_and_boxes_of_the_tree(airfoil):
+    wall = airfoil.points[airfoil.patch("airfoil")]
+    axis = plot.sources(wall, jm.KDTree(2))
+    labels = {line.get_label(): line for line in axis.lines}
+    chosen = wall[jm.KDTree(2)(wall)]
+    drawn = labels[f"{len(chosen)} sources"]
+    np.testing.assert_array_equal(np.column_stack([drawn.get_xdata(), drawn.get_ydata()]), chosen)
+    boxes = axis.lines[:2]
+    assert "2 leaves" in labels
+    held = np.zeros(len(wall), int)
+    for box in boxes:
+        x, y = np.asarray(box.get_xdata()), np.asarray(box.get_ydata())
+        held += (wall >= (x.min(), y.min())).all(axis=1) & (wall <= (x.max(), y.max())).all(axis=1)
+    np.testing.assert_array_equal(held, 1)
+
+
+def test_graph_has_the_edges_of_a_triangulation():
+    points = np.random.default_rng(3).uniform(size=(40, 2))
+    hull = ConvexHull(points).vertices
+    plan = jm.prepare(points, [k for k in range(30) if k not in hull], list(hull), method=jm.DelaunayGraph())
+    nodes = np.concatenate([plan.moving, plan.fixed])
+    axis = plot.graph(plan, interior=True)
+    (edges,) = axis.collections
+    assert len(edges.get_segments()) == 3 * len(nodes) - 3 - len(hull)  # Euler
+    assert len(axis.lines[0].get_xdata()) == len(points) - len(nodes)
+    u = np.full((plan.moves, 2), 1e-3)
+    moving = plot.graph(plan, u).lines[0]
+    np.testing.assert_allclose(moving.get_xdata(), points[np.asarray(plan.moving), 0] + 1e-3)
+
+
+def test_histogram_counts_every_cell(airfoil):
+    before = jm.quality(airfoil)
+    after = jm.quality(airfoil, airfoil.points @ np.array([[1, 0.3], [0, 1]]))
+    axis = plot.histogram({"before": before, "after": after}, measure="aspect_ratio")
+    heights = [bar.get_height() for bar in axis.containers[0]]
+    counts, _ = np.histogram(before.aspect_ratio, bins=len(heights), range=axis.dataLim.intervalx)
+    np.testing.assert_array_equal(heights, counts)
+    assert sum(heights) == len(before.volume)
+    assert axis.get_xlabel() == "aspect ratio"
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["before", "after"]
+
+
+def test_surface_takes_the_colours_of_its_cells():
+    mesh = bricks()
+    plotter = plot.surface(mesh, values=np.arange(27.0), limits=(0, 26))
+    faces = plotter.meshes[0]
+    assert faces.n_cells == 6 * 9
+    cell = np.minimum(faces.cell_centers().points * 3, 2.5).astype(int) @ [9, 3, 1]
+    np.testing.assert_array_equal(faces.cell_data["values"], cell)
+    picture = plotter.screenshot(return_img=True)
+    plotter.close()
+    assert picture.shape[:2] == (900, 1600)
+    assert picture.std() > 10
+
+
+def test_surface_of_a_patch_of_a_moved_mesh():
+    mesh = bricks()
+    plotter = plot.surface(mesh, mesh.points + np.array([0, 0, 5]), patch="floor")
+    assert plotter.meshes[0].n_cells == 9
+    np.testing.assert_allclose(plotter.meshes[0].points[:, 2], 5)
+    plotter.close()
+
+
+def test_cut_shows_the_cells_that_the_plane_meets():
+    mesh = bricks()
+    plotter = plot.cut(mesh, values=np.arange(27.0), plane=jm.Plane((1.0, 0, 0), (0.5, 0, 0)))
+    section = plotter.meshes[0]
+    np.testing.assert_allclose(section.points[:, 0], 0.5)
+    np.testing.assert_array_equal(np.unique(section.cell_data["values"]), np.arange(9, 18))
+    np.testing.assert_allclose(section.area, 1)
+    again = plot.surface(mesh, patch="floor", plotter=plotter)
+    assert again is plotter
+    plotter.close()
+    with pytest.raises(ValueError, match="nothing to draw"):
+        plot.cut(mesh, plane=jm.Plane((1.0, 0, 0), (7.0, 0, 0)))
+
+
+def test_values_follow_the_order_of_the_cells_for_mixed_types():
+    points = np.array([*[[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], [2, 0.5, 0.5]], float)
+    mesh = jm.Mesh(points, {"pyramid": [[1, 2, 6, 5, 8]], "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]]})
+    plotter = plot.surface(mesh, values=[3.0, 7.0])
+    faces = plotter.meshes[0]
+    np.testing.assert_array_equal(faces.cell_data["values"], np.where(faces.cell_centers().points[:, 0] > 1, 3, 7))
+    plotter.close()
+
+
+def test_a_missing_extra_is_named(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith("jaxmorph.plot")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+    with pytest.raises(ImportError, match=r"pip install 'jaxmorph\[plot\]'"):
+        importlib.import_module("jaxmorph.plot")
