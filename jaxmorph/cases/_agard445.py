@@ -1,0 +1,170 @@
+"""The paper's second case: the AGARD 445.6 wing, its mesh and its mode shapes."""
+
+import hashlib
+import os
+import tempfile
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+import jaxmorph as jm
+
+from . import _agard445_wing as wing
+from ._agard445_mesh import CENTRE, CONTOUR_INTERVALS, DISTANCE_SAMPLES, OPTIONS, RADIUS, Sizes, generate
+from ._agard445_modes import DEFLECTIONS, mode_shape
+
+RESOLUTIONS = {
+    64_943: Sizes(wall=0.935, growth=0.155, far=0.755),
+    16_000: Sizes(wall=2.3, growth=0.195, far=1.4),
+    6_500: Sizes(wall=4.0, growth=0.257, far=2.0),
+}
+PATCHES = ("wing", "symmetry", "farfield")
+# Raised by whoever changes how the mesh is made in a way that the numbers below do not show.
+REVISION = 1
+
+
+def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None = None) -> jm.Mesh:
+    """The half wing of the paper's section 3.2 in tetrahedra, in metres; needs gmsh (`pip install 'jaxmorph[cases]'`).
+
+    x is streamwise, the span runs along +y from the plane y = 0, z is up. NACA 65A004 sections (NASA TM-100492: its
+    ordinates, sharp trailing edge), root chord 0.558 m, tip chord 0.368 m, semi-span 0.762 m, flat tip; the far field
+    is a hemisphere of 8 m round the middle of the root chord. Patches `wing`, `symmetry` and `farfield`; a node where
+    two of them meet is in both.
+
+    `points` is one of three resolutions. With gmsh 4.15, where the paper has 64,943 points, 334,861 cells, 16,285 on
+    the wing, 923 on the far field, and an aspect ratio (longest edge over 2 sqrt(6) inscribed radii, 1 for a regular
+    cell) of 1.546 in the mean and 7.223 at most:
+
+    | `points` | points | cells | wing | far field | aspect ratio: mean, largest |
+    |---|---|---|---|---|---|
+    | 64_943 | 64,641 | 341,877 | 16,215 | 918 | 1.526, 7.03 |
+    | 16_000 | 16,215 | 83,294 | 4,217 | 290 | 1.554, 7.64 |
+    | 6_500 | 6,592 | 32,247 | 1,966 | 163 | 1.585, 6.59 |
+
+    The same options give the same mesh, bit for bit, with one version of gmsh. The finest takes 15 to 25 s, once: the
+    mesh is then kept in `cache_directory`, by default the user's cache directory, under its parameters and gmsh's
+    version. A file there that cannot be read is made anew. A gmsh session of the caller's is left as it was.
+
+    Raises `ValueError` for other `points`, and `ImportError` when gmsh, platformdirs or a library of theirs is missing.
+    """
+    if points not in RESOLUTIONS:
+        known = ", ".join(f"{n:,}".replace(",", "_") for n in RESOLUTIONS)
+        raise ValueError(f"`points` is {points!r}; this case comes with about {known} points: give one of these.")
+    gmsh = _import_gmsh()
+    directory = _user_cache() if cache_directory is None else Path(cache_directory)
+    file = directory / _file_name(points, gmsh.__version__)
+    arrays = _load(file)
+    if arrays is None:
+        arrays = generate(gmsh, RESOLUTIONS[points])
+        _store(file, arrays)
+    return jm.Mesh(arrays["points"], {"tetra": arrays["tetra"]}, {name: arrays[name] for name in PATCHES})
+
+
+def agard445_mode(points: Float[Any, "m 3"], mode: int, amplitude: float = 1.0) -> Float[Any, "m 3"]:
+    """Displacement of points of the wing by its first (bending) or second (torsion) mode, in metres.
+
+    `points` (m, 3) are in metres, as `agard445` has them, from NumPy or JAX; the displacement is of their kind, along z
+    alone. The tip's trailing edge moves by `amplitude` semi-spans (0.762 m) up; the published sign of mode 2, up at the
+    tip's leading edge, is the opposite.
+
+    The shape is sum a_ij eta^i xi^j, i = 2..6, j = 0..3, with eta along the span and xi along the chord from 0 to 1:
+    value and slope vanish at the root, and a_ij are least squares to the 121 deflections of NASA TM-100492 (Yates,
+    1987), 1 at the tip's trailing edge. In that unit the root mean square of what is left, off the root, is 0.0007 in
+    mode 1 and 0.0042 in mode 2. Most of it is next to the aft end of the root, which is free in the table: 0.0028 and
+    0.033 at a tenth of the span, 0.0037 and 0.043 at the root itself. It is a polynomial off the wing too.
+
+    Raises `ValueError` for another mode, and for points that are not (m, 3).
+    """
+    if mode not in DEFLECTIONS:
+        raise ValueError(f"`mode` is {mode!r}; there are modes {', '.join(map(str, DEFLECTIONS))}.")
+    if not hasattr(points, "dtype"):
+        points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"`points` has shape {tuple(points.shape)}; expected (m, 3).")
+    upwards = np.array([0, 0, 1], dtype=points.dtype)
+    return (amplitude * wing.SEMI_SPAN * mode_shape(points, mode))[:, None] * upwards
+
+
+# What gmsh's shared library links to, and the Debian or Ubuntu package that has it.
+SYSTEM_PACKAGES = {
+    "libGLU.so.1": "libglu1-mesa",
+    "libGL.so.1": "libgl1",
+    "libXrender.so.1": "libxrender1",
+    "libXcursor.so.1": "libxcursor1",
+    "libXfixes.so.3": "libxfixes3",
+    "libXext.so.6": "libxext6",
+    "libXft.so.2": "libxft2",
+    "libXinerama.so.1": "libxinerama1",
+    "libX11.so.6": "libx11-6",
+    "libfontconfig.so.1": "libfontconfig1",
+    "libgomp.so.1": "libgomp1",
+}
+
+
+def _import_gmsh() -> ModuleType:
+    try:
+        import gmsh
+    except ImportError as error:
+        raise ImportError("`cases.agard445` needs gmsh: pip install 'jaxmorph[cases]'.") from error
+    except OSError as error:
+        missing = [package for library, package in SYSTEM_PACKAGES.items() if library in str(error)]
+        packages = " ".join(missing or SYSTEM_PACKAGES.values())
+        raise ImportError(
+            f"gmsh is installed, but a library that it needs is not ({error}). On Debian or Ubuntu: "
+            f"apt-get install {packages}."
+        ) from error
+    return gmsh
+
+
+def _user_cache() -> Path:
+    try:
+        import platformdirs
+    except ImportError as error:
+        raise ImportError(
+            "`cases.agard445` needs platformdirs to find the user's cache directory: pip install 'jaxmorph[cases]'; "
+            "or give `cache_directory`."
+        ) from error
+    return platformdirs.user_cache_path("jaxmorph")
+
+
+def _file_name(points: int, gmsh_version: str) -> str:
+    shape = (wing.STATIONS, wing.HALF_THICKNESS, wing.LEADING_EDGE_RADIUS, wing.ROOT_CHORD, wing.TIP_CHORD)
+    shape += (wing.SEMI_SPAN, wing.TIP_LEADING_EDGE, RADIUS, CENTRE, CONTOUR_INTERVALS, DISTANCE_SAMPLES)
+    parameters = repr((REVISION, RESOLUTIONS[points], shape, sorted(OPTIONS.items())))
+    return f"agard445-{points}-gmsh{gmsh_version}-{hashlib.sha256(parameters.encode()).hexdigest()[:12]}.npz"
+
+
+def _load(file: Path) -> dict[str, np.ndarray] | None:
+    """The arrays of a file written by `_store`; None where there is none, or it is damaged."""
+    if not zipfile.is_zipfile(file):
+        return None
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in ("points", "tetra", *PATCHES)}
+        jm.Mesh(arrays["points"], {"tetra": arrays["tetra"]}, {name: arrays[name] for name in PATCHES})
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error):
+        return None
+    return arrays
+
+
+def _store(file: Path, arrays: dict[str, np.ndarray]) -> None:
+    """All of the file or nothing: written beside it, then renamed. A directory that refuses it costs a warning only."""
+    content: dict[str, Any] = dict(arrays)
+    partial = None
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=file.stem, suffix=".part", delete=False) as stream:
+            partial = Path(stream.name)
+            np.savez_compressed(stream, **content)
+        partial.replace(file)
+    except OSError as error:
+        warnings.warn(f"the mesh could not be kept in {file.parent} and will be made again: {error}.", stacklevel=3)
+    finally:
+        if partial is not None:
+            partial.unlink(missing_ok=True)
