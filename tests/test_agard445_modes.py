@@ -32,6 +32,17 @@ def test_section_is_the_published_one():
     assert slope[1600:] == pytest.approx(np.full(400, -0.0482), abs=3e-3), "the aft fifth is nearly straight"
 
 
+def test_section_belongs_to_its_family():
+    """Half thickness over thickness is nearly linear in thickness: from the 65A008 and 65A006 of NASA's program.
+
+    Ordinates at 20, 30 .. 90 % of the chord, in percent (public domain program naca456, after NASA TM 4741).
+    """
+    eight = np.array([3.3022, 3.7910, 3.9942, 3.8946, 3.4545, 2.7623, 1.8997, 0.9627]) / 8
+    six = np.array([2.4754, 2.8415, 2.9949, 2.9247, 2.6014, 2.0859, 1.4389, 0.7307]) / 6
+    four = 4 * (2 * six - eight)
+    assert 100 * wing.half_thickness(np.arange(0.2, 0.95, 0.1)) == pytest.approx(four, abs=0.006)
+
+
 def test_contour_is_even_along_its_arc():
     steps = np.linalg.norm(np.diff(wing.upper_contour(400), axis=0), axis=1)
     assert steps.max() / steps.min() < 1.06  # chords of the round nose are shorter than its arc
