@@ -35,8 +35,9 @@ def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> MeshioM
         detail = " ".join(f"{error or said.getvalue()}".split())[:120]
         message = f"{path}: not a {name} file, or a damaged one ({type(error).__name__}{detail and ': '}{detail})."
         raise ValueError(message) from error
-    if len(found.points) == 0 or not any(len(block.data) for block in found.cells):
-        raise ValueError(f"{path}: the file holds {len(found.points)} points and no cells, or cells and no points.")
+    cells = sum(len(np.asarray(block.data)) for block in found.cells)
+    if len(found.points) == 0 or cells == 0:
+        raise ValueError(f"{path}: no mesh, the file holds {len(found.points)} points and {cells} cells.")
     return found
 
 
@@ -85,7 +86,7 @@ def set_patches(found: MeshioMesh) -> dict[str, np.ndarray]:
     patches: dict[str, list[np.ndarray]] = {}
     for name, members in found.cell_sets.items():
         for block, inside in zip(found.cells, members, strict=True):
-            if inside is not None and len(inside) and block.dim < highest and not name.startswith("gmsh:"):
+            if inside is not None and np.size(inside) and block.dim < highest and not name.startswith("gmsh:"):
                 patches.setdefault(name, []).append(np.asarray(block.data)[np.asarray(inside, dtype=np.int64)].ravel())
     return {name: np.concatenate(nodes) for name, nodes in patches.items()}
 
@@ -104,13 +105,11 @@ def split_cell_data(blocks: list[Any], mesh: Mesh, cell_data: Arrays) -> dict[st
     first = dict(zip(mesh.cells, ends - [len(corners) for corners in mesh.cells.values()], strict=True))
     dealt: dict[str, list[np.ndarray]] = {name: [] for name in cell_data}
     for block in blocks:
+        count, start = len(np.asarray(block.data)), first.get(block.type)
         for name, values in cell_data.items():
             values = in_space(values)
-            if block.type in first:
-                start = first[block.type]
-                dealt[name].append(values[start : start + len(block.data)])
-            else:
-                dealt[name].append(np.full((len(block.data), *values.shape[1:]), np.nan))
-        if block.type in first:
-            first[block.type] += len(block.data)
+            others = np.full((count, *values.shape[1:]), np.nan)
+            dealt[name].append(others if start is None else values[start : start + count])
+        if start is not None:
+            first[block.type] = start + count
     return dealt

@@ -62,7 +62,7 @@ def write(
     that the mesh was read from, for arrays of a wrong length, points that are not finite, and what the format cannot say.
     """
     path = pathlib.Path(path)
-    chosen = check_output(path, mesh)
+    chosen = _checked(path, mesh)
     arrays = [_rows(dict(point_data or {}), len(mesh.points), "points")]
     arrays.append(_rows(dict(cell_data or {}), sum(map(len, mesh.cells.values())), "cells"))
     if any(arrays) and not chosen.holds_arrays:
@@ -78,17 +78,24 @@ def write(
         chosen.codec().write(partial, mesh, *arrays)
 
 
-def check_output(path: pathlib.Path, mesh: Mesh) -> Format:
-    """What `write` checks of a path before any work: its format. `ValueError` for one that must not be written."""
+def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
+    """What `write` checks of a path, before any work. Returns whether its format holds arrays.
+
+    Raises `ValueError` for an unknown ending, a folder that does not exist, and the file that the mesh was read from.
+    """
+    return _checked(pathlib.Path(path), mesh).holds_arrays
+
+
+def _checked(path: pathlib.Path, mesh: Mesh) -> Format:
     chosen = format_of(path)
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}.")
-    if isinstance(mesh.source, Source) and same_file(path, mesh.source.path):
+    if isinstance(mesh.source, Source) and _same_file(path, mesh.source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     return chosen
 
 
-def same_file(a: pathlib.Path, b: pathlib.Path) -> bool:
+def _same_file(a: pathlib.Path, b: pathlib.Path) -> bool:
     """Whether two paths lead to one file."""
     try:
         return os.path.samefile(a, b)

@@ -97,8 +97,8 @@ def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:
         name = name.removeprefix(b"\xef\xbb\xbf").strip().decode(errors="replace")
         found.append((name, value.strip().decode(errors="replace"), start, end))
         at = text.find(b"=", end)
-    stops = [start for _, _, start, _ in found[1:]] + [len(text)]
-    for (name, value, _, end), stop in zip(found, stops, strict=True):
+    for number, (name, value, _, end) in enumerate(found, start=1):
+        stop = found[number][2] if number < len(found) else len(text)
         yield _Keyword(name, value, Section(path, text, end, stop))
 
 

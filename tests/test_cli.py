@@ -1,0 +1,223 @@
+"""The command line, as a user calls it: what it writes, what it says, how it ends."""
+
+import re
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.cli import _progress, main
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A ring of quads between a wall of 24 nodes and a far field, as SU2 file; ids of the wall are 0 to 23."""
+    folder = tmp_path_factory.mktemp("cli")
+    angle, radius = np.meshgrid(2 * np.pi * np.arange(24) / 24, np.geomspace(1, 5, 9))
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 2)
+    ids = np.arange(len(points)).reshape(9, 24)
+    after = np.roll(ids, -1, axis=1)
+    quads = np.stack([ids[:-1], ids[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
+    io.write(folder / "ring.su2", jm.Mesh(points, {"quad": quads}, {"wall": ids[0], "far": ids[-1]}))
+    wall = points[:24] * [1.0, 1.25]
+    rows = np.random.default_rng(0).permutation(24)
+    lines = "".join(f"{k} {float(wall[k, 0])!r} {float(wall[k, 1])!r}\n" for k in rows)
+    (folder / "wall.dat").write_text(lines)
+    shift = "".join(f"{k},0.125,-0.25\n" for k in range(24))
+    (folder / "shift.csv").write_text("id,dx,dy\n" + shift)
+    (folder / "far.dat").write_text("".join(f"{k} 0 0\n" for k in ids[-1]))
+    (folder / "text.su2").write_text("This is about = nothing.\n")
+    return folder
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def deform(out: str, *motion: str) -> int:
+    return main(["deform", "ring.su2", out, "--moving", "wall", "--fixed", "far", *motion])
+
+
+def test_rotation_about_a_point_and_what_is_said(here, capsys):
+    assert deform("rotated.su2", "--rotate", "30", "--about", "0.5", "-1e-1") == 0
+    before, after = io.read("ring.su2"), io.read("rotated.su2")
+    c, s = np.sqrt(3) / 2, 0.5
+    expected = (before.points[:24] - [0.5, -0.1]) @ np.array([[c, s], [-s, c]]) + [0.5, -0.1]
+    np.testing.assert_allclose(after.points[:24], expected, atol=1e-14)
+    np.testing.assert_array_equal(after.points[-24:], before.points[-24:])
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert max(map(len, said.out.split("\n"))) <= 80
+    report = jm.quality(before, after.points)
+    row = re.search(r"max skewness +(\S+) +(\S+)   (\d+) near", said.out)
+    assert row
+    assert float(row[1]) == pytest.approx(float(jm.quality(before).max_skewness), rel=1e-4)
+    assert float(row[2]) == pytest.approx(float(report.max_skewness), rel=1e-4)
+    assert int(row[3]) == int(np.argmax(report.skewness))
+    assert "inverted cells                     0           0\n" in said.out
+    text, original = (here / "rotated.su2").read_text(), (here / "ring.su2").read_text()
+    assert text[: text.index("NPOIN")] == original[: original.index("NPOIN")]
+    assert text[text.index("NMARK") :] == original[original.index("NMARK") :]
+
+
+def test_order_of_the_motions_and_steps_along_the_circle(here):
+    motion = ("--scale", "2", "1", "--rotate", "90", "--translate", "0.25", "0", "--displacement", "shift.csv")
+    assert deform("a.su2", *motion, "--displacement-is", "displacement", "--steps", "3", "--sources", "8") == 0
+    before = io.read("ring.su2")
+    shifted = (before.points[:24] + np.array([0.125, -0.25])) * [2, 1]
+    expected = np.column_stack([-shifted[:, 1], shifted[:, 0]]) + np.array([0.25, 0])
+    np.testing.assert_allclose(io.read("a.su2").points[:24], expected, atol=1e-14)
+    assert deform("b.su2", "--rotate", "45", "--steps", "3", "--method", "dgm") == 0
+    turns = np.radians([15, 30, 45])
+    turn = np.array([[np.cos(turns), np.sin(turns)], [-np.sin(turns), np.cos(turns)]]).transpose(2, 0, 1)
+    path = before.points[:24] @ turn - before.points[:24]
+    plan = jm.prepare(before.points, before.patch("wall"), before.patch("far"), method=jm.DelaunayGraph())
+    np.testing.assert_allclose(io.read("b.su2").points, jm.march(plan, path)[1], atol=1e-13)
+
+
+def test_new_positions_from_a_file_in_any_order_and_arrays_for_paraview(here):
+    assert deform("bump.vtu", "--displacement", "wall.dat", "--method", "rbf") == 0
+    before, after = io.read("ring.su2"), io.read("bump.vtu")
+    np.testing.assert_allclose(after.points[:24], before.points[:24] * [1, 1.25], atol=1e-12)
+    arrays = after.source.content
+    np.testing.assert_allclose(arrays.point_data["displacement"][:, :2], after.points - before.points, atol=1e-15)
+    expected = jm.quality(before, after.points)
+    np.testing.assert_allclose(arrays.cell_data["skewness"][0], expected.skewness, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(arrays.cell_data["volume_ratio"][0], expected.volume_ratio, rtol=1e-12)
+
+
+def test_inverted_cells_end_with_1_and_no_file_unless_allowed(here, capsys):
+    motion = ("--translate", "4.5", "0", "--method", "dgm")
+    assert deform("inverted.su2", *motion) == 1
+    assert not (here / "inverted.su2").exists()
+    said = capsys.readouterr().err
+    assert re.match(r"jaxmorph deform: \d+ of 192 cells are inverted, the worst is cell \d+ near \(", said)
+    assert "inverted.su2 is not written; --allow-inverted" in said
+    assert deform("inverted.su2", *motion, "--allow-inverted") == 1
+    assert main(["quality", "ring.su2", "inverted.su2"]) == 1
+    said = capsys.readouterr()
+    bad = int(jm.quality(io.read("ring.su2"), io.read("inverted.su2").points).inverted)
+    assert bad > 0
+    assert f"jaxmorph quality: {bad} of 192 cells are inverted" in said.err
+    assert re.search(rf"inverted cells +0 +{bad}\n", said.out)
+    (here / "inverted.su2").unlink()
+
+
+WRONG = {
+    "patch": (["--moving", "wing", "--fixed", "far", "--rotate", "1"], "no patch is called 'wing'.*'wall', 'far'"),
+    "no fixed": (["--moving", "wall", "--rotate", "1"], "--fixed is missing.*this mesh has: wall, far"),
+    "no moving": (["--fixed", "far", "--rotate", "1"], "--moving is missing.*this mesh has: wall, far"),
+    "both": (["--moving", "wall", "--fixed", "wall", "--rotate", "1"], "wall cannot be both"),
+    "no motion": (["--moving", "wall", "--fixed", "far"], "no motion: give one of --rotate"),
+}
+MOTIONS = {
+    "other patch": (["--displacement", "far.dat"], "far.dat: 24 of its 24 node ids are not of the moving patches"),
+    "no table": (["--displacement", "ring.su2"], "ring.su2, line"),
+    "no such file": (["--displacement", "none.dat"], "none.dat: No such file"),
+    "three coordinates": (
+        ["--translate", "1", "2", "3"],
+        "--translate needs 2 numbers for a mesh in 2-D, found: 1 2 3",
+    ),
+    "not a number": (["--scale", "nan"], "--scale needs 2 numbers"),
+    "axis in the plane": (["--rotate", "1", "--axis", "0", "0", "1"], "--axis is for meshes in 3-D"),
+    "no steps": (["--rotate", "1", "--steps", "0"], "--steps must be 1 or more, found 0"),
+    "few sources": (["--rotate", "1", "--sources", "2"], "--sources must be 3 or more in 2-D, found 2"),
+    "sources of what": (["--rotate", "1", "--sources", "9", "--method", "dgm"], "--sources is for --method paper"),
+}
+WRONG |= {name: (["--moving", "wall", "--fixed", "far", *motion], said) for name, (motion, said) in MOTIONS.items()}
+
+
+def assert_one_line(capsys, message: str) -> None:
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert re.search(message, said.err), said.err
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_bad_input_is_answered_in_one_line(here, capsys, what):
+    arguments, message = WRONG[what]
+    assert main(["deform", "ring.su2", "out.su2", *arguments]) == 2
+    assert_one_line(capsys, f"^jaxmorph deform: .*{message}")
+    assert not (here / "out.su2").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info", "text.su2"], "^jaxmorph info: text.su2: no NDIME="),
+        (["info", "none.su2"], "^jaxmorph info: none.su2: No such file"),
+        (["quality", "wall.dat"], "^jaxmorph quality: wall.dat: unknown file ending '.dat'; known are .su2"),
+        (["demo", "boat"], "^jaxmorph demo: no demo is called 'boat'"),
+    ],
+)
+def test_bad_files_are_answered_in_one_line(here, capsys, arguments, message):
+    assert main(arguments) == 2
+    assert_one_line(capsys, message)
+
+
+@pytest.mark.parametrize("arguments", [[], ["dance"], ["deform", "ring.su2"], ["quality", "a", "b", "c"]])
+def test_bad_arguments_are_answered_in_one_line(capsys, arguments):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert_one_line(capsys, r"^jaxmorph.*--help\)$")
+
+
+def test_no_input_is_overwritten(here, capsys):
+    original, table = (here / "ring.su2").read_bytes(), (here / "wall.dat").read_bytes()
+    (here / "wall.su2").write_bytes(table)
+    assert deform("ring.su2", "--rotate", "1") == 2
+    assert_one_line(capsys, "ring.su2: the mesh was read from this file")
+    assert deform("wall.su2", "--displacement", "wall.su2") == 2
+    assert_one_line(capsys, "wall.su2: the displacements are read from this file")
+    assert (here / "ring.su2").read_bytes() == original
+    assert (here / "wall.su2").read_bytes() == table
+
+
+def test_info_and_help(here, capsys):
+    assert main(["info", "ring.su2"]) == 0
+    said = capsys.readouterr().out
+    for expected in ("2-D, 216 points", "192 quad", "x        -5 to 5", "wall         24 nodes"):
+        assert expected in said
+    for command in ([], ["deform"], ["quality"], ["info"], ["demo"]):
+        with pytest.raises(SystemExit) as ended:
+            main([*command, "--help"])
+        assert ended.value.code == 0
+        text = capsys.readouterr().out
+        assert "example" in text
+        assert max(map(len, text.split("\n"))) <= 84
+
+
+def test_a_process_of_its_own_computes_in_double_precision(here):
+    command = [sys.executable, "-m", "jaxmorph", "deform", "ring.su2", "own.su2", "--moving", "wall", "--fixed", "far"]
+    done = subprocess.run(
+        [*command, "--translate", "1e-9", "0", "--method", "dgm"], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    moved = io.read("own.su2").points[:24] - io.read("ring.su2").points[:24]
+    np.testing.assert_allclose(moved[:, 0], 1e-9, rtol=1e-5)
+
+
+def test_progress_speaks_on_a_terminal_alone_and_only_of_long_work(capsys, monkeypatch):
+    monkeypatch.setattr(_progress, "PATIENCE", 0.01)
+    progress = _progress.Progress("jaxmorph test")
+    with progress("sleeping"):
+        time.sleep(0.1)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with progress("sleeping"):
+        time.sleep(0.1)
+    said = capsys.readouterr().err
+    assert "jaxmorph test: sleeping ... 0 s" in said
+    assert said.endswith("\r\033[K")
+    monkeypatch.setattr(_progress, "PATIENCE", 60)
+    with progress("being quick"):
+        pass
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,250 @@
+"""Files of other programs, through meshio and gmsh's own writer; and what holds for every format."""
+
+import os
+import sys
+
+import jax
+import meshio
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import io
+
+SUFFIXES = [".su2", ".vtu", ".vtk", ".msh"]
+
+
+def ring(around: int = 12, layers: int = 3) -> jm.Mesh:
+    """Quads between a circle and one around it."""
+    angle, radius = np.meshgrid(2 * np.pi * np.arange(around) / around, np.linspace(1, 2, layers + 1))
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 2)
+    ids = np.arange(len(points)).reshape(layers + 1, around)
+    after = np.roll(ids, -1, axis=1)
+    quads = np.stack([ids[:-1], ids[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
+    return jm.Mesh(points, {"quad": quads}, {"wall": ids[0], "far field": ids[-1]})
+
+
+def brick() -> jm.Mesh:
+    points = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0, 2.0)])
+    hexahedron, wedges = [[0, 1, 4, 3, 6, 7, 10, 9]], [[1, 2, 4, 7, 8, 10], [2, 5, 4, 8, 11, 10]]
+    return jm.Mesh(
+        points, {"hexahedron": hexahedron, "wedge": wedges}, {"floor": np.arange(6), "roof": np.arange(6, 12)}
+    )
+
+
+def assert_same(a: jm.Mesh, b: jm.Mesh) -> None:
+    assert np.asarray(a.points).tobytes() == np.asarray(b.points).tobytes()
+    assert a.cells.keys() == b.cells.keys()
+    assert a.patches.keys() == b.patches.keys()
+    for kind in a.cells:
+        np.testing.assert_array_equal(a.cells[kind], b.cells[kind])
+    for name in a.patches:
+        np.testing.assert_array_equal(a.patches[name], b.patches[name])
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("make", [ring, brick])
+def test_round_trip_of_a_generated_mesh_and_of_the_mesh_read_back(tmp_path, suffix, make):
+    mesh = make()
+    io.write(tmp_path / f"a{suffix}", mesh)
+    again = io.read(tmp_path / f"a{suffix}")
+    assert_same(mesh, again)
+    points = mesh.points * np.pi
+    io.write(tmp_path / f"b{suffix}", again.moved(points))
+    assert_same(mesh.moved(points), io.read(tmp_path / f"b{suffix}"))
+    assert sorted(os.listdir(tmp_path)) == [f"a{suffix}", f"b{suffix}"]
+
+
+@pytest.mark.parametrize("to", SUFFIXES)
+@pytest.mark.parametrize("source", SUFFIXES)
+def test_from_one_format_to_another(tmp_path, source, to):
+    mesh = ring()
+    io.write(tmp_path / f"a{source}", mesh)
+    io.write(tmp_path / f"b{to}", io.read(tmp_path / f"a{source}"))
+    assert_same(mesh, io.read(tmp_path / f"b{to}"))
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk"])
+def test_arrays_are_where_they_belong(tmp_path, suffix):
+    mesh = brick()
+    displacement, size = np.arange(36.0).reshape(12, 3), np.array([1.0, 0.5, 0.25])
+    io.write(tmp_path / f"a{suffix}", mesh, point_data={"displacement": displacement}, cell_data={"size": size})
+    found = meshio.read(tmp_path / f"a{suffix}")
+    np.testing.assert_array_equal(found.point_data["displacement"], displacement)
+    sizes = {block.type: values.tolist() for block, values in zip(found.cells, found.cell_data["size"], strict=True)}
+    assert sizes == {"hexahedron": [1.0], "wedge": [0.5, 0.25]}
+    flat = ring()
+    io.write(tmp_path / f"b{suffix}", flat, point_data={"displacement": flat.points})
+    np.testing.assert_array_equal(meshio.read(tmp_path / f"b{suffix}").point_data["displacement"][:, :2], flat.points)
+
+
+def test_a_grid_of_others_keeps_its_arrays_and_its_other_cells(tmp_path):
+    mesh = ring()
+    points = np.column_stack([mesh.points, np.full(len(mesh.points), 0.5)])
+    quads = mesh.cells["quad"]
+    blocks = [("quad", quads[:20]), ("line", quads[:12, :2]), ("quad", quads[20:])]
+    mark = [np.arange(20.0), np.arange(12.0), np.arange(20.0, 36.0)]
+    meshio.write(tmp_path / "a.vtu", meshio.Mesh(points, blocks, {"heat": points[:, 0]}, {"mark": mark}))
+    read = io.read(tmp_path / "a.vtu")
+    assert read.points.shape == mesh.points.shape
+    np.testing.assert_array_equal(read.cells["quad"], mesh.cells["quad"])
+    np.testing.assert_array_equal(read.patch("boundary"), mesh.patch("wall", "far field"))
+    io.write(tmp_path / "b.vtu", read.moved(read.points * 2), cell_data={"row": np.arange(36.0)})
+    found = meshio.read(tmp_path / "b.vtu")
+    np.testing.assert_array_equal(found.points, points * [2, 2, 1])
+    np.testing.assert_array_equal(found.point_data["heat"], points[:, 0])
+    for values, expected in zip(found.cell_data["mark"], mark, strict=True):
+        np.testing.assert_array_equal(values, expected)
+    np.testing.assert_array_equal(found.cell_data["row"][1], np.full(12, np.nan))
+    np.testing.assert_array_equal(found.cell_data["row"][2], np.arange(20.0, 36.0))
+
+
+@pytest.fixture(scope="module")
+def gmsh():
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize(interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    yield gmsh
+    gmsh.finalize()
+
+
+def drawn(gmsh, dimension: int, second_group: bool) -> int:
+    """A square or cube; one group, whose tag is returned, holds two sides, a second one (4.1 alone) one of them again."""
+    gmsh.clear()
+    box = gmsh.model.occ.addRectangle(0, 0, 0.5, 1, 1) if dimension == 2 else gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+    gmsh.model.occ.synchronize()
+    sides = [tag for _, tag in gmsh.model.getBoundary([(dimension, box)], oriented=False)]
+    gmsh.model.addPhysicalGroup(dimension, [box], name="fluid")
+    tag = gmsh.model.addPhysicalGroup(dimension - 1, sides[:2], name="two sides")
+    gmsh.model.addPhysicalGroup(dimension - 1, sides[2:], tag=77)
+    if second_group:
+        gmsh.model.addPhysicalGroup(dimension - 1, sides[:1], name="one side")
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.4)
+    gmsh.model.mesh.generate(dimension)
+    return tag
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("binary", [0, 1])
+@pytest.mark.parametrize("version", [2.2, 4.1])
+def test_files_of_gmsh_come_back_as_they_were(tmp_path, gmsh, version, binary, dimension):
+    tag = drawn(gmsh, dimension, second_group=version > 4)
+    gmsh.option.setNumber("Mesh.MshFileVersion", version)
+    gmsh.option.setNumber("Mesh.Binary", binary)
+    gmsh.write(str(tmp_path / "a.msh"))
+    mesh = io.read(tmp_path / "a.msh")
+    assert mesh.points.shape[1] == dimension
+    assert set(mesh.cells) == {"triangle" if dimension == 2 else "tetra"}
+    assert set(mesh.patches) == {"two sides", "physical_77"} | ({"one side"} if version > 4 else set())
+    expected = gmsh.model.mesh.getNodesForPhysicalGroup(dimension - 1, tag)[1].reshape(-1, 3)[:, :dimension]
+    found = np.sort(mesh.points[mesh.patch("two sides")], axis=0)
+    np.testing.assert_allclose(found, np.sort(expected, axis=0), rtol=1e-15)
+    io.write(tmp_path / "same.msh", mesh)
+    assert (tmp_path / "same.msh").read_bytes() == (tmp_path / "a.msh").read_bytes()
+    points = mesh.points * np.pi
+    io.write(tmp_path / "moved.msh", mesh.moved(points))
+    assert_same(mesh.moved(points), io.read(tmp_path / "moved.msh"))
+    gmsh.clear()
+    gmsh.open(str(tmp_path / "moved.msh"))
+    _, found, _ = gmsh.model.mesh.getNodes()
+    np.testing.assert_array_equal(np.sort(found.reshape(-1, 3)[:, :dimension], axis=0), np.sort(points, axis=0))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("content", [b"", b"# a text\nabout = nothing\n", bytes(range(256)) * 9])
+def test_what_is_no_mesh_is_a_value_error_without_other_words(tmp_path, capfd, suffix, content):
+    (tmp_path / f"a{suffix}").write_bytes(content)
+    with pytest.raises(ValueError, match=f"a\\{suffix}"):
+        io.read(tmp_path / f"a{suffix}")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_truncated_files_are_value_errors(tmp_path, suffix):
+    io.write(tmp_path / f"a{suffix}", ring())
+    whole = (tmp_path / f"a{suffix}").read_bytes()
+    for share in (0.2, 0.5, 0.8):
+        (tmp_path / f"b{suffix}").write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(ValueError, match=f"b\\{suffix}"):
+            io.read(tmp_path / f"b{suffix}")
+
+
+def test_cells_that_are_not_known_are_named(tmp_path):
+    points = np.random.default_rng(0).random((6, 3))
+    meshio.write(tmp_path / "a.vtu", meshio.Mesh(points, [("triangle6", [[0, 1, 2, 3, 4, 5]])]))
+    with pytest.raises(ValueError, match="cells of type triangle6 are not supported"):
+        io.read(tmp_path / "a.vtu")
+    meshio.write(tmp_path / "b.vtu", meshio.Mesh(points, [("line", [[0, 1]])]))
+    with pytest.raises(ValueError, match="no cells of an area or a volume, only line"):
+        io.read(tmp_path / "b.vtu")
+
+
+def test_what_must_not_be_written(tmp_path):
+    mesh = ring()
+    io.write(tmp_path / "a.su2", mesh)
+    read, before = io.read(tmp_path / "a.su2"), (tmp_path / "a.su2").read_bytes()
+    (tmp_path / "link.su2").symlink_to(tmp_path / "a.su2")
+    for path in (tmp_path / "a.su2", tmp_path / "link.su2", f"{tmp_path}/../{tmp_path.name}/a.su2"):
+        with pytest.raises(ValueError, match="the mesh was read from this file"):
+            io.write(path, read)
+    with pytest.raises(ValueError, match=r"unknown file ending '.stl'; known are .su2"):
+        io.write(tmp_path / "a.stl", mesh)
+    with pytest.raises(ValueError, match="there is no folder"):
+        io.write(tmp_path / "no" / "a.su2", mesh)
+    with pytest.raises(ValueError, match="SU2 files hold no arrays"):
+        io.write(tmp_path / "b.su2", mesh, point_data={"u": mesh.points})
+    with pytest.raises(ValueError, match=r"array 'u' has shape \(3,\); expected one row for each of 48 points"):
+        io.write(tmp_path / "b.vtu", mesh, point_data={"u": np.zeros(3)})
+    with pytest.raises(ValueError, match="1 of 48 points are not finite, first node 5"):
+        io.write(tmp_path / "b.su2", mesh.moved(np.where(np.arange(48)[:, None] == 5, np.nan, mesh.points)))
+    with pytest.raises(FileNotFoundError):
+        io.read(tmp_path / "none.vtu")
+    assert (tmp_path / "a.su2").read_bytes() == before
+    assert sorted(os.listdir(tmp_path)) == ["a.su2", "link.su2"]
+
+
+def test_a_mesh_with_a_source_is_a_pytree(tmp_path):
+    io.write(tmp_path / "a.su2", ring())
+    mesh = io.read(tmp_path / "a.su2")
+    assert jax.tree.unflatten(*reversed(jax.tree.flatten(mesh))).source is mesh.source
+    moved = jax.jit(lambda mesh: mesh.moved(mesh.points * 2))(mesh)
+    io.write(tmp_path / "b.su2", moved)
+    np.testing.assert_array_equal(io.read(tmp_path / "b.su2").points, 2 * mesh.points)
+
+
+def test_a_missing_extra_is_named(monkeypatch, tmp_path):
+    io.write(tmp_path / "a.vtu", ring())
+    for name in ("_meshio", "_vtk", "_gmsh"):
+        monkeypatch.delitem(sys.modules, f"jaxmorph.io.{name}", raising=False)
+    monkeypatch.setitem(sys.modules, "meshio", None)
+    with pytest.raises(ImportError, match=r"pip install 'jaxmorph\[io\]'"):
+        io.read(tmp_path / "a.vtu")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["7 1.5 2\n3 -1e-3 .5\n", "id,x,y\n7,1.5,2\n3,-1e-3,.5", '"PointID"; "x"; "y"\r\n7;1.5;2\r\n3;-1e-3;.5\r\n',
+     "% bump\n\n7\t1.5\t2  # nose\n3 -0.001 0.5\n"],
+)  # fmt: skip
+def test_surface_tables(tmp_path, text):
+    (tmp_path / "a.dat").write_bytes(text.encode())
+    ids, values = io.read_surface(tmp_path / "a.dat", 2)
+    assert ids.tolist() == [7, 3]
+    assert values.tolist() == [[1.5, 2.0], [-1e-3, 0.5]]
+
+
+BAD_TABLES = {
+    "": "no rows of node id and 2 numbers",
+    "1 2 3\n4 5\n": "line 2: a node id and 2 numbers expected, found 2",
+    "1 2 3\n\n1 4 5\n": "line 3: node 1 comes a second time",
+    "1.5 2 3\n": r"line 1: found \[1.5, 2.0, 3.0\]",
+    "id,x,y\n1,2,nan\n": "line 2: found",
+    "1 2 x\n": "line 1: found 'x' in place of a number",
+}
+
+
+@pytest.mark.parametrize("text", BAD_TABLES)
+def test_bad_surface_tables_say_where(tmp_path, text):
+    (tmp_path / "a.dat").write_text(text)
+    with pytest.raises(ValueError, match=BAD_TABLES[text]):
+        io.read_surface(tmp_path / "a.dat", 2)

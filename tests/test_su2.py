@@ -1,0 +1,247 @@
+"""SU2 files: read as written, given back byte for byte."""
+
+import pathlib
+
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.io import _text
+
+SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
+
+PLAIN = """NDIME= 2
+NELEM= 3
+9 0 1 4 3 0
+5 1 2 4 1
+5 2 5 4 2
+NPOIN= 6
+0.0 0.0 0
+1.5 0.25 1
+2e0 0.0 2
+0.0 1.0000000000000002 3
+1.0 1.0 4
+2.00 1.0E+00 5
+NMARK= 2
+MARKER_TAG= lower
+MARKER_ELEMS= 2
+3 0 1
+3 1 2
+MARKER_TAG= upper
+MARKER_ELEMS= 2
+3 3 4 0
+3 4 5 1
+"""
+POINTS = np.array([[0, 0], [1.5, 0.25], [2, 0], [0, 1.0000000000000002], [1, 1], [2, 1]])
+WORDS = ["0.0", "0.0", "1.5", "0.25", "2e0", "0.0", "0.0", "1.0000000000000002", "1.0", "1.0", "2.00", "1.0E+00"]
+
+VARIANTS = {
+    "plain": PLAIN,
+    "no spaces around =": PLAIN.replace("= ", "="),
+    "spaces around =": PLAIN.replace("= ", "   =   "),
+    "tabs and blank ends": PLAIN.replace(" ", " \t ").replace("\n", "  \n"),
+    "carriage returns": PLAIN.replace("\n", "\r\n"),
+    "no index columns": "\n".join(" ".join(line.split()[:-1]) if line[:1].isdigit() and "." in line else line
+                                  for line in PLAIN.split("\n")),
+    "halo count": PLAIN.replace("NPOIN= 6", "NPOIN= 6 4"),
+    "comments": "% by hand, 1 = 1\n" + PLAIN.replace("1.5 0.25 1", "1.5 0.25 1 % a = 7 7 7\n% 9 9 9\n\n"),
+    "no end of line": PLAIN.rstrip("\n"),
+    "other sections": PLAIN + "NPERIODIC= 1\nPERIODIC_INDEX= 0\n0 0 0\nFFD_TAG= BOX\n1.5 2.5\n",
+    "points first": "NDIME= 2\n" + PLAIN[PLAIN.index("NPOIN") :] + PLAIN[PLAIN.index("NELEM") : PLAIN.index("NPOIN")],
+    "one zone": "NZONE= 1\nIZONE= 1\n" + PLAIN,
+}  # fmt: skip
+
+
+def written(path: pathlib.Path, text: str) -> pathlib.Path:
+    path.write_bytes(text.encode())
+    return path
+
+
+@pytest.fixture(params=[1 << 24, 7], ids=["whole", "in pieces"])
+def chunk(request, monkeypatch):
+    monkeypatch.setattr(_text, "CHUNK", request.param)
+
+
+@pytest.mark.usefixtures("chunk")
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_way_to_write_a_file_is_read_and_given_back(tmp_path, variant):
+    mesh = io.read(written(tmp_path / "in.su2", VARIANTS[variant]))
+    np.testing.assert_array_equal(mesh.points, POINTS)
+    assert {kind: corners.tolist() for kind, corners in mesh.cells.items()} == {
+        "quad": [[0, 1, 4, 3]],
+        "triangle": [[1, 2, 4], [2, 5, 4]],
+    }
+    assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {"lower": [0, 1, 2], "upper": [3, 4, 5]}
+    io.write(tmp_path / "out.su2", mesh)
+    assert (tmp_path / "out.su2").read_bytes() == VARIANTS[variant].encode()
+
+
+@pytest.mark.usefixtures("chunk")
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_moved_points_read_back_bit_for_bit_and_nothing_else_changes(tmp_path, variant):
+    mesh = io.read(written(tmp_path / "in.su2", VARIANTS[variant]))
+    points = np.random.default_rng(0).normal(size=(6, 2)) * 10.0 ** np.arange(-12, 0).reshape(6, 2)
+    points[1] = mesh.points[1]
+    io.write(tmp_path / "out.su2", mesh.moved(points))
+    again = io.read(tmp_path / "out.su2")
+    assert again.points.tobytes() == points.tobytes()
+    expected, at = VARIANTS[variant], VARIANTS[variant].index("NPOIN")
+    for value, old, word in zip(points.ravel().tolist(), POINTS.ravel().tolist(), WORDS, strict=True):
+        at = expected.index(word, at)
+        new = word if value == old else repr(value)
+        expected = expected[:at] + new + expected[at + len(word) :]
+        at += len(new)
+    assert (tmp_path / "out.su2").read_bytes() == expected.encode()
+
+
+def test_single_precision_leaves_fixed_digits_alone(tmp_path):
+    mesh = io.read(written(tmp_path / "in.su2", PLAIN.replace("1.5 0.25", "0.1 0.7")))
+    points = mesh.points.astype(np.float32)
+    points[0] = 0.3
+    io.write(tmp_path / "out.su2", mesh.moved(points))
+    assert "\n0.1 0.7 1\n2e0 0.0 2\n" in (tmp_path / "out.su2").read_text()
+    np.testing.assert_array_equal(io.read(tmp_path / "out.su2").points.astype(np.float32), points)
+
+
+SOLIDS = """NDIME=3
+NELEM=4
+12 0 1 2 3 4 5 6 7
+13 1 8 2 5 9 6
+14 4 5 6 7 10
+10 5 9 6 10
+NPOIN=11
+0 0 0
+1 0 0
+1 1 0
+0 1 0
+0 0 1
+1 0 1
+1 1 1
+0 1 1
+2 .5 0
+2 .5 1
+.5 .5 2
+NMARK=3
+MARKER_TAG=floor
+MARKER_ELEMS=2
+9 0 1 2 3
+5 1 8 2
+MARKER_TAG=SEND_RECEIVE
+MARKER_ELEMS=2
+SEND_TO= 1
+1 4 0
+1 5 0
+MARKER_TAG=SEND_RECEIVE
+MARKER_ELEMS=1
+SEND_TO= -1
+1 9 0
+"""
+
+
+def test_every_element_type_and_send_receive(tmp_path):
+    mesh = io.read(written(tmp_path / "in.su2", SOLIDS))
+    assert {kind: corners.tolist() for kind, corners in mesh.cells.items()} == {
+        "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]],
+        "wedge": [[1, 8, 2, 5, 9, 6]],
+        "pyramid": [[4, 5, 6, 7, 10]],
+        "tetra": [[5, 9, 6, 10]],
+    }
+    assert mesh.patch("floor").tolist() == [0, 1, 2, 3, 8]
+    assert mesh.patch("SEND_RECEIVE").tolist() == [4, 5, 9]
+    io.write(tmp_path / "out.su2", mesh)
+    assert (tmp_path / "out.su2").read_text() == SOLIDS
+
+
+def test_a_mesh_of_no_file_gets_markers_from_its_patches(tmp_path):
+    mesh = io.read(written(tmp_path / "in.su2", SOLIDS))
+    generated = jm.Mesh(mesh.points, mesh.cells, {"floor": mesh.patch("floor"), "roof": [4, 5, 6, 7, 9, 10]})
+    io.write(tmp_path / "out.su2", generated)
+    text = (tmp_path / "out.su2").read_text()
+    # the sides inside, between pyramid, tetrahedron, hexahedron and wedge, are no boundary although the roof has their nodes
+    roof = text[text.index("roof") :].split("\n")[2:-1]
+    assert sorted(tuple(sorted(map(int, line.split()[1:]))) for line in roof) == [
+        *[(4, 5, 10), (4, 7, 10), (5, 9, 10), (6, 7, 10), (6, 9, 10)],
+    ]
+    again = io.read(tmp_path / "out.su2")
+    assert again.points.tobytes() == mesh.points.tobytes()
+    for name, nodes in generated.patches.items():
+        np.testing.assert_array_equal(again.patch(name), nodes)
+    for kind, corners in mesh.cells.items():
+        np.testing.assert_array_equal(again.cells[kind], corners)
+
+
+def test_an_edge_that_two_patches_could_have_goes_to_the_smaller(tmp_path):
+    points = np.array([[0.0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]])
+    walls = {"walls": range(6), "inlet": [0, 3], "outlet": [2, 5]}
+    mesh = jm.Mesh(points, {"quad": [[0, 1, 4, 3], [1, 2, 5, 4]]}, {name: list(ids) for name, ids in walls.items()})
+    io.write(tmp_path / "out.su2", mesh)
+    text = (tmp_path / "out.su2").read_text()
+    assert "MARKER_TAG= walls\nMARKER_ELEMS= 4\n" in text
+    assert "MARKER_TAG= inlet\nMARKER_ELEMS= 1\n3 3 0\n" in text
+    again = io.read(tmp_path / "out.su2")
+    assert {name: nodes.tolist() for name, nodes in again.patches.items()} == {
+        name: list(ids) for name, ids in walls.items()
+    }
+
+
+def test_a_patch_that_faces_cannot_express_is_refused(tmp_path):
+    square = jm.Mesh(POINTS[[0, 2, 5, 3]], {"quad": [[0, 1, 2, 3]]}, {"two": [0, 1], "corner": [3]})
+    with pytest.raises(ValueError, match=r"'corner': 1 of 1 nodes \(first 3\) are on no boundary face"):
+        io.write(tmp_path / "out.su2", square)
+    named = jm.Mesh(square.points, square.cells, {"a=b": [0, 1]})
+    with pytest.raises(ValueError, match="cannot be the tag"):
+        io.write(tmp_path / "out.su2", named)
+    assert list(tmp_path.iterdir()) == []
+
+
+BAD = {
+    "no mesh": ("", "no NDIME="),
+    "dimension": (PLAIN.replace("NDIME= 2", "NDIME= 4"), "line 1: NDIME= must be 2 or 3, found 4"),
+    "count is no number": (PLAIN.replace("NELEM= 3", "NELEM= many"), "line 2: NELEM= must be .* found 'many'"),
+    "zones": ("NZONE= 2\n" + PLAIN, "line 1: the file holds 2 zones"),
+    "unmarked zones": (PLAIN + PLAIN, "line 22: a second NDIME="),
+    "too few points": (PLAIN.replace("2e0 0.0 2\n", ""), "line 6: NPOIN= 6, but 5 rows of points"),
+    "too few elements": (PLAIN.replace("NELEM= 3", "NELEM= 4"), "line 2: NELEM= 4, but 3 rows of elements"),
+    "cut short": (PLAIN[: PLAIN.index("3 3 4 0")], "line 19: MARKER_ELEMS= 2, but 0 rows"),
+    "markers missing": (PLAIN[: PLAIN.index("MARKER_TAG= upper")], "line 13: NMARK= 2, but 1 markers"),
+    "tag without elements": (PLAIN.replace("MARKER_ELEMS= 2\n3 0 1\n3 1 2\n", ""), "line 14: MARKER_ELEMS= expected"),
+    "missing coordinate": (PLAIN.replace("2e0 0.0 2", "2e0"), "line 9: a point of 2 coordinates expected, found 1"),
+    "word": (PLAIN.replace("2e0 0.0 2", "2e0 abc 2"), "line 9: found 'abc' in place of a number"),
+    "glued numbers": (PLAIN.replace("2e0 0.0 2", "2e0 0.0-2 2"), "line 9: found '0.0-2' in place of a number"),
+    "not finite": (PLAIN.replace("2e0 0.0 2", "2e0 nan 2"), "line 9: point 2 is not finite"),
+    "real as id": (PLAIN.replace("5 1 2 4 1", "5 1 2.5 4 1"), "line 4: found '2.5' in place of an integer"),
+    "type": (PLAIN.replace("5 1 2 4 1", "6 1 2 4 1"), "line 4: element type 6 is not known"),
+    "corner missing": (PLAIN.replace("5 1 2 4 1", "5 1 2"), "line 4: an element of type 5 has 3 nodes, found 3"),
+    "node out of range": (PLAIN.replace("5 1 2 4 1", "5 1 2 6 1"), r"line 4: nodes \[1, 2, 6\], but .* 0 to 5"),
+    "bytes": ("\x00\x01\x02" * 100, "no NDIME="),
+}
+
+
+@pytest.mark.usefixtures("chunk")
+@pytest.mark.parametrize("what", BAD)
+def test_bad_files_say_where_and_what(tmp_path, what):
+    text, message = BAD[what]
+    with pytest.raises(ValueError, match=message) as caught:
+        io.read(written(tmp_path / "bad.su2", text))
+    assert str(caught.value).startswith(str(tmp_path / "bad.su2"))
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the shared cases")
+@pytest.mark.parametrize(
+    "case", ["naca0012-euler/naca0012_inv", "naca0012-cgrid/n0012_225-65", "brick-tets/brick_tets"]
+)
+def test_real_meshes(tmp_path, case):
+    path = SHARED / f"{case}.su2"
+    mesh = io.read(path)
+    words = path.read_text().split("\n")
+    first = next(number for number, line in enumerate(words) if line.startswith("NPOIN")) + 1
+    n, d = mesh.points.shape
+    expected = [[float(word) for word in line.split()[:d]] for line in words[first : first + n]]
+    np.testing.assert_array_equal(mesh.points, expected)
+    io.write(tmp_path / "same.su2", mesh)
+    assert (tmp_path / "same.su2").read_bytes() == path.read_bytes()
+    generated = jm.Mesh(mesh.points, mesh.cells, mesh.patches)
+    io.write(tmp_path / "new.su2", generated)
+    for name, nodes in io.read(tmp_path / "new.su2").patches.items():
+        np.testing.assert_array_equal(nodes, mesh.patch(name))
