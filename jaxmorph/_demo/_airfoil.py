@@ -68,7 +68,7 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
         start, outcomes = jm.quality(mesh), []
         written = _write(output / "naca0015-undeformed.su2", mesh, mesh.points, start)
         for study in studies:
-            say(f"{study.name}: finding ids, moving {len(mesh.points)} points in {len(ANGLES)} steps")
+            say(f"moving the mesh, {study.name}")
             outcomes.append(measure(mesh, start, study))
         kept = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
         say("writing meshes")
