@@ -45,7 +45,8 @@ def deform(arguments: argparse.Namespace) -> int:
         moved = mesh.moved(np.asarray(points))
     with progress("judging the cells"):
         before, after = jm.quality(mesh), jm.quality(mesh, moved.points)
-        print(f"\n{compared(before, after)}\n")
+        table = compared(before, after)
+    print(f"\n{table}\n", flush=True)
     bad = inverted_cells(after)
     if bad:
         print(f"jaxmorph deform: {bad} Try {HINTS[arguments.method]}.", file=sys.stderr)
