@@ -54,7 +54,7 @@ example:
 _DEMO = """\
 examples:
   jaxmorph demo
-  jaxmorph demo naca0015 --output /tmp/naca0015"""
+  jaxmorph demo naca0015 --output results"""
 
 _FILES = "SU2 (.su2), VTK (.vtu, .vtk) or gmsh (.msh)"
 
