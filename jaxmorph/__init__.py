@@ -26,6 +26,8 @@ from ._plan import pullback as pullback
 from ._plan import refit as refit
 from ._plan import shard as shard
 from ._prepare import prepare as prepare
+from ._quality import quality as quality
+from ._report import QualityReport as QualityReport
 from ._steps import march as march
 from ._steps import replay as replay
 from ._symmetry import Plane as Plane

@@ -6,11 +6,13 @@ from the answer uses the true coordinates, and every weight is checked against t
 """
 
 import dataclasses
+import functools
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import Delaunay, KDTree, QhullError
 
 from .reduction import canonical_order, roundoff
+from .simplices import cofactors, cross, smallest_height, smallest_weight
 
 JITTER = 1e-8
 """Relative to the distance of the nearest node: at 1e-9 location is five times slower, at 1e-7 weights go wrong."""
@@ -50,9 +52,7 @@ def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Locat
     order = morton_order(targets)
     simplex = np.empty(len(targets), dtype=np.int64)
     simplex[order] = graph.find_simplex(targets[order])
-    smallest = np.full(len(targets), -np.inf)
-    held = np.flatnonzero(simplex >= 0)
-    smallest[held] = smallest_weight(nodes, graph.simplices[simplex[held]], targets[held], flat)
+    smallest = smallest_weight(nodes, graph.simplices, simplex, targets, flat)
     poor = np.flatnonzero(~(smallest >= -TOLERANCE))
     if poor.size:
         simplex[poor], smallest[poor] = _repair(graph, nodes, targets[poor], simplex[poor], flat)
@@ -60,48 +60,39 @@ def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Locat
         _check_inside(points, wanted[still], _beyond_hull(graph, nodes, targets[still], flat) * size)
         simplex[still], beyond = _search(graph, nodes, targets[still], simplex[still], flat)
         _check_inside(points, wanted[still], np.where(beyond > flat + JITTER, beyond, 0) * size)
-    return Location(unique[graph.simplices[simplex]].astype(np.int32), len(poor))
+    return Location(unique[graph.simplices].astype(np.int32)[simplex], len(poor))
+
+
+class _Graph(Delaunay):
+    """SciPy's, with barycentric transforms in closed form.
+
+    SciPy calls LAPACK for each simplex, whose threads cost twenty times more than the work, and gives up on the flattest
+    ones, for which `find_simplex` then searches through all simplices.
+    """
+
+    @functools.cached_property
+    def transform(self) -> np.ndarray:
+        """(k, d + 1, d): the inverse of the edges from the last corner, and that corner."""
+        corners = self.points[self.simplices]
+        last = corners[:, -1]
+        edges = [corners[:, i] - last for i in range(self.ndim)]
+        rows = cofactors(edges)
+        volume = np.einsum("kd,kd->k", rows[0], edges[0])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.stack([*(row / volume[:, None] for row in rows), last], axis=1)
 
 
 def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
     try:
-        graph = Delaunay(_jittered(nodes))
-        spans = (smallest_height(nodes[graph.simplices]) > flat).any()
+        graph = _Graph(_jittered(nodes))
     except QhullError:
-        spans = False
-    if not spans:
+        graph = None
+    if graph is None or not (smallest_height(nodes[graph.simplices]) > flat).any():
         raise ValueError(
             f"the {len(nodes)} surface nodes lie in one {'line' if nodes.shape[1] == 2 else 'plane'}, so no Delaunay graph "
             "spans the mesh. Add the other boundaries (far field, walls) as fixed nodes."
         )
     return graph
-
-
-def smallest_weight(nodes: np.ndarray, simplices: np.ndarray, points: np.ndarray, flat: float) -> np.ndarray:
-    """The smallest barycentric coordinate of each point in its simplex; -inf where the simplex is not higher than `flat`."""
-    corners = nodes[simplices]
-    edges = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 2)
-    sound = smallest_height(corners) > flat
-    edges[~sound] = np.eye(nodes.shape[1])
-    inner = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
-    return np.where(sound, np.minimum(inner.min(axis=1), 1 - inner.sum(axis=1)), -np.inf)
-
-
-def smallest_height(corners: np.ndarray) -> np.ndarray:
-    """(k,) least height of simplices (k, c, d): content over that of the largest side, whichever corner comes first."""
-    sides = [np.delete(corners, corner, axis=1) for corner in range(corners.shape[1])]
-    largest = np.max([_content(side) for side in sides], axis=0)
-    return _content(corners) / np.where(largest > 0, largest, 1)
-
-
-def _content(corners: np.ndarray) -> np.ndarray:
-    """Lengths, twice the areas or six times the volumes of simplices (k, c, d); 1 for points."""
-    edges = corners[:, 1:] - corners[:, :1]
-    if edges.shape[1] == edges.shape[2]:
-        return np.abs(np.linalg.det(edges))
-    if edges.shape[1] < 2:
-        return np.linalg.norm(edges[:, 0], axis=1) if edges.shape[1] else np.ones(len(corners))
-    return np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:
@@ -119,7 +110,7 @@ def morton_order(points: np.ndarray) -> np.ndarray:
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
     """Ids of distinct nodes in canonical order; of coincident ones the first, which is the moving one."""
-    groups = cKDTree(unit).query_pairs(closest, output_type="ndarray")
+    groups = KDTree(unit).query_pairs(closest, output_type="ndarray")
     keep = np.ones(len(unit), dtype=bool)
     keep[groups.max(axis=1) if len(groups) else []] = False
     kept = np.flatnonzero(keep)
@@ -132,7 +123,7 @@ def _jittered(nodes: np.ndarray) -> np.ndarray:
     A sine of very short wave length: unlike random numbers it gives the same perturbation for the same mesh in any order,
     unit or place.
     """
-    spacing = cKDTree(nodes).query(nodes, k=2)[0][:, 1]
+    spacing = KDTree(nodes).query(nodes, k=2)[0][:, 1]
     dimension = nodes.shape[1]
     waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]
     return nodes + JITTER * spacing[:, None] * np.sin(nodes @ waves + np.arange(dimension))
@@ -141,48 +132,37 @@ def _jittered(nodes: np.ndarray) -> np.ndarray:
 def _repair(
     graph: Delaunay, nodes: np.ndarray, points: np.ndarray, simplex: np.ndarray, flat: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The best simplex for points that the search missed: of several the one with the largest smallest weight."""
-    lost = np.flatnonzero(simplex < 0)
-    simplex = simplex.copy()
-    if lost.size:
-        simplex[lost] = _from_inside(graph, nodes, points[lost])
-    best = smallest_weight(nodes, graph.simplices[simplex], points, flat)
-    best_simplex = simplex.copy()
-    active = np.arange(len(points))
-    for _ in range(32):  # breadth first over the neighbours, keeping the best simplex met
-        around = graph.neighbors[best_simplex[active]]
+    """The best simplex for points that the search missed: of several the one with the largest smallest weight.
+
+    First those that hold the point moved inwards a little, out of the flat simplices that line a plane side of the hull; then
+    neighbours and their neighbours, as long as they get better.
+    """
+    simplex = np.maximum(simplex, 0)
+    best = smallest_weight(nodes, graph.simplices, simplex, points, flat)
+    middle = nodes.mean(axis=0)
+    for step in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
+        left = np.flatnonzero(~(best >= -TOLERANCE))
+        if not left.size:
+            return simplex, best
+        found = graph.find_simplex(points[left] + step * (middle - points[left]))
+        weight = smallest_weight(nodes, graph.simplices, found, points[left], flat)
+        better = weight > best[left]
+        simplex[left[better]], best[left[better]] = found[better], weight[better]
+    active = np.flatnonzero(~(best >= -TOLERANCE))
+    for _ in range(32):
+        if not active.size:
+            break
+        around = graph.neighbors[simplex[active]]
         rings = np.concatenate([around, graph.neighbors[around].reshape(len(active), -1)], axis=1)
-        valid = rings >= 0
-        rings = np.where(valid, rings, 0)
-        weight = smallest_weight(
-            nodes, graph.simplices[rings.ravel()], np.repeat(points[active], rings.shape[1], axis=0), flat
-        )
-        weight = np.where(valid, weight.reshape(rings.shape), -np.inf)
+        repeated = np.repeat(points[active], rings.shape[1], axis=0)
+        weight = smallest_weight(nodes, graph.simplices, rings.ravel(), repeated, flat).reshape(rings.shape)
         pick = weight.argmax(axis=1)
         value = weight[np.arange(len(active)), pick]
         better = value > best[active]
-        best_simplex[active[better]] = rings[np.flatnonzero(better), pick[better]]
+        simplex[active[better]] = rings[np.flatnonzero(better), pick[better]]
         best[active[better]] = value[better]
         active = active[better & (value < -1e-12)]
-        if not active.size:
-            break
-    return best_simplex, best
-
-
-def _from_inside(graph: Delaunay, nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """A simplex near each point that lies on the hull or outside of it: move it inwards until one is found."""
-    middle = nodes.mean(axis=0)
-    found = np.full(len(points), -1)
-    for step in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1):
-        left = np.flatnonzero(found < 0)
-        if not left.size:
-            break
-        found[left] = graph.find_simplex(points[left] + step * (middle - points[left]))
-    left = np.flatnonzero(found < 0)
-    if left.size:
-        centres = nodes[graph.simplices].mean(axis=1)
-        found[left] = cKDTree(centres).query(points[left])[1]
-    return found
+    return simplex, best
 
 
 def _search(
@@ -200,7 +180,7 @@ def _search(
     for i, point in enumerate(points):
         near = sound[((point >= low) & (point <= high)).all(axis=1)]
         near = near if near.size else sound
-        weight = smallest_weight(nodes, graph.simplices[near], np.broadcast_to(point, (len(near), len(point))), flat)
+        weight = smallest_weight(nodes, graph.simplices, near, np.broadcast_to(point, (len(near), len(point))), flat)
         best = weight.argmax()
         simplex[i], beyond[i] = near[best], -weight[best] * heights[near[best]]
     return simplex, beyond
@@ -215,7 +195,7 @@ def _beyond_hull(graph: Delaunay, nodes: np.ndarray, targets: np.ndarray, flat: 
     height = smallest_height(corners)
     corners, height = corners[height > flat], height[height > flat]
     edges = corners[:, 1:] - corners[:, :1]
-    normals = edges[:, 0, ::-1] * [1, -1] if nodes.shape[1] == 2 else np.cross(edges[:, 0], edges[:, 1])
+    normals = edges[:, 0, ::-1] * [1, -1] if nodes.shape[1] == 2 else cross(edges[:, 0], edges[:, 1])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     anchors = corners[:, 0]
     normals *= np.sign(np.einsum("fd,fd->f", normals, anchors - nodes.mean(axis=0)))[:, None]

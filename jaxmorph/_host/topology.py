@@ -14,3 +14,42 @@ def canonical_type(name: str) -> str:
     if name not in CORNERS:
         raise ValueError(f"unknown cell type {name!r}; known are {', '.join(CORNERS)}.")
     return name
+
+
+FACES: dict[str, tuple[tuple[int, ...], ...]] = {
+    "line": (),
+    "triangle": ((0, 1), (1, 2), (2, 0)),
+    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
+    "tetra": ((0, 1, 3), (1, 2, 3), (2, 0, 3), (0, 2, 1)),
+    "pyramid": ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
+    "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+    "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+}
+"""Sides of each type (edges of a cell in the plane), each seen counterclockwise from outside."""
+
+EDGES: dict[str, tuple[tuple[int, int], ...]] = {
+    "line": ((0, 1),),
+    "triangle": ((0, 1), (1, 2), (2, 0)),
+    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
+    "tetra": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+    "pyramid": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
+    "wedge": ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)),
+    "hexahedron": (
+        *((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)),
+        *((0, 4), (1, 5), (2, 6), (3, 7)),
+    ),
+}
+
+FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
+    "line": ((0, 1),),
+    "triangle": ((0, 1, 2),),
+    "quad": ((0, 1, 3), (1, 2, 0), (2, 3, 1), (3, 0, 2)),
+    "tetra": ((0, 1, 2, 3),),
+    "pyramid": ((0, 1, 3, 4), (1, 2, 0, 4), (2, 3, 1, 4), (3, 0, 2, 4)),
+    "wedge": ((0, 1, 2, 3), (1, 2, 0, 4), (2, 0, 1, 5), (3, 5, 4, 0), (4, 3, 5, 1), (5, 4, 3, 2)),
+    "hexahedron": (
+        *((0, 1, 3, 4), (1, 2, 0, 5), (2, 3, 1, 6), (3, 0, 2, 7)),
+        *((4, 7, 5, 0), (5, 4, 6, 1), (6, 5, 7, 2), (7, 6, 4, 3)),
+    ),
+}
+"""Corner and the ends of the edges that leave it, right-handed: where the corner Jacobians are taken. One for a simplex."""

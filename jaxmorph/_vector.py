@@ -1,0 +1,86 @@
+"""Vectors of two or three components, each an array whose last axis runs over the cells.
+
+Loops over many cells then run along the arrays, where the machine is fast, and nothing is laid out anew. An axis before
+it runs over the corners, edges or faces of one cell.
+"""
+
+import functools
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+Scalar = Float[Array, "*rows k"]
+
+
+class Vector:
+    """A vector with the arithmetic it needs; immutable."""
+
+    __slots__ = ("components",)
+
+    def __init__(self, components: Sequence[Scalar]):
+        self.components = tuple(components)
+
+    def __getitem__(self, i: int) -> Scalar:
+        return self.components[i]
+
+    def rows(self, ids: Sequence[int]) -> "Vector":
+        """The rows `ids` of each component, such as the first corner of every face."""
+        return Vector([jnp.stack([component[i] for i in ids]) for component in self.components])
+
+    def row(self, i: int | Int[Array, ""]) -> "Vector":
+        return Vector([component[i] for component in self.components])
+
+    def unstack(self) -> "list[Vector]":
+        return [self.row(i) for i in range(self.components[0].shape[0])]
+
+    def __len__(self) -> int:
+        return len(self.components)
+
+    def __add__(self, other: "Vector") -> "Vector":
+        return Vector([a + b for a, b in zip(self.components, other.components, strict=True)])
+
+    def __sub__(self, other: "Vector") -> "Vector":
+        return Vector([a - b for a, b in zip(self.components, other.components, strict=True)])
+
+    def __mul__(self, factor: Scalar | float) -> "Vector":
+        return Vector([a * factor for a in self.components])
+
+
+def dot(a: Vector, b: Vector) -> Scalar:
+    return functools.reduce(jnp.add, [p * q for p, q in zip(a.components, b.components, strict=True)])
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """The cross product; in the plane its one component."""
+    if len(a) == 2:
+        return Vector((a[0] * b[1] - a[1] * b[0],))
+    return Vector([a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))])
+
+
+def norm(a: Vector) -> Scalar:
+    """Length; its derivative at zero is zero."""
+    squared = dot(a, a)
+    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+
+
+def total(a: Vector) -> Vector:
+    """Sum over the corners, edges or faces."""
+    return Vector([jnp.sum(component, axis=0) for component in a.components])
+
+
+def mean(vectors: Sequence[Vector]) -> Vector:
+    return functools.reduce(Vector.__add__, vectors) * (1 / len(vectors))
+
+
+def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
+    """a / b, and `otherwise`, with no derivative, where b is so small that its derivative overflows."""
+    none = jnp.abs(b) <= float(jnp.finfo(b.dtype).tiny) ** 0.4
+    return jnp.where(none, otherwise, a / jnp.where(none, 1, b))
+
+
+def angle(a: Vector, b: Vector) -> Scalar:
+    """Angle in radians, 0 to pi; 0, with no derivative, where a vector has no length."""
+    sine, cosine = norm(cross(a, b)), dot(a, b)
+    none = sine**2 + cosine**2 <= float(jnp.finfo(sine.dtype).tiny) ** 0.8
+    return jnp.where(none, 0, jnp.arctan2(sine, jnp.where(none, 1, cosine)))

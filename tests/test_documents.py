@@ -1,0 +1,45 @@
+"""The code in README.md and CONTRIBUTING.md runs as it stands there."""
+
+import pathlib
+import re
+
+import jax
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+
+ROOT = pathlib.Path(__file__).parent.parent
+
+
+def blocks(document: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", (ROOT / document).read_text(), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("code", blocks("CONTRIBUTING.md"))
+def test_extensions_move_a_mesh(code):
+    names = {"__name__": "contributed"}
+    exec(code, names)
+    rng = np.random.default_rng(0)
+    circle = lambda radius, n: radius * np.stack([np.cos(t := np.linspace(0, 2 * np.pi, n, False)), np.sin(t)], axis=1)  # noqa: E731
+    points = np.concatenate([circle(1, 30), circle(5, 20), circle(1, 200) * rng.uniform(1.5, 4, (200, 1))])
+    plan = jm.prepare(points, np.arange(30), np.arange(30, 50), method=names["method"])
+    u = 0.1 * rng.normal(size=(30, 2))
+    moved = jm.deform(plan, u)
+    np.testing.assert_allclose(moved[:30], points[:30] + u, atol=1e-14)
+    np.testing.assert_array_equal(moved[30:50], points[30:50])
+    cotangent, tangent = rng.normal(size=points.shape), rng.normal(size=u.shape)
+    forward = jax.jvp(lambda u: jm.deform(plan, u), (u,), (tangent,))[1]
+    np.testing.assert_allclose(np.vdot(forward, cotangent), np.vdot(tangent, jm.pullback(plan, u, cotangent)), rtol=1e-9)
+
+
+def test_readme_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for code in blocks("README.md"):
+        exec(code, {"__name__": "readme"})
+    assert list(tmp_path.glob("*.su2"))
+
+
+def test_eight_lines():
+    lines = [line for line in blocks("README.md")[0].splitlines() if line.strip()]
+    assert len(lines) == 8
