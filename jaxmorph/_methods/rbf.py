@@ -80,7 +80,10 @@ class RBF(AbstractMethod):
         )
         sources = (points - centre) * scale
         tail = polynomial(sources, self.degree)
-        kernel = self._phi(_squared_distances(sources, sources), scale)
+        # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges those wrongly with the transposition
+        # that LAPACK asks for, and the jitted gradient with respect to one coordinate of the sources is wrong or NaN.
+        distances = jnp.sum((sources[:, None] - sources[None]) ** 2, axis=-1)
+        kernel = self._phi(distances, scale)
         corner = jnp.zeros((tail.shape[1],) * 2, kernel.dtype)
         matrix = jnp.block([[kernel, tail], [tail.T, corner]])  # eq. (3)
         lu, pivots = jax.scipy.linalg.lu_factor(matrix)
