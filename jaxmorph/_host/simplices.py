@@ -20,7 +20,7 @@ def smallest_weight(
         inner = points[part] - corners[:, -1]
         with np.errstate(divide="ignore", invalid="ignore"):
             weights = [np.einsum("kd,kd->k", row, inner) / volume for row in rows]
-        least = np.minimum(np.min(weights, axis=0), 1 - np.sum(weights, axis=0))
+            least = np.minimum(np.min(weights, axis=0), 1 - np.sum(weights, axis=0))
         sound = (simplex[part] >= 0) & (smallest_height(corners) > flat)
         smallest[part] = np.where(sound, least, -np.inf)
     return smallest
