@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
 from ._layout import Layout, over_points, pad_rows
 from ._methods.base import AbstractMethod, map_points, place_points
+from ._methods.sparse import Interpolation, weighted_sum, with_tables, with_tables_of, without_tables
 from ._symmetry import Mirror
 
 
@@ -24,10 +25,13 @@ class SurfaceHalf(eqx.Module):
 
 
 class VolumeHalf(eqx.Module):
-    """What is laid over devices: each leaf has one row per point of the mesh."""
+    """What is laid over devices: each leaf has one row per point of the mesh, but for tables of transposes.
+
+    `own` takes a node of the surface to its own row there.
+    """
 
     points: Float[Array, "n d"]
-    rows: Int[Array, " n"]
+    own: Interpolation
     on_plane: Bool[Array, "n p"] | None
     ids: PyTree
     placed: PyTree
@@ -80,13 +84,12 @@ def refit(plan: Plan, points: Float[ArrayLike, "n d"]) -> Plan:
     Raises `ValueError` when the shape of `points` differs from the plan's.
     """
     plan = _fitted(plan, points)
-    surface, volume = plan.surface, plan.volume
-    placed = over_points(
-        plan.layout,
-        lambda shared, rows: place_points(plan.method, rows.points, rows.ids, *shared),
-        (surface.factors, surface.points),
-        volume,
-    )
+
+    def place(shared, rows: VolumeHalf) -> PyTree:
+        placed = place_points(plan.method, rows.points, rows.ids, *shared)
+        return placed if rows.placed is None else with_tables_of(rows.placed, placed)
+
+    placed = over_points(plan.layout, place, (plan.surface.factors, plan.surface.points), plan.volume)
     return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
 
 
@@ -109,7 +112,7 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
     return Plan(
         method=plan.method,
         surface=SurfaceHalf(surface, old.nodes, old.mirror, old.ids, plan.method.fit(old.ids, surface)),
-        volume=VolumeHalf(points, volume.rows, volume.on_plane, volume.ids, volume.placed),
+        volume=VolumeHalf(points, volume.own, volume.on_plane, volume.ids, volume.placed),
         moves=plan.moves,
         carried=carried,
         layout=plan.layout,
@@ -150,8 +153,7 @@ def _moved(exact: bool) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
         field, own, mirror = shared
         displacement = map_points(field, volume.points, volume.placed)
         if exact:
-            given = own[volume.rows.clip(max=len(own) - 1)]
-            displacement = jnp.where((volume.rows < len(own))[:, None], given, displacement)
+            displacement = weighted_sum(volume.own, own) + jnp.where(volume.own.reached[:, None], 0, displacement)
         if mirror is not None:
             displacement = mirror.within(displacement, volume.on_plane)
         return volume.points + displacement
@@ -187,6 +189,10 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     if plan.layout is not None:
         raise ValueError("this plan is laid over devices already: shard the plan that `prepare` returned.")
     layout = Layout.over(devices, len(plan.volume.points))
-    surface = layout.replicated(plan.surface)
-    volume = layout.divided(jax.tree.map(lambda leaf: pad_rows(leaf, layout), plan.volume))
-    return Plan(layout.replicated(plan.method), surface, volume, plan.moves, plan.carried, layout)
+    volume = jax.tree.map(lambda leaf: pad_rows(leaf, layout), without_tables(plan.volume))
+    own = with_tables(volume.own, len(plan.surface.nodes), layout.mesh.size)
+    placed = with_tables(volume.placed, len(plan.surface.points), layout.mesh.size)
+    volume = layout.divided(eqx.tree_at(lambda volume: (volume.own, volume.placed), volume, (own, placed)))
+    return Plan(
+        layout.replicated(plan.method), layout.replicated(plan.surface), volume, plan.moves, plan.carried, layout
+    )

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from ._methods import default_method
 from ._methods.base import AbstractMethod, Surface
+from ._methods.sparse import Interpolation, with_tables
 from ._plan import Plan, SurfaceHalf, VolumeHalf, refit
 from ._symmetry import Plane, check_planes, mirror
 
@@ -46,14 +48,12 @@ def prepare(
     first = _first(rows)
     surface = Surface(everything, np.where(np.arange(len(rows)) == first, nodes[rows], -1), moves, first)
     surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, host))
-    own_rows = np.full(len(host), len(nodes), dtype=np.int32)
-    own_rows[nodes] = np.arange(len(nodes))
     plan = Plan(
         method=method,
         surface=SurfaceHalf(jnp.asarray(everything), jnp.asarray(nodes, jnp.int32), images, surface_ids, None),
         volume=VolumeHalf(
             jnp.asarray(host),
-            jnp.asarray(own_rows),
+            _own_rows(nodes, jnp.asarray(host)),
             None if on_plane is None else jnp.asarray(on_plane),
             volume_ids,
             None,
@@ -67,8 +67,18 @@ def prepare(
             stacklevel=2,
         )
     plan = refit(plan, plan.points)
+    placed = with_tables(plan.volume.placed, len(plan.surface.points))
+    plan = eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
     method.check(plan.surface.factors)
     return plan
+
+
+def _own_rows(nodes: np.ndarray, points: Float[Array, "n d"]) -> Interpolation:
+    """Takes each of the surface's `nodes` to its own row, and no other point anywhere."""
+    rows, reached = np.zeros((len(points), 1), dtype=np.int32), np.zeros(len(points), dtype=bool)
+    rows[nodes, 0], reached[nodes] = np.arange(len(nodes)), True
+    own = Interpolation(jnp.asarray(rows), jnp.asarray(reached[:, None], points.dtype), jnp.asarray(reached))
+    return with_tables(own, len(nodes))
 
 
 def _first(rows: np.ndarray) -> np.ndarray:

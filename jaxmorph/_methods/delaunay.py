@@ -1,12 +1,12 @@
 """Delaunay graph mapping (Liu, Qin and Xia 2006; section 2.3 of the paper, eqs. 6 to 9)."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float
 
 from .._host.graph import locate
-from .base import AbstractField, AbstractMethod, Surface
+from .base import AbstractMethod, Surface
+from .sparse import InterpolatedField, Interpolation
 
 
 class DelaunayGraph(AbstractMethod):
@@ -36,30 +36,6 @@ class DelaunayGraph(AbstractMethod):
 
     def field(self, ids, factors, surface, u):
         return InterpolatedField(self, factors, surface, u)
-
-
-class Interpolation(eqx.Module):
-    """A point's displacement as a weighted sum of those of some surface nodes: one row of a sparse operator."""
-
-    nodes: Int[Array, " k"]
-    weights: Float[Array, " k"]
-
-
-class InterpolatedField(AbstractField):
-    """Displacements interpolated between surface nodes (eq. 8), with the weights that `method.place` gives."""
-
-    method: AbstractMethod
-    factors: PyTree
-    surface: Float[Array, "b d"]
-    u: Float[Array, "b d"]
-
-    @property
-    def local(self) -> bool:
-        return True
-
-    def __call__(self, x: Float[Array, " d"], ids: Interpolation | PyTree) -> Float[Array, " d"]:
-        at = ids if isinstance(ids, Interpolation) else self.method.place(x, ids, self.factors, self.surface)
-        return sum((at.weights[k] * self.u[i] for k, i in enumerate(at.nodes)), start=jnp.zeros_like(x))
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:

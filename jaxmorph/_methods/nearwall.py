@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool, Float, Int
 from .._basis import WendlandC2
 from .._host.neighbours import extreme_of_each, near_walls, nearest_of, walls
 from .base import AbstractField, AbstractMethod, Surface, map_points
-from .delaunay import DelaunayGraph, InterpolatedField, Interpolation
+from .delaunay import DelaunayGraph
+from .sparse import InterpolatedField, Interpolation
 
 NEIGHBOURS = 6
 """Wall nodes whose displacements a point near the wall averages, and one more, at which the average ends."""
@@ -64,7 +65,7 @@ class NearWall(AbstractMethod):
 
     def place(self, x, ids, factors, surface):
         chi, weights = _blend(x, ids[1], factors[1], surface)
-        follow = Interpolation(ids[1].nodes[:NEIGHBOURS], chi * weights)
+        follow = Interpolation(ids[1].nodes[:NEIGHBOURS], chi * weights, ids[1].reached)
         return self.correction.place(x, ids[0], factors[0], surface), follow, 1 - chi
 
     def field(self, ids, factors, surface, u):
@@ -109,8 +110,7 @@ class NearWallField(AbstractField):
         return self.wall(x, ids[1]) + ids[2] * self.correction(x, ids[0])
 
     def evaluate(self, points, ids):
-        wall = jax.vmap(self.wall)(points, ids[1])
-        return wall + ids[2][:, None] * map_points(self.correction, points, ids[0])
+        return map_points(self.wall, points, ids[1]) + ids[2][:, None] * map_points(self.correction, points, ids[0])
 
 
 def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]):

@@ -1,0 +1,30 @@
+"""The transpose of a sparse operator with a few entries a row, sorted on the host so that no scatter is needed."""
+
+import numpy as np
+
+WIDTH = 16
+"""Entries in a row of the table."""
+
+
+def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which entries belong to each of `count` columns, in rows of `WIDTH`.
+
+    `nodes` (n, k) is the column of each entry; only rows `used` (n,) have any. Returns `entries` (r, WIDTH), positions in the
+    flattened (n, k), -1 where there is none, and `owner` (r,), the column of each row of the table, ascending.
+    """
+    rows = np.flatnonzero(used)
+    k = nodes.shape[1]
+    if len(nodes) * k >= 2**31:
+        raise ValueError(f"{len(nodes)} points are too many for one device; lay the plan over several with `shard`.")
+    columns = nodes[rows].ravel()
+    order = np.argsort(columns, kind="stable")
+    entries = (rows.astype(np.int32)[:, None] * np.int32(k) + np.arange(k, dtype=np.int32)).ravel()[order]
+    sizes = np.bincount(columns, minlength=count)
+    lengths = -(-sizes // WIDTH)
+    owner = np.repeat(np.arange(count, dtype=np.int32), lengths)
+    first_row, first_entry = np.cumsum(lengths) - lengths, np.cumsum(sizes) - sizes
+    sorted_columns = columns[order]
+    within = np.arange(len(order)) - first_entry[sorted_columns]
+    table = np.full((len(owner), WIDTH), -1, dtype=np.int32)
+    table[first_row[sorted_columns] + within // WIDTH, within % WIDTH] = entries
+    return table, owner

@@ -1,0 +1,183 @@
+"""Points that follow a few surface nodes each: a sparse operator, with its transpose as fast as itself.
+
+XLA transposes a gather into a scatter, which is many times slower on a CPU. Two linear primitives that are each other's
+transposes avoid that; being primitives they keep forward and reverse derivatives of any order, and batching.
+"""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import ShapedArray  # pyright: ignore[reportAttributeAccessIssue]
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from .._host.transpose import tabulate
+from .base import AbstractField, AbstractMethod
+
+
+class Table(eqx.Module):
+    """Where in the flattened weights (n, k) the entries of each column stand; see `jaxmorph._host.transpose.tabulate`.
+
+    `weights` are those entries, gathered once per base mesh: that gather costs more than all else in a transpose.
+    """
+
+    entries: Int[Array, "r width"]
+    owner: Int[Array, " r"]
+    weights: Float[Array, "r width"]
+
+    @staticmethod
+    def of(entries: Int[Array, "r width"], owner: Int[Array, " r"], weights: Float[Array, "n k"]) -> "Table":
+        return Table(entries, owner, jnp.where(entries < 0, 0, weights.ravel()[entries]))
+
+
+class Interpolation(eqx.Module):
+    """Points' displacements as weighted sums of those of surface nodes: rows of a sparse operator.
+
+    For one point, `nodes` and `weights` are (k,); for many (n, k), with a table of the transpose. Where `reached` is given and
+    False, the row is empty for good, whatever the coordinates.
+    """
+
+    nodes: Int[Array, "*n k"]
+    weights: Float[Array, "*n k"]
+    reached: Bool[Array, "*n"] | None = None
+    table: Table | None = None
+
+
+def with_tables(ids: PyTree, count: int, parts: int = 1) -> PyTree:
+    """Host: ids of many points, whose rows lie in `parts` equal shares, with a table for each interpolation among them.
+
+    `count` is the number of surface nodes. Each share's table has positions within the share, and as many rows as the others.
+    """
+    return _map_interpolations(lambda rows: _with_table(rows, count, parts), ids)
+
+
+def without_tables(ids: PyTree) -> PyTree:
+    """The ids of many points without tables: every leaf has one row a point."""
+    return _map_interpolations(lambda rows: Interpolation(rows.nodes, rows.weights, rows.reached), ids)
+
+
+def with_tables_of(old: PyTree, ids: PyTree) -> PyTree:
+    """Ids of many points computed anew, with the tables of the old ones."""
+
+    def renewed(rows: Interpolation, old: Interpolation) -> Interpolation:
+        table = None if old.table is None else Table.of(old.table.entries, old.table.owner, rows.weights)
+        return Interpolation(rows.nodes, rows.weights, rows.reached, table)
+
+    return _map_interpolations(renewed, ids, old)
+
+
+def _map_interpolations(function, *trees: PyTree) -> PyTree:
+    def is_rows(leaf):
+        return isinstance(leaf, Interpolation)
+
+    return jax.tree.map(lambda *leaves: function(*leaves) if is_rows(leaves[0]) else leaves[0], *trees, is_leaf=is_rows)
+
+
+def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
+    nodes = np.asarray(rows.nodes)
+    reached = np.ones(len(nodes), dtype=bool) if rows.reached is None else np.asarray(rows.reached)
+    shares = zip(np.split(nodes, parts), np.split(reached, parts), strict=True)
+    tables = [tabulate(share, mask, count) for share, mask in shares]
+    longest = max(len(owner) for _, owner in tables)
+    entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
+    owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
+    weights = np.split(np.asarray(rows.weights), parts)
+    shares = [Table.of(*map(jnp.asarray, share)) for share in zip(entries, owners, weights, strict=True)]
+    table = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *shares)
+    return Interpolation(rows.nodes, rows.weights, rows.reached, table)
+
+
+class InterpolatedField(AbstractField):
+    """Displacements interpolated between surface nodes (eq. 8), with the weights that `method.place` gives."""
+
+    method: AbstractMethod
+    factors: PyTree
+    surface: Float[Array, "b d"]
+    u: Float[Array, "b d"]
+
+    @property
+    def local(self) -> bool:
+        return True
+
+    def __call__(self, x: Float[Array, " d"], ids: Interpolation | PyTree) -> Float[Array, " d"]:
+        at = ids if isinstance(ids, Interpolation) else self.method.place(x, ids, self.factors, self.surface)
+        return sum((at.weights[k] * self.u[i] for k, i in enumerate(at.nodes)), start=jnp.zeros_like(x))
+
+    def evaluate(self, points, ids):
+        if not isinstance(ids, Interpolation) or ids.table is None:
+            return super().evaluate(points, ids)
+        return weighted_sum(ids, self.u)
+
+
+def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Array, "n c"]:
+    """The operator applied to values at the b surface nodes; `rows` must have a table."""
+    table = rows.table
+    assert table is not None
+    ids = (rows.nodes, table.entries, table.owner)
+    return _sum_p.bind(values, rows.weights, table.weights, *ids, turned=False, count=len(values))
+
+
+def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool, count: int):
+    """Row i: the sum over k of weights[i, k] values[nodes[i, k]]. Turned: row j sums the entries of column j."""
+    k = weights.shape[1]
+    values = jax.lax.optimization_barrier(values)  # else what makes them is done again for each gather
+    if not turned:
+        return sum(weights[:, i, None] * values[nodes[:, i]] for i in range(k))
+    rows = sum(sorted_weights[:, i, None] * values[entries[:, i] // k] for i in range(entries.shape[1]))
+    return jax.ops.segment_sum(rows, owner, count, indices_are_sorted=True)
+
+
+_sum_p = Primitive("jaxmorph_sparse_sum")
+_sum_p.def_impl(jax.jit(_sum, static_argnames=("turned", "count")))
+mlir.register_lowering(_sum_p, mlir.lower_fun(_sum, multiple_results=False))
+
+
+@_sum_p.def_abstract_eval
+def _(values, weights, sorted_weights, nodes, entries, owner, *, turned, count):
+    return ShapedArray((count if turned else weights.shape[0], values.shape[1]), values.dtype)
+
+
+def _jvp(primals, tangents, **params):
+    values, weights, sorted_weights, *ids = primals
+    values_dot, weights_dot, sorted_dot = tangents[:3]
+    out = _sum_p.bind(*primals, **params)
+    parts = []
+    if not isinstance(values_dot, ad.Zero):
+        parts.append(_sum_p.bind(values_dot, weights, sorted_weights, *ids, **params))
+    if not (isinstance(weights_dot, ad.Zero) and isinstance(sorted_dot, ad.Zero)):
+        dots = ad.instantiate_zeros(weights_dot), ad.instantiate_zeros(sorted_dot)
+        parts.append(_sum_p.bind(values, *dots, *ids, **params))
+    return out, sum(parts) if parts else jnp.zeros_like(out)
+
+
+def _transpose(cotangent, values, weights, sorted_weights, nodes, entries, owner, *, turned, count):
+    if isinstance(cotangent, ad.Zero):
+        return (None,) * 6
+    if ad.is_undefined_primal(values):
+        ids = (nodes, entries, owner)
+        back = _sum_p.bind(cotangent, weights, sorted_weights, *ids, turned=not turned, count=count)
+        return back, None, None, None, None, None
+    if turned:
+        columns = [values[entries[:, i] // nodes.shape[1]] * cotangent[owner] for i in range(entries.shape[1])]
+        of_sorted = jnp.where(entries < 0, 0, jnp.stack([column.sum(axis=1) for column in columns], axis=1))
+        return None, ad.Zero(weights.aval), of_sorted, None, None, None
+    columns = [jnp.sum(cotangent * values[nodes[:, i]], axis=1) for i in range(nodes.shape[1])]
+    return None, jnp.stack(columns, axis=1), ad.Zero(sorted_weights.aval), None, None, None
+
+
+def _batch(arguments, axes, **params):
+    values, *others = arguments
+    if all(axis is None for axis in axes[1:]):
+        batched = jnp.moveaxis(values, axes[0], 1)  # more columns for the same rows
+        out = _sum_p.bind(batched.reshape(len(batched), -1), *others, **params)
+        return out.reshape(len(out), *batched.shape[1:]), 1
+    return jax.vmap(functools.partial(_sum, **params), tuple(axes))(*arguments), 0
+
+
+ad.primitive_jvps[_sum_p] = _jvp
+ad.primitive_transposes[_sum_p] = _transpose
+batching.primitive_batchers[_sum_p] = _batch
