@@ -68,7 +68,7 @@ OPTIONS = {
     "Mesh.QualityType": 2,
     "Mesh.RandomFactor": 1e-9,
     "Mesh.RandomFactor3D": 1e-12,
-    "Mesh.RandomSeed": 1,
+    "Mesh.RandomSeed": 2,
     "Mesh.Recombine3DAll": 0,
     "Mesh.RecombineAll": 0,
     "Mesh.RefineSteps": 10,
