@@ -5,6 +5,8 @@ from ._basis import Gaussian as Gaussian
 from ._basis import Multiquadric as Multiquadric
 from ._basis import ThinPlateSpline as ThinPlateSpline
 from ._basis import WendlandC2 as WendlandC2
+from ._fewest import Steps as Steps
+from ._fewest import fewest_steps as fewest_steps
 from ._host.reduction import AbstractReduction as AbstractReduction
 from ._host.reduction import AbstractSearchPoints as AbstractSearchPoints
 from ._host.reduction import AllPoints as AllPoints
@@ -12,6 +14,8 @@ from ._host.reduction import Centre as Centre
 from ._host.reduction import Corners as Corners
 from ._host.reduction import GaussPoints as GaussPoints
 from ._host.reduction import KDTree as KDTree
+from ._inspect import Inspection as Inspection
+from ._inspect import inspect as inspect
 from ._mesh import Mesh as Mesh
 from ._methods.base import AbstractField as AbstractField
 from ._methods.base import AbstractMethod as AbstractMethod

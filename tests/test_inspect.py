@@ -1,0 +1,93 @@
+"""`inspect` and `fewest_steps`: what a motion asks for, before and while it is tried."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return cases.naca0015(points=2000)
+
+
+def rotation(mesh, degrees):
+    base = mesh.points[mesh.patch("airfoil")]
+
+    def motion(t):
+        angle = -np.deg2rad(degrees * t)
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        return (base - [0.25, 0]) @ turn.T + [0.25, 0] - base
+
+    return motion
+
+
+def test_offset_is_what_the_sources_miss(mesh):
+    method = jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(2)))
+    moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
+    u = rotation(mesh, 15)(1)
+    found = jm.inspect(jm.prepare(mesh.points, moving, fixed, method=method), u)
+    coarse = jm.prepare(mesh.points, moving, fixed, method=method.coarse)
+    missed = np.linalg.norm(np.asarray(jm.deform(coarse, u)) - mesh.points, axis=1)
+    nodes = np.concatenate([moving, fixed])
+    target = np.zeros_like(mesh.points)
+    target[moving] = u
+    missed = np.linalg.norm((np.asarray(jm.deform(coarse, u)) - mesh.points - target)[nodes], axis=1)
+    assert found.offset == pytest.approx(missed.max(), rel=1e-9)
+    assert found.offset_node == nodes[missed.argmax()]
+    assert found.offset_ratio > 1
+    assert not found.warnings
+
+
+def test_no_offset_without_a_correction(mesh):
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
+    assert jm.inspect(plan, rotation(mesh, 80)(1)).offset == 0
+
+
+def test_a_rotation_by_any_angle_is_no_contradiction(mesh):
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"))
+    assert not len(jm.inspect(plan, rotation(mesh, 170)(1)).contradictions)
+
+
+def test_a_wall_sliding_along_a_held_boundary_is(mesh):
+    airfoil = mesh.patch("airfoil")
+    held = airfoil[np.argsort(mesh.points[airfoil, 0])[:10]]
+    moving = np.setdiff1d(airfoil, held)
+    plan = jm.prepare(mesh.points, moving, np.concatenate([held, mesh.patch("farfield")]))
+    found = jm.inspect(plan, np.full((len(moving), 2), [0.5, 0.0]))
+    assert len(found.contradictions)
+    assert (np.isin(found.contradictions, held).sum(axis=1) == 1).all()
+    assert "symmetry plane" in found.warnings[0]
+
+
+def test_shape_is_checked(mesh):
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"))
+    with pytest.raises(ValueError, match=r"`u` has shape \(3, 2\)"):
+        jm.inspect(plan, np.zeros((3, 2)))
+
+
+def test_fewest_steps_are_fewest(mesh):
+    method = jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(4), fixed_reduction=jm.KDTree(4)))
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
+    motion = rotation(mesh, 90)
+    steps = jm.fewest_steps(plan, motion, mesh, most=8)
+    assert steps.fraction == 1
+    assert int(jm.quality(mesh, steps.points).inverted) == 0
+    np.testing.assert_allclose(steps.points[plan.moving], plan.points[plan.moving] + motion(1), atol=1e-13)
+    np.testing.assert_allclose(jm.replay(steps.plans, steps.path), steps.points, atol=1e-13)
+    for count in range(1, steps.count):
+        path = jnp.stack([motion((j + 1) / count) for j in range(count)])
+        report = jm.quality(mesh, jm.march(plan, path)[1])
+        assert int(report.inverted) or float(report.min_jacobian_ratio) <= 0.05
+
+
+def test_an_infeasible_motion_is_reported_with_the_fraction_reached(mesh):
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
+    motion = lambda t: np.full((len(plan.moving), 2), [0.0, 40.0 * t])  # noqa: E731  # through the far field
+    steps = jm.fewest_steps(plan, motion, mesh, most=1)
+    assert 0 < steps.fraction < 15 / 40
+    assert int(steps.report.inverted) == 0
+    report = jm.quality(mesh, jm.deform(plan, motion(steps.fraction + 2e-3)))
+    assert int(report.inverted) or float(report.min_jacobian_ratio) <= 0.05
