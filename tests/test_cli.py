@@ -221,3 +221,51 @@ def test_progress_speaks_on_a_terminal_alone_and_only_of_long_work(capsys, monke
     with progress("being quick"):
         pass
     assert capsys.readouterr().err == ""
+
+
+def _box(tmp_path):
+    """A brick of tetrahedra with its six sides as patches."""
+    axis = np.linspace(0, 1, 5)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    corner = np.arange(125).reshape(5, 5, 5)
+    block = [corner[i : i + 4, j : j + 4, k : k + 4].ravel() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    v = np.stack(block, axis=1)
+    cells = np.concatenate(
+        [v[:, ids] for ids in ([0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7])]
+    )
+    sides = {f"{'xyz'[a]}{side}": np.flatnonzero(points[:, a] == side) for a in range(3) for side in (0, 1)}
+    file = tmp_path / "box.su2"
+    io.write(file, jm.Mesh(points, {"tetra": cells}, sides))
+    return file, points, sides
+
+
+def test_symmetry_planes_on_the_command_line(tmp_path):
+    file, points, sides = _box(tmp_path)
+    arguments = "--moving z0 --fixed z1 x1 y1 --symmetry x0 y0 --translate 0 0 0.1".split()
+    assert main(["deform", str(file), str(tmp_path / "out.su2"), *arguments]) == 0
+    moved = io.read(tmp_path / "out.su2").points
+    np.testing.assert_array_equal(moved[sides["x0"], 0], 0)
+    np.testing.assert_array_equal(moved[sides["y0"], 1], 0)
+    np.testing.assert_allclose(moved[sides["z0"]], points[sides["z0"]] + [0, 0, 0.1], atol=1e-15)
+
+
+def test_patches_left_out_of_the_hull_are_named(tmp_path, capsys):
+    file, _, _ = _box(tmp_path)
+    arguments = "--moving z0 --fixed x0 --translate 0 0 0.1 --method dgm".split()
+    assert main(["deform", str(file), str(tmp_path / "out.su2"), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert "outside of the convex hull" in error
+    assert "x1, y0, y1, z1" in error
+
+
+def test_a_symmetry_patch_that_is_not_plane(tmp_path, capsys):
+    file, _, _ = _box(tmp_path)
+    text = file.read_text()
+    mesh = io.read(file)
+    bent = np.array(mesh.points)
+    bent[np.flatnonzero((bent[:, 0] == 0) & (bent[:, 1] == 0.5))[2], 0] = 0.01
+    io.write(tmp_path / "bent.su2", mesh.moved(bent))
+    arguments = "--moving z0 --fixed z1 --symmetry x0 --translate 0 0 0.1".split()
+    assert main(["deform", str(tmp_path / "bent.su2"), str(tmp_path / "out.su2"), *arguments]) == 2
+    assert "--symmetry x0: these 25 nodes do not lie in one plane: node" in capsys.readouterr().err
+    assert file.read_text() == text

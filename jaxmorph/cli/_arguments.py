@@ -29,6 +29,9 @@ examples:
   new positions of the wall from a file with rows of node id, x, y:
     jaxmorph deform airfoil.su2 bumped.su2 --moving airfoil --fixed farfield \\
         --displacement surface.dat
+  a half wing on its symmetry plane:
+    jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
+        --symmetry symmetry --displacement bending.csv --displacement-is displacement
   a flap and its slat together, 3-D, hinge line along y:
     jaxmorph deform wing.su2 flaps.vtu --moving flap slat --fixed wing farfield \\
         --rotate 10 --about 0.8 0 0 --axis 0 1 0
@@ -106,6 +109,9 @@ def _add_deform(commands) -> None:
     group = deform.add_argument_group("surface")
     group.add_argument("--moving", metavar="NAME", nargs="+", default=[], help="patches that move")
     group.add_argument("--fixed", metavar="NAME", nargs="+", default=[], help="patches that stay")
+    group.add_argument(
+        "--symmetry", metavar="NAME", nargs="+", default=[], help="plane patches in which nodes slide (one or two)"
+    )
     _add_motion(deform.add_argument_group("motion (one at least)"))
     group = deform.add_argument_group("method")
     group.add_argument(

@@ -39,7 +39,9 @@ def deform(arguments: argparse.Namespace) -> int:
     print(f"fixed    {', '.join(arguments.fixed)}: {count(len(np.setdiff1d(fixed, moving)), 'node')}")
     print(f"method   {choice.name}, {count(arguments.steps, 'step')}", flush=True)
     with progress("preparing"):
-        plan = jm.prepare(mesh.points, moving, fixed, method=choice.method)
+        plan = _prepare(arguments, mesh, moving, fixed, choice.method)
+        for warning in jm.inspect(plan, path[-1]).warnings:
+            print(f"jaxmorph deform: warning: {warning}", file=sys.stderr)
     with progress(f"deforming in {count(arguments.steps, 'step')}"):
         points = jm.deform(plan, path[0]) if arguments.steps == 1 else jm.march(plan, path)[1]
         moved = mesh.moved(np.asarray(points))
@@ -59,6 +61,23 @@ def deform(arguments: argparse.Namespace) -> int:
     return 1 if bad else 0
 
 
+def _prepare(arguments, mesh: Mesh, moving: np.ndarray, fixed: np.ndarray, method: jm.AbstractMethod | None) -> jm.Plan:
+    """A patch is plane, or an error names it; so does one for points outside of the hull name the patches left out."""
+    planes = []
+    for name in arguments.symmetry:
+        try:
+            planes.append(jm.Plane.through(mesh.points, mesh.patch(name)))
+        except ValueError as error:
+            raise ValueError(f"--symmetry {name}: {error}") from None
+    try:
+        return jm.prepare(mesh.points, moving, fixed, method=method, symmetry=planes)
+    except ValueError as error:
+        left = [name for name in mesh.patches if name not in {*arguments.moving, *arguments.fixed, *arguments.symmetry}]
+        if "convex hull" in str(error) and left:
+            raise ValueError(f"{error} Patches that are neither: {', '.join(left)}.") from None
+        raise
+
+
 def _check(arguments: argparse.Namespace, mesh: Mesh) -> None:
     """`ValueError` for what can be known to fail before any work."""
     io.check_output(arguments.output, mesh)
@@ -70,6 +89,8 @@ def _check(arguments: argparse.Namespace, mesh: Mesh) -> None:
             raise ValueError(f"{option} is missing: name the patches that {do}; this mesh has: {known}.")
         if not len(mesh.patch(*names)):
             raise ValueError(f"{option} {' '.join(names)}: there are no nodes in it.")
+    for name in arguments.symmetry:
+        mesh.patch(name)
     both = sorted(set(arguments.moving) & set(arguments.fixed))
     if both:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
