@@ -241,7 +241,21 @@ def _box(tmp_path):
 
 def test_symmetry_planes_on_the_command_line(tmp_path):
     file, points, sides = _box(tmp_path)
-    arguments = "--moving z0 --fixed z1 x1 y1 --symmetry x0 y0 --translate 0 0 0.1".split()
+    arguments = [
+        "--moving",
+        "z0",
+        "--fixed",
+        "z1",
+        "x1",
+        "y1",
+        "--symmetry",
+        "x0",
+        "y0",
+        "--translate",
+        "0",
+        "0",
+        "0.1",
+    ]
     assert main(["deform", str(file), str(tmp_path / "out.su2"), *arguments]) == 0
     moved = io.read(tmp_path / "out.su2").points
     np.testing.assert_array_equal(moved[sides["x0"], 0], 0)
@@ -251,7 +265,7 @@ def test_symmetry_planes_on_the_command_line(tmp_path):
 
 def test_patches_left_out_of_the_hull_are_named(tmp_path, capsys):
     file, _, _ = _box(tmp_path)
-    arguments = "--moving z0 --fixed x0 --translate 0 0 0.1 --method dgm".split()
+    arguments = ["--moving", "z0", "--fixed", "x0", "--translate", "0", "0", "0.1", "--method", "dgm"]
     assert main(["deform", str(file), str(tmp_path / "out.su2"), *arguments]) == 2
     error = capsys.readouterr().err
     assert "outside of the convex hull" in error
@@ -265,7 +279,7 @@ def test_a_symmetry_patch_that_is_not_plane(tmp_path, capsys):
     bent = np.array(mesh.points)
     bent[np.flatnonzero((bent[:, 0] == 0) & (bent[:, 1] == 0.5))[2], 0] = 0.01
     io.write(tmp_path / "bent.su2", mesh.moved(bent))
-    arguments = "--moving z0 --fixed z1 --symmetry x0 --translate 0 0 0.1".split()
+    arguments = ["--moving", "z0", "--fixed", "z1", "--symmetry", "x0", "--translate", "0", "0", "0.1"]
     assert main(["deform", str(tmp_path / "bent.su2"), str(tmp_path / "out.su2"), *arguments]) == 2
     assert "--symmetry x0: these 25 nodes do not lie in one plane: node" in capsys.readouterr().err
     assert file.read_text() == text
