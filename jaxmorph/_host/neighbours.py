@@ -5,6 +5,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from .graph import morton_order
 from .reduction import roundoff
 
 
@@ -41,21 +42,39 @@ def near_walls(
     """Which points lie near a wall, and the ids (k, count + 1) of the surface nodes that matter to them.
 
     `reach` (b,) is how far a node's wall reaches into the volume. A row holds the `count` nearest nodes of the nearest
-    wall, nearest first, and then the nearest node of any other wall (the first one again where there is none).
+    wall, nearest first, and then the nearest node of any other wall within four times the reach (else the first one
+    again). The nearest nodes are looked for among the neighbours of the very nearest: one search a point instead of many.
     """
-    found = KDTree(surface).query(points, distance_upper_bound=max(reach.max(), roundoff(surface)))
+    order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
+    found = KDTree(surface).query(points[order], distance_upper_bound=max(reach.max(), roundoff(surface)))
     distance, first = map(np.asarray, found)
-    near = np.flatnonzero(np.isfinite(distance))
-    near = near[distance[near] < reach[first[near]]]
+    hit = np.flatnonzero(np.isfinite(distance))
+    hit = hit[distance[hit] < reach[first[hit]]]
+    near, first = order[hit], first[hit]
+    around = _around(surface, wall, 2 * count)
     rows = np.empty((len(near), count + 1), dtype=np.int32)
-    wall_of = wall[first[near]]
-    for label in np.unique(wall_of):
-        here = np.flatnonzero(wall_of == label)
-        own, others = np.flatnonzero(wall == label), np.flatnonzero(wall != label)
-        k = min(count, len(own))
-        found = np.asarray(KDTree(surface[own]).query(points[near[here]], k=[*range(1, k + 1)])[1])
-        rows[here, :k] = own[found]
-        rows[here, k:] = rows[here, :1]
+    for start in range(0, len(near), 65536):
+        part = slice(start, start + 65536)
+        candidates = around[first[part]]
+        apart = [surface[candidates, axis] - points[near[part], axis, None] for axis in range(points.shape[1])]
+        closest = np.argsort(sum(a * a for a in apart), axis=1, kind="stable")[:, :count]
+        rows[part, :count] = np.take_along_axis(candidates, closest, axis=1)
+    rows[:, count] = rows[:, 0]
+    for label in np.unique(wall[first]):
+        here, others = np.flatnonzero(wall[first] == label), np.flatnonzero(wall != label)
         if others.size:
-            rows[here, count] = others[KDTree(surface[others]).query(points[near[here]])[1]]
+            bound = 4 * reach[wall == label].max()
+            other = np.asarray(KDTree(surface[others]).query(points[near[here]], distance_upper_bound=bound)[1])
+            rows[here[other < len(others)], count] = others[other[other < len(others)]]
     return near, rows
+
+
+def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
+    """(b, count) the nodes of its own wall nearest to each node, itself first; repeated where a wall has fewer."""
+    around = np.empty((len(surface), count), dtype=np.int32)
+    for label in np.unique(wall):
+        own = np.flatnonzero(wall == label)
+        k = min(count, len(own))
+        found = own[np.asarray(KDTree(surface[own]).query(surface[own], k=k)[1]).reshape(len(own), k)]
+        around[own] = np.concatenate([found, np.repeat(own[:, None], count - k, axis=1)], axis=1)
+    return around

@@ -125,8 +125,12 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     )  # Franke and Little, times the first distance
     weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
     layer = jnp.where(width[nearest[0]] > 0, width[nearest[0]], 1)
-    between = jnp.where(other == nearest[0], 0, 2 * distance[0] / (distance[0] + _norm(surface[other] - x) + _tiny(x)))
-    chi = WendlandC2(1.0)((distance[0] / layer) ** 2 + between**2)
+    gap = jnp.sum((surface[other] - x) ** 2)
+    alone = (other == nearest[0]) | (gap == 0)
+    halfway = jnp.where(
+        alone, 0, jnp.sum((surface[nearest[0]] - x) ** 2) / jnp.where(alone, 1, gap)
+    )  # 1 between two walls
+    chi = WendlandC2(1.0)((distance[0] / layer) ** 2 + halfway**4)
     return jnp.where(row.reached & (width[nearest[0]] > 0), chi, 0), weights / weights.sum()
 
 
@@ -135,7 +139,3 @@ def _norm(vectors: Float[Array, "... d"]) -> Float[Array, "..."]:
     squared = jnp.sum(vectors**2, axis=-1)
     positive = squared > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
-
-
-def _tiny(x: Array):
-    return jnp.finfo(x.dtype).tiny
