@@ -77,7 +77,7 @@ def _own_rows(nodes: np.ndarray, points: Float[Array, "n d"]) -> Interpolation:
     """Takes each of the surface's `nodes` to its own row, and no other point anywhere."""
     rows, reached = np.zeros((len(points), 1), dtype=np.int32), np.zeros(len(points), dtype=bool)
     rows[nodes, 0], reached[nodes] = np.arange(len(nodes)), True
-    own = Interpolation(jnp.asarray(rows), jnp.asarray(reached[:, None], points.dtype), jnp.asarray(reached))
+    own = Interpolation(jnp.asarray(rows), jnp.asarray(reached[:, None].astype(points.dtype)), jnp.asarray(reached))
     return with_tables(own, len(nodes))
 
 

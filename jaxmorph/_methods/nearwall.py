@@ -48,7 +48,9 @@ class NearWall(AbstractMethod):
         matched = nearest_of(
             surface.points, surface.matched if len(surface.matched) else extreme_of_each(surface.points, wall)
         )
-        width = np.asarray(self._width(jnp.asarray(matched), jnp.asarray(wall), jnp.asarray(surface.points)))
+        width = np.asarray(
+            eqx.filter_jit(self._width)(jnp.asarray(matched), jnp.asarray(wall), jnp.asarray(surface.points))
+        )
         own = surface.rows(len(points))
         inside = np.flatnonzero(own == len(surface.points))
         near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1)

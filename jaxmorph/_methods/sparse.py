@@ -29,10 +29,6 @@ class Table(eqx.Module):
     owner: Int[Array, " r"]
     weights: Float[Array, "r width"]
 
-    @staticmethod
-    def of(entries: Int[Array, "r width"], owner: Int[Array, " r"], weights: Float[Array, "n k"]) -> "Table":
-        return Table(entries, owner, jnp.where(entries < 0, 0, weights.ravel()[entries]))
-
 
 class Interpolation(eqx.Module):
     """Points' displacements as weighted sums of those of surface nodes: rows of a sparse operator.
@@ -64,7 +60,10 @@ def with_tables_of(old: PyTree, ids: PyTree) -> PyTree:
     """Ids of many points computed anew, with the tables of the old ones."""
 
     def renewed(rows: Interpolation, old: Interpolation) -> Interpolation:
-        table = None if old.table is None else Table.of(old.table.entries, old.table.owner, rows.weights)
+        table = old.table
+        if table is not None:
+            gathered = jnp.where(table.entries < 0, 0, rows.weights.ravel()[table.entries])
+            table = Table(table.entries, table.owner, gathered)
         return Interpolation(rows.nodes, rows.weights, rows.reached, table)
 
     return _map_interpolations(renewed, ids, old)
@@ -86,8 +85,8 @@ def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
     entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
     owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
     weights = np.split(np.asarray(rows.weights), parts)
-    shares = [Table.of(*map(jnp.asarray, share)) for share in zip(entries, owners, weights, strict=True)]
-    table = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *shares)
+    gathered = [np.where(at < 0, 0, share.ravel()[at]) for at, share in zip(entries, weights, strict=True)]
+    table = Table(*(jnp.asarray(np.concatenate(part)) for part in (entries, owners, gathered)))
     return Interpolation(rows.nodes, rows.weights, rows.reached, table)
 
 

@@ -1,0 +1,49 @@
+"""What every benchmark shares: interleaved runs, CPU time of the process, and a line about the machine."""
+
+import importlib.metadata
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+
+import jax
+
+
+def cpu_seconds(functions: dict[str, Callable[[], object]], repeats: int = 7) -> dict[str, float]:
+    """Median CPU time of each function, the runs interleaved so that a noisy moment hits all alike; the first is not counted."""
+    times: dict[str, list[float]] = {name: [] for name in functions}
+    for repeat in range(repeats + 1):
+        for name, function in functions.items():
+            began = time.process_time()
+            jax.block_until_ready(function())
+            if repeat:
+                times[name].append(time.process_time() - began)
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+def once(function: Callable[[], object]) -> tuple[object, float, float]:
+    """The result, and the CPU and wall seconds of one call."""
+    cpu, wall = time.process_time(), time.perf_counter()
+    result = jax.block_until_ready(function())
+    return result, time.process_time() - cpu, time.perf_counter() - wall
+
+
+def about(**what: object) -> None:
+    """One line about the machine and versions, one about the case."""
+    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("jax", "jaxlib", "numpy", "scipy"))
+    load = f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "load unknown"
+    print(
+        f"{platform.machine()}, {os.cpu_count()} cores, {jax.default_backend()}, {load}; Python {platform.python_version()}, {versions}"
+    )
+    print(
+        f"XLA_FLAGS={os.environ.get('XLA_FLAGS', '')}; "
+        + ", ".join(f"{name} = {value}" for name, value in what.items())
+    )
+
+
+def table(rows: list[tuple[str, str, str]]) -> None:
+    """Claim, measured, goal, as Markdown."""
+    print("\n| what | measured | goal |\n|---|---|---|")
+    for row in rows:
+        print("| " + " | ".join(row) + " |")
