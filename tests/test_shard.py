@@ -1,0 +1,73 @@
+"""A plan laid over devices: the same answers, the work divided, one all-reduce for a gradient."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+SHARDED = """
+import json, re
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_enable_x64", True)
+import jaxmorph as jm
+from jaxmorph import cases
+
+mesh, found = cases.naca0015(points=2000), {}
+rng = np.random.default_rng(0)
+u, cotangent = 0.01 * rng.normal(size=(len(mesh.patch("airfoil")), 2)), rng.normal(size=mesh.points.shape)
+methods = {
+    "default": jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8), fixed_reduction=jm.KDTree(4)), jm.NearWall()),
+    "graph": jm.DelaunayGraph(),
+}
+for name, method in methods.items():
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
+    path = np.stack([u / 2, u])
+    whole = jm.deform(plan, u), jm.pullback(plan, u, cotangent), jm.march(plan, path)[1]
+    base = jax.grad(lambda x: jnp.vdot(jm.deform(jm.refit(plan, x), u), cotangent))(plan.points)
+    for count in (2, 3, 4):
+        laid = jm.shard(plan, jax.devices()[:count])
+        shared = jm.deform(laid, u), jm.pullback(laid, u, cotangent), jm.march(laid, path)[1]
+        shared += (jax.grad(lambda x: jnp.vdot(jm.deform(jm.refit(laid, x), u), cotangent))(laid.points),)
+        found[f"{name} {count}"] = [float(jnp.abs(a - b).max() / jnp.abs(a).max()) for a, b in zip((*whole, base), shared)]
+        gradient = jax.jit(jax.grad(lambda u, laid: (jm.deform(laid, u) ** 3).sum()))
+        text = gradient.lower(jnp.asarray(u), laid).compile().as_text()
+        bodies = re.findall(r"body=%?([\\w.]+)", text)
+        inside = [body for body in bodies if "all-reduce" in text.split("%" + body + " (")[1].split("\\n}")[0]]
+        found[f"{name} {count} text"] = [len(re.findall(r"all-reduce(?:-start)?\\(", text)), len(inside)]
+    found[f"{name} points"] = len(laid.points) == len(plan.points)
+print(json.dumps(found))
+"""
+
+
+@pytest.fixture(scope="module")
+def found():
+    flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=4"
+    environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run([sys.executable, "-c", SHARDED], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+@pytest.mark.parametrize("method", ["default", "graph"])
+def test_equal_to_the_whole(found, method, count):
+    """Points bit for bit but for the order of sums; gradients as far as the solve's conditioning lets them."""
+    points, pulled, marched, base = found[f"{method} {count}"]
+    np.testing.assert_array_less([points, marched], 1e-13)
+    np.testing.assert_array_less([pulled, base], 1e-8 if method == "default" else 1e-12)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+@pytest.mark.parametrize("method", ["default", "graph"])
+def test_one_all_reduce_and_none_in_a_loop(found, method, count):
+    reduces, in_loops = found[f"{method} {count} text"]
+    assert reduces == 1
+    assert in_loops == 0
+
+
+def test_points_keep_their_number(found):
+    assert found["default points"]
+    assert found["graph points"]
