@@ -1,0 +1,74 @@
+"""How far each method goes before the first inverted cell, on the paper's airfoil: pitching, and a flap deflected.
+
+python benchmarks/limits.py
+"""
+
+import argparse
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from _measure import about
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+METHODS = {
+    "classic RBF, 732 sources": jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints()),
+    "graph mapping": jm.DelaunayGraph(),
+    "the paper's, 4 + 6": jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(1), fixed_reduction=jm.KDTree(2))),
+    "the paper's, 32 + 6": jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8), fixed_reduction=jm.KDTree(2))),
+    "`prepare`'s default": None,
+}
+
+
+def pitch(base: np.ndarray, degrees: float) -> np.ndarray:
+    """Nose up about the quarter chord."""
+    return turned(base, np.array([0.25, 0.0]), degrees * np.ones(len(base)))
+
+
+def flap(base: np.ndarray, degrees: float) -> np.ndarray:
+    """Downwards behind 70 % of the chord, blended over a tenth of it before the hinge."""
+    share = np.clip((base[:, 0] - 0.65) / 0.1, 0, 1)
+    return turned(base, np.array([0.7, 0.0]), degrees * share**2 * (3 - 2 * share))
+
+
+def turned(base: np.ndarray, about: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+    angle = -np.deg2rad(degrees)
+    x, y = (base - about).T
+    moved = np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], axis=1)
+    return moved + about - base
+
+
+def limit(plan: jm.Plan, mesh: jm.Mesh, motion, most: float, steps: int) -> float:
+    """Degrees reached in so many steps, to 1 degree."""
+
+    def fine(degrees: float) -> bool:
+        path = np.stack([motion(degrees * (j + 1) / steps) for j in range(steps)])
+        return int(jm.quality(mesh, jm.march(plan, jnp.asarray(path))[1]).inverted) == 0
+
+    low, high = 0.0, most
+    if fine(most):
+        return most
+    while high - low > 1:
+        middle = (low + high) / 2
+        low, high = (middle, high) if fine(middle) else (low, middle)
+    return low
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--points", type=int, default=39_666)
+    mesh = cases.naca0015(points=parser.parse_args().points)
+    base = mesh.points[mesh.patch("airfoil")]
+    about(points=len(mesh.points), first_cell=1e-5)
+    print("\n| method | pitch to 180, 1 step | in 9 steps | flap to 120, 1 step | in 9 steps |\n|---|---|---|---|---|")
+    for name, method in METHODS.items():
+        plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
+        reached = []
+        for motion, most in ((pitch, 180.0), (flap, 120.0)):
+            for steps in (1, 9):
+                degrees = limit(plan, mesh, lambda a, motion=motion: motion(base, a), most, steps)
+                reached.append(f"{degrees:.0f}" + ("+" if degrees == most else ""))
+        print(f"| {name} | " + " | ".join(reached) + " |", flush=True)
