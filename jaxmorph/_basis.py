@@ -1,13 +1,14 @@
 """Radial bases. Each takes the squared distance, so that no root has to be differentiated at a source."""
 
 import abc
-import functools
 from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from ._log import half_x_log_x
 
 
 class AbstractBasis(eqx.Module):
@@ -37,8 +38,7 @@ class ThinPlateSpline(AbstractBasis):
     scale_free: ClassVar[bool] = True
 
     def __call__(self, r2):
-        positive = r2 > 0
-        return jnp.where(positive, 0.5 * r2 * jnp.log(jnp.where(positive, r2, 1)), 0)
+        return half_x_log_x(r2)
 
 
 class WendlandC2(AbstractBasis):
@@ -56,7 +56,7 @@ class Gaussian(AbstractBasis):
     radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)
 
     def __call__(self, r2):
-        return jnp.exp(-r2 / self.radius.astype(r2.dtype) ** 2)
+        return jnp.exp(r2 * (-1 / self.radius.astype(r2.dtype) ** 2))
 
 
 class Multiquadric(AbstractBasis):
@@ -66,20 +66,19 @@ class Multiquadric(AbstractBasis):
     radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)
 
     def __call__(self, r2):
-        return jnp.sqrt(1 + r2 / self.radius.astype(r2.dtype) ** 2)
+        return jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
 
 
 def _relative_radius(r2, support_radius):
-    """min(r / R, 1), with derivative zero at r = 0 instead of infinity."""
-    positive = r2 > 0
-    return jnp.minimum(jnp.where(positive, jnp.sqrt(jnp.where(positive, r2, 1)), 0) / support_radius, 1)
+    """r / R, but never less than round-off: its derivative would be infinite at 0."""
+    return jnp.sqrt(r2 * (1 / support_radius**2) + float(jnp.finfo(r2.dtype).eps) ** 2)
 
 
-@functools.partial(jax.custom_jvp)
+@jax.custom_jvp
 def _wendland_c2(r2, support_radius):
     xi = _relative_radius(r2, support_radius)
     inner = 1 - xi
-    return (inner * inner) * (inner * inner) * (4 * xi + 1)
+    return jnp.where(xi >= 1, 0, (inner * inner) * (inner * inner) * (4 * xi + 1))
 
 
 @_wendland_c2.defjvp
@@ -87,6 +86,6 @@ def _wendland_c2_jvp(primals, tangents):
     # d phi / d r2 = -10 (1 - xi)^3 / R^2 is regular at r = 0, where the chain rule through the root is not
     r2, support_radius = primals
     r2_dot, radius_dot = tangents
-    inner = 1 - _relative_radius(r2, support_radius)
-    slope = -10 * inner**3 / support_radius**2
+    xi = _relative_radius(r2, support_radius)
+    slope = jnp.where(xi >= 1, 0, -10 * (1 - xi) ** 3 / support_radius**2)
     return _wendland_c2(r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)

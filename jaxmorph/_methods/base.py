@@ -8,12 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 Reduction = Callable[[np.ndarray], np.ndarray]
 
 BLOCK = 512
-"""Points per block: memory, that for derivatives too, is that of one block, whatever the size of the mesh."""
+"""Points per block at most: memory, that for derivatives too, is that of one block, whatever the size of the mesh."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,6 +68,11 @@ class AbstractField(eqx.Module):
         """Whether a point costs a handful of numbers, so that all points make one block."""
         return False
 
+    @property
+    def block(self) -> int:
+        """Points per block, where the field is not `local`."""
+        return BLOCK
+
 
 class AbstractMethod(eqx.Module):
     """Turns displacements of the surface into a displacement field.
@@ -114,7 +119,7 @@ def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -
     """The field at every point, block by block, each block recomputed instead of stored for derivatives."""
     if field.local:
         return field.evaluate(points, ids)
-    return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids))
+    return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block)
 
 
 def place_points(
@@ -123,19 +128,45 @@ def place_points(
     """`method.place` for every point."""
     if not jax.tree.leaves(ids):
         return ids
-    place = jax.vmap(lambda part: method.place(part[0], part[1], factors, surface))
-    return map_rows(jax.checkpoint(place), (points, ids))
+    place = jax.checkpoint(lambda part: method.place(part[0], part[1], factors, surface))
+    return jax.lax.map(place, (points, ids), batch_size=BLOCK)
 
 
-def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree) -> PyTree:
-    """`function` of blocks of rows, put together again: what it returns for a block has as many rows."""
+def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
+    """`function` of blocks of so many rows, put together again: what it returns for a block has as many rows.
+
+    Each block adds its rows to one array of zeros, in place; the last block may be shorter. Nothing is padded.
+    """
     n = len(jax.tree.leaves(rows)[0])
-    full = n // BLOCK * BLOCK
-    parts = []
-    if full:
-        blocks = jax.tree.map(lambda leaf: leaf[:full].reshape(-1, BLOCK, *leaf.shape[1:]), rows)
-        mapped = jax.lax.map(function, blocks)
-        parts.append(jax.tree.map(lambda leaf: leaf.reshape(full, *leaf.shape[2:]), mapped))
-    if full < n:
-        parts.append(function(jax.tree.map(lambda leaf: leaf[full:], rows)))
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts) if len(parts) > 1 else parts[0]
+    full = (n - 1) // block * block
+    last = function(jax.tree.map(lambda leaf: leaf[full:], rows))
+    if full == 0:
+        return last
+
+    def add(whole, part, start):
+        return jax.tree.map(lambda a, b: _add_rows(a, b, start), whole, part)
+
+    def step(whole, start_and_part):
+        start, part = start_and_part
+        return add(whole, function(part), start), None
+
+    blocks = jax.tree.map(lambda leaf: leaf[:full].reshape(-1, block, *leaf.shape[1:]), rows)
+    zeros = jax.tree.map(lambda leaf: jnp.zeros((n, *leaf.shape[1:]), leaf.dtype), last)
+    whole, _ = jax.lax.scan(step, zeros, (jnp.arange(0, full, block), blocks))
+    return add(whole, last, jnp.asarray(full))
+
+
+def _add_rows(whole: Array, part: Array, start: Int[Array, ""]) -> Array:
+    """Adds, and does not replace: the transpose of an addition reads, where that of a replacement also copies and clears."""
+    window = jax.lax.ScatterDimensionNumbers(
+        update_window_dims=tuple(range(part.ndim)), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
+    )
+    return jax.lax.scatter_add(
+        whole,
+        start[None],
+        part,
+        window,
+        indices_are_sorted=True,
+        unique_indices=True,
+        mode=jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS,
+    )

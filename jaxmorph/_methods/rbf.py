@@ -10,7 +10,11 @@ from jaxtyping import Array, Float, Int
 
 from .._basis import AbstractBasis, ThinPlateSpline
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
-from .base import AbstractField, AbstractMethod, Surface
+from .._product import few_rows_times
+from .base import BLOCK, AbstractField, AbstractMethod, Surface
+
+KERNEL_BLOCK = 2**17
+"""Elements of the kernel that a block of points makes: 1 MiB in float64, which stays in a core's own cache."""
 
 
 class RBF(AbstractMethod):
@@ -107,10 +111,9 @@ class RBF(AbstractMethod):
         terms = factors.lu.shape[0] - len(factors.sources)
         rhs = jnp.concatenate([values, jnp.zeros((terms, u.shape[1]), values.dtype)])
         weights = jax.scipy.linalg.lu_solve((factors.lu, factors.pivots), rhs).astype(u.dtype)
-        beta, alpha = weights[: len(factors.sources)], weights[len(factors.sources) :]
-        return RBFField(
-            self, *(leaf.astype(u.dtype) for leaf in (factors.sources, factors.centre, factors.scale)), beta, alpha
-        )
+        beta, alpha = weights.T[:, : len(factors.sources)], weights.T[:, len(factors.sources) :]
+        sources, centre, scale = (leaf.astype(u.dtype) for leaf in (factors.sources, factors.centre, factors.scale))
+        return RBFField(self, sources, centre, scale, beta, alpha)
 
 
 class RBFFactors(eqx.Module):
@@ -130,13 +133,31 @@ class RBFField(AbstractField):
     sources: Float[Array, "s d"]
     centre: Float[Array, " d"]
     scale: Float[Array, ""]
-    beta: Float[Array, "s d"]
-    alpha: Float[Array, "p d"]
+    beta: Float[Array, "d s"]
+    alpha: Float[Array, "d p"]
 
     def __call__(self, x, ids):
         x = (x - self.centre) * self.scale
-        phi = self.rbf._phi(_squared_distances(x[None], self.sources)[0], self.scale)
-        return phi @ self.beta + polynomial(x[None], self.rbf.degree)[0] @ self.alpha
+        phi = self.rbf._phi(_squared_distances(self.sources, x[None])[:, 0], self.scale)
+        terms = polynomial(x[None], self.rbf.degree)[0]
+        return jnp.matmul(self.beta, phi, precision="highest") + jnp.matmul(self.alpha, terms, precision="highest")
+
+    @property
+    def block(self) -> int:
+        return min(BLOCK, max(64, KERNEL_BLOCK // len(self.sources) // 64 * 64))
+
+    def evaluate(self, points, ids):
+        """Distances and kernel in one loop along the points, then a product with the weights.
+
+        The loop becomes vectors only where each coordinate lies in a row of its own. A product of matrices lays the points
+        out so and is not merged into the loop, as a transposition would be.
+        """
+        stretch = self.scale * jnp.eye(points.shape[1], dtype=points.dtype)
+        x = jnp.matmul(stretch, (points - self.centre).T, precision="highest")
+        phi = self.rbf._phi(_squared_distances(self.sources, x.T), self.scale)
+        terms = polynomial(x.T, self.rbf.degree).T
+        tail = sum((self.alpha[:, k, None] * term for k, term in enumerate(terms)), start=jnp.zeros_like(x))
+        return (few_rows_times(self.beta, phi) + tail).T
 
 
 def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, "k p"]:
