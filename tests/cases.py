@@ -1,0 +1,114 @@
+"""The list of methods, and the small meshes, that every law in `test_contract.py` is tried on. A new method is one more line."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+
+import numpy as np
+
+import jaxmorph as jm
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """`make(length)` builds the method, with its lengths in units of `length`. The rest is what the method claims.
+
+    `exact`: the surface's nodes go where they are told. `affine`: an affine motion of the whole boundary is reproduced;
+    `translates`: a translation at least. `turns`: the answer does not depend on the axes (a box reduction's does).
+    """
+
+    name: str
+    make: Callable[[float], jm.AbstractMethod]
+    exact: bool = True
+    affine: bool = True
+    translates: bool = True
+    turns: bool = True
+    dimensions: tuple[int, ...] = (2, 3)
+
+
+def full(basis, degree):
+    return jm.RBF(basis, reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints(), degree=degree)
+
+
+def few(leaves=2):
+    return jm.RBF(reduction=jm.KDTree(leaves), fixed_reduction=jm.KDTree(2))
+
+
+CASES = [
+    Case("default", lambda length: jm.SurfaceReconstruction(), turns=False, dimensions=(2,)),
+    Case("few-sources", lambda length: jm.SurfaceReconstruction(few()), turns=False),
+    Case("near-wall", lambda length: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3 * length)), turns=False),
+    Case("near-wall-alone", lambda length: jm.NearWall(), affine=False, turns=False, dimensions=(2,)),
+    Case("delaunay", lambda length: jm.DelaunayGraph()),
+    Case(
+        "delaunay-coarse",
+        lambda length: jm.SurfaceReconstruction(jm.DelaunayGraph(), jm.DelaunayGraph()),
+        dimensions=(2,),
+    ),
+    Case("reduced", lambda length: few(), exact=False, turns=False),
+    Case("thin-plate-1", lambda length: full(jm.ThinPlateSpline(), 1), dimensions=(3,)),
+    Case(
+        "wendland-none",
+        lambda length: full(jm.WendlandC2(2 * length), None),
+        affine=False,
+        translates=False,
+        dimensions=(2,),
+    ),
+    Case("gaussian-1", lambda length: full(jm.Gaussian(0.1 * length), 1), dimensions=(2,)),
+    Case("multiquadric-0", lambda length: full(jm.Multiquadric(0.1 * length), 0), affine=False, dimensions=(2,)),
+]
+NAMES = [(case.name, dimension) for case in CASES for dimension in case.dimensions]
+BY_NAME = {case.name: case for case in CASES}
+
+
+@dataclasses.dataclass(frozen=True)
+class Body:
+    """Points between a body, which moves, and a far field, which is fixed."""
+
+    points: np.ndarray
+    moving: np.ndarray
+    fixed: np.ndarray
+
+    @property
+    def boundary(self) -> np.ndarray:
+        return np.concatenate([self.moving, self.fixed])
+
+    @property
+    def inner(self) -> np.ndarray:
+        return np.setdiff1d(np.arange(len(self.points)), self.boundary)
+
+
+def sphere(count: int) -> np.ndarray:
+    """Points spread evenly over the unit sphere, no four of them in one plane but by accident."""
+    i = np.arange(count) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * i / count), np.pi * (1 + 5**0.5) * i
+    return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+
+
+@functools.cache
+def body(dimension: int) -> Body:
+    """An ellipse in 310 points, or an ellipsoid in 605, in layers that grow towards a far field at four lengths; nothing aligned."""
+    rng = np.random.default_rng(dimension)
+    if dimension == 2:
+        angle = np.linspace(0, 2 * np.pi, 31, endpoint=False) + 0.13
+        directions, layers = np.stack([np.cos(angle), np.sin(angle)], axis=1), 10
+    else:
+        directions, layers = sphere(55), 11
+    axes = np.array([0.5, 0.23, 0.31])[:dimension]
+    wall, far = directions * axes, 4 * directions
+    share = np.geomspace(1e-3, 1, layers - 1)
+    points = np.concatenate([wall, *(wall + s * (far - wall) for s in share)])
+    k = len(wall)
+    scatter = 0.2 * np.repeat(np.concatenate([[0], share]), k)[:, None] * rng.uniform(-1, 1, points.shape)
+    scatter[-k:] *= 0.05
+    scatter[-2 * k : -k] *= 0.2
+    order = rng.permutation(len(points))
+    place = np.argsort(order)
+    return Body((points + scatter)[order], place[:k], place[-k:])
+
+
+def motion(points: np.ndarray) -> np.ndarray:
+    """A smooth displacement that no polynomial of degree 1 makes, of a few per cent of the unit length."""
+    d = points.shape[1]
+    phase = points @ np.array([[2.1, -1.3, 0.7], [0.9, 1.7, -2.2], [-1.1, 0.4, 1.9]])[:d, :d]
+    return 0.04 * np.sin(phase + 0.3) + 0.02

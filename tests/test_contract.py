@@ -1,0 +1,314 @@
+"""The laws that every method obeys, each tried on every method of `cases.py`."""
+
+import functools
+import io
+import json
+import pickle
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import BY_NAME, NAMES, body, motion
+from scipy.spatial.transform import Rotation
+
+import jaxmorph as jm
+
+
+def over(names):
+    return pytest.mark.parametrize(("name", "dimension"), names, ids=[f"{name}-{d}d" for name, d in names])
+
+
+every_method = over(NAMES)
+every_piece = over(
+    [pair for pair in NAMES if pair[0] in ("few-sources", "near-wall", "delaunay", "wendland-none", "reduced")][::2]
+)
+
+
+@functools.cache
+def planned(name, dimension):
+    mesh = body(dimension)
+    return jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=BY_NAME[name].make(1.0))
+
+
+@functools.cache
+def given(dimension):
+    """A displacement u, and weights that make a scalar of the moved points."""
+    mesh = body(dimension)
+    return motion(mesh.points[mesh.moving]), np.random.default_rng(7).normal(size=mesh.points.shape)
+
+
+@functools.cache
+def operator(name, dimension):
+    """(n d, m d): the linear map from u to the displacements, a column for each unit displacement."""
+    plan = planned(name, dimension)
+    m, d = plan.moves, dimension
+    columns = [jm.deform(plan, e.reshape(m, d)) - plan.points for e in np.eye(m * d)]
+    return np.stack([np.asarray(column).ravel() for column in columns], axis=1)
+
+
+def rotation(dimension):
+    if dimension == 2:
+        return np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
+    return Rotation.from_rotvec([0.5, -0.4, 0.8]).as_matrix()
+
+
+@every_method
+def test_the_surface_goes_where_it_is_told(name, dimension):
+    plan, (u, _) = planned(name, dimension), given(dimension)
+    mesh, moved = body(dimension), np.asarray(jm.deform(plan, u))
+    if BY_NAME[name].exact:
+        assert (moved[mesh.moving] == mesh.points[mesh.moving] + u).all()
+        assert (moved[mesh.fixed] == mesh.points[mesh.fixed]).all()
+    else:
+        miss = np.abs(moved[mesh.moving] - mesh.points[mesh.moving] - u).max()
+        assert 1e-12 < miss < np.abs(u).max()
+    assert np.isfinite(moved).all()
+    inner = moved[mesh.inner] - mesh.points[mesh.inner]
+    assert 1e-3 < np.abs(inner).max() < 3 * np.abs(u).max()  # the volume follows, and does not overshoot
+
+
+@every_method
+def test_interior_is_continuous_at_the_wall(name, dimension):
+    """The first layer, 1e-3 of the far field's distance off the wall, moves nearly as its wall node does."""
+    plan, (u, _) = planned(name, dimension), given(dimension)
+    mesh, moved = body(dimension), np.asarray(jm.deform(plan, u))
+    gap = np.linalg.norm(mesh.points[mesh.inner][:, None] - mesh.points[mesh.moving][None], axis=2)
+    node, wall = np.argwhere(gap < 6e-3).T
+    assert len(node) >= 20
+    difference = moved[mesh.inner[node]] - mesh.points[mesh.inner[node]] - u[wall]
+    allowed = 0.1 if BY_NAME[name].exact else 1
+    assert np.abs(difference).max() < allowed * np.abs(u).max()
+
+
+@every_method
+def test_nothing_moves_when_nothing_is_asked(name, dimension):
+    plan = planned(name, dimension)
+    assert (np.asarray(jm.deform(plan, np.zeros((plan.moves, dimension)))) == body(dimension).points).all()
+
+
+@every_method
+def test_affine_motions_of_the_whole_boundary(name, dimension):
+    case, mesh = BY_NAME[name], body(dimension)
+    if not case.translates:
+        pytest.skip("claims no polynomial")
+    plan = jm.prepare(mesh.points, mesh.boundary, method=case.make(1.0))
+    shift = np.array([0.3, -0.2, 0.5])[:dimension]
+    motions = [np.eye(dimension)]
+    if case.affine:
+        shear = np.eye(dimension) + 0.3 * np.random.default_rng(1).normal(size=(dimension, dimension))
+        motions += [rotation(dimension), shear]
+    for matrix in motions:
+        target = mesh.points @ matrix.T + shift
+        moved = jm.deform(plan, (target - mesh.points)[mesh.boundary])
+        np.testing.assert_allclose(moved, target, rtol=0, atol=1e-10)
+
+
+@every_method
+def test_linear_in_u(name, dimension):
+    plan, (u, _) = planned(name, dimension), given(dimension)
+    v = np.random.default_rng(2).normal(size=u.shape)
+    together = jm.deform(plan, 2 * u - 3 * v) - plan.points
+    apart = 2 * (jm.deform(plan, u) - plan.points) - 3 * (jm.deform(plan, v) - plan.points)
+    np.testing.assert_allclose(together, apart, rtol=0, atol=1e-10)
+
+
+@every_method
+def test_derivatives_with_respect_to_u(name, dimension):
+    """Reverse and second derivatives of a nonlinear scalar, at u and at u = 0, against the operator itself."""
+    plan, (u, w), a = planned(name, dimension), given(dimension), operator(name, dimension)
+    v = np.random.default_rng(3).normal(size=u.shape)
+
+    def objective(u):
+        return jnp.sum(w * jnp.sin(jm.deform(plan, u)))
+
+    derivatives = jax.jit(lambda u: jax.jvp(jax.grad(objective), (u,), (jnp.asarray(v),)))
+    for at in (u, np.zeros_like(u)):
+        points = np.asarray(plan.points).ravel() + a @ at.ravel()
+        gradient, second = derivatives(at)
+        by_hand = a.T @ (w.ravel() * np.cos(points))
+        np.testing.assert_allclose(np.ravel(gradient), by_hand, rtol=1e-8, atol=1e-8)
+        by_hand = a.T @ (-w.ravel() * np.sin(points) * (a @ v.ravel()))
+        np.testing.assert_allclose(np.ravel(second), by_hand, rtol=1e-8, atol=1e-8)
+        h = 1e-5
+        difference = (objective(at + h * v) - objective(at - h * v)) / (2 * h)
+        np.testing.assert_allclose(jnp.vdot(gradient, v), difference, rtol=1e-6)
+
+
+@every_method
+def test_pullback_is_the_transpose(name, dimension):
+    plan, (u, w), a = planned(name, dimension), given(dimension), operator(name, dimension)
+    pulled = np.asarray(jm.pullback(plan, u, w))
+    np.testing.assert_allclose(pulled.ravel(), a.T @ w.ravel(), rtol=1e-8, atol=1e-9)
+    pushed = np.asarray(jm.deform(plan, u) - plan.points)
+    round_off = 1e-13 * np.linalg.norm(a) * np.linalg.norm(u) * np.linalg.norm(w)
+    assert abs(np.vdot(pushed, w) - np.vdot(u, pulled)) <= round_off
+
+
+@every_method
+def test_derivatives_with_respect_to_the_base_points(name, dimension):
+    """The ids stay, everything else moves: the gradient is that of the plan's own arithmetic. Also jvp, and grad of grad."""
+    plan, (u, w), mesh = planned(name, dimension), given(dimension), body(dimension)
+
+    @jax.jit
+    @jax.value_and_grad
+    def objective(points):
+        return jnp.sum(w * jm.deform(jm.refit(plan, points), u))
+
+    found = np.asarray(objective(mesh.points)[1])
+    assert np.isfinite(found).all()
+    step = 1e-7 * np.random.default_rng(5).normal(size=w.shape)
+    difference = (objective(mesh.points + step)[0] - objective(mesh.points - step)[0]) / 2
+    np.testing.assert_allclose(np.vdot(found, step), difference, rtol=1e-6, atol=1e-13)
+    for node, axis in ((mesh.moving[3], 0), (mesh.moving[11], 1), (mesh.fixed[5], 0), (mesh.inner[40], dimension - 1)):
+        step = np.zeros_like(mesh.points)
+        step[node, axis] = 1e-6
+        difference = (objective(mesh.points + step)[0] - objective(mesh.points - step)[0]) / 2e-6
+        np.testing.assert_allclose(found[node, axis], difference, rtol=1e-6, atol=2e-6)
+
+
+@pytest.mark.parametrize("name", ["reduced", "wendland-none"])
+def test_second_derivatives_with_respect_to_the_base_points(name):
+    plan, (u, w), mesh = planned(name, 2), given(2), body(2)
+    v = np.linalg.norm(mesh.points, axis=1)[:, None] * 0.1 * np.random.default_rng(6).normal(size=w.shape)
+    gradient = jax.jit(jax.grad(lambda points: jnp.sum(w * jm.deform(jm.refit(plan, points), u))))
+    second = jax.jit(jax.grad(lambda points: jnp.vdot(gradient(points), v)))(mesh.points)
+    h = 1e-6
+    across = (gradient(mesh.points + h * v) - gradient(mesh.points - h * v)) / (2 * h)
+    assert np.isfinite(second).all()
+    np.testing.assert_allclose(second, across, rtol=0, atol=2e-5 * np.abs(across).max())
+
+
+@every_method
+def test_jit_and_vmap(name, dimension):
+    """The plan is an argument like any other; many displacements at once are as good as one by one."""
+    plan, (u, _) = planned(name, dimension), given(dimension)
+    several = np.stack([u, 0 * u, -2 * u])
+    mapped = jax.jit(jax.vmap(jm.deform, in_axes=(None, 0)))(plan, several)
+    looped = jnp.stack([jm.deform(plan, u) for u in several])
+    np.testing.assert_allclose(mapped, looped, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["delaunay", "reduced"])
+def test_eager_scan_jacfwd_and_vjp(name):
+    plan, (u, w) = planned(name, 2), given(2)
+    one = jm.deform(plan, u)
+    with jax.disable_jit():
+        np.testing.assert_allclose(jm.deform(plan, u), one, rtol=0, atol=1e-13)
+    _, scanned = jax.lax.scan(lambda carry, u: (carry, jm.deform(plan, carry * u)), 2.0, jnp.stack([u, -u]))
+    np.testing.assert_allclose(scanned[1], jm.deform(plan, -2 * u), rtol=0, atol=1e-13)
+    jacobian = jax.jacfwd(lambda u: jm.deform(plan, u))(jnp.asarray(u))
+    np.testing.assert_allclose(jacobian.reshape(w.size, u.size), operator(name, 2), rtol=0, atol=1e-12)
+    _, pushed = jax.jvp(lambda u: jm.deform(plan, u), (jnp.asarray(u),), (jnp.asarray(2 * u),))
+    np.testing.assert_allclose(pushed, 2 * (one - plan.points), rtol=0, atol=1e-13)
+    _, transpose = jax.vjp(lambda w: jm.pullback(plan, u, w), jnp.asarray(w))  # the transpose of the transpose
+    np.testing.assert_allclose(transpose(jnp.asarray(u))[0], one - plan.points, rtol=0, atol=1e-12)
+
+
+@every_method
+def test_translated_turned_and_scaled_meshes(name, dimension):
+    """Displacements turn and scale with the mesh. The reductions' boxes stand along the axes: those turn by right angles."""
+    case, mesh, (u, _) = BY_NAME[name], body(dimension), given(dimension)
+    reference = np.asarray(jm.deform(planned(name, dimension), u)) - mesh.points
+    turned = rotation(dimension) if case.turns else np.roll(np.eye(dimension), 1, axis=0)
+    for length, shift, matrix in ((1e3, 0, np.eye(dimension)), (1e-3, 7e-3, np.eye(dimension)), (1, 0, turned)):
+        points = length * mesh.points @ matrix.T + shift
+        plan = jm.prepare(points, mesh.moving, mesh.fixed, method=case.make(length))
+        moved = jm.deform(plan, length * u @ matrix.T) - points
+        np.testing.assert_allclose(moved / length, reference @ matrix.T, rtol=0, atol=1e-9)
+
+
+@every_method
+def test_the_order_of_the_points_does_not_matter(name, dimension):
+    case, mesh, (u, _) = BY_NAME[name], body(dimension), given(dimension)
+    rng = np.random.default_rng(8)
+    order, rows = rng.permutation(len(mesh.points)), rng.permutation(len(mesh.moving))
+    place = np.argsort(order)
+    plan = jm.prepare(mesh.points[order], place[mesh.moving][rows], place[mesh.fixed][::-1], method=case.make(1.0))
+    moved = jm.deform(plan, u[rows])
+    np.testing.assert_allclose(moved, jm.deform(planned(name, dimension), u)[order], rtol=0, atol=1e-11)
+
+
+@every_piece
+def test_float32(name, dimension):
+    mesh, (u, w) = body(dimension), given(dimension)
+    plan = jm.prepare(mesh.points.astype(np.float32), mesh.moving, mesh.fixed, method=BY_NAME[name].make(1.0))
+    moved = jm.deform(plan, u.astype(np.float32))
+    assert moved.dtype == jm.pullback(plan, u, w).dtype == plan.points.dtype == np.float32
+    np.testing.assert_allclose(moved, jm.deform(planned(name, dimension), u), rtol=0, atol=1e-4)
+
+
+@every_method
+def test_round_trips(name, dimension):
+    plan, (u, _) = planned(name, dimension), given(dimension)
+    one = jm.deform(plan, u)
+    leaves, structure = jax.tree.flatten(plan)
+    file = io.BytesIO()
+    eqx.tree_serialise_leaves(file, plan)
+    file.seek(0)
+    blank = jax.tree.map(jnp.zeros_like, plan)
+    for copy in (
+        pickle.loads(pickle.dumps(plan)),
+        jax.tree.unflatten(structure, leaves),
+        eqx.tree_deserialise_leaves(file, blank),
+    ):
+        assert jax.tree.structure(copy) == structure
+        assert (jm.deform(copy, u) == one).all()
+    assert all(isinstance(leaf, jax.Array) for leaf in leaves)
+
+
+@every_piece
+def test_blocks_agree_with_the_one_point_form(name, dimension):
+    """`evaluate` is there for speed: value and derivatives are those of the field written for one point."""
+    plan, (u, w) = planned(name, dimension), given(dimension)
+    surface, method = plan.surface, plan.method
+    own = jnp.zeros_like(surface.points).at[: plan.moves].set(u)
+
+    def blocks(own):
+        field = method.field(surface.ids, surface.factors, surface.points, own)
+        return field.evaluate(plan.points, plan.volume.placed)
+
+    def one_by_one(own):
+        field = method.field(surface.ids, surface.factors, surface.points, own)
+        return jax.vmap(lambda x, ids: field(x, method.place(x, ids, surface.factors, surface.points)))(plan.points, plan.volume.ids)
+
+    answers = [jax.jit(lambda own, form=form: jax.vjp(form, own)) for form in (blocks, one_by_one)]
+    (value, pull), (expected, expected_pull) = (answer(own) for answer in answers)
+    np.testing.assert_allclose(value, expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(pull(jnp.asarray(w))[0], expected_pull(jnp.asarray(w))[0], rtol=0, atol=1e-10)
+
+
+X64_OFF = """
+import json, sys, warnings
+sys.path.insert(0, "tests")
+warnings.simplefilter("error")
+import jax, numpy as np, jaxmorph as jm
+from cases import BY_NAME, body, motion
+mesh, answer = body(2), {}
+for name in ("delaunay", "reduced"):
+    plan = jm.prepare(mesh.points.astype("float32"), mesh.moving, mesh.fixed, method=BY_NAME[name].make(1.0))
+    u = motion(mesh.points[mesh.moving])
+    moved = jm.deform(plan, u.astype("float32"))
+    gradient = jax.grad(lambda u: jm.deform(plan, u).sum())(u.astype("float32"))
+    answer[name] = [str(moved.dtype), str(gradient.dtype), np.asarray(moved, float).tolist()]
+try:
+    jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.DelaunayGraph())
+except UserWarning as warning:
+    answer["warning"] = str(warning)
+print(json.dumps(answer))
+"""
+
+
+def test_without_x64(request):
+    """In a process of its own: float32 in, float32 out; float64 points are not cut to float32 in silence."""
+    root = request.config.rootpath
+    done = subprocess.run([sys.executable, "-c", X64_OFF], capture_output=True, text=True, cwd=root, check=False)
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert "x64" in answer.pop("warning")
+    for name, (dtype, gradient_dtype, moved) in answer.items():
+        assert dtype == gradient_dtype == "float32"
+        np.testing.assert_allclose(moved, jm.deform(planned(name, 2), given(2)[0]), rtol=0, atol=2e-3)

@@ -1,0 +1,174 @@
+"""Radial basis functions against SciPy's interpolator and against a dense solve in NumPy."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, full, motion
+from scipy.interpolate import RBFInterpolator
+
+import jaxmorph as jm
+
+
+def wendland(distance, radius):
+    x = np.minimum(distance / radius, 1)
+    return (1 - x) ** 4 * (4 * x + 1)
+
+
+def dense(points, sources, values, phi, degree):
+    """The textbook system (eq. 3), solved by NumPy in the mesh's own coordinates."""
+    tail = np.concatenate([np.ones((len(sources), 1)), sources], axis=1)[
+        :, : {None: 0, 0: 1, 1: 1 + sources.shape[1]}[degree]
+    ]
+    distance = np.linalg.norm(sources[:, None] - sources[None], axis=2)
+    matrix = np.block([[phi(distance), tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
+    weights = np.linalg.solve(matrix, np.concatenate([values, np.zeros((tail.shape[1], values.shape[1]))]))
+    there = np.concatenate([np.ones((len(points), 1)), points], axis=1)[:, : tail.shape[1]]
+    kernel = phi(np.linalg.norm(points[:, None] - sources[None], axis=2))
+    return kernel @ weights[: len(sources)] + there @ weights[len(sources) :]
+
+
+def surface_values(mesh):
+    """u on the moving nodes, nothing on the fixed ones."""
+    u = motion(mesh.points[mesh.moving])
+    return u, np.concatenate([u, np.zeros((len(mesh.fixed), u.shape[1]))])
+
+
+SCIPY = [  # SciPy writes phi(epsilon r), with epsilon = 1 / R, and its multiquadric with the other sign
+    (jm.ThinPlateSpline(), 1, {"kernel": "thin_plate_spline", "degree": 1}, 2),
+    (jm.ThinPlateSpline(), 1, {"kernel": "thin_plate_spline", "degree": 1}, 3),
+    (jm.Gaussian(0.15), None, {"kernel": "gaussian", "epsilon": 1 / 0.15, "degree": -1}, 2),
+    (jm.Gaussian(0.15), 0, {"kernel": "gaussian", "epsilon": 1 / 0.15, "degree": 0}, 2),
+    (jm.Gaussian(0.4), 1, {"kernel": "gaussian", "epsilon": 1 / 0.4, "degree": 1}, 3),
+    (jm.Multiquadric(0.15), 0, {"kernel": "multiquadric", "epsilon": 1 / 0.15, "degree": 0}, 2),
+    (jm.Multiquadric(0.15), 1, {"kernel": "multiquadric", "epsilon": 1 / 0.15, "degree": 1}, 3),
+]
+
+
+@pytest.mark.parametrize(("basis", "degree", "options", "dimension"), SCIPY)
+def test_full_interpolation_equals_scipys(basis, degree, options, dimension):
+    mesh = body(dimension)
+    u, values = surface_values(mesh)
+    moved = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(basis, degree)), u)
+    expected = RBFInterpolator(mesh.points[mesh.boundary], values, smoothing=0, **options)(mesh.points)
+    np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("degree", [None, 0, 1])
+def test_wendland_equals_a_dense_solve(degree):
+    mesh = body(2)
+    u, values = surface_values(mesh)
+    moved = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(1.7), degree)), u)
+    expected = dense(mesh.points, mesh.points[mesh.boundary], values, lambda r: wendland(r, 1.7), degree)
+    np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("steps", [1, 20])
+def test_refitted_steps_equal_dense_solves_on_the_moved_mesh(steps):
+    """Wendland C2 without polynomial, each step fitted anew on the points that the last one left."""
+    mesh = body(2)
+    u, values = surface_values(mesh)
+    path = np.linspace(0, 1, steps + 1)[1:, None, None] * 5 * u
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(1.7), None))
+    _, moved = jm.march(plan, path)
+    expected = mesh.points
+    for _ in range(steps):
+        step = dense(expected, expected[mesh.boundary], 5 * values / steps, lambda r: wendland(r, 1.7), None)
+        expected = expected + step
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-10)
+
+
+def test_a_reduced_interpolation_is_one_of_its_sources():
+    """Sources are what the reductions choose, moving and fixed apart; SciPy interpolates those same ones."""
+    mesh = body(3)
+    u, values = surface_values(mesh)
+    moving, fixed = jm.KDTree(3), jm.KDTree(2, jm.GaussPoints())
+    moved = jm.deform(
+        jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.RBF(reduction=moving, fixed_reduction=fixed)), u
+    )
+    chosen = np.concatenate([moving(mesh.points[mesh.moving]), len(mesh.moving) + fixed(mesh.points[mesh.fixed])])
+    assert 8 < len(chosen) < len(mesh.boundary) / 2
+    sources = mesh.points[mesh.boundary][chosen]
+    expected = RBFInterpolator(sources, values[chosen], kernel="thin_plate_spline", degree=1)(mesh.points)
+    np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-11)
+
+
+def test_far_from_the_origin_and_in_other_units():
+    mesh = body(2)
+    u, _ = surface_values(mesh)
+    method = full(jm.ThinPlateSpline(), 1)
+    near = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method), u) - mesh.points
+    for length, shift, allowed in ((1, 1e6, 1e-8), (1e-4, 0, 1e-12), (1e5, 3e5, 1e-12)):
+        points = mesh.points * length + shift
+        moved = jm.deform(jm.prepare(points, mesh.moving, mesh.fixed, method=method), u * length) - points
+        np.testing.assert_allclose(moved / length, near, rtol=0, atol=allowed)
+
+
+def test_coincident_nodes_do_not_make_the_system_singular():
+    """A wake cut: the first moving nodes once more, at the same place, moving alike. The interpolation does not notice."""
+    mesh = body(2)
+    u, _ = surface_values(mesh)
+    points = np.concatenate([mesh.points, mesh.points[mesh.moving[:4]]])
+    again = np.arange(len(mesh.points), len(points))
+    method = full(jm.ThinPlateSpline(), 1)
+    doubled = jm.prepare(points, np.concatenate([mesh.moving, again]), mesh.fixed, method=method)
+    moved = jm.deform(doubled, np.concatenate([u, u[:4]]))
+    plain = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method), u)
+    np.testing.assert_allclose(moved[: len(plain)], plain, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(moved[len(plain) :], plain[mesh.moving[:4]], rtol=0, atol=1e-12)
+
+
+def test_derivative_in_the_support_radius():
+    mesh = body(2)
+    u, _ = surface_values(mesh)
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(1.5), None))
+    weights = np.random.default_rng(0).normal(size=mesh.points.shape)
+
+    def objective(radius):
+        swept = eqx.tree_at(lambda plan: plan.method.basis.support_radius, plan, radius)
+        return jnp.sum(weights * jm.deform(jm.refit(swept, mesh.points), u))
+
+    h = 1e-5
+    difference = (objective(jnp.asarray(1.5 + h)) - objective(jnp.asarray(1.5 - h))) / (2 * h)
+    np.testing.assert_allclose(jax.grad(objective)(jnp.asarray(1.5)), difference, rtol=1e-6)
+
+
+def test_jitted_gradients_in_space():
+    """With respect to the base points, each coordinate apart: a compiler has merged the sum of three squares wrongly."""
+    mesh = body(3)
+    u, _ = surface_values(mesh)
+    plan = jm.prepare(
+        mesh.points, mesh.moving, mesh.fixed, method=jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(1))
+    )
+
+    @jax.jit
+    @jax.value_and_grad
+    def objective(points):
+        return jnp.sum(jnp.sin(3 * jm.deform(jm.refit(plan, points), u)))
+
+    gradient = objective(mesh.points)[1]
+    for axis in np.eye(3):
+        step = 1e-6 * axis * np.random.default_rng(1).normal(size=(len(mesh.points), 1))
+        difference = objective(mesh.points + step)[0] - objective(mesh.points - step)[0]
+        np.testing.assert_allclose(np.vdot(gradient, step), difference / 2, rtol=2e-6)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_sources_that_do_not_span_space(dimension):
+    """All in one plane (a line, in 2-D), rotated so that no coordinate is constant."""
+    rng = np.random.default_rng(3)
+    turn = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0]
+    flat = rng.normal(size=(40, dimension)) * ([1] * (dimension - 1) + [0])
+    points = np.concatenate([flat @ turn, rng.normal(size=(10, dimension))])
+    with pytest.raises(ValueError, match=rf"40 sources do not span {dimension} dimensions"):
+        jm.prepare(points, np.arange(40), method=full(jm.ThinPlateSpline(), 1))
+    plan = jm.prepare(points, np.arange(40), method=full(jm.WendlandC2(3.0), 0))  # a constant needs no span
+    np.testing.assert_allclose(jm.deform(plan, np.ones((40, dimension))), points + 1, atol=1e-10)
+
+
+def test_a_degree_that_does_not_exist_or_does_not_suffice():
+    with pytest.raises(ValueError, match="None, 0 or 1, not 2"):
+        jm.RBF(degree=2)
+    with pytest.warns(UserWarning, match="ThinPlateSpline without a polynomial of degree 1"):
+        jm.RBF(degree=0)

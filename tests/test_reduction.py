@@ -1,0 +1,138 @@
+"""The k-d tree reduction (section 2.1 of the paper) against a plain reference, and its options one by one."""
+
+import itertools
+
+import numpy as np
+import pytest
+from cases import body
+
+import jaxmorph as jm
+from jaxmorph import cases as jm_cases
+
+
+def reference(points, leaves, local):
+    """The five steps in plain Python: split the fullest box at the median of its longest side, search from its corners."""
+    boxes = [sorted(map(tuple, points))]
+    while len(boxes) < leaves:
+        fullest = max(boxes, key=len)
+        boxes.remove(fullest)
+        sides = [max(p[k] for p in fullest) - min(p[k] for p in fullest) for k in range(len(points[0]))]
+        along = sorted(fullest, key=lambda p: p[sides.index(max(sides))])
+        boxes += [along[: (len(along) + 1) // 2], along[(len(along) + 1) // 2 :]]
+    found = set()
+    for box in boxes:
+        low, high = np.min(box, axis=0), np.max(box, axis=0)
+        for corner in local:
+            search = (low + high) / 2 + (high - low) / 2 * np.array(corner)
+            found.add(min(range(len(points)), key=lambda i: sum((points[i] - search) ** 2)))
+    return sorted(found)
+
+
+LOCAL = {
+    jm.Centre(): lambda d: [(0,) * d],
+    jm.Corners(): lambda d: list(itertools.product((-1, 1), repeat=d)),
+    jm.GaussPoints(): lambda d: list(itertools.product((-(3**-0.5), 3**-0.5), repeat=d)),
+}
+
+
+@pytest.mark.parametrize("search", LOCAL, ids=lambda search: type(search).__name__)
+@pytest.mark.parametrize(("dimension", "leaves"), [(2, 1), (2, 2), (2, 8), (3, 1), (3, 4), (3, 16)])
+def test_against_the_reference(search, dimension, leaves):
+    points = np.random.default_rng(dimension * leaves).normal(size=(64, dimension)) ** 3  # dense in the middle
+    chosen = jm.KDTree(leaves, search, separation=0.0)(points)
+    assert chosen.tolist() == reference(points, leaves, LOCAL[search](dimension))
+
+
+def test_search_points():
+    assert [len(search.local(d)) for search in LOCAL for d in (2, 3)] == [1, 1, 4, 8, 4, 8]
+    for search, local in LOCAL.items():
+        np.testing.assert_allclose(sorted(map(tuple, search.local(3))), sorted(local(3)), atol=1e-15)
+
+
+def test_the_papers_source_numbers():
+    """One leaf gives an airfoil its 4 sources; a far field split in two has 6: the boxes share none of their corners' nodes."""
+    mesh = jm_cases.naca0015(points=3000)
+    assert len(jm.KDTree(1)(mesh.points[mesh.patch("airfoil")])) == 4
+    assert len(jm.KDTree(2)(mesh.points[mesh.patch("farfield")])) == 6
+
+
+@pytest.mark.parametrize("reduction", [jm.KDTree(7), jm.KDTree(5, jm.GaussPoints(), extremes=True), jm.AllPoints()])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_order_does_not_matter_and_nothing_is_named_twice(reduction, dimension):
+    grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * dimension), axis=-1).reshape(-1, dimension)  # ties everywhere
+    for points in (body(dimension).points, grid):
+        order = np.random.default_rng(0).permutation(len(points))
+        first, again, shuffled = reduction(points), reduction(points), reduction(points[order])
+        assert (first == again).all()
+        assert (np.diff(first) > 0).all()
+        assert set(map(tuple, points[first])) == set(map(tuple, points[order][shuffled]))
+
+
+def test_boxes_are_split_until_small_enough():
+    """The limits on the leaves: every box obeys them, and holds its own points alone."""
+    points = np.random.default_rng(1).normal(size=(500, 2)) ** 3
+
+    def members(tree):
+        boxes = tree.boxes(points)
+        inside = [((points >= low) & (points <= high)).all(axis=1) for low, high in boxes]
+        assert np.sum(inside) == len(points)
+        return boxes, np.sum(inside, axis=1)
+
+    _, counts = members(jm.KDTree(points_per_leaf=20))
+    assert counts.min() >= 10
+    assert counts.max() <= 20
+    boxes, counts = members(jm.KDTree(largest_box=2.0))
+    assert np.ptp(boxes, axis=1).max() <= 2.0
+    assert counts.max() > 20
+    boxes, counts = members(jm.KDTree(64, smallest_box=0.5))
+    assert len(boxes) <= 64
+    assert (np.ptp(boxes, axis=1).max(axis=1)[counts > 20] <= 0.5).all()  # only these are left whole
+    assert len(members(jm.KDTree(13))[0]) == 13
+    assert len(jm.KDTree(1000).boxes(points)) == 500  # one point each, then it ends
+
+
+def test_separation():
+    points = np.concatenate([np.random.default_rng(2).normal(size=(200, 2)), [[0.0, 0.0], [1e-9, 0.0]]])
+    wide = jm.KDTree(64, separation=0.05)(points)
+    distance = np.linalg.norm(points[wide][:, None] - points[wide][None], axis=2) + np.eye(len(wide)) * 9
+    assert distance.min() > 0.05 * np.linalg.norm(np.ptp(points, axis=0))
+    assert 10 < len(wide) < len(jm.KDTree(64, separation=0.0)(points))
+
+
+def test_extremes():
+    """The nodes at which the wall touches its bounding box: a blunt trailing edge has two, and both are sources."""
+    x = (1 - np.cos(np.linspace(0, np.pi, 60))) / 2
+    half = 0.06 * np.sqrt(x) * (1 - x) + 0.004 * x
+    points = np.concatenate([np.stack([x, half], axis=1), np.stack([x, -half], axis=1)])
+    chosen = set(jm.KDTree(1, jm.Centre(), extremes=True)(points).tolist())
+    assert {59, 119} <= chosen  # trailing edge, upper and lower
+    assert chosen & {0, 60}  # nose
+    assert {int(half.argmax()), 60 + int(half.argmax())} <= chosen
+    assert not {59, 119} <= set(jm.KDTree(1, jm.Centre())(points).tolist())
+
+
+def test_all_points_takes_one_of_coincident_ones():
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [1.0, 1.0], [1.0, 0.0]])
+    assert jm.AllPoints()(points).tolist() == [0, 1, 3]
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_hardly_any_points(count):
+    points = np.arange(2.0 * count).reshape(count, 2)
+    for reduction in (jm.KDTree(4), jm.KDTree(4, extremes=count > 0), jm.AllPoints()):
+        assert reduction(points).tolist() == list(range(count))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "needs one of `leaves`"),
+        ({"leaves": 0}, "`leaves` must be at least 1, not 0"),
+        ({"points_per_leaf": -1}, "`points_per_leaf` must be at least 1"),
+        ({"leaves": 1, "smallest_box": 2.0, "largest_box": 1.0}, "smallest_box <= largest_box"),
+        ({"leaves": 1, "separation": 1.0}, "from 0 to 1; not 1.0"),
+    ],
+)
+def test_options_that_make_no_sense(options, message):
+    with pytest.raises(ValueError, match=message):
+        jm.KDTree(**options)

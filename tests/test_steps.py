@@ -1,0 +1,169 @@
+"""Several steps: what march leaves, replay gives back; with derivatives."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, few, full, motion
+
+import jaxmorph as jm
+
+STEPS = 2
+
+
+def turned(mesh, steps=STEPS, angle=0.5):
+    """A path of rotations of the moving nodes, with some bending: totals, so not on a straight line."""
+    wall = mesh.points[mesh.moving]
+    d = wall.shape[1]
+    path = []
+    for part in np.arange(1, steps + 1) / steps:
+        c, s = np.cos(angle * part), np.sin(angle * part)
+        matrix = np.eye(d)
+        matrix[:2, :2] = [[c, -s], [s, c]]
+        path.append(wall @ matrix.T - wall + part * motion(wall))
+    return np.stack(path)
+
+
+METHODS = {
+    "few": jm.SurfaceReconstruction(few()),
+    "near-wall": jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3)),
+    "delaunay": jm.DelaunayGraph(),
+    "full": full(jm.ThinPlateSpline(), 1),
+    "reduced": few(),
+    "split": jm.SurfaceReconstruction(few(), correction_steps=3),
+}
+
+
+@functools.cache
+def planned(name, dimension=2):
+    mesh = body(dimension)
+    return jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=METHODS[name])
+
+
+@functools.cache
+def marched(name, rebuild, dimension=2):
+    return jm.march(planned(name, dimension), turned(body(dimension)), rebuild=rebuild)
+
+
+CASES = [
+    ("few", False),
+    ("few", True),
+    ("near-wall", False),
+    ("delaunay", True),
+    ("full", False),
+    ("reduced", False),
+    ("split", True),
+]
+every_march = pytest.mark.parametrize(
+    ("name", "rebuild"), CASES, ids=[f"{name}{'-rebuilt' * again}" for name, again in CASES]
+)
+
+
+@every_march
+def test_replay_equals_march(name, rebuild):
+    path = turned(body(2))
+    plans, points = marched(name, rebuild)
+    assert len(plans) == STEPS
+    np.testing.assert_allclose(eqx.filter_jit(jm.replay)(plans, path), points, rtol=0, atol=1e-12)
+
+
+@every_march
+def test_the_surface_arrives_and_the_far_field_stays(name, rebuild):
+    mesh, path = body(2), turned(body(2))
+    _, points = marched(name, rebuild)
+    if name == "reduced":
+        assert 1e-6 < np.abs(points[mesh.moving] - mesh.points[mesh.moving] - path[-1]).max() < 0.5
+        return
+    np.testing.assert_allclose(points[mesh.moving], mesh.points[mesh.moving] + path[-1], rtol=0, atol=1e-14)
+    if name == "split":  # its coarse step moves the far field as well, the correction brings it back
+        np.testing.assert_allclose(points[mesh.fixed], mesh.points[mesh.fixed], rtol=0, atol=2e-15)
+    else:
+        assert (np.asarray(points[mesh.fixed]) == mesh.points[mesh.fixed]).all()
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_delaunay_steps_with_kept_ids_equal_one(dimension):
+    """The graph stands on the undeformed mesh: the path does not matter, nor the number of steps."""
+    mesh = body(dimension)
+    path = turned(mesh, steps=5)
+    plan = planned("delaunay", dimension)
+    _, points = jm.march(plan, path)
+    np.testing.assert_allclose(points, jm.deform(plan, path[-1]), rtol=0, atol=2e-15 * np.abs(mesh.points).max() * 2)
+
+
+def test_one_step_is_deform():
+    mesh = body(2)
+    path = turned(mesh)[:1]
+    for name in ("few", "full"):
+        plans, points = jm.march(planned(name), path)
+        assert len(plans) == 1
+        np.testing.assert_allclose(points, jm.deform(planned(name), path[0]), rtol=0, atol=1e-14)
+
+
+def test_steps_by_hand():
+    """A march with ids found again is a chain of prepare and deform, each by what the wall still has to go."""
+    mesh, path = body(2), turned(body(2))
+    points = mesh.points
+    for target in path:
+        plan = jm.prepare(np.asarray(points), mesh.moving, mesh.fixed, method=METHODS["few"])
+        points = jm.deform(plan, mesh.points[mesh.moving] + target - points[mesh.moving])
+    np.testing.assert_allclose(marched("few", True)[1], points, rtol=0, atol=1e-12)
+
+
+def test_one_coarse_step_and_three_of_the_correction():
+    """Section 3.2: the coarse field first, then what is left on the surface in thirds, a new graph before each."""
+    mesh, path = body(2), turned(body(2))[-1:]
+    plans, points = jm.march(planned("split"), path, rebuild=True)
+    assert [len(step) for step in plans] == [4]
+    target = mesh.points[mesh.boundary] + np.concatenate([path[0], np.zeros((len(mesh.fixed), 2))])
+    expected = np.asarray(jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=few()), path[0]))
+    for left in (3, 2, 1):
+        graph = jm.prepare(expected, mesh.boundary, method=jm.DelaunayGraph())
+        expected = np.asarray(jm.deform(graph, (target - expected[mesh.boundary]) / left))
+    np.testing.assert_allclose(points, expected, rtol=0, atol=1e-12)
+    once = jm.deform(planned("few"), path[0])
+    np.testing.assert_allclose(
+        jm.deform(planned("split"), path[0]), once, rtol=0, atol=1e-14
+    )  # within one plan: no difference
+
+
+@pytest.mark.parametrize(("name", "rebuild"), [("near-wall", False), ("split", True)])
+def test_gradients_of_replay(name, rebuild):
+    """With respect to the whole path and to the base points, the ids as they were recorded."""
+    mesh, path = body(2), turned(body(2))
+    plans, _ = marched(name, rebuild)
+    weights = np.random.default_rng(0).normal(size=mesh.points.shape)
+
+    @eqx.filter_jit
+    def objective(path, points, plans):
+        def scalar(arguments):
+            path, points = arguments
+            first = plans[0]
+            start = (jm.refit(first[0], points), *first[1:]) if isinstance(first, tuple) else jm.refit(first, points)
+            return jnp.sum(weights * jnp.sin(jm.replay((start, *plans[1:]), path)))
+
+        return jax.value_and_grad(scalar)((path, points))
+
+    _, gradient = objective(path, mesh.points, plans)
+    rng, h = np.random.default_rng(1), 1e-6
+    for argument, at in ((0, path), (1, mesh.points)):
+        step = h * rng.normal(size=at.shape) * (1 if argument == 0 else 0.05)
+        ahead, behind = ([path, mesh.points] for _ in range(2))
+        ahead[argument], behind[argument] = at + step, at - step
+        difference = (objective(*ahead, plans)[0] - objective(*behind, plans)[0]) / 2
+        np.testing.assert_allclose(np.vdot(gradient[argument], step), difference, rtol=1e-5, atol=1e-12)
+
+
+def test_what_is_not_a_path():
+    plan = planned("few")
+    m = plan.moves
+    with pytest.raises(ValueError, match=rf"`path` has shape \({m}, 2\); expected \(steps, {m}, 2\)"):
+        jm.march(plan, np.zeros((m, 2)))
+    plans, _ = marched("few", False)
+    with pytest.raises(ValueError, match="`path` has 3 steps, but there are 2 plans"):
+        jm.replay(plans, np.zeros((3, m, 2)))
+    with pytest.raises(ValueError, match="`plans` is empty"):
+        jm.replay((), np.zeros((0, m, 2)))
