@@ -1,6 +1,6 @@
 """The product that ends a kernel sum: a few rows of weights, one per coordinate, times a large block of the kernel.
 
-On a CPU its transpose (a few rows of a cotangent, contracted with the block's long axis) takes a fifth of the time when each
+On a CPU its transpose (a few rows of a cotangent, contracted with the block's long axis) takes a quarter of the time when each
 row has a matrix-vector product of its own; with the rows of many displacements (`vmap`) one product of matrices is faster.
 Only a primitive can tell one from the other, and is as linear as the product itself.
 """
