@@ -33,9 +33,7 @@ def about(**what: object) -> None:
     """One line about the machine and versions, one about the case."""
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("jax", "jaxlib", "numpy", "scipy"))
     load = f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "load unknown"
-    print(
-        f"{platform.machine()}, {os.cpu_count()} cores, {jax.default_backend()}, {load}; Python {platform.python_version()}, {versions}"
-    )
+    print(f"{platform.machine()}, {os.cpu_count()} cores, {jax.default_backend()}, {load}; {versions}")
     print(
         f"XLA_FLAGS={os.environ.get('XLA_FLAGS', '')}; "
         + ", ".join(f"{name} = {value}" for name, value in what.items())

@@ -1,15 +1,16 @@
 """Measures of a cell, from the coordinates of its corners.
 
-Each function takes the cell's type and `x`, its corners (c, k) of k cells, numbered as VTK numbers them, relative to the
-first one and, for the measures without a unit, divided by the cell's size (products of lengths then stay within
-float32). The formulas read as for one cell. The definitions are those of Verdict, the library behind VTK's cell quality
-(Stimpson et al., The Verdict geometric quality library, SAND2007-1751), written so that every derivative is finite, on
-cells of no size too.
+Each function takes the cell's type and `x`, the corners of k cells, one vector for each corner, numbered as VTK numbers
+them, relative to the first one and, for the measures without a unit, divided by the cell's size (products of lengths
+then stay within float32). The formulas read as for one cell. The definitions are those of Verdict, the library behind
+VTK's cell quality (Stimpson et al., The Verdict geometric quality library, SAND2007-1751), written so that every
+derivative is finite, on cells of no size too.
 """
 
 import functools
 import itertools
 import math
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ._host.topology import DIMENSION, EDGES, FACES, FRAMES
-from ._vector import Vector, angle, cross, divide, dot, mean, norm, total
+from ._vector import Vector, angle, cross, divide, dot, mean, norm, stack, total
 
 Scalar = Float[Array, " k"]
 
@@ -31,9 +32,9 @@ _PARALLEL = {
 }
 
 
-def _pick(x: Vector, table: tuple[tuple[int, ...], ...]) -> list[Vector]:
+def _pick(x: Sequence[Vector], table: tuple[tuple[int, ...], ...]) -> list[Vector]:
     """One vector for each column of a table of corners: every face's first corner, every face's second, ..."""
-    return [x.rows(column) for column in zip(*table, strict=True)]
+    return [stack([x[i] for i in column]) for column in zip(*table, strict=True)]
 
 
 def _groups(kind: str) -> list[tuple[tuple[int, ...], ...]]:
@@ -42,43 +43,44 @@ def _groups(kind: str) -> list[tuple[tuple[int, ...], ...]]:
     return [tuple(face for face in faces if len(face) == size) for size in sorted({len(face) for face in faces})]
 
 
-def _edges(x: Vector, kind: str) -> Vector:
+def _edges(x: Sequence[Vector], kind: str) -> Vector:
     start, end = _pick(x, EDGES[kind])
     return end - start
 
 
-def principal_axes(kind: str, x: Vector) -> list[Vector]:
+def principal_axes(kind: str, x: Sequence[Vector]) -> list[Vector]:
     """Vectors between the middles of opposite sides of a quad or a hexahedron, times 2 and 4."""
     picked = [_pick(x, pairs) for pairs in _PARALLEL[kind]]
     return [total(end - start) for start, end in picked]
 
 
-def face_areas(kind: str, x: Vector) -> Vector:
+def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
     """Area vectors (f, k) of the sides, outward for a right-handed cell; for a cell of two dimensions, of its edges."""
     if DIMENSION[kind] == 3:
         groups = _groups(kind)
         areas = [_area_vector(_pick(x, group)) for group in groups]
         joined = Vector([jnp.concatenate(parts) for parts in zip(*(area.components for area in areas), strict=True)])
         faces = [face for group in groups for face in group]
-        return joined if faces == list(FACES[kind]) else joined.rows([faces.index(face) for face in FACES[kind]])
+        order = [faces.index(face) for face in FACES[kind]]
+        return joined if order == list(range(len(order))) else joined.rows(order)
     along = _edges(x, kind)
-    if len(x) == 2:
+    if len(x[0]) == 2:
         return Vector((along[1], -along[0]))
     return cross(along, _normal(kind, x))
 
 
-def _area_vector(corners: list[Vector]) -> Vector:
+def _area_vector(corners: Sequence[Vector]) -> Vector:
     """Half the cross product of the diagonals, of two sides for a triangle; one component in the plane."""
     if len(corners) == 3:
         return cross(corners[1] - corners[0], corners[2] - corners[0]) * 0.5
     return cross(corners[2] - corners[0], corners[3] - corners[1]) * 0.5
 
 
-def _area(kind: str, x: Vector) -> Vector:
-    return _area_vector([x.row(i) for i in range(len(FACES[kind]))])
+def _area(kind: str, x: Sequence[Vector]) -> Vector:
+    return _area_vector(list(x))
 
 
-def _normal(kind: str, x: Vector) -> Vector:
+def _normal(kind: str, x: Sequence[Vector]) -> Vector:
     """Unit normal of a triangle or quad; +1 for those in the plane, so that areas there have a sign."""
     area = _area(kind, x)
     return Vector([jnp.ones_like(area[0])]) if len(area) == 1 else _unit(area)
@@ -88,24 +90,25 @@ def _unit(a: Vector) -> Vector:
     return a * divide(jnp.ones_like(a[0]), norm(a), 0.0)
 
 
-def volume(kind: str, x: Vector) -> Scalar:
+def volume(kind: str, x: Sequence[Vector]) -> Scalar:
     """Signed volume, signed area in the plane, area of a surface in space, length of a line.
 
     Faces of four corners are bilinear: their flux is that of the mean of the corners, and the volume that of the
     trilinear (isoparametric) cell.
     """
     if kind == "line":
-        return norm(x.row(1) - x.row(0))
+        return norm(x[1] - x[0])
     if DIMENSION[kind] == 2:
         area = _area(kind, x)
         return area[0] if len(area) == 1 else norm(area)
     if kind == "tetra":
         return jacobians(kind, x)[0][0] / 6
     groups = [_pick(x, group) for group in _groups(kind)]
-    return sum(jnp.sum(dot(_area_vector(corners), mean(corners)), axis=0) for corners in groups) / 3
+    fluxes = [jnp.sum(dot(_area_vector(corners), mean(corners)), axis=0) for corners in groups]
+    return functools.reduce(jnp.add, fluxes) / 3
 
 
-def jacobians(kind: str, x: Vector) -> tuple[Float[Array, "s k"], Float[Array, "s k"]]:
+def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Array, "s k"], Float[Array, "s k"]]:
     """Jacobians at the corners, and for a hexahedron also at its centre, as Verdict samples them.
 
     Each with the bound that turns an error of the coordinates into one of the Jacobian: the sum over the edges of
@@ -129,12 +132,12 @@ def _append(a: Vector, row: Vector) -> Vector:
     return Vector([jnp.concatenate([rows, last[None]]) for rows, last in pairs])
 
 
-def skewness(kind: str, x: Vector) -> Scalar:
+def skewness(kind: str, x: Sequence[Vector]) -> Scalar:
     """0 for the ideal cell, 1 for a degenerate one.
 
     Quad and hexahedron: Verdict's `skew`, the largest |cos| of the angles between the principal axes (Taylor and
     Flanagan, SAND87-0525). The others: Verdict's `equiangle_skew`, the largest deviation of an angle of a face from the
-    equiangular one, over the largest there can be.
+    equiangular one, over the largest there can be; for a tetrahedron of an angle between faces, too.
     """
     if kind == "line":
         return jnp.zeros_like(x[0][0])
@@ -148,11 +151,18 @@ def skewness(kind: str, x: Vector) -> Scalar:
         corners = _pick(x, group)
         sides = [corners[(i + 1) % size] - corner for i, corner in enumerate(corners)]
         angles = jnp.concatenate([angle(side, sides[i - 1] * -1) for i, side in enumerate(sides)])
-        worst += [(jnp.max(angles, axis=0) - ideal) / (math.pi - ideal), 1 - jnp.min(angles, axis=0) / ideal]
-    return jnp.max(jnp.stack(worst), axis=0)
+        worst.append(_deviation(angles, ideal))
+    if kind == "tetra":
+        first, second = _pick(face_areas(kind, x).unstack(), tuple(itertools.combinations(range(4), 2)))
+        worst.append(_deviation(math.pi - angle(first, second), math.acos(1 / 3)))
+    return functools.reduce(jnp.maximum, worst)
 
 
-def aspect_ratio(kind: str, x: Vector) -> Scalar:
+def _deviation(angles: Float[Array, "a k"], ideal: float) -> Scalar:
+    return jnp.maximum((jnp.max(angles, axis=0) - ideal) / (math.pi - ideal), 1 - jnp.min(angles, axis=0) / ideal)
+
+
+def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
     """1 for the ideal cell, infinite for a flat one.
 
     Triangle: longest edge / (2 sqrt 3 inradius). Quad: longest edge times perimeter / (4 area). Tetrahedron: longest
@@ -161,10 +171,8 @@ def aspect_ratio(kind: str, x: Vector) -> Scalar:
     """
     if kind == "line":
         return jnp.ones_like(x[0][0])
-    if kind == "hexahedron":
-        lengths = jnp.stack([norm(axis) for axis in principal_axes(kind, x)])
-    else:
-        lengths = norm(_edges(x, kind))
+    edges = principal_axes(kind, x) if kind == "hexahedron" else _edges(x, kind).unstack()
+    lengths = jnp.stack([norm(edge) for edge in edges])
     longest = jnp.max(lengths, axis=0)
     if kind in ("hexahedron", "wedge", "pyramid"):
         return divide(longest, jnp.min(lengths, axis=0), math.inf)
@@ -176,24 +184,24 @@ def aspect_ratio(kind: str, x: Vector) -> Scalar:
     return divide(longest * jnp.sum(lengths, axis=0), ideal * size, math.inf)
 
 
-def centre_of_mass(kind: str, x: Vector) -> Vector:
+def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
     """Centre of mass of the triangles or tetrahedra between the sides, their means and the first corner.
 
     OpenFOAM's cell centre, for faces in a plane.
     """
     if kind in ("line", "triangle", "tetra"):
-        return mean(x.unstack())
+        return mean(x)
     if kind == "quad":
-        return _centre_of_quad(x.unstack())
-    parts = []
+        return _centre_of_quad(x)
+    parts, stacked = [], stack(x)
     for group in _groups(kind):
 
         def face(sums, corners):
-            return tuple(a + b for a, b in zip(sums, _moments(x, corners), strict=True)), None
+            return tuple(a + b for a, b in zip(sums, _moments(stacked, corners), strict=True)), None
 
         zero = jnp.zeros_like(x[0][0])
         parts.append(jax.lax.scan(face, (zero,) * 4, np.array(group))[0])
-    whole, *moment = (sum(part) for part in zip(*parts, strict=True))
+    whole, *moment = (functools.reduce(jnp.add, part) for part in zip(*parts, strict=True))
     return Vector(moment) * divide(jnp.full_like(whole, 0.25), whole, 0.0)
 
 
@@ -204,17 +212,17 @@ def _moments(x: Vector, corners: Int[Array, " c"]) -> list[Scalar]:
     pairs = [(around[i - 1], corner) for i, corner in enumerate(around)]
     volumes = [dot(cross(a, b), middle) for a, b in pairs]
     moment = _sum([(a + b + middle) * weight for (a, b), weight in zip(pairs, volumes, strict=True)])
-    return [sum(volumes[1:], volumes[0]), *moment.components]
+    return [functools.reduce(jnp.add, volumes), *moment.components]
 
 
-def _centre_of_quad(corners: list[Vector]) -> Vector:
+def _centre_of_quad(corners: Sequence[Vector]) -> Vector:
     """Centre of mass of the triangles between the sides and the mean of the corners, by their projected areas."""
     middle, normal = mean(corners), _area_vector(corners)
     spokes = [corner - middle for corner in corners]
     pairs = [(spokes[i - 1], spoke) for i, spoke in enumerate(spokes)]
     weights = [dot(cross(a, b), normal) for a, b in pairs]
     moment = _sum([(a + b) * weight for (a, b), weight in zip(pairs, weights, strict=True)])
-    whole = sum(weights[1:], weights[0])
+    whole = functools.reduce(jnp.add, weights)
     return middle + moment * divide(jnp.full_like(whole, 1 / 3), whole, 0.0)
 
 

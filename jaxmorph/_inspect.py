@@ -29,7 +29,7 @@ class Inspection:
     warnings: tuple[str, ...]
 
 
-def inspect(plan: Plan, u: Float[Array, "m d"]) -> Inspection:
+def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
     """Host: looks at a displacement (m, d) of the moving nodes without moving the mesh.
 
     Neighbouring surface nodes are contradictory where one moves, the other is fixed and the displacement is larger than their
@@ -47,7 +47,7 @@ def inspect(plan: Plan, u: Float[Array, "m d"]) -> Inspection:
     own = np.zeros((len(nodes), points.shape[1]), points.dtype)
     own[: plan.moves] = u
     offset = np.linalg.norm(_offset(plan, own), axis=1)
-    size = np.asarray(scipy.spatial.KDTree(points).query(points[nodes], k=[2])[0])[:, 0]
+    size = np.asarray(scipy.spatial.KDTree(points).query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
     pairs = _torn(points[nodes], own, plan.moves)
     warnings = ()

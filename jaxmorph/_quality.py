@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _cells
@@ -14,7 +15,7 @@ from ._host.adjacency import handedness, neighbours
 from ._host.topology import DIMENSION, FACES
 from ._mesh import Mesh
 from ._report import QualityReport
-from ._vector import Vector
+from ._vector import Vector, mean
 
 
 def quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> QualityReport:
@@ -61,7 +62,7 @@ class Links(NamedTuple):
 
 
 def _connect(cells: dict[str, Any], signs: bool) -> Links:
-    if any(isinstance(corners, jax.core.Tracer) for corners in cells.values()):
+    if any(isinstance(corners, Tracer) for corners in cells.values()):
         return Links(neighbours(cells, jnp)[0], None, None)
     cells = {kind: np.asarray(corners) for kind, corners in cells.items()}
     neighbour, flipped = neighbours(cells)
@@ -90,9 +91,7 @@ def _standard(kinds: tuple[str, ...], cells: tuple[Array, ...], points: Float[Ar
         none = ~jnp.any(judged, axis=0)
         least = _least(jacobians, sign, judged)
         flat = math.factorial(DIMENSION[kind]) * jnp.abs(volume) <= jnp.max(noise, axis=0)
-        standards.append(
-            Standard(sign, jnp.where(flat, 1, volume), flat, jnp.where(none, 1, least), judged, none)
-        )
+        standards.append(Standard(sign, jnp.where(flat, 1, volume), flat, jnp.where(none, 1, least), judged, none))
     return standards
 
 
@@ -125,37 +124,43 @@ def _measure(
     return QualityReport(**joined, non_orthogonality=angles, types=types, relative=standards is not None)
 
 
-def _corners(points: Float[Array, "n d"], ids: Int[Array, "k c"]) -> Vector:
-    return Vector([points[:, axis][ids.T] for axis in range(points.shape[1])])
+def _corners(points: Float[Array, "n d"], ids: Int[Array, "k c"]) -> list[Vector]:
+    axes = [points[:, axis] for axis in range(points.shape[1])]
+    return [Vector([axis[ids[:, corner]] for axis in axes]) for corner in range(ids.shape[1])]
 
 
-def _relative(x: Vector) -> tuple[Vector, Float[Array, " k"]]:
+def _relative(x: list[Vector]) -> tuple[list[Vector], Float[Array, " k"]]:
     """Corners relative to the first, and the cell's size, which is not differentiated."""
-    relative = x - x.row(0)
+    relative = [corner - x[0] for corner in x]
     size = _reach(relative)
     return relative, jnp.where(size > 0, size, 1)
 
 
-def _reach(x: Vector) -> Float[Array, " k"]:
-    return jax.lax.stop_gradient(jnp.max(jnp.stack([jnp.max(jnp.abs(c), axis=0) for c in x.components]), axis=0))
+def _scaled(x: list[Vector], size: Float[Array, " k"]) -> list[Vector]:
+    return [corner * (1 / size) for corner in x]
 
 
-def _sizes(kind: str, x: Vector) -> tuple[Array, Array, Array]:
+def _reach(x: list[Vector]) -> Float[Array, " k"]:
+    components = [jnp.abs(component) for corner in x for component in corner.components]
+    return jax.lax.stop_gradient(functools.reduce(jnp.maximum, components))
+
+
+def _sizes(kind: str, x: list[Vector]) -> tuple[Array, Array, Array]:
     """Volume (k,), Jacobians (s, k), and what of each Jacobian is round-off of the coordinates."""
-    rounding = 8 * float(jnp.finfo(x[0].dtype).eps) * _reach(x)
+    rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * _reach(x)
     relative, _ = _relative(x)
     jacobians, spread = _cells.jacobians(kind, relative)
     return _cells.volume(kind, relative), jacobians, rounding * jax.lax.stop_gradient(spread)
 
 
-def _shape(kind: str, x: Vector) -> dict[str, Array]:
+def _shape(kind: str, x: list[Vector]) -> dict[str, Array]:
     """The measures without a unit, and the place."""
     relative, size = _relative(x)
-    shape = relative * (1 / size)
+    shape = _scaled(relative, size)
     return {
         "skewness": _cells.skewness(kind, shape),
         "aspect_ratio": _cells.aspect_ratio(kind, shape),
-        "centroid": jnp.stack([jnp.mean(component, axis=0) for component in x.components], axis=1),
+        "centroid": jnp.stack(mean(x).components, axis=1),
     }
 
 
@@ -199,14 +204,14 @@ def _judge_alone(volume: Array, jacobians: Array, noise: Array, sign: Array) -> 
     }
 
 
-def _non_orthogonality(corners: dict[str, Vector], signs: dict[str, Array], neighbour: Array) -> Array:
+def _non_orthogonality(corners: dict[str, list[Vector]], signs: dict[str, Array], neighbour: Array) -> Array:
     """Largest angle over the inner faces of each cell, 0 for a cell without any.
 
     Centres are kept relative to the first corner of their cell, so that their differences do not lose digits.
     """
     shapes = {kind: _relative(x) for kind, x in corners.items()}
     own = [_cells.centre_of_mass(kind, relative) for kind, (relative, _) in shapes.items()]
-    origins, centres = _joined([x.row(0) for x in corners.values()]), _joined(own)
+    origins, centres = _joined([x[0] for x in corners.values()]), _joined(own)
     angles, first, used = [], 0, 0
     for kind, (relative, size) in shapes.items():
         k, f = len(size), len(FACES[kind])
@@ -215,7 +220,7 @@ def _non_orthogonality(corners: dict[str, Vector], signs: dict[str, Array], neig
             here = jnp.arange(first, first + k)
             ids = jnp.where(behind < 0, here, behind)
             between = (_at(origins, ids) - _at(origins, here)) + (_at(centres, ids) - _at(centres, here))
-            areas = _cells.face_areas(kind, relative * (1 / size)) * signs[kind]
+            areas = _cells.face_areas(kind, _scaled(relative, size)) * signs[kind]
             degrees = _cells.non_orthogonality(areas, between * (1 / size), DIMENSION[kind] < len(areas))
             angles.append(jnp.max(jnp.where(behind < 0, 0, degrees), axis=0))
         else:

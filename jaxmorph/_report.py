@@ -3,9 +3,9 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ._host.topology import DIMENSION
@@ -38,6 +38,7 @@ class QualityReport(eqx.Module):
       undeformed mesh. 1 where none had.
     - `is_inverted`: either ratio is not positive; NaN coordinates count as inverted. Without `points`, see `quality`.
     - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh: the cell is not judged.
+      In float32 the round-off of the coordinates hides the sign of the thinnest cells at a wall.
     - `centroid`: mean of the corners (k, d): where the cell is.
 
     Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers over the cells of the
@@ -160,19 +161,21 @@ class QualityReport(eqx.Module):
             )
 
     def __str__(self) -> str:
-        if isinstance(self.volume, jax.core.Tracer) or self.volume.ndim > 1:
+        if isinstance(self.volume, Tracer) or self.volume.ndim > 1:
             return repr(self)
         counted = ", ".join(f"{count} {kind}" for kind, count in self._top())
         lines = [f"{counted}: {int(self.inverted)} inverted, {int(self.degenerate)} degenerate from the start"]
-        lines.append(f"{'':<18}{'min':>11}{'mean':>11}{'max':>11}   {'worst cell':<10}  near")
-        for name in MEASURES:
+        lines.append(f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near")
+        for name in MEASURES if self.relative else MEASURES[:-2]:
             cell = self.worst(1, by=name)[0]
-            numbers = "".join(f"{float(f(name)):>11.4g}" for f in (self.min, self.mean, self.max))
-            lines.append(f"{name:<18}{numbers}   {cell:<10}  {self._place(cell)}")
+            numbers = "".join(f"{float(f(name)):>10.3g}" for f in (self.min, self.mean, self.max))
+            lines.append(f"{name:<17}{numbers}  {cell:<8}{self._place(cell)}")
         return "\n".join(lines)
 
     def _place(self, cell: int) -> str:
-        return "(" + ", ".join(f"{x:.3g}" for x in np.asarray(self.centroid[cell]).tolist()) + ")"
+        place = np.asarray(self.centroid[cell], dtype=float)
+        place = np.where(np.abs(place) < 1e-4 * np.abs(place).max(), 0.0, place)
+        return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
 
     def _top(self) -> list[tuple[str, int]]:
         highest = max(DIMENSION[kind] for kind, count in self.types if count)

@@ -25,7 +25,6 @@ class Vector:
         return self.components[i]
 
     def rows(self, ids: Sequence[int]) -> "Vector":
-        """The rows `ids` of each component, such as the first corner of every face."""
         return Vector([jnp.stack([component[i] for i in ids]) for component in self.components])
 
     def row(self, i: int | Int[Array, ""]) -> "Vector":
@@ -62,6 +61,11 @@ def norm(a: Vector) -> Scalar:
     """Length; its derivative at zero is zero."""
     squared = dot(a, a)
     return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+
+
+def stack(vectors: Sequence[Vector]) -> Vector:
+    """One row for each vector."""
+    return Vector([jnp.stack(rows) for rows in zip(*(a.components for a in vectors), strict=True)])
 
 
 def total(a: Vector) -> Vector:

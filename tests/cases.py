@@ -87,7 +87,7 @@ def sphere(count: int) -> np.ndarray:
 
 @functools.cache
 def body(dimension: int) -> Body:
-    """An ellipse in 310 points, or an ellipsoid in 605, in layers that grow towards a far field at four lengths; nothing aligned."""
+    """An ellipse in 310 points, or an ellipsoid in 605, in layers that grow towards a far field; nothing aligned."""
     rng = np.random.default_rng(dimension)
     if dimension == 2:
         angle = np.linspace(0, 2 * np.pi, 31, endpoint=False) + 0.13

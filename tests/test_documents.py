@@ -30,7 +30,9 @@ def test_extensions_move_a_mesh(code):
     np.testing.assert_array_equal(moved[30:50], points[30:50])
     cotangent, tangent = rng.normal(size=points.shape), rng.normal(size=u.shape)
     forward = jax.jvp(lambda u: jm.deform(plan, u), (u,), (tangent,))[1]
-    np.testing.assert_allclose(np.vdot(forward, cotangent), np.vdot(tangent, jm.pullback(plan, u, cotangent)), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.vdot(forward, cotangent), np.vdot(tangent, jm.pullback(plan, u, cotangent)), rtol=1e-9
+    )
 
 
 def test_readme_runs(tmp_path, monkeypatch, capsys):

@@ -170,7 +170,7 @@ def test_surfaces_without_extent(dimension):
     flat = np.concatenate([rng.normal(size=(30, dimension - 1)), np.zeros((30, 1))], axis=1) @ turn
     points = np.concatenate([flat, [flat.mean(axis=0)]])
     for shift in (0.0, 10.0):
-        with pytest.raises(ValueError, match="30 surface nodes lie in one (line|plane)"):
+        with pytest.raises(ValueError, match=r"30 surface nodes lie in one (line|plane)"):
             jm.prepare(points + shift, np.arange(30), method=jm.DelaunayGraph())
     with pytest.raises(ValueError, match=rf"needs {dimension + 1} distinct surface nodes, got {dimension}"):
         jm.prepare(points, np.arange(dimension), method=jm.DelaunayGraph())

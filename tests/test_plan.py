@@ -207,7 +207,7 @@ def test_a_plane_anywhere():
     assert abs(plane.normal @ turn[:, 1]) < 1e-14
     moved = jm.deform(jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane), u @ turn.T)
     np.testing.assert_allclose(moved, straight @ turn.T + np.array([5.0, -3.0]), rtol=0, atol=1e-10)
-    exact = jm.Plane.through(part + [0.1, 0.0], on)
+    exact = jm.Plane.through(part + np.array([0.1, 0.0]), on)
     assert (exact.normal == [1, 0]).all()
     assert exact.origin[0] == 0.1
 

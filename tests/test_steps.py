@@ -130,7 +130,7 @@ def test_one_coarse_step_and_three_of_the_correction():
     )  # within one plan: no difference
 
 
-@pytest.mark.parametrize(("name", "rebuild"), [("near-wall", False), ("split", True)])
+@pytest.mark.parametrize(("name", "rebuild"), [("few", False), ("split", True)])
 def test_gradients_of_replay(name, rebuild):
     """With respect to the whole path and to the base points, the ids as they were recorded."""
     mesh, path = body(2), turned(body(2))

@@ -71,7 +71,7 @@ class _Graph(Delaunay):
     """
 
     @functools.cached_property
-    def transform(self) -> np.ndarray:
+    def transform(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
         """(k, d + 1, d): the inverse of the edges from the last corner, and that corner."""
         corners = self.points[self.simplices]
         last = corners[:, -1]

@@ -12,11 +12,12 @@ from .reduction import roundoff
 def walls(points: np.ndarray) -> np.ndarray:
     """(b,) the number of the wall to which each surface node belongs, found without connectivity.
 
-    Two nodes are of one wall when a chain of nearest neighbours (4 in 2-D, 8 in 3-D) leads from one to the other: an
+    Two nodes are of one wall when a chain of nearest neighbours (2 in 2-D, 8 in 3-D) leads from one to the other: an
     airfoil, the next blade of a cascade and the far field are walls of their own, an airfoil's two sides are not.
+    Walls closer to each other than their own nodes count as one.
     """
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
-    count = min(4 * (points.shape[1] - 1), len(unique) - 1)
+    count = min({2: 2, 3: 8}[points.shape[1]], len(unique) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.int32)
     nearest = np.asarray(KDTree(unique).query(unique, k=count + 1)[1])[:, 1:]
@@ -42,7 +43,7 @@ def near_walls(
     """Which points lie near a wall, and the ids (k, count + 1) of the surface nodes that matter to them.
 
     `reach` (b,) is how far a node's wall reaches into the volume. A row holds the `count` nearest nodes of the nearest
-    wall, nearest first, and then the nearest node of any other wall within four times the reach (else the first one
+    wall, nearest first, and then the nearest node of any other wall within eight times the reach (else the first one
     again). The nearest nodes are looked for among the neighbours of the very nearest: one search a point instead of many.
     """
     order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
@@ -63,7 +64,7 @@ def near_walls(
     for label in np.unique(wall[first]):
         here, others = np.flatnonzero(wall[first] == label), np.flatnonzero(wall != label)
         if others.size:
-            bound = 4 * reach[wall == label].max()
+            bound = 8 * reach[wall == label].max()
             other = np.asarray(KDTree(surface[others]).query(points[near[here]], distance_upper_bound=bound)[1])
             rows[here[other < len(others)], count] = others[other[other < len(others)]]
     return near, rows

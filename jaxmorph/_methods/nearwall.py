@@ -15,7 +15,7 @@ from .sparse import InterpolatedField, Interpolation
 NEIGHBOURS = 6
 """Wall nodes whose displacements a point near the wall averages, and one more, at which the average ends."""
 
-REACH = 0.25
+REACH = 0.5
 """Width of the layer, relative to the largest distance from a wall's node to its nearest source."""
 
 
@@ -28,9 +28,9 @@ class NearWall(AbstractMethod):
     under it: by more than the thickness of a boundary layer's first cell. Points that follow the nearest wall keep their
     place in the layer. The map is one fixed sparse operator, exact at the surface's nodes.
 
-    `width` is a length in the mesh's units. By default it is, for each wall, a quarter of the largest distance from a node
+    `width` is a length in the mesh's units. By default it is, for each wall, half of the largest distance from a node
     to the nearest one at which the correction has nothing to do (a source of the coarse field); of a wall without such nodes
-    a quarter of its extent. It ends before half of the gap to another wall.
+    half of its extent. It ends before half of the gap to another wall.
     """
 
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
@@ -127,12 +127,14 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     )  # Franke and Little, times the first distance
     weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
     layer = jnp.where(width[nearest[0]] > 0, width[nearest[0]], 1)
-    gap = jnp.sum((surface[other] - x) ** 2)
+    gap = _norm(surface[other] - x)
     alone = (other == nearest[0]) | (gap == 0)
-    halfway = jnp.where(
-        alone, 0, jnp.sum((surface[nearest[0]] - x) ** 2) / jnp.where(alone, 1, gap)
-    )  # 1 between two walls
-    chi = WendlandC2(1.0)((distance[0] / layer) ** 2 + halfway**4)
+    halfway = jnp.where(alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap)))  # 1 between two walls
+    fourth = (
+        distance[0] / layer
+    ) ** 4 + halfway**4  # the layer ends where the nearer of both ends does, without a kink
+    inside = fourth > 0
+    chi = WendlandC2(1.0)(jnp.where(inside, jnp.sqrt(jnp.where(inside, fourth, 1)), 0))
     return jnp.where(row.reached & (width[nearest[0]] > 0), chi, 0), weights / weights.sum()
 
 

@@ -1,0 +1,510 @@
+"""Quality against VTK's Verdict, finite differences, and meshes whose angles are known."""
+
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import pyvista
+from scipy.spatial import ConvexHull, Delaunay
+from vtkmodules.vtkFiltersVerdict import vtkMeshQuality
+
+import jaxmorph as jm
+from jaxmorph._host.adjacency import handedness, neighbours
+from jaxmorph._host.topology import FACES
+
+HEXAHEDRON = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
+IDEAL = {
+    "triangle": [[0, 0], [1, 0], [0.5, 3**0.5 / 2]],
+    "quad": [[0, 0], [1, 0], [1, 1], [0, 1]],
+    "tetra": [[0, 0, 0], [1, 1, 0], [0, 1, 1], [1, 0, 1]],
+    "pyramid": [*HEXAHEDRON[:4], [0.5, 0.5, 0.7]],
+    "wedge": [[0, 0, 0], [1, 0, 0], [0.5, 3**0.5 / 2, 0], [0, 0, 1], [1, 0, 1], [0.5, 3**0.5 / 2, 1]],
+    "hexahedron": HEXAHEDRON,
+}
+VTK = {
+    "triangle": pyvista.CellType.TRIANGLE,
+    "quad": pyvista.CellType.QUAD,
+    "tetra": pyvista.CellType.TETRA,
+    "pyramid": pyvista.CellType.PYRAMID,
+    "wedge": pyvista.CellType.WEDGE,
+    "hexahedron": pyvista.CellType.HEXAHEDRON,
+}
+# measure -> VTK's name of it, where pyvista's `cell_quality` has it
+VERDICT = {
+    "triangle": {"area": "area", "aspect_ratio": "aspect_ratio"},
+    "quad": {"area": "area", "aspect_ratio": "aspect_ratio", "skewness": "skew", "jacobian": "jacobian"},
+    "tetra": {"volume": "volume", "aspect_ratio": "aspect_ratio", "jacobian": "jacobian"},
+    "pyramid": {"volume": "volume"},
+    "wedge": {"volume": "volume"},
+    "hexahedron": {
+        "volume": "volume",
+        "aspect_ratio": "max_edge_ratio",
+        "skewness": "skew",
+        "jacobian": "jacobian",
+    },
+}
+# the rest is reached cell by cell, through VTK's static functions
+STATIC = {
+    "triangle": {"skewness": "TriangleEquiangleSkew"},
+    "tetra": {"skewness": "TetEquiangleSkew"},
+    "pyramid": {"skewness": "PyramidEquiangleSkew", "jacobian": "PyramidJacobian"},
+    "wedge": {"skewness": "WedgeEquiangleSkew", "jacobian": "WedgeJacobian", "aspect_ratio": "WedgeEdgeRatio"},
+}
+MEASURES = (
+    *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
+    *("jacobian", "volume_ratio", "jacobian_ratio"),
+)
+KINDS = tuple(IDEAL)
+# compiling the derivatives of the larger cells is what takes time here
+DEGENERATE = [
+    *(("triangle", np.float32), ("quad", np.float64), ("quad", np.float32), ("tetra", np.float32)),
+    *(pytest.param(kind, np.float32, marks=pytest.mark.slow) for kind in ("pyramid", "wedge", "hexahedron")),
+    *(pytest.param(kind, np.float64, marks=pytest.mark.slow) for kind in ("tetra", "hexahedron")),
+]
+
+
+def scattered(kind: str, count: int = 40, seed: int = 0, spread: float = 0.15) -> jm.Mesh:
+    """Cells apart from each other, each the ideal one with its corners moved and stretched at random."""
+    random = np.random.default_rng(seed)
+    ideal = np.array(IDEAL[kind], dtype=float)
+    if kind == "tetra":
+        ideal = ideal[[0, 1, 3, 2]] if np.linalg.det(ideal[1:] - ideal[0]) < 0 else ideal
+    d = ideal.shape[1]
+    corners = ideal + random.uniform(-spread, spread, (count, len(ideal), d))
+    corners = corners @ (np.eye(d) + random.uniform(-0.2, 0.2, (count, d, d))) + random.uniform(-3, 3, (count, 1, d))
+    return jm.Mesh(corners.reshape(-1, d), {kind: np.arange(count * len(ideal)).reshape(count, -1)})
+
+
+def grid_of(mesh: jm.Mesh) -> pyvista.UnstructuredGrid:
+    points = np.zeros((len(mesh.points), 3))
+    points[:, : mesh.points.shape[1]] = mesh.points
+    return pyvista.UnstructuredGrid({VTK[kind]: ids for kind, ids in mesh.cells.items()}, points)
+
+
+def box(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Points and cells of a grid of unit squares or cubes."""
+    ids = np.arange(np.prod([n + 1 for n in shape])).reshape([n + 1 for n in shape])
+    points = np.stack(np.meshgrid(*[np.arange(n + 1.0) for n in shape], indexing="ij"), axis=-1)
+    corners = np.array(IDEAL["quad" if len(shape) == 2 else "hexahedron"], dtype=int)
+    cells = [ids[tuple(slice(c, c + n) for c, n in zip(corner, shape, strict=True))].ravel() for corner in corners]
+    return points.reshape(-1, len(shape)), np.stack(cells, axis=1)
+
+
+def tetrahedra(count: int = 60, seed: int = 1) -> jm.Mesh:
+    """SciPy's Delaunay of random points: tetrahedra numbered either way."""
+    points = np.random.default_rng(seed).random((count, 3))
+    return jm.Mesh(points, {"tetra": Delaunay(points).simplices})
+
+
+def volumes(mesh: jm.Mesh) -> np.ndarray:
+    x = mesh.points[mesh.cells["tetra"]]
+    return np.linalg.det(x[:, 1:] - x[:, :1]) / 6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_measures_are_those_of_verdict(kind):
+    mesh = scattered(kind)
+    report, grid = jm.quality(mesh), grid_of(mesh)
+    expected = {
+        name: np.array(grid.cell_quality(measure, null_value=np.nan)[measure])
+        for name, measure in VERDICT[kind].items()
+    }
+    for name, function in STATIC.get(kind, {}).items():
+        measure = getattr(vtkMeshQuality, function)
+        expected[name] = np.array([measure(grid.GetCell(i)) for i in range(grid.n_cells)])
+    assert int(report.inverted) == 0
+    for name, values in expected.items():
+        np.testing.assert_allclose(getattr(report, name), values, rtol=2e-12, atol=2e-12, err_msg=name)
+
+
+@pytest.mark.parametrize("kind", ["triangle", "quad"])
+def test_surfaces_in_space_are_measured_as_verdict_does(kind):
+    flat = scattered(kind)
+    random = np.random.default_rng(4)
+    points = np.column_stack([flat.points, random.uniform(-0.1, 0.1, len(flat.points))])
+    mesh = jm.Mesh(points, flat.cells)
+    report, grid = jm.quality(mesh), grid_of(mesh)
+    for name, measure in VERDICT[kind].items():
+        np.testing.assert_allclose(getattr(report, name), grid.cell_quality(measure)[measure], rtol=2e-12, err_msg=name)
+    turned = jm.quality(mesh, points @ np.diag([-1.0, 1.0, -1.0]))
+    assert int(turned.inverted) == 0
+    np.testing.assert_allclose(turned.area, report.area, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_ideal_cells(kind):
+    report = jm.quality(jm.Mesh(np.array(IDEAL[kind], dtype=float), {kind: [range(len(IDEAL[kind]))]}))
+    if kind != "pyramid":
+        np.testing.assert_allclose(report.aspect_ratio, 1, rtol=1e-14)
+        np.testing.assert_allclose(report.skewness, 0, atol=1e-14)
+    np.testing.assert_allclose(report.non_orthogonality, 0)
+
+
+def test_aspect_ratio_of_a_pyramid():
+    mesh = scattered("pyramid")
+    x = mesh.points[mesh.cells["pyramid"]]
+    pairs = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)]
+    lengths = np.stack([np.linalg.norm(x[:, a] - x[:, b], axis=1) for a, b in pairs])
+    np.testing.assert_allclose(jm.quality(mesh).aspect_ratio, lengths.max(axis=0) / lengths.min(axis=0), rtol=1e-13)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_faces_close_the_cell_and_look_outward(kind):
+    x = np.array(IDEAL[kind], dtype=float)
+    hull = ConvexHull(x)
+    flux, area = 0.0, np.zeros(x.shape[1])
+    for face in FACES[kind]:
+        if x.shape[1] == 2:
+            along = x[face[1]] - x[face[0]]
+            vector = np.array([along[1], -along[0]])
+        else:
+            fan = [np.cross(x[b] - x[face[0]], x[c] - x[face[0]]) for b, c in itertools.pairwise(face[1:])]
+            vector = np.sum(fan, axis=0) / 2
+        assert vector @ (x[list(face)].mean(axis=0) - x.mean(axis=0)) > 0
+        flux, area = flux + vector @ x[list(face)].mean(axis=0), area + vector
+    np.testing.assert_allclose(area, 0, atol=1e-14)
+    np.testing.assert_allclose(flux / x.shape[1], abs(hull.volume), rtol=1e-14)
+
+
+def test_non_orthogonality_of_sheared_grids():
+    for shape in ((4, 3), (3, 3, 3)):
+        points, cells = box(shape)
+        mesh = jm.Mesh(points, {"quad" if len(shape) == 2 else "hexahedron": cells})
+        shear = np.eye(len(shape))
+        shear[1, 0] = np.tan(np.radians(25))
+        np.testing.assert_allclose(jm.quality(mesh).non_orthogonality, 0, atol=1e-12)
+        np.testing.assert_allclose(jm.quality(mesh, points @ shear).non_orthogonality, 25, rtol=1e-12)
+
+
+def test_non_orthogonality_of_tetrahedra_numbered_either_way():
+    mesh = tetrahedra()
+    assert 0 < np.sum(volumes(mesh) < 0) < len(volumes(mesh))
+    cells = mesh.cells["tetra"]
+    centres = mesh.points[cells].mean(axis=1)
+    expected = np.zeros(len(cells))
+    for i, row in enumerate(Delaunay(mesh.points).neighbors):
+        for opposite, j in enumerate(row):
+            if j >= 0:
+                a, b, c = mesh.points[np.delete(cells[i], opposite)]
+                normal, line = np.cross(b - a, c - a), centres[j] - centres[i]
+                normal *= np.sign(normal @ (a - mesh.points[cells[i, opposite]]))
+                cosine = normal @ line / np.linalg.norm(normal) / np.linalg.norm(line)
+                expected[i] = max(expected[i], np.degrees(np.arccos(cosine)))
+    np.testing.assert_allclose(jm.quality(mesh).non_orthogonality, expected, rtol=1e-10)
+    np.testing.assert_allclose(jm.quality(mesh, mesh.points).non_orthogonality, expected, rtol=1e-10)
+
+
+def test_centre_of_unequal_cells():
+    """Two trapezoids (and prisms over them), one above the other: the centres are the closed form's."""
+    low, high = np.array([[0, 0], [4, 0], [3, 1], [0, 1]]), np.array([[0, 1], [3, 1], [1, 3], [0, 3]])
+    centre = [(4**2 + 4 * 3 + 3**2) / (3 * (4 + 3)), (4 + 2 * 3) / (3 * (4 + 3))]
+    above = [(3**2 + 3 + 1) / (3 * (3 + 1)), 1 + 2 * (3 + 2) / (3 * (3 + 1))]
+    angle = np.degrees(np.arctan2(abs(above[0] - centre[0]), above[1] - centre[1]))
+    flat = np.vstack([low, high[2:]]).astype(float)
+    cells = np.array([[0, 1, 2, 3], [3, 2, 4, 5]])
+    solid = np.vstack([np.column_stack([flat, np.full(6, z)]) for z in (0.0, 1.0)])
+    meshes = [jm.Mesh(flat, {"quad": cells}), jm.Mesh(solid, {"hexahedron": np.hstack([cells, cells + 6])})]
+    for mesh in meshes:
+        np.testing.assert_allclose(jm.quality(mesh).non_orthogonality, angle, rtol=1e-12)
+
+
+def test_mixed_types_in_one_mesh():
+    """A pyramid on a cube, two tetrahedra on it, a wedge beside it, and a boundary quad: neighbours across types."""
+    points = np.array([*HEXAHEDRON, [0.5, 0.5, 2], [2, 0.5, 1.5], [2, 0.5, 0], [2, 0.5, 1]], dtype=float)
+    cells = {
+        "quad": [[0, 3, 2, 1]],
+        "hexahedron": [range(8)],
+        "pyramid": [[4, 5, 6, 7, 8]],
+        "tetra": [[5, 6, 8, 9]],
+        "wedge": [[1, 10, 2, 5, 11, 6]],
+    }
+    mesh = jm.Mesh(points, cells)
+    report = jm.quality(mesh)
+    order = list(mesh.cells)
+    neighbour = neighbours(mesh.cells)[0]
+    at = np.cumsum([0, *(len(FACES[kind]) for kind in order)])
+    pairs = {kind: {order[j] for j in neighbour[at[i] : at[i + 1]] if j >= 0} for i, kind in enumerate(order)}
+    assert pairs == {
+        "quad": set(),
+        "hexahedron": {"pyramid", "wedge"},
+        "pyramid": {"hexahedron", "tetra"},
+        "tetra": {"pyramid"},
+        "wedge": {"hexahedron"},
+    }
+    assert int(report.inverted) == 0
+    expected = {"quad": 1, "hexahedron": 1, "pyramid": 1 / 3, "tetra": None, "wedge": 0.5}
+    for kind, volume in expected.items():
+        if volume is not None:
+            np.testing.assert_allclose(report.volume[order.index(kind)], volume, rtol=1e-14, err_msg=kind)
+    # the boundary quad has an entry, but does not count
+    assert float(report.max("volume")) == pytest.approx(1)
+    total = float(jnp.sum(report.volume)) - 1
+    skewness = np.delete(np.array(report.skewness * report.volume), order.index("quad")).sum() / total
+    assert float(report.mean_skewness) == pytest.approx(skewness, rel=1e-14)
+    assert order.index("quad") not in report.worst(4).tolist()
+
+
+def test_means_are_weighted_by_area():
+    points, cells = box((5, 4))
+    points = points**1.5 + 0.3 * points[:, ::-1]
+    report, grid = jm.quality(jm.Mesh(points, {"quad": cells})), grid_of(jm.Mesh(points, {"quad": cells}))
+    skew, area = (np.array(grid.cell_quality(name)[name]) for name in ("skew", "area"))
+    assert float(report.mean_skewness) == pytest.approx((skew * area).sum() / area.sum(), rel=1e-12)
+    assert float(report.max_skewness) == pytest.approx(skew.max(), rel=1e-12)
+    assert float(report.mean("skewness", weighted=False)) == pytest.approx(skew.mean(), rel=1e-12)
+
+
+def test_ratios_are_relative_to_the_undeformed_mesh():
+    mesh = tetrahedra()
+    points = mesh.points + 0.02 * np.random.default_rng(2).normal(size=mesh.points.shape)
+    report = jm.quality(mesh, points)
+    ratio = volumes(mesh.moved(points)) / volumes(mesh)
+    np.testing.assert_allclose(report.volume_ratio, ratio, rtol=1e-10)
+    np.testing.assert_allclose(report.jacobian_ratio, ratio, rtol=1e-10)
+    np.testing.assert_array_equal(report.is_inverted, ratio < 0)
+    assert 0 < int(report.inverted) < len(ratio)
+    affine = np.array([[1.2, 0.1, 0], [0.3, 0.9, 0], [0, 0.2, 1.1]])
+    for kind in ("pyramid", "wedge", "hexahedron"):
+        cells = scattered(kind)
+        report = jm.quality(cells, cells.points @ affine + 5)
+        np.testing.assert_allclose(report.volume_ratio, np.linalg.det(affine), rtol=1e-11)
+        np.testing.assert_allclose(report.jacobian_ratio, np.linalg.det(affine), rtol=1e-11)
+
+
+def test_cells_that_were_bad_from_the_start_are_not_inverted():
+    points = np.array([[0, 0], [2, 0], [2, 2], [0.6, 0.6], [1, 0], [0, 2], [3.0, 1]])
+    quads = {
+        "not convex": [0, 1, 2, 3],
+        "left-handed": [0, 5, 2, 1],
+        "straight corner": [0, 4, 1, 2],
+        "collapsed": [0, 4, 1, 4],
+        "two nodes in one place": [1, 6, 2, 2],
+    }
+    mesh = jm.Mesh(points, {"quad": list(quads.values())})
+    assert int(jm.quality(mesh, points).inverted) == 0
+    turn = np.array([[np.cos(1), np.sin(1)], [-np.sin(1), np.cos(1)]])
+    report = jm.quality(mesh, (points + np.array([1e3, 7])) @ turn)
+    assert dict(zip(quads, report.is_inverted.tolist(), strict=True)) == dict.fromkeys(quads, False)
+    np.testing.assert_allclose(report.jacobian_ratio, 1, rtol=1e-9)
+    assert report.is_degenerate.tolist() == [False, False, False, True, False]
+    # a reflection inverts whatever had a sign
+    report = jm.quality(mesh, points * [-1, 1])
+    assert report.is_inverted.tolist() == [True, True, True, False, True]
+
+
+def test_non_convex_quads_and_hexahedra_are_found_by_their_corners():
+    points, cells = box((2, 2))
+    moved = points.copy()
+    moved[0] = [0.6, 0.6]
+    report = jm.quality(jm.Mesh(points, {"quad": cells}), moved)
+    assert float(report.volume_ratio[0]) > 0
+    assert report.is_inverted.tolist() == [True, False, False, False]
+    assert float(report.jacobian[0]) == pytest.approx(0.4 * 0.4 - 0.6 * 0.6)
+    assert jm.quality(jm.Mesh(moved, {"quad": cells})).is_inverted.tolist() == [True, False, False, False]
+    points, cells = box((1, 1, 1))
+    moved = points.copy()
+    moved[0] = [0.75, 0.75, 0.75]
+    report = jm.quality(jm.Mesh(points, {"hexahedron": cells}), moved)
+    assert float(report.volume[0]) > 0
+    assert float(report.jacobian[0]) < 0
+    assert int(report.inverted) == 1
+
+
+def test_a_mesh_alone_is_judged_whatever_its_numbering():
+    mesh = tetrahedra()
+    assert int(jm.quality(mesh).inverted) == 0
+    inner = np.setdiff1d(np.arange(len(mesh.points)), np.unique(Delaunay(mesh.points).convex_hull))
+    points = np.array(mesh.points)
+    points[inner] = points[inner].mean(axis=0) + 0.4 * (points[inner[::-1]] - points[inner].mean(axis=0))
+    alone, relative = jm.quality(mesh.moved(points)), jm.quality(mesh, points)
+    assert int(relative.inverted) > 0
+    np.testing.assert_array_equal(alone.is_inverted, relative.is_inverted)
+    # two parts of opposite handedness, far from each other
+    quads, cells = box((3, 2))
+    parts = jm.Mesh(np.vstack([quads, quads + 10]), {"quad": np.vstack([cells, cells[:, ::-1] + len(quads)])})
+    assert int(jm.quality(parts).inverted) == 0
+
+
+def test_handedness_is_found_from_ids():
+    cells = box((3, 2, 2))[1]
+    flip = np.random.default_rng(3).random(len(cells)) < 0.5
+    cells[flip] = cells[flip][:, [0, 3, 2, 1, 4, 7, 6, 5]]
+    sign, part = handedness({"hexahedron": cells}, *neighbours({"hexahedron": cells}))
+    assert set(part) == {part[0]}
+    assert set(sign * np.where(flip, -1, 1)) in ({1}, {-1})
+    strip = np.array([[0, 1, 3, 2], [2, 3, 5, 4], [4, 5, 0, 1]])  # a Moebius strip
+    sign, _ = handedness({"quad": strip}, *neighbours({"quad": strip}))
+    assert sign.tolist() == [1, 1, 1]
+
+
+def test_neighbours_are_those_of_scipy_and_the_same_when_traced():
+    cells = {"tetra": tetrahedra().cells["tetra"]}
+    neighbour, flipped = neighbours(cells)
+    expected = Delaunay(tetrahedra().points).neighbors
+    np.testing.assert_array_equal(np.sort(neighbour.reshape(-1, 4)), np.sort(expected))
+    traced = jax.jit(lambda ids: neighbours({"tetra": ids}, jnp))(cells["tetra"])
+    np.testing.assert_array_equal(neighbour, traced[0])
+    np.testing.assert_array_equal(flipped, traced[1])
+    # a face of three cells belongs to none of them
+    fan = {"triangle": np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [1, 2, 5]])}
+    assert neighbours(fan)[0].reshape(4, 3).tolist() == [[-1, 3, -1], [-1, -1, -1], [-1, -1, -1], [0, -1, -1]]
+
+
+@pytest.mark.parametrize("kind", ["quad", "tetra", pytest.param("hexahedron", marks=pytest.mark.slow)])
+def test_gradients_are_those_of_differences(kind):
+    random = np.random.default_rng(5)
+    if kind == "tetra":
+        mesh = tetrahedra(12)
+    else:
+        points, cells = box((2, 2) if kind == "quad" else (2, 1, 1))
+        mesh = jm.Mesh(points, {kind: cells})
+    points = jnp.asarray(mesh.points + 0.03 * random.normal(size=mesh.points.shape))
+    weight = random.random(sum(map(len, mesh.cells.values())))
+
+    def weighted(points):
+        report = jm.quality(mesh, points)
+        return jnp.stack([weight @ getattr(report, name) for name in MEASURES])
+
+    direction, step, function = random.normal(size=points.shape), 1e-6, jax.jit(weighted)
+    difference = (function(points + step * direction) - function(points - step * direction)) / (2 * step)
+    gradient = jax.jit(jax.jacrev(weighted))(points)
+    np.testing.assert_allclose(jnp.sum(gradient * direction, axis=(1, 2)), difference, rtol=1e-5)
+    tangent = jax.jvp(function, (points,), (jnp.asarray(direction),))[1]
+    np.testing.assert_allclose(tangent, difference, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "dtype"), DEGENERATE)
+def test_derivatives_are_finite_on_degenerate_cells(kind, dtype):
+    ideal = np.array(IDEAL[kind], dtype=dtype)
+    flat = ideal.copy()
+    flat[:, -1] = 0
+    merged, needle = ideal.copy(), ideal.copy()
+    merged[1] = merged[0]
+    needle[:, 0] *= 1e-7
+    shapes = [ideal, flat, merged, 0 * ideal, needle, 1e-9 * ideal, ideal[::-1]]
+    corners = np.concatenate(shapes)
+    mesh = jm.Mesh(corners, {kind: np.arange(len(corners)).reshape(len(shapes), -1)})
+
+    @jax.jit
+    def pulled(undeformed, points, rows):
+        def measures(points):
+            report = jm.quality(mesh.moved(undeformed), points)
+            return jnp.stack([getattr(report, name) for name in MEASURES])
+
+        values, pullback = jax.vjp(measures, points)
+        return values, jax.vmap(pullback)(rows)[0]
+
+    rows = np.eye(len(MEASURES), dtype=dtype)[:, :, None] * np.ones(len(shapes), dtype=dtype)
+    for undeformed in (corners, np.tile(ideal, (len(shapes), 1))):
+        values, gradients = pulled(undeformed, corners, rows)
+        assert values.dtype == dtype
+        assert not np.isnan(values).any()
+        assert np.isfinite(gradients).all()
+    report = jm.quality(mesh, corners)
+    assert int(report.inverted) == 0
+    assert bool(report.is_degenerate[3])
+    assert np.isfinite(report.mean_skewness)
+
+
+def test_coincident_centres_have_finite_derivatives():
+    """A cell folded onto its neighbour: no distance between the centres."""
+    points = np.array([[0, 0], [1, 0], [0.5, 1], [0.5, 1]])
+    mesh = jm.Mesh(points, {"triangle": [[0, 1, 2], [1, 0, 3]]})
+    gradient = jax.grad(lambda points: jnp.sum(jm.quality(mesh, points).non_orthogonality))(points)
+    assert np.isfinite(gradient).all()
+
+
+def test_jit_vmap_and_meshes_as_arguments():
+    random = np.random.default_rng(6)
+    points = random.random((20, 2))
+    triangles = Delaunay(points).simplices
+    triangles[::3] = triangles[::3, ::-1]
+    mesh = jm.Mesh(points, {"triangle": triangles})
+    many = jnp.asarray(mesh.points + 0.01 * random.normal(size=(3, *mesh.points.shape)))
+    batched = jax.vmap(lambda points: jm.quality(mesh, points))(many)
+    assert batched.inverted.shape == (3,)
+    for i, points in enumerate(many):
+        eager = jm.quality(mesh, points)
+        others = [
+            jax.jit(lambda points: jm.quality(mesh, points))(points),
+            jax.jit(jm.quality)(mesh, points),
+            eqx.filter_jit(jm.quality)(mesh, points),
+            jax.tree.map(lambda a, i=i: a[i], batched),
+        ]
+        for other in others:
+            for name in (*MEASURES, "is_inverted", "centroid"):
+                np.testing.assert_allclose(getattr(other, name), getattr(eager, name), rtol=1e-9, err_msg=name)
+        assert float(batched.mean_skewness[i]) == pytest.approx(float(eager.mean_skewness))
+    alone = jax.jit(lambda points: jm.quality(mesh.moved(points)))(many[0])
+    np.testing.assert_array_equal(alone.is_inverted, jm.quality(mesh.moved(many[0])).is_inverted)
+    points, cells = box((2, 2))
+    assert int(jax.jit(jm.quality)(jm.Mesh(points, {"quad": cells[:, ::-1]})).inverted) == 0
+
+
+def test_float32_in_float32_out():
+    mesh = scattered("hexahedron")
+    report = jm.quality(mesh, mesh.points.astype(np.float32))
+    assert all(leaf.dtype == np.float32 for leaf in jax.tree.leaves(report) if jnp.issubdtype(leaf.dtype, jnp.floating))
+    np.testing.assert_allclose(report.skewness, jm.quality(mesh).skewness, atol=1e-5)
+
+
+def test_thin_cells_far_from_the_origin_keep_their_sign_and_angle():
+    """First cells of 1e-6 at 20 chords, in float64."""
+    points, cells = box((4, 3))
+    mesh = jm.Mesh(points * [1e-2, 1e-6] + [20, 0], {"quad": cells})
+    report = jm.quality(mesh, mesh.points + np.array([0.3, 0.2]))
+    assert int(report.inverted) == int(report.degenerate) == 0
+    np.testing.assert_allclose(report.jacobian_ratio, 1, rtol=1e-8)
+    assert float(report.max_non_orthogonality) < 1e-6
+
+
+def test_the_host_says_what_is_wrong():
+    points, cells = box((30, 10))
+    mesh = jm.Mesh(points / 10, {"quad": cells})
+    moved = np.array(mesh.points)
+    moved[5 * 11 + 4] += [0.25, 0.0]
+    report = jm.quality(mesh, moved)
+    count = int(report.inverted)
+    assert count > 0
+    first = int(np.flatnonzero(report.is_inverted)[0])
+    x, y = moved[mesh.cells["quad"][first]].mean(axis=0)
+    message = (
+        f"{count} of 300 cells are inverted, first cell {first} near ({x:.3g}, {y:.3g}). "
+        "Try more sources or more steps."
+    )
+    with pytest.raises(ValueError) as error:  # noqa: PT011
+        report.raise_if_inverted()
+    assert str(error.value) == message
+    jm.quality(mesh).raise_if_inverted()
+    assert set(report.worst(count).tolist()) == set(np.flatnonzero(report.is_inverted).tolist())
+    assert report.worst(1, by="jacobian_ratio").tolist() == [int(np.argmin(report.jacobian_ratio))]
+    assert report.worst(2, by="aspect_ratio")[0] == int(np.argmax(report.aspect_ratio))
+    with pytest.raises(ValueError, match="no measure is called 'skew'; there are skewness"):
+        report.worst(by="skew")
+
+
+def test_the_table_fits_a_terminal():
+    mesh = tetrahedra()
+    text = str(jm.quality(mesh, mesh.points - [0, 0, 1e-4]))
+    assert max(map(len, text.splitlines())) <= 80
+    assert text.splitlines()[0] == f"{len(mesh.cells['tetra'])} tetra: 0 inverted, 0 degenerate from the start"
+    assert [line.split()[0] for line in text.splitlines()[2:]] == list(MEASURES)
+    assert "volume_ratio" not in str(jm.quality(mesh))
+
+
+def test_nan_is_never_fine():
+    points, cells = box((2, 1))
+    moved = points.copy()
+    moved[0] = np.nan
+    assert jm.quality(jm.Mesh(points, {"quad": cells}), moved).is_inverted.tolist() == [True, False]
+
+
+def test_wrong_arguments():
+    points, cells = box((2, 2))
+    with pytest.raises(ValueError, match="no cells"):
+        jm.quality(jm.Mesh(points))
+    with pytest.raises(ValueError, match=r"\(9, 3\); this mesh has \(9, 2\)"):
+        jm.quality(jm.Mesh(points, {"quad": cells}), np.zeros((9, 3)))
