@@ -192,7 +192,13 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     volume = jax.tree.map(lambda leaf: pad_rows(leaf, layout), without_tables(plan.volume))
     own = with_tables(volume.own, len(plan.surface.nodes), layout.mesh.size)
     placed = with_tables(volume.placed, len(plan.surface.points), layout.mesh.size)
-    volume = layout.divided(eqx.tree_at(lambda volume: (volume.own, volume.placed), volume, (own, placed)))
+    volume = eqx.tree_at(
+        lambda volume: (volume.own, volume.placed),
+        volume,
+        (own, placed),
+        is_leaf=lambda leaf: leaf is None or isinstance(leaf, Interpolation),
+    )
+    volume = layout.divided(volume)
     return Plan(
         layout.replicated(plan.method), layout.replicated(plan.surface), volume, plan.moves, plan.carried, layout
     )

@@ -130,9 +130,8 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     gap = _norm(surface[other] - x)
     alone = (other == nearest[0]) | (gap == 0)
     halfway = jnp.where(alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap)))  # 1 between two walls
-    fourth = (
-        distance[0] / layer
-    ) ** 4 + halfway**4  # the layer ends where the nearer of both ends does, without a kink
+    # the layer ends at its width or half way, whichever is nearer, without a kink
+    fourth = (distance[0] / layer) ** 4 + halfway**4
     inside = fourth > 0
     chi = WendlandC2(1.0)(jnp.where(inside, jnp.sqrt(jnp.where(inside, fourth, 1)), 0))
     return jnp.where(row.reached & (width[nearest[0]] > 0), chi, 0), weights / weights.sum()

@@ -31,7 +31,8 @@ examples:
         --displacement surface.dat
   a half wing on its symmetry plane:
     jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
-        --symmetry symmetry --displacement bending.csv --displacement-is displacement
+        --symmetry symmetry --displacement bending.csv \\
+        --displacement-is displacement
   a flap and its slat together, 3-D, hinge line along y:
     jaxmorph deform wing.su2 flaps.vtu --moving flap slat --fixed wing farfield \\
         --rotate 10 --about 0.8 0 0 --axis 0 1 0
