@@ -18,7 +18,7 @@ EVERY = jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints())
 REDUCED = jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(64), fixed_reduction=jm.AllPoints()))
 """The paper's: 64 leaves on the wing, the whole far field."""
 
-FULL_SIZE = pytest.param(FINE, marks=pytest.mark.slow)
+FULL_SIZE = pytest.param(FINE, marks=pytest.mark.full)
 both_sizes = pytest.mark.parametrize("points", [COARSE, FULL_SIZE])
 
 
@@ -190,7 +190,7 @@ def test_dihedral_pulls_free_nodes_off_the_plane(wing):
     assert wing.moved(u, symmetric=True).inverted == 0
 
 
-@pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("points", [FINE])
 def test_reduced_agrees_with_full_interpolation(wing):
     """Full: every node of wing and far field is a source, 17,147 of them. Minutes."""
