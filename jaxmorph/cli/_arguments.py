@@ -60,7 +60,7 @@ examples:
   jaxmorph demo
   jaxmorph demo naca0015 --output results"""
 
-_FILES = "SU2 (.su2), VTK (.vtu, .vtk) or gmsh (.msh)"
+_FILES = "SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), or an OpenFOAM case"
 
 
 class Parser(argparse.ArgumentParser):
@@ -105,7 +105,10 @@ def _add_deform(commands) -> None:
     deform = _command(commands, "deform", "move patches of a mesh, and the mesh with them", _DEFORM)
     deform.add_argument("file", metavar="IN", type=pathlib.Path, help=f"a mesh: {_FILES}")
     deform.add_argument(
-        "output", metavar="OUT", type=pathlib.Path, help="where to write it; the ending chooses the format"
+        "output",
+        metavar="OUT",
+        type=pathlib.Path,
+        help="where to write it; the ending chooses the format; for a case a new one, or CASE/TIME",
     )
     group = deform.add_argument_group("surface")
     group.add_argument("--moving", metavar="NAME", nargs="+", default=[], help="patches that move")

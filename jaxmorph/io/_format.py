@@ -1,9 +1,12 @@
 """What a file format is, and what a mesh remembers of the file it came from."""
 
+import contextlib
 import dataclasses
 import importlib
+import os
 import pathlib
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterator, Mapping
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -29,7 +32,7 @@ class Source:
 
 
 class Codec(Protocol):
-    """The two functions that the module of a format defines."""
+    """The functions that the module of a format defines."""
 
     def read(self, path: pathlib.Path) -> Mesh:
         """The mesh in a file; `ValueError` with file, place and what was found for a bad one."""
@@ -39,18 +42,24 @@ class Codec(Protocol):
         """Write a new file. `cell_data` follows the order of `mesh.cells`, one type after the other."""
         ...
 
+    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
+        """`ValueError` for what `write` could not do; defined by formats that write into folders."""
+        ...
+
 
 @dataclasses.dataclass(frozen=True)
 class Format:
     """A name, the endings it goes by, and the module of this package that reads and writes it.
 
-    The module is imported when it is needed, and with it the extra that it may stand on.
+    The module is imported when it is needed, and with it the extra that it may stand on. A format that is a folder
+    writes it complete or not at all by itself.
     """
 
     name: str
     suffixes: tuple[str, ...]
     module: str
     holds_arrays: bool = True
+    is_folder: bool = False
 
     def codec(self) -> Codec:
         return cast(Codec, importlib.import_module(f"{__package__}.{self.module}"))
@@ -60,3 +69,16 @@ def source_of(mesh: Mesh, format_name: str) -> Source | None:
     """The source of a mesh when it was read from a file of that format."""
     source = mesh.source
     return source if isinstance(source, Source) and source.format == format_name else None
+
+
+@contextlib.contextmanager
+def complete(path: pathlib.Path) -> Iterator[pathlib.Path]:
+    """A temporary name beside `path`, for a file or a folder, which takes its place at the end; on failure nothing is left."""
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        if partial.is_dir():
+            shutil.rmtree(partial)
+        partial.unlink(missing_ok=True)

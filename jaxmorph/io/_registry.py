@@ -1,35 +1,38 @@
 """The formats there are, and `read` and `write`, which choose among them."""
 
-import contextlib
 import os
 import pathlib
-from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Shaped
 
 from jaxmorph import Mesh
 
-from ._format import Arrays, Format, Source
+from ._format import Arrays, Format, Source, complete
 
 FORMATS = (
     Format("SU2", (".su2",), "_su2", holds_arrays=False),
     Format("VTK", (".vtu", ".vtk"), "_vtk"),
     Format("gmsh", (".msh",), "_gmsh", holds_arrays=False),
+    Format("OpenFOAM", (), "_openfoam", holds_arrays=False, is_folder=True),
 )
 
 
 def format_of(path: pathlib.Path) -> Format:
-    """The format of a file by its ending; `ValueError`, with those there are, for another."""
+    """The format of a file by its ending, of a folder OpenFOAM; `ValueError`, with those there are, for another ending."""
     for candidate in FORMATS:
         if path.suffix.lower() in candidate.suffixes:
             return candidate
+        if candidate.is_folder and (path.is_dir() or path.suffix.strip(".0123456789") == ""):
+            return candidate
     known = ", ".join(suffix for candidate in FORMATS for suffix in candidate.suffixes)
-    raise ValueError(f"{path}: unknown file ending {path.suffix!r}; known are {known}.")
+    raise ValueError(f"{path}: unknown file ending {path.suffix!r}; known are {known}, and folders of OpenFOAM.")
 
 
 def read(path: str | os.PathLike[str]) -> Mesh:
-    """The mesh in a file: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh); the last two need the extra `io`.
+    """The mesh in a file: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), or in an OpenFOAM case (its folder, or a time folder).
+
+    VTK and gmsh need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. Patches are SU2's markers, gmsh's physical groups, and
     in VTK files the point arrays called `patch:NAME`; a file that names none has the patch `boundary`. A mesh of cells in
@@ -51,12 +54,16 @@ def write(
 ) -> None:
     """Writes a mesh in the format of the file's ending. `mesh` may be one read from a file and then `moved`.
 
-    Written to the format it came from, everything but the coordinates is kept: SU2 and gmsh files byte for byte, and an
+    Written to the format it came from, everything but the coordinates is kept: SU2, gmsh and OpenFOAM files byte for byte, and an
     unmoved mesh gives the same file. Coordinates read back bit for bit. Between formats, and for generated meshes, points,
     cells and patches are written; SU2 and gmsh express a patch by the boundary faces between its nodes.
 
     `point_data` (one row a point) and `cell_data` (one row a cell, in the order of `mesh.cells`, one type after the other)
     add arrays to formats that hold any.
+
+    A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its `polyMesh/points`), or into a new
+    folder: a copy of the case's `constant`, `system`, `0` and `0.orig` with other points. The case stays as it is. Cases in
+    the plane (`empty` patches) are meshes in two coordinates, and both planes move alike.
 
     The file appears when it is complete, under a temporary name until then. Raises `ValueError` when `path` is the file
     that the mesh was read from, for arrays of a wrong length, points that are not finite, and what the format cannot say.
@@ -74,7 +81,10 @@ def write(
         raise ValueError(
             f"{path}: {(~finite).sum()} of {len(finite)} points are not finite, first node {np.argmin(finite)}."
         )
-    with _complete(path) as partial:
+    if chosen.is_folder:
+        chosen.codec().write(path, mesh, *arrays)
+        return
+    with complete(path) as partial:
         chosen.codec().write(partial, mesh, *arrays)
 
 
@@ -90,6 +100,8 @@ def _checked(path: pathlib.Path, mesh: Mesh) -> Format:
     chosen = format_of(path)
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}.")
+    if chosen.is_folder:
+        chosen.codec().check(path, mesh)
     if isinstance(mesh.source, Source) and _same_file(path, mesh.source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     return chosen
@@ -109,14 +121,3 @@ def _rows(arrays: dict[str, np.ndarray], rows: int, what: str) -> Arrays:
         if values.ndim not in (1, 2) or len(values) != rows:
             raise ValueError(f"array {name!r} has shape {values.shape}; expected one row for each of {rows} {what}.")
     return arrays
-
-
-@contextlib.contextmanager
-def _complete(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """A temporary name beside `path`, which takes its place at the end; on failure nothing is left."""
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)

@@ -8,6 +8,7 @@ import pathlib
 import re
 import warnings
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -125,17 +126,34 @@ def replace(
         starts, ends, counts = scan(chunk)
         first = (np.cumsum(counts) - counts)[is_row(counts)]
         words = (first[:, None] + np.arange(column, column + d)).ravel()
-        new = points[done : done + len(first)].ravel()
+        yield _changed(original, chunk, starts[words], ends[words], words, points[done : done + len(first)].ravel())
         done += len(first)
-        changed = np.flatnonzero(new != parse(chunk, np.float64)[words].astype(new.dtype))
-        at = 0
-        pieces = []
-        begins, stops = starts[words[changed]].tolist(), ends[words[changed]].tolist()
-        for begin, stop, value in zip(begins, stops, new[changed].tolist(), strict=True):
-            pieces += (original[at:begin], b"%r" % value)
-            at = stop
-        pieces.append(original[at:])
-        yield b"".join(pieces)
+
+
+def replace_words(text: bytes, start: int, stop: int, values: np.ndarray, blanks: bytes) -> Iterator[bytes]:
+    """The text from `start` to `stop` with `values` in place of all the numbers that it holds, as `replace` does.
+
+    `blanks` is the table (of `bytes.translate`) that turns what stands between the numbers into blanks.
+    """
+    done = 0
+    for original in chunks(text, start, stop):
+        chunk = original.translate(blanks)
+        starts, ends, _ = scan(chunk)
+        yield _changed(original, chunk, starts, ends, slice(None), values[done : done + len(starts)])
+        done += len(starts)
+
+
+def _changed(original: bytes, chunk: bytes, starts: np.ndarray, ends: np.ndarray, words: Any, new: np.ndarray) -> bytes:
+    """A chunk with `new` in place of those of its words that stand between `starts` and `ends`, where it differs."""
+    changed = np.flatnonzero(new != parse(chunk, np.float64)[words].astype(new.dtype))
+    at = 0
+    pieces = []
+    begins, stops = starts[changed].tolist(), ends[changed].tolist()
+    for begin, stop, value in zip(begins, stops, new[changed].tolist(), strict=True):
+        pieces += (original[at:begin], b"%r" % value)
+        at = stop
+    pieces.append(original[at:])
+    return b"".join(pieces)
 
 
 def _both(text: bytes) -> Iterator[tuple[bytes, bytes]]:

@@ -1,0 +1,111 @@
+"""Cells from OpenFOAM's faces: which of them are tetrahedra, pyramids, wedges and hexahedra, numbered as VTK numbers them."""
+
+import dataclasses
+
+import numpy as np
+from scipy import sparse
+
+BLOCK = 1 << 15
+"""Cells looked at together."""
+
+_SHAPES = {"tetra": (4, 4, 0), "pyramid": (5, 4, 1), "wedge": (5, 2, 3), "hexahedron": (6, 0, 6)}
+"""Faces of a type, how many of them are triangles, how many have four corners."""
+
+_BASE = {"tetra": 3, "pyramid": 4, "wedge": 3, "hexahedron": 4}
+_LAST = {"tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Faces:
+    """`labels` of all faces in a row, where each begins (one more `start` at the end), and the cells on their two sides."""
+
+    labels: np.ndarray
+    starts: np.ndarray
+    owner: np.ndarray
+    neighbour: np.ndarray
+
+    @property
+    def sizes(self) -> np.ndarray:
+        return np.diff(self.starts)
+
+    def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
+        """Labels (..., size) of faces of that many corners, outward for the cell: `~f` is face f seen by its neighbour."""
+        turned = faces < 0
+        start = self.starts[np.where(turned, ~faces, faces)]
+        steps = np.where(turned[..., None], np.arange(size - 1, -1, -1), np.arange(size))
+        return self.labels[start[..., None] + steps]
+
+    def nodes(self, first: int, last: int) -> np.ndarray:
+        """The nodes of the faces from `first` up to `last`, as often as they come."""
+        return self.labels[self.starts[first] : self.starts[last]]
+
+    def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """The faces of each cell in a row, `~f` for one whose neighbour it is, and where each cell begins (one more at the end)."""
+        cells = np.concatenate([self.owner, self.neighbour]).astype(np.int32)
+        ids = np.concatenate(
+            [np.arange(len(self.owner), dtype=np.int32), ~np.arange(len(self.neighbour), dtype=np.int32)]
+        )
+        columns = np.arange(len(cells) + 1, dtype=np.int32)
+        shape = (int(cells.max(initial=-1)) + 1, len(cells))
+        by_cell = sparse.csc_matrix((ids, cells, columns), shape).tocsr()
+        return by_cell.data, by_cell.indptr.astype(np.int64)
+
+
+def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Corner ids (k, corners) and cell ids (k,) by type; the cells of no type are in the second as `polyhedron`."""
+    ordered, starts = faces.of_cells()
+    counts = np.diff(starts)
+    sizes = faces.sizes[np.where(ordered < 0, ~ordered, ordered)]
+    triangles, quads = (np.add.reduceat(sizes == size, starts[:-1], dtype=np.int32) for size in (3, 4))
+    left = np.ones(len(counts), bool)
+    cells, ids = {}, {}
+    for kind, (f, t, q) in _SHAPES.items():
+        mine = np.flatnonzero((counts == f) & (triangles == t) & (quads == q))
+        if len(mine):
+            corners, good = _typed(faces, kind, ordered, sizes, starts[mine])
+            cells[kind], ids[kind] = corners[good], mine[good]
+            left[ids[kind]] = False
+    if left.any():
+        ids["polyhedron"] = np.flatnonzero(left)
+    return {kind: corners for kind, corners in cells.items() if len(corners)}, ids
+
+
+def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, starts: np.ndarray):
+    """Corners of the cells whose faces begin at `starts`, and which of them really have the shape of their type."""
+    corners = np.empty((len(starts), _LAST[kind]), faces.labels.dtype)
+    good = np.empty(len(starts), bool)
+    for at in range(0, len(starts), BLOCK):
+        block = slice(at, at + BLOCK)
+        rows = starts[block, None] + np.arange(_SHAPES[kind][0])
+        mine = ordered[rows]
+        if kind in ("pyramid", "wedge"):
+            first = sizes[rows] if kind == "wedge" else -sizes[rows]
+            mine = np.take_along_axis(mine, np.argsort(first, axis=1, kind="stable"), axis=1)
+        corners[block], good[block] = _from_base(faces, kind, mine)
+    return corners, good
+
+
+def _from_base(faces: Faces, kind: str, mine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first face, seen from inside, is the base; the other corners stand at the ends of the edges that leave it."""
+    c = _BASE[kind]
+    base = faces.corners(mine[:, 0], c)[:, ::-1]
+    side = 4 if kind in ("wedge", "hexahedron") else 3
+    walls = mine[:, 2:] if kind == "wedge" else mine[:, 1:]
+    from_corner = faces.corners(walls, side)
+    to_corner = np.roll(from_corner, -1, axis=-1)
+    leaves = np.ones(to_corner.shape, bool)
+    for i in range(c):
+        leaves &= to_corner != base[:, i, None, None]
+    tops, good = [], np.ones(len(mine), bool)
+    for i in range(c):
+        hit = leaves & (from_corner == base[:, i, None, None])
+        tops.append(np.where(hit, to_corner, 0).sum(axis=(1, 2), dtype=base.dtype))
+        good &= hit.sum(axis=(1, 2)) == 1
+    top = np.stack(tops, axis=1)
+    if kind in ("tetra", "pyramid"):
+        good &= (top == top[:, :1]).all(axis=1)
+        top = top[:, :1]
+    else:
+        ordered = np.sort(top, axis=1)
+        good &= (ordered[:, 1:] != ordered[:, :-1]).all(axis=1)
+    return np.concatenate([base, top], axis=1), good

@@ -1,0 +1,116 @@
+"""OpenFOAM cases for tests, written here from lists of faces, in every form that OpenFOAM writes."""
+
+import dataclasses
+import gzip
+import pathlib
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Form:
+    """How the files are written: widths in bits, byte order, text or binary, packed or not."""
+
+    binary: bool = False
+    label: int = 32
+    scalar: int = 64
+    order: str = "<"
+    packed: bool = False
+
+    @property
+    def header(self):
+        arch = f'    arch "{"LSB" if self.order == "<" else "MSB"};label={self.label};scalar={self.scalar}";\n'
+        return arch if self.binary else ""
+
+
+FORMS = {
+    "ascii": Form(),
+    "ascii-gz": Form(packed=True),
+    "binary": Form(binary=True),
+    "binary-64-labels": Form(binary=True, label=64),
+    "binary-32-scalars": Form(binary=True, scalar=32),
+    "binary-big-endian-gz": Form(binary=True, order=">", packed=True),
+}
+
+BANNER = "/*---*- C++ -*---*\\\n| (a (banner) { |\n\\*---*/\n"
+RULE = "// * * * (12) * * //\n\n"
+
+
+def polyhedral(cells):
+    """Faces in OpenFOAM's order, owners, neighbours; `cells` are lists of faces, each seen from outside."""
+    seen = {}
+    for cell, faces in enumerate(cells):
+        for face in faces:
+            seen.setdefault(frozenset(face), []).append((cell, list(face)))
+    inner = sorted((sides for sides in seen.values() if len(sides) == 2), key=lambda s: (s[0][0], s[1][0]))
+    outer = [sides for sides in seen.values() if len(sides) == 1]
+    return [s[0][1] for s in inner], [s[0][0] for s in inner], [s[1][0] for s in inner], outer
+
+
+def write_case(case, points, cells, patches, form=FORMS["ascii"]):
+    """A case; `patches` is a list of (name, type, test of a face's nodes), the first that fits takes a face."""
+    faces, owner, neighbour, outer = polyhedral(cells)
+    entries = []
+    for name, kind, fits in patches:
+        mine = [sides for sides in outer if fits(sides[0][1])]
+        outer = [sides for sides in outer if sides not in mine]
+        entries.append((name, kind, len(mine), len(faces)))
+        faces, owner = faces + [s[0][1] for s in mine], owner + [s[0][0] for s in mine]
+    assert not outer
+    folder = pathlib.Path(case, "constant", "polyMesh")
+    folder.mkdir(parents=True)
+    _file(folder, "points", "vectorField", _list(np.asarray(points, float), form, "scalar"), form)
+    _file(folder, "owner", "labelList", _list(np.array(owner), form, "label"), form)
+    _file(folder, "neighbour", "labelList", _list(np.array(neighbour, int), form, "label"), form)
+    if form.binary:
+        starts = np.cumsum([0, *map(len, faces)])
+        body = _list(starts, form, "label") + b"\n" + _list(np.concatenate(faces), form, "label")
+        _file(folder, "faces", "faceCompactList", body, form)
+    else:
+        # lists of more than ten labels take a line for each, as in OpenFOAM
+        rows = [f"{len(f)}({' '.join(map(str, f))})" if len(f) <= 10 else
+                f"\n{len(f)}\n(\n" + "\n".join(map(str, f)) + "\n)\n" for f in faces]  # fmt: skip
+        _file(folder, "faces", "faceList", f"{len(faces)}\n(\n{chr(10).join(rows)}\n)".encode(), form)
+    rows = "".join(
+        f'    "{name}"\n    {{\n        type {kind}; // a comment {{\n        inGroups 1({kind});\n'
+        f"        nFaces {count};\n        startFace {start};\n    }}\n"
+        for name, kind, count, start in entries
+    ).replace(" {\n        in", "\n        in")
+    _file(folder, "boundary", "polyBoundaryMesh", f"{len(entries)}\n(\n{rows})\n".encode(), Form())
+    _system(pathlib.Path(case))
+
+
+def _list(values, form, what):
+    count = f"\n{len(values)}\n(".encode()
+    if form.binary:
+        width = form.label if what == "label" else form.scalar
+        kind = f"{form.order}{'i' if what == 'label' else 'f'}{width // 8}"
+        return count + values.astype(kind).tobytes() + b")" if len(values) else b"\n0"
+    rows = [f"({' '.join(map(repr, row))})" if isinstance(row, list) else str(row) for row in values.tolist()]
+    return count + ("\n" + "\n".join(rows) + "\n)").encode()
+
+
+def _file(folder, name, kind, body, form):
+    header = f"format {'binary' if form.binary else 'ascii'};\n{form.header}    class {kind};\n    object {name};\n"
+    text = f"{BANNER}FoamFile\n{{\n    version 2.0;\n    {header}}}\n{RULE}".encode() + body + b"\n\n// **** //\n"
+    if form.packed:
+        (folder / f"{name}.gz").write_bytes(gzip.compress(text, mtime=7))
+    else:
+        (folder / name).write_bytes(text)
+
+
+def _system(case):
+    head = "FoamFile {{ version 2.0; format ascii; class dictionary; object {}; }}\n"
+    settings = (
+        "application x; startFrom latestTime; startTime 0; stopAt endTime; endTime 1; deltaT 1; writeInterval 1;\n"
+    )
+    schemes = " ".join(f"{name} {{ default none; }}" for name in (
+        "ddtSchemes", "gradSchemes", "divSchemes", "laplacianSchemes", "interpolationSchemes", "snGradSchemes"))  # fmt: skip
+    (case / "system").mkdir()
+    for name, text in (("controlDict", settings), ("fvSchemes", schemes), ("fvSolution", "")):
+        (case / "system" / name).write_text(head.format(name) + text)
+
+
+def tree(folder):
+    """Every file below a folder with its content."""
+    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}

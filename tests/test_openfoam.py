@@ -1,0 +1,350 @@
+"""OpenFOAM's polyMesh: every form of the files, every shape of cell, and OpenFOAM's and VTK's own view of the result."""
+
+import gzip
+import os
+import shutil
+import subprocess
+
+import foam
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.cli import main
+
+HEXAHEDRON = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
+WEDGE = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
+PYRAMID = ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4))
+TETRA = ((0, 1, 3), (1, 2, 3), (2, 0, 3), (0, 2, 1))
+
+
+def cell(shape, *nodes):
+    return [[nodes[i] for i in face] for face in shape]
+
+
+def mixed():
+    """A cube with a wedge beside it, a pyramid and a tetrahedron on top."""
+    cube = [[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    points = np.array([*cube, [2, 0, 0], [2, 0, 1], [0.5, 0.5, 2], [0.5, 2, 1.5]], float)
+    points += 0.05 * np.sin(np.arange(36)).reshape(12, 3)
+    cells = [
+        cell(HEXAHEDRON, 0, 1, 2, 3, 4, 5, 6, 7),
+        cell(WEDGE, 1, 8, 2, 5, 9, 6),
+        cell(PYRAMID, 4, 5, 6, 7, 10),
+        cell(TETRA, 6, 11, 7, 10),
+    ]
+    return points, cells
+
+
+PATCHES = [("floor", "wall", lambda face: max(face) < 4), ("rest", "patch", lambda face: True), ("none", "patch", bool)]
+
+
+def split():
+    """A cube, and four small ones against its side: the first has five faces more corners, or more faces, than a hexahedron."""
+    points = [[x, y, z] for x in (0, 1, 2) for y in (0, 0.5, 1) for z in (0, 0.5, 1)]
+    at = {tuple(p): i for i, p in enumerate(points)}
+
+    def corners(x, y, z, s):
+        square = ((0, 0), (1, 0), (1, 1), (0, 1))
+        return [at[x + i, y + j * s, z + k * s] for k in (0, 1) for i, j in square]
+
+    small = [cell(HEXAHEDRON, *corners(1, y, z, 0.5)) for y in (0, 0.5) for z in (0, 0.5)]
+    shared = [list(reversed(face)) for faces in small for face in faces if all(points[n][0] == 1 for n in face)]
+    large = [
+        [at[0, 0, 0], at[0, 0, 1], at[0, 1, 1], at[0, 1, 0]],
+        [at[0, 0, 0], at[1, 0, 0], at[1, 0, 0.5], at[1, 0, 1], at[0, 0, 1]],
+        [at[0, 1, 0], at[0, 1, 1], at[1, 1, 1], at[1, 1, 0.5], at[1, 1, 0]],
+        [at[0, 0, 0], at[0, 1, 0], at[1, 1, 0], at[1, 0.5, 0], at[1, 0, 0]],
+        [at[0, 0, 1], at[1, 0, 1], at[1, 0.5, 1], at[1, 1, 1], at[0, 1, 1]],
+    ]
+    used = sorted({n for faces in (*small, [*large, *shared]) for face in faces for n in face})
+    new = {n: i for i, n in enumerate(used)}
+    cells = [[[new[n] for n in face] for face in faces] for faces in ([*large, *shared], *small)]
+    return np.array(points)[used], cells
+
+
+def strip(normal, around=14):
+    """A flat ring of quads, one of them two triangles, one layer thick along an axis; nodes of both planes mixed up."""
+    angle = 2 * np.pi * np.arange(around) / around
+    plane = np.concatenate([r * np.column_stack([np.cos(angle), np.sin(angle)]) for r in (1, 1.25, 1.5)])
+    n = len(plane)
+    order = np.random.default_rng(0).permutation(2 * n)
+    points = np.insert(np.tile(plane, (2, 1)), normal, np.repeat([0, 0.1], n), axis=1)
+    shuffled = np.empty_like(points)
+    shuffled[order] = points
+    cells = []
+    for i in range(2 * around):
+        j = i + 1 - (i % around == around - 1) * around
+        quad = [i, around + i, around + j, j]
+        for base in [quad[:3], [quad[0], *quad[2:]]] if i == 3 else [quad]:
+            sides = [[a, b, b + n, a + n] for a, b in zip(base, base[1:] + base[:1], strict=True)]
+            cells.append([base[::-1], [k + n for k in base], *sides])
+    cells = [[[int(order[k]) for k in face] for face in faces] for faces in cells]
+    if normal == 1:
+        cells = [[face[::-1] for face in faces] for faces in cells]
+    patches = [
+        ("sides", "empty", lambda face: np.ptp(shuffled[face, normal]) == 0),
+        ("far", "patch", lambda face: np.linalg.norm(np.delete(shuffled[face[0]], normal)) > 1.4),
+        ("hole", "wall", lambda face: True),
+    ]
+    return shuffled, cells, patches
+
+
+@pytest.mark.parametrize("form", foam.FORMS)
+def test_every_form_comes_back_as_it_was(tmp_path, form):
+    points, cells = mixed()
+    foam.write_case(tmp_path / "a", points, cells, PATCHES, foam.FORMS[form])
+    before = foam.tree(tmp_path / "a")
+    mesh = io.read(tmp_path / "a")
+    exact = points if foam.FORMS[form].scalar == 64 else points.astype(np.float32)
+    np.testing.assert_array_equal(mesh.points, exact)
+    assert {kind: len(corners) for kind, corners in mesh.cells.items()} == dict.fromkeys(
+        ("tetra", "pyramid", "wedge", "hexahedron"), 1
+    )
+    assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {
+        "floor": [0, 1, 2, 3], "rest": list(range(12)), "none": []}  # fmt: skip
+    io.write(tmp_path / "same", mesh)
+    assert foam.tree(tmp_path / "same") == before
+    moved = (mesh.points * np.pi).astype(exact.dtype)
+    io.write(tmp_path / "b", mesh.moved(moved))
+    after = foam.tree(tmp_path / "b")
+    assert [name for name in after if after[name] != before[name]] == [next(n for n in before if "points" in n)]
+    np.testing.assert_array_equal(io.read(tmp_path / "b").points, moved)
+    io.write(tmp_path / "a" / "0.5", mesh.moved(moved))
+    again = io.read(tmp_path / "a" / "0.5")
+    np.testing.assert_array_equal(again.points, moved)
+    assert again.cells.keys() == mesh.cells.keys()
+    assert {name: text for name, text in foam.tree(tmp_path / "a").items() if "0.5" not in name} == before
+
+
+def test_cells_have_the_volumes_of_their_hulls(tmp_path):
+    points, cells = mixed()
+    foam.write_case(tmp_path / "a", points, cells, PATCHES)
+    mesh = io.read(tmp_path / "a")
+    report = jm.quality(mesh)
+    assert int(report.inverted) == 0
+    for kind, at in (("tetra", 3), ("pyramid", 2), ("wedge", 1), ("hexahedron", 0)):
+        assert sorted(mesh.cells[kind][0].tolist()) == sorted({n for face in cells[at] for n in face})
+    flat, cells = np.round(points), mixed()[1]
+    foam.write_case(tmp_path / "flat", flat, cells, PATCHES)
+    volumes = np.asarray(jm.quality(io.read(tmp_path / "flat")).volume)
+    hulls = [ConvexHull(flat[sorted({n for face in faces for n in face})]).volume for faces in cells]
+    np.testing.assert_allclose(np.sort(volumes), np.sort(hulls), rtol=1e-6)
+
+
+def test_polyhedra_are_judged_by_pieces_between_their_own_nodes(tmp_path):
+    points, cells = split()
+    foam.write_case(tmp_path / "a", points, cells, PATCHES)
+    mesh = io.read(tmp_path / "a")
+    assert len(mesh.points) == len(points)
+    assert len(mesh.cells["hexahedron"]) == 4
+    assert list(mesh.cells) == ["hexahedron", "tetra"]
+    volume = np.asarray(jm.quality(mesh).volume)
+    np.testing.assert_allclose([volume[:4].sum(), volume[4:].sum()], [1, 1], rtol=1e-6)
+    assert volume.min() > 0.01
+    middle = int(np.flatnonzero((points == [1, 0.5, 0.5]).all(axis=1))[0])
+    for place, inverted in ((0.6, False), (1.4, False), (-0.5, True), (2.5, True)):
+        moved = mesh.points.copy()
+        moved[middle, 0] = place
+        assert (int(jm.quality(mesh, moved).inverted) > 0) == inverted
+
+
+@pytest.mark.parametrize("normal", [0, 1, 2])
+def test_cases_in_the_plane_move_both_planes_alike(tmp_path, normal):
+    points, cells, patches = strip(normal)
+    foam.write_case(tmp_path / "a", points, cells, patches)
+    mesh = io.read(tmp_path / "a")
+    assert {kind: len(corners) for kind, corners in mesh.cells.items()} == {"quad": 27, "triangle": 2}
+    assert {name: len(nodes) for name, nodes in mesh.patches.items()} == {"far": 14, "hole": 14}
+    np.testing.assert_allclose(np.linalg.norm(mesh.points[mesh.patch("hole")], axis=1), 1)
+    area = np.asarray(jm.quality(mesh).area)
+    assert area.min() > 0
+    np.testing.assert_allclose(area.sum(), 7 * np.sin(np.pi / 7) * 1.25, rtol=1e-6)
+    io.write(tmp_path / "same", mesh)
+    assert foam.tree(tmp_path / "same") == foam.tree(tmp_path / "a")
+    io.write(tmp_path / "b", mesh.moved(mesh.points * [1.1, 0.7]))
+    again = io.read(tmp_path / "b")
+    np.testing.assert_array_equal(again.points, mesh.points * [1.1, 0.7])
+    expected = points * np.insert([1.1, 0.7], normal, 1)
+    np.testing.assert_array_equal(again.source.content.points, expected)
+
+
+def test_what_is_refused(tmp_path):
+    points, cells, patches = strip(2)
+    foam.write_case(tmp_path / "wedge", points, cells, [("w", "wedge", patches[0][2]), *patches[1:]])
+    foam.write_case(tmp_path / "line", points, cells, [("sides", "empty", lambda face: True)])
+    oblique = points + points[:, [2, 0, 1]]
+    foam.write_case(tmp_path / "oblique", oblique, cells, patches)
+    (tmp_path / "nothing").mkdir()
+    for name, message in (
+        ("wedge", r"patches of type wedge \(w\)"),
+        ("oblique", "two planes across 0 of the axes"),
+        ("nothing", "there is no folder constant/polyMesh"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            io.read(tmp_path / name)
+    foam.write_case(tmp_path / "a", *mixed(), PATCHES)
+    mesh = io.read(tmp_path / "a")
+    for path, message in (
+        ("a", "exists; name a new folder"),
+        ("a/constant/new", "cannot be inside"),
+        ("0.5", "must be one of the case"),
+        ("line", "exists; name a new folder"),
+        ("no/b", "there is no folder"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            io.write(tmp_path / path, mesh)
+    with pytest.raises(ValueError, match="only a mesh that was read from an OpenFOAM case"):
+        io.write(tmp_path / "b", jm.Mesh(np.zeros((3, 2)), {"triangle": [[0, 1, 2]]}))
+    io.write(tmp_path / "a" / "1", mesh)
+    with pytest.raises(ValueError, match="the mesh was read from this folder"):
+        io.write(tmp_path / "a" / "1", io.read(tmp_path / "a" / "1"))
+
+
+DAMAGE = {
+    "points": (b"12\n(", b"13\n(", "13 elements of 3 scalars expected, found 36 numbers"),
+    "owner": (b"\n0\n", b"\n0.5\n", "elements of 1 labels expected"),
+    "neighbour": (b"3\n(", b"4\n(", "4 elements of 1 labels expected, found 3 numbers"),
+    "faces": (b"4(", b"3(", "or other numbers of labels"),
+    "boundary": (b"nFaces", b"nFacets", 'patch "floor" has no good type, nFaces and startFace'),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+@pytest.mark.parametrize("form", ["ascii", "binary"])
+def test_damaged_files_are_named(tmp_path, name, form):
+    foam.write_case(tmp_path / "a", *mixed(), PATCHES, foam.FORMS[form])
+    file = tmp_path / "a" / "constant" / "polyMesh" / name
+    whole = file.read_bytes()
+    if form == "ascii" or name == "boundary":
+        old, new, message = DAMAGE[name]
+        assert old in whole
+        file.write_bytes(whole.replace(old, new, 1))
+        with pytest.raises(ValueError, match=message):
+            io.read(tmp_path / "a")
+    for content in (b"", whole[:-60], b"a text"):
+        file.write_bytes(content)
+        if name != "boundary" or len(content) < 10:
+            with pytest.raises(ValueError, match=name):
+                io.read(tmp_path / "a")
+
+
+def test_an_unknown_width_and_a_node_that_is_not_there(tmp_path):
+    foam.write_case(tmp_path / "a", *mixed(), PATCHES, foam.FORMS["binary"])
+    file = tmp_path / "a" / "constant" / "polyMesh" / "points"
+    whole = file.read_bytes()
+    file.write_bytes(whole.replace(b"scalar=64", b"scalar=80"))
+    with pytest.raises(ValueError, match="scalars of 80 bits are not known"):
+        io.read(tmp_path / "a")
+    file.write_bytes(whole.replace(b"scalar=64", b"scalar=32"))
+    with pytest.raises(ValueError, match="do not fit the file; it is cut short, or its header's arch"):
+        io.read(tmp_path / "a")
+    foam.write_case(tmp_path / "b", mixed()[0][:10], mixed()[1], PATCHES)
+    with pytest.raises(ValueError, match="a face names node 11, but there are points 0 to 9"):
+        io.read(tmp_path / "b")
+
+
+@pytest.mark.parametrize("target", ["b", "a/0.5"])
+def test_a_failure_leaves_nothing(tmp_path, monkeypatch, target):
+    foam.write_case(tmp_path / "a", *mixed(), PATCHES)
+    mesh = io.read(tmp_path / "a")
+    before = sorted(tmp_path.rglob("*"))
+
+    def fail(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("jaxmorph.io._openfoam._write_points", fail)
+    with pytest.raises(OSError, match="no space left"):
+        io.write(tmp_path / target, mesh)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary", "ascii-gz"])
+@pytest.mark.parametrize("make", [mixed, split])
+def test_vtk_sees_the_same_mesh(tmp_path, form, make):
+    pyvista = pytest.importorskip("pyvista")
+    points, cells = make()
+    foam.write_case(tmp_path / "a", points, cells, PATCHES, foam.FORMS[form])
+    mesh = io.read(tmp_path / "a")
+    io.write(tmp_path / "b", mesh.moved(mesh.points * [1, 2, 3] + 1e-3))
+    (tmp_path / "b" / "b.foam").touch()
+    seen = pyvista.OpenFOAMReader(tmp_path / "b" / "b.foam").read()["internalMesh"]
+    np.testing.assert_allclose(seen.points, points * [1, 2, 3] + 1e-3, rtol=1e-6)
+    assert seen.n_cells == len(cells)
+    volume = np.asarray(jm.quality(mesh.moved(mesh.points * [1, 2, 3])).volume).sum()
+    np.testing.assert_allclose(
+        volume, np.abs(seen.compute_cell_sizes()["Volume"]).sum(), rtol=2e-3 if make is mixed else 1e-6
+    )
+
+
+def test_from_the_command_line(tmp_path, capsys):
+    points, cells, patches = strip(2)
+    foam.write_case(tmp_path / "a", points, cells, patches)
+    arguments = [
+        "deform",
+        str(tmp_path / "a"),
+        str(tmp_path / "a" / "1"),
+        "--moving",
+        "hole",
+        "--fixed",
+        "far",
+        "--rotate",
+        "5",
+    ]
+    assert main(arguments) == 0
+    assert "a: 42 points in 2-D, 2 triangle, 27 quad" in capsys.readouterr().out
+    moved = io.read(tmp_path / "a" / "1")
+    wall = moved.points[moved.patch("hole")]
+    np.testing.assert_allclose(np.linalg.norm(wall, axis=1), 1, rtol=1e-12)
+    assert main(["info", str(tmp_path / "a")]) == 0
+    assert main(["quality", str(tmp_path / "a"), str(tmp_path / "a" / "1")]) == 0
+
+
+FOAM = {"WM_PROJECT_DIR": "/usr/share/openfoam"} | os.environ
+EXAMPLES = "/usr/share/doc/openfoam-examples/examples/incompressible"
+
+
+def check_mesh(case, *options):
+    """OpenFOAM's verdict: the checks that fail, without their numbers."""
+    done = subprocess.run(["checkMesh", *options], cwd=case, env=FOAM, capture_output=True, text=True, check=True)
+    said = [
+        line.strip() for line in done.stdout.splitlines() if any(mark in line for mark in ("Failed", "Mesh OK", "***"))
+    ]
+    return [line.split(",")[0] for line in said]
+
+
+@pytest.mark.skipif(shutil.which("checkMesh") is None, reason="OpenFOAM is not installed")
+@pytest.mark.parametrize(
+    ("name", "moving", "motion"),
+    [
+        ("simpleFoam/airFoil2D", "walls", ["--rotate", "5"]),
+        ("adjointOptimisationFoam/resources/meshes/naca0012", "pressure suction", ["--rotate", "5"]),
+        ("adjointOptimisationFoam/resources/meshes/sbend", "lower", ["--translate", "0", "-0.01"]),
+    ],
+)
+def test_openfoam_finds_its_tutorials_as_good_as_before(tmp_path, name, moving, motion):
+    case = tmp_path / "case"
+    foam.write_case(tmp_path / "settings", *mixed(), PATCHES)
+    source = f"{EXAMPLES}/{name}"
+    shutil.copytree(source, case if name.startswith("simple") else case / "constant")
+    for file in case.rglob("*.gz"):
+        if "polyMesh" not in str(file):
+            file.with_suffix("").write_bytes(gzip.decompress(file.read_bytes()))
+    if not (case / "system").exists():
+        shutil.copytree(tmp_path / "settings" / "system", case / "system")
+    fixed = [patch for patch in io.read(case).patches if patch not in moving.split()]
+    arguments = ["deform", str(case), str(tmp_path / "new"), "--moving", *moving.split(), "--fixed", *fixed, *motion]
+    before = check_mesh(case, "-constant")
+    assert main(arguments) == 0
+    assert main([*arguments[:2], str(case / "0.5"), *arguments[3:]]) == 0
+    assert check_mesh(tmp_path / "new", "-constant") == check_mesh(case, "-time", "0.5") == before
+    if name.startswith("simple"):
+        with (tmp_path / "new" / "system" / "fvSolution").open("a") as file:
+            file.write("solvers { Phi { solver PCG; preconditioner DIC; tolerance 1e-6; relTol 0.01; } }\n")
+            file.write("potentialFlow { nNonOrthogonalCorrectors 2; }\n")
+        done = subprocess.run(
+            ["potentialFoam"], cwd=tmp_path / "new", env=FOAM, capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stdout.split()[-1:]) == (0, ["End"]), done.stdout[-500:]
