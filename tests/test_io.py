@@ -99,6 +99,25 @@ def test_a_grid_of_others_keeps_its_arrays_and_its_other_cells(tmp_path):
     np.testing.assert_array_equal(found.cell_data["row"][2], np.arange(20.0, 36.0))
 
 
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk"])
+@pytest.mark.parametrize("kind", [np.int32, float])
+def test_patches_from_numbers_on_the_boundary(tmp_path, suffix, kind):
+    mesh = ring()
+    points = np.column_stack([mesh.points, np.zeros(len(mesh.points))])
+    lines = np.stack([np.arange(12), np.roll(np.arange(12), -1)], axis=1)
+    blocks = [("quad", mesh.cells["quad"]), ("line", lines), ("line", lines + 36)]
+    numbers = {"Marker": [np.zeros(36, kind), np.full(12, 7, kind), np.repeat([8, 9], 6).astype(kind)]}
+    meshio.write(tmp_path / f"a{suffix}", meshio.Mesh(points, blocks, cell_data=numbers))
+    read = io.read(tmp_path / f"a{suffix}")
+    assert {name: nodes.tolist() for name, nodes in read.patches.items()} == {
+        "Marker_7": [*range(12)], "Marker_8": [*range(36, 43)], "Marker_9": [36, *range(42, 48)]}  # fmt: skip
+    at_points = {"marker": np.repeat([1, 0, 5], [12, 24, 12]).astype(kind), "heat": points[:, 0]}
+    meshio.write(tmp_path / f"b{suffix}", meshio.Mesh(points, blocks[:1], at_points))
+    read = io.read(tmp_path / f"b{suffix}")
+    assert {name: nodes.tolist() for name, nodes in read.patches.items()} == {
+        "marker_1": [*range(12)], "marker_5": [*range(36, 48)]}  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def gmsh():
     gmsh = pytest.importorskip("gmsh")

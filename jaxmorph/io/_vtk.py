@@ -11,17 +11,61 @@ from ._format import Arrays, Source, source_of
 from ._meshio import PREFIX, MeshioMesh, in_space, load, meshio, set_patches, split_cell_data, to_mesh
 
 NAME = "VTK"
+MARKERS = (
+    "patch",
+    "patch_id",
+    "patchid",
+    "marker",
+    "boundary",
+    "boundary_id",
+    "cellentityids",
+    "gmsh:physical",
+    "medit:ref",
+)
+"""Arrays, by their names in lower case, whose numbers tell the patches apart."""
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """`patches` from point arrays `patch:NAME` that are not zero at the nodes of the patch, as `write` leaves them."""
+    """`patches` from point arrays `patch:NAME` that are not zero at the nodes of the patch, as `write` leaves them.
+
+    Else from whole numbers in an array with one of the names `MARKERS`: of the boundary's cells (`marker_3` has their nodes),
+    or of points, where 0 is inside.
+    """
     reader = meshio.vtu.read if path.suffix.lower() == ".vtu" else meshio.vtk.read
     found = load(path, path.suffix.lower(), reader)
     patches = set_patches(found)
     for name, values in found.point_data.items():
         if name.startswith(PREFIX) and np.ndim(values) == 1:
             patches[urllib.parse.unquote(name.removeprefix(PREFIX))] = np.flatnonzero(values)
-    return to_mesh(path, found, patches, Source(path, NAME, found))
+    return to_mesh(path, found, patches or _marked(found), Source(path, NAME, found))
+
+
+def _marked(found: MeshioMesh) -> dict[str, np.ndarray]:
+    """Patches by the numbers of the first array of `MARKERS`, on the cells of lower dimension or on the points."""
+    highest = max(block.dim for block in found.cells)
+    for name in sorted(found.cell_data, key=_rank):
+        patches: dict[str, list[np.ndarray]] = {}
+        for block, values in zip(found.cells, found.cell_data[name], strict=True):
+            if _rank(name) < len(MARKERS) and 0 < block.dim < highest and _are_whole(values):
+                for number in np.unique(values).tolist():
+                    nodes = np.asarray(block.data)[values == number].ravel()
+                    patches.setdefault(f"{name}_{int(number)}", []).append(nodes)
+        if patches:
+            return {name: np.concatenate(nodes) for name, nodes in patches.items()}
+    for name in sorted(found.point_data, key=_rank):
+        values = np.asarray(found.point_data[name])
+        if _rank(name) < len(MARKERS) and _are_whole(values) and values.any():
+            return {f"{name}_{int(v)}": np.flatnonzero(values == v) for v in np.unique(values[values != 0]).tolist()}
+    return {}
+
+
+def _rank(name: str) -> int:
+    return MARKERS.index(name.lower()) if name.lower() in MARKERS else len(MARKERS)
+
+
+def _are_whole(values: np.ndarray) -> bool:
+    """Whole numbers, one each; as floats too, with NaN nowhere."""
+    return np.ndim(values) == 1 and bool((values == np.floor(values)).all())
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
