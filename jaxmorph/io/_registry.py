@@ -14,6 +14,7 @@ FORMATS = (
     Format("SU2", (".su2",), "_su2", holds_arrays=False),
     Format("VTK", (".vtu", ".vtk"), "_vtk"),
     Format("gmsh", (".msh",), "_gmsh", holds_arrays=False),
+    Format("CGNS", (".cgns",), "_cgns", holds_arrays=False),
     Format("OpenFOAM", (), "_openfoam", holds_arrays=False, is_folder=True),
 )
 
@@ -30,12 +31,11 @@ def format_of(path: pathlib.Path) -> Format:
 
 
 def read(path: str | os.PathLike[str]) -> Mesh:
-    """The mesh in a file: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), or in an OpenFOAM case (its folder, or a time folder).
+    """The mesh in a file: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), or in an OpenFOAM case (its folder, or a
+    time folder). VTK, gmsh and CGNS need the extra `io`.
 
-    VTK and gmsh need the extra `io`.
-
-    Coordinates are float64, in the units and the order of the file. Patches are SU2's markers, gmsh's physical groups, and
-    in VTK files the point arrays called `patch:NAME`; a file that names none has the patch `boundary`. A mesh of cells in
+    Coordinates are float64, in the units and the order of the file. Patches are SU2's markers, gmsh's physical groups, CGNS's families
+    or boundary conditions, and in VTK files the point arrays called `patch:NAME`; a file that names none has the patch `boundary`. A mesh of cells in
     the plane has two coordinates when all z of the file are equal.
 
     Raises `ValueError`, with file, line and what was found there, for a file that is not a good mesh; `OSError` for one

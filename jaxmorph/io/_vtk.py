@@ -2,6 +2,7 @@
 
 import pathlib
 import urllib.parse
+from typing import Any
 
 import numpy as np
 
@@ -63,7 +64,7 @@ def _rank(name: str) -> int:
     return MARKERS.index(name.lower()) if name.lower() in MARKERS else len(MARKERS)
 
 
-def _are_whole(values: np.ndarray) -> bool:
+def _are_whole(values: Any) -> bool:
     """Whole numbers, one each; as floats too, with NaN nowhere."""
     return np.ndim(values) == 1 and bool((values == np.floor(values)).all())
 

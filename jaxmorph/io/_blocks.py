@@ -1,0 +1,80 @@
+"""Structured blocks: their cells, their sides, and nodes that several of them share."""
+
+import numpy as np
+from scipy import sparse, spatial
+
+SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
+TOLERANCE = 1e-3
+"""How far apart two nodes of one place may be, as a share of the shortest edge at them."""
+COPIES = 12
+"""Nodes of one place that are looked for around each."""
+
+
+def block_ids(shape: tuple[int, ...], first: int) -> np.ndarray:
+    """Ids of the nodes of a block by i, j[, k], the first index running fastest from id `first`; indices of one node are left out."""
+    ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
+    return ids.reshape([size for size in shape if size > 1])
+
+
+def block_cells(ids: np.ndarray) -> tuple[str, np.ndarray]:
+    """Type and corners of the cells between the nodes of a block, i running fastest."""
+    if ids.ndim == 2:
+        corners = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
+        return "quad", np.stack([corner.ravel(order="F") for corner in corners], axis=1)
+    square = [(slice(-1), slice(-1)), (slice(1, None), slice(-1)), (slice(1, None),) * 2, (slice(-1), slice(1, None))]
+    corners = [ids[(*ij, k)] for k in (slice(-1), slice(1, None)) for ij in square]
+    return "hexahedron", np.stack([corner.ravel(order="F") for corner in corners], axis=1)
+
+
+def block_sides(ids: np.ndarray) -> list[np.ndarray]:
+    """Corners of the faces (edges in the plane) of each side of a block, in the order of `SIDES`."""
+    sides = []
+    for axis in range(ids.ndim):
+        for at in (0, -1):
+            side = ids.take(at, axis=axis)
+            if side.ndim == 2:
+                sides.append(block_cells(side)[1] if min(side.shape) > 1 else np.zeros((0, 4), ids.dtype))
+            else:
+                sides.append(np.stack([side[:-1], side[1:]], axis=1))
+    return sides
+
+
+def open_faces(faces: list[np.ndarray], patches: list[np.ndarray], n: int) -> list[np.ndarray]:
+    """The faces that are not inside of a patch: where blocks may meet."""
+    covered = [np.zeros(len(corners), bool) for corners in faces]
+    inside = np.zeros(n, bool)
+    for nodes in patches:
+        inside[nodes] = True
+        for mask, corners in zip(covered, faces, strict=True):
+            mask |= inside[corners].all(axis=1)
+        inside[nodes] = False
+    return [corners[~mask] for corners, mask in zip(faces, covered, strict=True)]
+
+
+def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
+    """For each point the id of the first one at the same place, among the nodes of `faces`; else its own.
+
+    Two nodes are at one place when they are closer than a thousandth of the shortest edge of `faces` at them.
+    """
+    n = len(points)
+    size = np.full(n, np.inf)
+    for corners in faces:
+        length = np.linalg.norm(points[corners] - points[np.roll(corners, 1, axis=1)], axis=2)
+        length[length == 0] = np.inf
+        for column, before in enumerate(np.roll(np.arange(corners.shape[1]), 1)):
+            np.minimum.at(size, corners[:, column], length[:, column])
+            np.minimum.at(size, corners[:, before], length[:, column])
+    nodes = np.flatnonzero(np.isfinite(size))
+    if not len(nodes):
+        return np.arange(n)
+    count = min(COPIES, len(nodes))
+    found_around = spatial.KDTree(points[nodes]).query(points[nodes], k=count)
+    distance, nearest = (np.asarray(values).reshape(len(nodes), count) for values in found_around)
+    limit = TOLERANCE * np.minimum(size[nodes][:, None], size[nodes][nearest])
+    row, column = np.nonzero(distance <= limit)
+    pairs = (np.ones(len(row), bool), (row, nearest[row, column]))
+    parts = sparse.csgraph.connected_components(sparse.coo_matrix(pairs, (len(nodes),) * 2), directed=False)[1]
+    _, first = np.unique(parts, return_index=True)
+    found = np.arange(n)
+    found[nodes] = nodes[first[parts]]
+    return found

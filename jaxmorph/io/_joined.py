@@ -1,0 +1,78 @@
+"""A mesh of several zones or blocks whose shared nodes are one, and the way back to the nodes of the file."""
+
+import dataclasses
+
+import numpy as np
+
+from jaxmorph import Mesh
+
+from ._blocks import open_faces, shared_nodes
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Zones:
+    """All nodes of a file one zone after the other, cells and patches of their ids, and the outer faces of the zones."""
+
+    points: np.ndarray
+    cells: list[tuple[str, np.ndarray]]
+    patches: dict[str, list[np.ndarray]]
+    faces: list[np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Joined:
+    """`node` is the node of the mesh of each node of the file, `points` are those of the file."""
+
+    node: np.ndarray
+    points: np.ndarray
+    is_flat: bool
+
+    def in_file(self, points: np.ndarray) -> np.ndarray:
+        """Points of the mesh as those of the file; one that has not moved stays as it was, in each of its copies."""
+        first = np.unique(self.node, return_index=True)[1]
+        new = self.points.copy()
+        d = points.shape[1]
+        moved = (points != self.points[first, :d])[self.node]
+        new[:, :d] = np.where(moved, points[self.node], self.points[:, :d])
+        return new
+
+
+def join(zones: Zones) -> tuple[Mesh, Joined]:
+    """The mesh, nodes in the order of the file; in the plane when all its cells are and z is the same everywhere.
+
+    Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are the patch `unnamed`.
+    `ValueError` for coordinates that are not finite.
+    """
+    points = zones.points
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise ValueError(f"{bad.size} points are not finite, first node {bad[0]}: {points[bad[0]].tolist()}.")
+    named = [nodes for parts in zones.patches.values() for nodes in parts]
+    faces = open_faces(zones.faces, named, len(points))
+    same = shared_nodes(points, faces)
+    kept, node = np.unique(same, return_inverse=True)
+    cells: dict[str, list[np.ndarray]] = {}
+    for kind, corners in zones.cells:
+        cells.setdefault(kind, []).append(node[corners])
+    patches = {name: np.concatenate([node[nodes] for nodes in parts]) for name, parts in zones.patches.items()}
+    alone = _alone([node[corners] for corners in faces])
+    if alone.size:
+        patches["unnamed" if patches else "boundary"] = alone
+    is_flat = set(cells) <= {"triangle", "quad"} and (points.shape[1] == 2 or np.ptp(points[:, 2]) == 0)
+    at = points[kept][:, : 2 if is_flat else 3]
+    whole = {kind: np.concatenate(parts) for kind, parts in cells.items()}
+    return Mesh(np.ascontiguousarray(at), whole, patches), Joined(node, points, is_flat)
+
+
+def _alone(faces: list[np.ndarray]) -> np.ndarray:
+    """Nodes of the faces that come once, and are not shrunk to a line or a point."""
+    found = [np.zeros(0, np.int64)]
+    for size in {corners.shape[1] for corners in faces}:
+        rows = np.sort(np.concatenate([corners for corners in faces if corners.shape[1] == size]), axis=1)
+        distinct = 1 + (np.diff(rows, axis=1) != 0).sum(axis=1)
+        rows = rows[distinct >= min(size, 3)]
+        order = np.lexsort(rows.T)
+        same = (rows[order][1:] == rows[order][:-1]).all(axis=1)
+        once = ~(np.append(same, False) | np.append(False, same))
+        found.append(rows[order][once].ravel())
+    return np.concatenate(found)

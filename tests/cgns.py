@@ -1,0 +1,71 @@
+"""CGNS files for tests, node by node after the SIDS' mapping to HDF5."""
+
+import h5py
+import numpy as np
+
+CODES = {"<i4": "I4", "<i8": "I8", "<f4": "R4", "<f8": "R8", "|i1": "C1"}
+
+
+def node(parent, name, label, value=None):
+    group = parent.create_group(name, track_order=True)
+    if isinstance(value, str):
+        value = np.frombuffer(value.encode(), np.int8)
+    code = "MT" if value is None else CODES[np.asarray(value).dtype.str]
+    for key, said, width in (("name", name, 33), ("label", label, 33), ("type", code, 3)):
+        group.attrs.create(key, np.bytes_(said.ljust(width, "\0")), dtype=f"S{width}")
+    group.attrs["flags"] = np.array([1], np.int32)
+    if value is not None:
+        group.create_dataset(" data", data=value)
+    return group
+
+
+def base(file, cell_dimension, dimension):
+    file.create_dataset(" format", data=np.frombuffer(b"IEEE_LITTLE_32\0", np.int8))
+    file.create_dataset(" hdf5version", data=np.frombuffer(b"HDF5 Version 1.10.8".ljust(33, b"\0"), np.int8))
+    for key, said, width in (
+        ("name", "HDF5 MotherNode", 33),
+        ("label", "Root Node of HDF5 File", 33),
+        ("type", "MT", 3),
+    ):
+        file.attrs.create(key, np.bytes_(said.ljust(width, "\0")), dtype=f"S{width}")
+    node(file, "CGNSLibraryVersion", "CGNSLibraryVersion_t", np.array([3.4], np.float32))
+    return node(file, "Base", "CGNSBase_t", np.array([cell_dimension, dimension], np.int32))
+
+
+def zone(parent, name, coordinates, cells=None, kind="<f8"):
+    """`coordinates` are arrays by i, j, k (or lists of vertices, with the number of cells)."""
+    shape = coordinates[0].shape
+    sizes = [shape, [size - 1 for size in shape], [0] * len(shape)] if cells is None else [[shape[0]], [cells], [0]]
+    group = node(parent, name, "Zone_t", np.array(sizes, np.int32))
+    node(group, "ZoneType", "ZoneType_t", "Structured" if cells is None else "Unstructured")
+    grid = node(group, "GridCoordinates", "GridCoordinates_t")
+    for axis, values in zip("XYZ", coordinates, strict=False):
+        node(grid, f"Coordinate{axis}", "DataArray_t", np.asarray(values.T, kind))
+    solution = node(group, "FlowSolution", "FlowSolution_t")
+    node(solution, "Density", "DataArray_t", np.full(shape[::-1], 1.25))
+    return group
+
+
+def elements(group, name, kind, values, first, count):
+    section = node(group, name, "Elements_t", np.array([kind, 0], np.int32))
+    node(section, "ElementRange", "IndexRange_t", np.array([first, first + count - 1], np.int32))
+    node(section, "ElementConnectivity", "DataArray_t", np.asarray(values, np.int32).ravel())
+
+
+def condition(group, name, places, family=None, location=None, what="PointRange"):
+    found = group["ZoneBC"] if "ZoneBC" in group else node(group, "ZoneBC", "ZoneBC_t")
+    child = node(found, name, "BC_t", "FamilySpecified" if family else "BCWall")
+    node(child, what, "IndexRange_t" if what.endswith("Range") else "IndexArray_t", np.array(places, np.int32))
+    if family:
+        node(child, "FamilyName", "FamilyName_t", family)
+    if location:
+        node(child, "GridLocation", "GridLocation_t", location)
+
+
+def everything(path):
+    """All nodes of a file with their data."""
+    found = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()].tobytes() if isinstance(item, h5py.Dataset) else
+                                                         sorted((k, str(v)) for k, v in item.attrs.items())}))  # fmt: skip
+    return found

@@ -1,0 +1,154 @@
+"""CGNS: files made here node by node, and VTK's view of the result."""
+
+import os
+
+import cgns
+import h5py
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import io
+
+
+def two_blocks(path, kind="<f8"):
+    """A box in two blocks, 4 x 3 x 3 and 3 x 3 x 3 nodes, that meet at x = 1, the second one with j and k exchanged."""
+    x, y, z = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
+    x2, y2, z2 = (
+        np.swapaxes(a, 1, 2) for a in np.meshgrid([1, 1.5, 2], np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
+    )
+    with h5py.File(path, "w", track_order=True) as file:
+        base = cgns.base(file, 3, 3)
+        first = cgns.zone(base, "one", (x, y, z), kind=kind)
+        second = cgns.zone(base, "two", (x2, y2, z2), kind=kind)
+        cgns.condition(first, "a", [[1, 1, 1], [1, 3, 3]], "inlet")
+        cgns.condition(first, "b", [[1, 1, 1], [3, 2, 1]], "floor", "FaceCenter")
+        cgns.condition(first, "c", [[1, 1, 3], [4, 3, 3]])
+        cgns.condition(second, "d", [[1, 1, 1], [2, 1, 2]], "floor", "JFaceCenter")
+        cgns.condition(second, "e", [[3, 2, 1], [3, 3, 3]])
+        cgns.condition(second, "f", [[2, 2, 2], [3, 3, 3]], what="PointList")
+
+
+def test_structured_zones_are_joined_and_written_back(tmp_path):
+    two_blocks(tmp_path / "a.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    assert mesh.points.shape == (4 * 9 + 2 * 9, 3)
+    assert len(mesh.cells["hexahedron"]) == 12 + 8
+    report = jm.quality(mesh)
+    assert int(report.inverted) == 0
+    np.testing.assert_allclose(np.abs(np.asarray(report.volume)).sum(), 2, rtol=1e-6)
+    at = {name: mesh.points[nodes] for name, nodes in mesh.patches.items()}
+    counts = {name: len(nodes) for name, nodes in mesh.patches.items() if name != "unnamed"}
+    assert counts == {"inlet": 9, "floor": 18, "c": 12, "e": 6, "f": 2}
+    assert (at["inlet"][:, 0] == 0).all()
+    assert (at["floor"][:, 2] == 0).all()
+    assert (at["e"][:, 0] == 2).all()
+    inside = ((at["unnamed"] > 0) & (at["unnamed"] < [2, 1, 1])).all(axis=1)
+    assert not inside.any()
+    io.write(tmp_path / "same.cgns", mesh)
+    assert (tmp_path / "same.cgns").read_bytes() == (tmp_path / "a.cgns").read_bytes()
+    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
+    again = io.read(tmp_path / "b.cgns")
+    np.testing.assert_array_equal(again.points, mesh.points * np.pi)
+    before, after = cgns.everything(tmp_path / "a.cgns"), cgns.everything(tmp_path / "b.cgns")
+    assert before.keys() == after.keys()
+    assert {name.split("/")[-2][:-1] for name in before if before[name] != after[name]} == {"Coordinate"}
+
+
+def test_a_joined_node_moves_in_both_zones(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    two_blocks(tmp_path / "a.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points + 0.1 * np.sin(mesh.points[:, [1, 2, 0]])))
+
+    def leaves(name):
+        reader = pyvista.CGNSReader(tmp_path / name)
+        reader.load_boundary_patch = False
+        return [block for block in reader.read().recursive_iterator() if block is not None]
+
+    blocks, old = leaves("b.cgns"), leaves("a.cgns")
+    assert [block.n_points for block in blocks] == [36, 27]
+    for block, before in zip(blocks, old, strict=True):
+        expected = before.points + 0.1 * np.sin(before.points[:, [1, 2, 0]])
+        np.testing.assert_allclose(block.points, expected, atol=1e-7)
+
+
+def test_single_precision_stays(tmp_path):
+    two_blocks(tmp_path / "a.cgns", "<f4")
+    mesh = io.read(tmp_path / "a.cgns")
+    assert len(mesh.points) == 54
+    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
+    again = io.read(tmp_path / "b.cgns").points
+    np.testing.assert_array_equal(again, (mesh.points * np.pi).astype(np.float32))
+
+
+def unstructured(path):
+    """A cube and a wedge beside it, as MIXED elements; boundary quads; a condition of each kind."""
+    square = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    points = np.array([[*p, z] for z in (0, 1) for p in square] + [[2, 0, 0], [2, 0, 1]], float)
+    mixed = [17, 1, 2, 3, 4, 5, 6, 7, 8, 14, 2, 9, 3, 6, 10, 7]
+    with h5py.File(path, "w", track_order=True) as file:
+        zone = cgns.zone(cgns.base(file, 3, 3), "all", tuple(points.T), 2)
+        cgns.elements(zone, "volume", 20, mixed, 1, 2)
+        cgns.elements(zone, "sides", 7, [[1, 4, 3, 2], [5, 6, 7, 8]], 3, 2)
+        cgns.elements(zone, "ends", 5, [[2, 3, 9]], 5, 1)
+        cgns.condition(zone, "low", [[3], [5]], "wall", "FaceCenter", "PointList")
+        cgns.condition(zone, "high", [[4], [4]], None, "FaceCenter")
+        cgns.condition(zone, "some", [[1], [8]], what="PointList")
+        cgns.condition(zone, "old", [[4], [5]], what="ElementRange")
+    return points
+
+
+def test_unstructured_zones(tmp_path):
+    points = unstructured(tmp_path / "a.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    np.testing.assert_array_equal(mesh.points, points)
+    assert {kind: corners.tolist() for kind, corners in mesh.cells.items()} == {
+        "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]], "wedge": [[1, 8, 2, 5, 9, 6]]}  # fmt: skip
+    named = {name: nodes.tolist() for name, nodes in mesh.patches.items() if name != "unnamed"}
+    assert named == {"wall": [0, 1, 2, 3, 8], "high": [4, 5, 6, 7], "some": [0, 7], "old": [1, 2, 4, 5, 6, 7, 8]}
+    io.write(tmp_path / "b.cgns", mesh.moved(points * 3))
+    np.testing.assert_array_equal(io.read(tmp_path / "b.cgns").points, points * 3)
+
+
+def test_a_c_grid_is_joined_along_its_wake_and_not_at_its_wall(tmp_path):
+    """One block in the plane round a plate of no thickness: the wake's nodes come twice, the plate's stay two."""
+    s = np.array([2, 1.5, 1, 0.5, 0, 0.5, 1, 1.5, 2])
+    side = np.array([-1, -1, -1, -1, 0, 1, 1, 1, 1])
+    height = np.linspace(0, 1, 4)
+    x = s[:, None] - (side == 0)[:, None] * height
+    y = side[:, None] * height
+    with h5py.File(tmp_path / "a.cgns", "w", track_order=True) as file:
+        zone = cgns.zone(cgns.base(file, 2, 2), "c", (x, y))
+        cgns.condition(zone, "plate", [[3, 1], [7, 1]])
+        cgns.condition(zone, "far", [[1, 4], [9, 4]])
+    mesh = io.read(tmp_path / "a.cgns")
+    assert len(mesh.points) == 9 * 4 - 3
+    assert mesh.cells["quad"].shape == (24, 4)
+    assert len(mesh.patch("plate")) == 4
+    assert (mesh.points[mesh.patch("unnamed"), 0] == 2).all()
+
+
+def test_what_is_refused(tmp_path):
+    two_blocks(tmp_path / "a.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    with pytest.raises(ValueError, match="only a mesh that was read from a CGNS file"):
+        io.write(tmp_path / "b.cgns", jm.Mesh(mesh.points, mesh.cells))
+    os.utime(tmp_path / "a.cgns", ns=(0, 0))
+    with pytest.raises(ValueError, match="has changed since the mesh was read"):
+        io.write(tmp_path / "b.cgns", mesh)
+    (tmp_path / "c.cgns").write_bytes((tmp_path / "a.cgns").read_bytes()[:3000])
+    with pytest.raises(ValueError, match="not a CGNS file in HDF5"):
+        io.read(tmp_path / "c.cgns")
+    with h5py.File(tmp_path / "d.cgns", "w") as file:
+        zone = cgns.zone(cgns.base(file, 3, 3), "n", tuple(np.eye(3)), 1)
+        cgns.elements(zone, "poly", 23, [1, 2, 3, 4], 1, 1)
+    with pytest.raises(ValueError, match="zone n: section poly has elements of type 23"):
+        io.read(tmp_path / "d.cgns")
+    with h5py.File(tmp_path / "e.cgns", "w") as file:
+        zone = cgns.zone(cgns.base(file, 2, 2), "linked", tuple(np.zeros((2, 3, 3))))
+        del zone["GridCoordinates"]
+        zone["GridCoordinates"] = h5py.ExternalLink("a.cgns", "/Base/one/GridCoordinates")
+    with pytest.raises(ValueError, match=r"zone linked: the coordinates are a link to .*a\.cgns"):
+        io.read(tmp_path / "e.cgns")
+    assert sorted(file.name for file in tmp_path.iterdir()) == [f"{name}.cgns" for name in "acde"]
