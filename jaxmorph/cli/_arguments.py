@@ -60,7 +60,7 @@ examples:
   jaxmorph demo
   jaxmorph demo naca0015 --output results"""
 
-_FILES = "SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), or an OpenFOAM case"
+_FILES = "SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D (.xyz, .p3d), or an OpenFOAM case"
 
 
 class Parser(argparse.ArgumentParser):

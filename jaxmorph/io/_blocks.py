@@ -11,7 +11,7 @@ COPIES = 12
 
 
 def block_ids(shape: tuple[int, ...], first: int) -> np.ndarray:
-    """Ids of the nodes of a block by i, j[, k], the first index running fastest from id `first`; indices of one node are left out."""
+    """Ids of the nodes of a block by i, j[, k], from `first`, i running fastest; indices of one node are left out."""
     ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
     return ids.reshape([size for size in shape if size > 1])
 

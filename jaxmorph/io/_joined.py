@@ -11,12 +11,16 @@ from ._blocks import open_faces, shared_nodes
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Zones:
-    """All nodes of a file one zone after the other, cells and patches of their ids, and the outer faces of the zones."""
+    """All nodes of a file one zone after the other, cells and patches of their ids, and the outer faces of the zones.
+
+    `names` are those of the patches that the faces become where no other zone meets them; without, they are `unnamed`.
+    """
 
     points: np.ndarray
     cells: list[tuple[str, np.ndarray]]
     patches: dict[str, list[np.ndarray]]
     faces: list[np.ndarray]
+    names: list[str] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,7 +44,8 @@ class Joined:
 def join(zones: Zones) -> tuple[Mesh, Joined]:
     """The mesh, nodes in the order of the file; in the plane when all its cells are and z is the same everywhere.
 
-    Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are the patch `unnamed`.
+    Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are the patch `unnamed`, or
+    `boundary` where there is no other, unless they have a name.
     `ValueError` for coordinates that are not finite.
     """
     points = zones.points
@@ -55,24 +60,29 @@ def join(zones: Zones) -> tuple[Mesh, Joined]:
     for kind, corners in zones.cells:
         cells.setdefault(kind, []).append(node[corners])
     patches = {name: np.concatenate([node[nodes] for nodes in parts]) for name, parts in zones.patches.items()}
-    alone = _alone([node[corners] for corners in faces])
-    if alone.size:
-        patches["unnamed" if patches else "boundary"] = alone
+    rest = "unnamed" if patches else "boundary"
+    shared = [node[corners] for corners in faces]
+    for number, (corners, mask) in enumerate(zip(shared, _alone(shared), strict=True)):
+        if mask.any():
+            name = zones.names[number] if zones.names else rest
+            patches[name] = np.concatenate([patches.get(name, corners[:0, 0]), corners[mask].ravel()])
     is_flat = set(cells) <= {"triangle", "quad"} and (points.shape[1] == 2 or np.ptp(points[:, 2]) == 0)
     at = points[kept][:, : 2 if is_flat else 3]
     whole = {kind: np.concatenate(parts) for kind, parts in cells.items()}
     return Mesh(np.ascontiguousarray(at), whole, patches), Joined(node, points, is_flat)
 
 
-def _alone(faces: list[np.ndarray]) -> np.ndarray:
-    """Nodes of the faces that come once, and are not shrunk to a line or a point."""
-    found = [np.zeros(0, np.int64)]
-    for size in {corners.shape[1] for corners in faces}:
-        rows = np.sort(np.concatenate([corners for corners in faces if corners.shape[1] == size]), axis=1)
-        distinct = 1 + (np.diff(rows, axis=1) != 0).sum(axis=1)
-        rows = rows[distinct >= min(size, 3)]
-        order = np.lexsort(rows.T)
-        same = (rows[order][1:] == rows[order][:-1]).all(axis=1)
-        once = ~(np.append(same, False) | np.append(False, same))
-        found.append(rows[order][once].ravel())
-    return np.concatenate(found)
+def _alone(faces: list[np.ndarray]) -> list[np.ndarray]:
+    """Which of the faces come once, and are not shrunk to a line or a point."""
+    width = max((corners.shape[1] for corners in faces), default=1)
+    rows, good = [np.zeros((0, width), np.int64)], [np.zeros(0, bool)]
+    for corners in faces:
+        ids = np.sort(corners, axis=1)
+        good.append(1 + (np.diff(ids, axis=1) != 0).sum(axis=1) >= min(corners.shape[1], 3))
+        rows.append(np.pad(ids, ((0, 0), (0, width - ids.shape[1])), constant_values=-1))
+    table = np.concatenate(rows)
+    order = np.lexsort(table.T)
+    same = (table[order][1:] == table[order][:-1]).all(axis=1)
+    once = np.empty(len(table), bool)
+    once[order] = ~(np.append(same, False) | np.append(False, same))[: len(table)]
+    return np.split(once & np.concatenate(good), np.cumsum([len(corners) for corners in faces])[:-1]) if faces else []

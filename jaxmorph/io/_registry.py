@@ -15,6 +15,7 @@ FORMATS = (
     Format("VTK", (".vtu", ".vtk"), "_vtk"),
     Format("gmsh", (".msh",), "_gmsh", holds_arrays=False),
     Format("CGNS", (".cgns",), "_cgns", holds_arrays=False),
+    Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d", holds_arrays=False),
     Format("OpenFOAM", (), "_openfoam", holds_arrays=False, is_folder=True),
 )
 
@@ -31,12 +32,15 @@ def format_of(path: pathlib.Path) -> Format:
 
 
 def read(path: str | os.PathLike[str]) -> Mesh:
-    """The mesh in a file: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), or in an OpenFOAM case (its folder, or a
-    time folder). VTK, gmsh and CGNS need the extra `io`.
+    """The mesh in a file: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g).
 
-    Coordinates are float64, in the units and the order of the file. Patches are SU2's markers, gmsh's physical groups, CGNS's families
-    or boundary conditions, and in VTK files the point arrays called `patch:NAME`; a file that names none has the patch `boundary`. A mesh of cells in
-    the plane has two coordinates when all z of the file are equal.
+    Or in an OpenFOAM case: its folder, or a time folder. VTK, gmsh and CGNS need the extra `io`.
+
+    Coordinates are float64, in the units and the order of the file. Patches are SU2's markers, gmsh's physical groups, CGNS's
+    families or boundary conditions, OpenFOAM's patches, the sides of PLOT3D's blocks (or those that a file beside it names: the
+    grid's name and `.patches`, lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`), and in VTK files the point arrays
+    called `patch:NAME`; a file that names none has the patch `boundary`. A mesh of cells in the plane has two coordinates when
+    all z of the file are equal.
 
     Raises `ValueError`, with file, line and what was found there, for a file that is not a good mesh; `OSError` for one
     that cannot be opened; `ImportError` when the extra is missing.
@@ -54,9 +58,10 @@ def write(
 ) -> None:
     """Writes a mesh in the format of the file's ending. `mesh` may be one read from a file and then `moved`.
 
-    Written to the format it came from, everything but the coordinates is kept: SU2, gmsh and OpenFOAM files byte for byte, and an
-    unmoved mesh gives the same file. Coordinates read back bit for bit. Between formats, and for generated meshes, points,
-    cells and patches are written; SU2 and gmsh express a patch by the boundary faces between its nodes.
+    Written to the format it came from, everything but the coordinates is kept, byte for byte in SU2, gmsh, OpenFOAM and PLOT3D
+    files, and an unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once where the file is in
+    single precision. Between formats, and for generated meshes, points, cells and patches are written; SU2 and gmsh express a
+    patch by the boundary faces between its nodes. CGNS, PLOT3D and OpenFOAM take back only meshes that came from them.
 
     `point_data` (one row a point) and `cell_data` (one row a cell, in the order of `mesh.cells`, one type after the other)
     add arrays to formats that hold any.

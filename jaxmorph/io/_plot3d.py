@@ -1,0 +1,209 @@
+"""PLOT3D grids: one or many blocks, in the plane or in space, text, Fortran records or plain binary, single or double.
+
+A file does not say which of these it is; the one whose sizes fit the file to the byte is taken. With or without IBLANK, whose
+values are kept and not looked at. Written back in the same form.
+"""
+
+import dataclasses
+import itertools
+import pathlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from jaxmorph import Mesh
+
+from ._blocks import SIDES, block_cells, block_ids, block_sides
+from ._format import Arrays, Source, source_of
+from ._joined import Joined, Zones, join
+from ._text import chunks, parse, replace_words
+
+NAME = "PLOT3D"
+TEXT = bytes([*b"\t\r\n", *range(32, 127)])
+WORDS = bytes.maketrans(b",Dd", b" ee")
+"""Fortran's commas and exponents, as NumPy reads them."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Sizes of the blocks, and where the coordinates of each begin: a number of a text, a byte of a binary file."""
+
+    shapes: tuple[tuple[int, ...], ...]
+    starts: tuple[int, ...]
+    dtype: np.dtype | None
+
+    def coordinates(self, numbers: np.ndarray) -> list[np.ndarray]:
+        """Views (d, nodes) of the coordinates of each block among the numbers of a text, or the bytes of a binary file."""
+        found = []
+        for shape, start in zip(self.shapes, self.starts, strict=True):
+            d, count = len(shape), int(np.prod(shape))
+            if self.dtype is None:
+                found.append(numbers[start : start + d * count].reshape(d, count))
+            else:
+                found.append(np.ndarray((d, count), self.dtype, numbers.data, start))
+        return found
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Content:
+    data: bytes
+    layout: Layout
+    joined: Joined
+
+
+def read(path: pathlib.Path) -> Mesh:
+    """All blocks; nodes where blocks meet are one.
+
+    `patches` are those of the file beside it that is called as it is, with the ending `.patches`, of lines `NAME BLOCK SIDE`
+    (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes counted from 1. Without it each outer side of a block is one, as
+    `block2_jmin`, or `jmin` in a file of one block.
+    """
+    data = path.read_bytes()
+    is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
+    numbers = _numbers(path, data) if is_text else np.frombuffer(data, np.uint8)
+    layout = _text_layout(numbers) if is_text else _binary_layout(data)
+    if layout is None:
+        form = "text" if is_text else "binary"
+        raise ValueError(
+            f"{path}: not a whole PLOT3D grid; no count of blocks and sizes fits this {form} file to its end."
+        )
+    points = np.concatenate([block.T.astype(float) for block in layout.coordinates(numbers)])
+    try:
+        mesh, joined = join(_zones(path, layout.shapes, points))
+        return Mesh(mesh.points, mesh.cells, mesh.patches, source=Source(path, NAME, _Content(data, layout, joined)))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    """The file the mesh was read from with new coordinates. `ValueError` for any other mesh."""
+    source = source_of(mesh, NAME)
+    if source is None:
+        raise ValueError("only a mesh that was read from a PLOT3D file can be written to one; write .vtu or .su2.")
+    content: _Content = source.content
+    layout, data = content.layout, content.data
+    points = content.joined.in_file(np.asarray(mesh.points))
+    numbers = _numbers(source.path, data) if layout.dtype is None else np.frombuffer(bytearray(data), np.uint8)
+    first = 0
+    for block in layout.coordinates(numbers):
+        block[...] = points[first : first + block.shape[1]].T
+        first += block.shape[1]
+    with path.open("wb") as file:
+        file.writelines(
+            replace_words(data, 0, len(data), numbers, WORDS) if layout.dtype is None else [numbers.tobytes()]
+        )
+
+
+def _numbers(path: pathlib.Path, text: bytes) -> np.ndarray:
+    parts = []
+    for chunk in chunks(text, 0, len(text)):
+        words = chunk.translate(WORDS)
+        parts.append(parse(words, np.float64))
+        if len(parts[-1]) != len(words.split()):
+            line = text.count(b"\n", 0, text.find(chunk)) + 1
+            raise ValueError(f"{path}, lines from {line}: something that is not a number.")
+    return np.concatenate(parts)
+
+
+def _text_layout(numbers: np.ndarray) -> Layout | None:
+    for d, is_multiple in itertools.product((3, 2), (True, False)):
+        shapes = _shapes(numbers[:1] if is_multiple else np.ones(1), numbers[is_multiple:], d)
+        start = is_multiple + d * len(shapes)
+        counts = [int(np.prod(shape)) for shape in shapes]
+        for width in (d, d + 1):
+            if shapes and start + width * sum(counts) == len(numbers):
+                starts = start + width * (np.cumsum(counts) - counts)
+                return Layout(shapes, tuple(starts.tolist()), None)
+    return None
+
+
+def _shapes(count: np.ndarray, sizes: np.ndarray, d: int) -> tuple[tuple[int, ...], ...]:
+    """The sizes of so many blocks; none when the numbers cannot be that."""
+    blocks = int(count[0]) if len(count) and 0 < count[0] <= len(sizes) // d and count[0] == np.floor(count[0]) else 0
+    found = sizes[: d * blocks].reshape(blocks, d)
+    good = len(found) and (found >= 1).all() and (found < 2**31).all() and (found == np.floor(found)).all()
+    # a block has cells: two of its indices have more than one node
+    if not good or ((found > 1).sum(axis=1) < 2).any():
+        return ()
+    return tuple(tuple(int(size) for size in row) for row in found)
+
+
+def _binary_layout(data: bytes) -> Layout | None:
+    for order, mark, is_multiple, d in itertools.product("<>", (4, 0), (True, False), (3, 2)):
+        kind = f"{order}i4"
+        head = 4 + 2 * mark if is_multiple else 0
+        count = np.frombuffer(data, kind, 1, mark) if is_multiple and len(data) > head else np.ones(1, int)
+        rest = (len(data) - head - mark) // 4
+        shapes = _shapes(
+            count,
+            np.frombuffer(data, kind, max(min(rest, d * int(max(count[0], 0))), 0), min(head + mark, len(data))),
+            d,
+        )
+        start = head + 4 * d * len(shapes) + 2 * mark
+        counts = np.array([float(np.prod(shape, dtype=float)) for shape in shapes])
+        for width, has_blank in itertools.product((8, 4), (False, True)):
+            sizes = counts * (width * d + 4 * has_blank) + 2 * mark
+            if not shapes or start + sizes.sum() != len(data):
+                continue
+            starts = (start + np.cumsum(sizes) - sizes).astype(int) + mark
+            if mark and not _are_records(
+                data, kind, [4 * is_multiple, 4 * d * len(shapes), *(sizes - 8).astype(int).tolist()]
+            ):
+                continue
+            return Layout(shapes, tuple(starts.tolist()), np.dtype(f"{order}f{width}"))
+    return None
+
+
+def _are_records(data: bytes, kind: str, lengths: list[int]) -> bool:
+    """Whether Fortran's marks before and after records of these lengths are there."""
+    at = 0
+    for length in filter(None, lengths):
+        for place in (at, at + length + 4):
+            if int(np.frombuffer(data, kind, 1, place)[0]) != length:
+                return False
+        at += length + 8
+    return True
+
+
+def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...], points: np.ndarray) -> Zones:
+    cells, faces, names, first = [], [], [], 0
+    for block, shape in enumerate(shapes, start=1):
+        ids = block_ids(shape, first)
+        cells.append(block_cells(ids))
+        faces += block_sides(ids)
+        sides = [SIDES[2 * axis + end] for axis, size in enumerate(shape) if size > 1 for end in (0, 1)]
+        names += [side if len(shapes) == 1 else f"block{block}_{side}" for side in sides]
+        first += ids.size
+    beside = path.with_name(f"{path.name}.patches")
+    patches: dict[str, list[np.ndarray]] = {}
+    if beside.is_file():
+        for name, nodes in _named(beside, shapes):
+            patches.setdefault(name, []).append(nodes)
+    return Zones(points, cells, patches, faces, None if patches else names)
+
+
+def _named(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> Iterator[tuple[str, np.ndarray]]:
+    """Names and nodes from lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`."""
+    firsts = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
+    for number, line in enumerate(path.read_text().splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        try:
+            block = int(words[1]) - 1
+            shape = shapes[block] if block >= 0 else ()
+            ids = firsts[block] + np.arange(np.prod(shape)).reshape(shape, order="F")
+            if len(words) == 3:
+                axis, end = divmod(SIDES.index(words[2].lower()), 2)
+                yield words[0], ids.take(-end, axis=axis).ravel()
+                continue
+            ends = np.array(words[2:], int).reshape(len(shape), 2)
+            if (ends < 1).any() or (ends > np.array(shape)[:, None]).any():
+                raise ValueError
+            yield words[0], ids[tuple(slice(min(pair) - 1, max(pair)) for pair in ends.tolist())].ravel()
+        except (ValueError, IndexError) as error:
+            sizes = ", ".join(" x ".join(map(str, shape)) for shape in shapes)
+            message = (
+                f"NAME BLOCK SIDE or NAME BLOCK and node ranges expected, found {line.strip()!r}; blocks are {sizes}"
+            )
+            raise ValueError(f"{path}, line {number}: {message}.") from error
