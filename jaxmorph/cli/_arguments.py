@@ -29,6 +29,9 @@ examples:
   new positions of the wall from a file with rows of node id, x, y:
     jaxmorph deform airfoil.su2 bumped.su2 --moving airfoil --fixed farfield \\
         --displacement surface.dat
+  the motion from one surface to another of the same triangles:
+    jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
+        --displacement bent.stl --displacement-from straight.stl
   a half wing on its symmetry plane:
     jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
         --symmetry symmetry --displacement bending.csv \\
@@ -136,7 +139,15 @@ def _add_deform(commands) -> None:
 
 def _add_motion(group) -> None:
     number = {"type": float, "nargs": "+"}
-    group.add_argument("--displacement", metavar="FILE", type=pathlib.Path, help="rows of node id, x, y[, z]")
+    group.add_argument(
+        "--displacement", metavar="FILE", type=pathlib.Path, help="rows of node id, x, y[, z]; or .npz, .stl, .obj"
+    )
+    group.add_argument(
+        "--displacement-from",
+        metavar="FILE",
+        type=pathlib.Path,
+        help="the surface (.stl, .obj, .npz) that --displacement's is the moved one of",
+    )
     group.add_argument(
         "--displacement-is",
         choices=("position", "displacement"),

@@ -81,7 +81,8 @@ def _prepare(arguments, mesh: Mesh, moving: np.ndarray, fixed: np.ndarray, metho
 def _check(arguments: argparse.Namespace, mesh: Mesh) -> None:
     """`ValueError` for what can be known to fail before any work."""
     io.check_output(arguments.output, mesh)
-    if arguments.displacement is not None and arguments.output.resolve() == arguments.displacement.resolve():
+    files = [file for file in (arguments.displacement, arguments.displacement_from) if file is not None]
+    if arguments.output.resolve() in [file.resolve() for file in files]:
         raise ValueError(f"{arguments.output}: the displacements are read from this file; write to another one.")
     known = ", ".join(mesh.patches) or "none"
     for option, names, do in (("--moving", arguments.moving, "move"), ("--fixed", arguments.fixed, "stay")):

@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import pathlib
 
 import numpy as np
 from jaxtyping import Float
@@ -82,18 +81,13 @@ def _from_file(arguments: argparse.Namespace, mesh: Mesh, moving: np.ndarray) ->
     """Displacement of each moving node, in their order; zeros without a file."""
     points = np.asarray(mesh.points)
     if arguments.displacement is None:
+        if arguments.displacement_from is not None:
+            raise ValueError("--displacement-from without --displacement.")
         return np.zeros((len(moving), points.shape[1]))
-    path: pathlib.Path = arguments.displacement
-    ids, values = io.read_surface(path, points.shape[1])
-    foreign, missing = np.setdiff1d(ids, moving), np.setdiff1d(moving, ids)
-    if foreign.size or missing.size:
-        found = []
-        if foreign.size:
-            found.append(
-                f"{foreign.size} of its {len(ids)} node ids are not of the moving patches (first {foreign[0]})"
-            )
-        if missing.size:
-            found.append(f"{missing.size} of the {len(moving)} moving nodes are missing (first {missing[0]})")
-        raise ValueError(f"{path}: {', and '.join(found)}.")
-    values = values[np.argsort(ids)][np.argsort(np.argsort(moving))]
-    return values if arguments.displacement_is == "displacement" else values - points[moving]
+    return io.read_displacement(
+        arguments.displacement,
+        mesh,
+        moving,
+        before=arguments.displacement_from,
+        is_position=arguments.displacement_is == "position",
+    )

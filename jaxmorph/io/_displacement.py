@@ -1,0 +1,100 @@
+"""Displacements of a mesh's moving nodes from a file."""
+
+import os
+import pathlib
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxmorph import Mesh
+
+from ._shape import carried, load_npz, read_shape
+from ._surface import read_surface
+
+SHAPES = (".stl", ".obj")
+OFF = 0.01
+"""How far a moving node may be off the surface, as a share of the diagonal of its bounding box."""
+
+
+def read_displacement(
+    path: str | os.PathLike[str],
+    mesh: Mesh,
+    moving: Int[np.ndarray, " m"],
+    *,
+    before: str | os.PathLike[str] | None = None,
+    is_position: bool = True,
+) -> Float[np.ndarray, "m d"]:
+    """Displacement of each of the nodes `moving`, in their order.
+
+    With `before`, from one surface to another of the same points in the same order (.stl, .obj, or .npz of `points` and
+    `triangles`, or `lines` in the plane): each node takes the displacement of the place of `before` that is closest to it.
+
+    Without, by node id: a table `id, x, y[, z]` (SU2's `surface_*.dat`, .csv) of new positions, or of displacements
+    if not `is_position`; or .npz of `ids` (without: in the order of `moving`) and `displacement` or `position`.
+
+    Raises `ValueError` for nodes that are missing or foreign, for surfaces of different connectivity, and for nodes
+    further off the surface `before` than 0.01 of its size.
+    """
+    path, moving = pathlib.Path(path), np.asarray(moving)
+    points = np.asarray(mesh.points)
+    if before is not None:
+        return _between(pathlib.Path(before), path, points[moving])
+    if path.suffix.lower() in SHAPES:
+        raise ValueError(f"{path}: a surface without node ids; give the surface before the motion too.")
+    ids, values, is_position = (
+        _arrays(path, moving) if path.suffix.lower() == ".npz" else (*read_surface(path, points.shape[1]), is_position)
+    )
+    if values.shape != (len(ids), points.shape[1]):
+        raise ValueError(f"{path}: values of shape {values.shape} for {len(ids)} nodes in {points.shape[1]}-D.")
+    _check_ids(path, ids, moving)
+    values = values[np.argsort(ids)][np.argsort(np.argsort(moving))]
+    return values - points[moving] if is_position else values
+
+
+def _arrays(path: pathlib.Path, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+    with load_npz(path) as arrays:
+        names = [name for name in ("displacement", "position") if name in arrays]
+        if len(names) != 1:
+            raise ValueError(
+                f"{path}: one array displacement or position expected, found {', '.join(arrays) or 'none'}."
+            )
+        values = np.asarray(arrays[names[0]], float)
+        ids = np.asarray(arrays["ids"]) if "ids" in arrays else moving
+    if ids.dtype.kind not in "iu" or ids.ndim != 1 or not np.isfinite(values).all():
+        raise ValueError(f"{path}: whole numbers as ids (m,), and finite values, expected.")
+    if len(np.unique(ids)) < len(ids):
+        raise ValueError(f"{path}: {len(ids) - len(np.unique(ids))} of its {len(ids)} node ids come a second time.")
+    return ids, values, names[0] == "position"
+
+
+def _check_ids(path: pathlib.Path, ids: np.ndarray, moving: np.ndarray) -> None:
+    foreign, missing = np.setdiff1d(ids, moving), np.setdiff1d(moving, ids)
+    found = []
+    if foreign.size:
+        found.append(f"{foreign.size} of its {len(ids)} node ids are not of the moving patches (first {foreign[0]})")
+    if missing.size:
+        found.append(f"{missing.size} of the {len(moving)} moving nodes are missing (first {missing[0]})")
+    if found:
+        raise ValueError(f"{path}: {', and '.join(found)}.")
+
+
+def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.ndarray:
+    old, new = read_shape(before), read_shape(after)
+    if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
+        sizes = " and ".join(f"{len(each.points)} points, {len(each.simplices)} faces" for each in (old, new))
+        raise ValueError(f"{before} and {after} have not the same connectivity: {sizes}.")
+    d = x.shape[1]
+    if old.points.shape[1] < d or (old.simplices.shape[1] != d and d == 2):
+        raise ValueError(
+            f"{before}: a mesh in {d}-D takes {'lines of OBJ or NPZ' if d == 2 else 'a surface in space'}."
+        )
+    values, distance = carried(old, (new.points - old.points)[:, :d], x)
+    limit = OFF * np.linalg.norm(np.ptp(old.points, axis=0))
+    off = np.flatnonzero(distance > limit)
+    if off.size:
+        place = ", ".join(f"{value:.4g}" for value in x[distance.argmax()])
+        raise ValueError(
+            f"{before}: {off.size} of {len(x)} moving nodes are off this surface by more than {limit:.3g}, at most by "
+            f"{distance.max():.3g} near ({place}). Are the units and the origin those of the mesh?"
+        )
+    return values

@@ -1,0 +1,180 @@
+"""Surfaces without node ids: STL, OBJ, NPZ; and the displacement from one to another of the same connectivity."""
+
+import dataclasses
+import pathlib
+import re
+from typing import Any
+
+import numpy as np
+from scipy import spatial
+
+from ._text import parse, scan
+
+BLOCK = 1 << 12
+"""Points looked for together."""
+NEAR = 8
+"""Nearest simplices that bound the distance to all others."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Shape:
+    """`points` (p, 2 or 3), and `simplices` between them: triangles (t, 3), or the segments (t, 2) of a curve."""
+
+    points: np.ndarray
+    simplices: np.ndarray
+
+
+def read_shape(path: pathlib.Path) -> Shape:
+    """A surface from .stl (text or binary), .obj (faces or lines), or .npz (`points`, and `triangles` or `lines`).
+
+    `ValueError` for other endings and contents, and for simplices beyond the points.
+    """
+    readers = {".stl": _stl, ".obj": _obj, ".npz": _npz}
+    if path.suffix.lower() not in readers:
+        raise ValueError(f"{path}: a surface is read from {', '.join(readers)}, found the ending {path.suffix!r}.")
+    shape = readers[path.suffix.lower()](path)
+    if not len(shape.simplices) or shape.points.ndim != 2 or not np.isfinite(shape.points).all():
+        found = f"{len(shape.simplices)} faces between points of shape {shape.points.shape}"
+        raise ValueError(f"{path}: not a surface, or a damaged one: {found}, all finite, expected.")
+    if shape.simplices.min() < 0 or shape.simplices.max() >= len(shape.points):
+        raise ValueError(f"{path}: a face names a point that is not among the {len(shape.points)} of this file.")
+    return shape
+
+
+def _stl(path: pathlib.Path) -> Shape:
+    data = path.read_bytes()
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + 50 * count and count:
+        facets = np.frombuffer(data, np.dtype([("n", "<f4", 3), ("x", "<f4", (3, 3)), ("a", "<u2")]), count, 84)
+        points = facets["x"].reshape(-1, 3).astype(float)
+    else:
+        values = parse(b" ".join(re.findall(rb"vertex\s([^\r\n]*)", data)), np.float64)
+        if len(values) % 9:
+            raise ValueError(f"{path}: {len(values)} coordinates of vertices are no whole number of triangles.")
+        points = values.reshape(-1, 3)
+    return Shape(points, np.arange(len(points)).reshape(-1, 3))
+
+
+def _obj(path: pathlib.Path) -> Shape:
+    data = path.read_bytes()
+    rows = re.findall(rb"^v\s+(\S+\s+\S+\s+\S+)", data, re.MULTILINE)
+    values = parse(b" ".join(rows), np.float64)
+    if len(values) != 3 * len(rows):
+        raise ValueError(f"{path}: a vertex holds something that is not a number.")
+    points = values.reshape(-1, 3)
+    for mark, corners in ((b"f", 3), (b"l", 2)):
+        text = b"\n".join(re.findall(rb"^" + mark + rb"\s+([^\r\n]*)", data, re.MULTILINE))
+        if text.strip():
+            text = re.sub(rb"/\S*", b"", text)
+            ids, counts = parse(text, np.int64), scan(text)[2]
+            if len(ids) != counts.sum() or (counts < corners).any() or (ids < 1).any():
+                raise ValueError(f"{path}: faces and lines need the numbers, from 1, of {corners} vertices or more.")
+            return Shape(points, _fans(ids - 1, counts) if corners == 3 else _chains(ids - 1, counts))
+    return Shape(points, np.zeros((0, 3), np.int64))
+
+
+def _fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Triangles of polygons: each about its first corner."""
+    first = np.cumsum(counts) - counts
+    owner = np.repeat(np.arange(len(counts)), counts - 2)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(counts - 2) - counts + 2, counts - 2)
+    return np.stack([ids[first[owner]], ids[first[owner] + step + 1], ids[first[owner] + step + 2]], axis=1)
+
+
+def _chains(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    pairs = np.stack([ids[:-1], ids[1:]], axis=1)
+    return np.delete(pairs, np.cumsum(counts)[:-1] - 1, axis=0)
+
+
+def _npz(path: pathlib.Path) -> Shape:
+    with load_npz(path) as arrays:
+        kind = next((name for name in ("triangles", "lines") if name in arrays), None)
+        if kind is None or "points" not in arrays:
+            raise ValueError(
+                f"{path}: arrays points, and triangles or lines, expected; found {', '.join(arrays) or 'none'}."
+            )
+        return Shape(np.asarray(arrays["points"], float), np.asarray(arrays[kind]).astype(np.int64))
+
+
+def load_npz(path: pathlib.Path) -> Any:
+    """The arrays of an NPZ file, without objects. `ValueError` for a file that is none."""
+    path.open("rb").close()
+    try:
+        return np.load(path, allow_pickle=False)
+    except Exception as error:
+        raise ValueError(f"{path}: not an NPZ file, or a damaged one ({error}).") from error
+
+
+def carried(before: Shape, values: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`values` (p, k) of the points of `before` at the place of it closest to each of `x` (m, d); and how far that is.
+
+    Linear on each triangle or segment, exact at its corners.
+    """
+    d = x.shape[1]
+    corners = before.points[before.simplices][..., :d]
+    centre = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+    # simplices of one size together: one ball around a point then holds all that can be closest
+    level = np.floor(np.log2(np.maximum(radius, radius.max() * 1e-9)))
+    groups = [np.flatnonzero(level == each) for each in np.unique(level)]
+    trees = [(group, spatial.KDTree(centre[group]), radius[group].max()) for group in groups]
+    found, distances = np.empty((len(x), values.shape[1])), np.empty(len(x))
+    for at in range(0, len(x), BLOCK):
+        block = slice(at, at + BLOCK)
+        pairs = _candidates(trees, corners, x[block])
+        weights, distance = _closest(corners[pairs[1]], x[block][pairs[0]])
+        order = np.lexsort((distance, pairs[0]))
+        best = order[np.unique(pairs[0][order], return_index=True)[1]]
+        mine = values[before.simplices[pairs[1][best]]]
+        found[block] = np.einsum("mc,mck->mk", weights[best], mine)
+        distances[block] = distance[best]
+    return found, distances
+
+
+def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of `x` and simplices that may be the closest ones to them."""
+    bound = np.full(len(x), np.inf)
+    for group, tree, _ in trees:
+        count = min(NEAR, len(group))
+        near = group[np.asarray(tree.query(x, k=count)[1]).reshape(len(x), count)]
+        rows = np.repeat(np.arange(len(x)), count)
+        distance = _closest(corners[near.ravel()], x[rows])[1].reshape(len(x), count)
+        bound = np.minimum(bound, distance.min(axis=1))
+    rows, simplices = [], []
+    for group, tree, radius in trees:
+        balls = tree.query_ball_point(x, (bound + radius) * (1 + 1e-9))
+        rows.append(np.repeat(np.arange(len(x)), [len(ball) for ball in balls]))
+        simplices.append(group[np.concatenate([np.zeros(0, np.int64), *map(np.asarray, balls)]).astype(np.int64)])
+    return np.concatenate(rows), np.concatenate(simplices)
+
+
+def _closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (m, c) of the corners (m, c, d) of a triangle or segment each at its place closest to `x`, and the distance."""
+    if corners.shape[1] == 2:
+        weights = _on_segment(corners[:, 0], corners[:, 1], x)
+        return weights, np.linalg.norm(np.einsum("mc,mcd->md", weights, corners) - x, axis=1)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    choices = []
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        weights = np.zeros((len(x), 3))
+        weights[:, [i, j]] = _on_segment(corners[:, i], corners[:, j], x)
+        choices.append(weights)
+    u, v, w = b - a, c - a, x - a
+    uu, uv, vv, wu, wv = (np.einsum("md,md->m", p, q) for p, q in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+    area = uu * vv - uv**2
+    size = np.where(area > 0, area, 1)
+    s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
+    inside = (area > 0) & (s >= 0) & (t >= 0) & (s + t <= 1)
+    choices.append(np.where(inside[:, None], np.stack([1 - s - t, s, t], axis=1), choices[0]))
+    stacked = np.stack(choices)
+    distance = np.linalg.norm(np.einsum("emc,mcd->emd", stacked, corners) - x, axis=2)
+    best = distance.argmin(axis=0), np.arange(len(x))
+    return stacked[best], distance[best]
+
+
+def _on_segment(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
+    along = b - a
+    length = np.einsum("md,md->m", along, along)
+    t = np.einsum("md,md->m", x - a, along) / np.where(length > 0, length, 1)
+    t = np.clip(t, 0, 1)
+    return np.stack([1 - t, t], axis=1)
