@@ -348,3 +348,44 @@ def test_openfoam_finds_its_tutorials_as_good_as_before(tmp_path, name, moving, 
             ["potentialFoam"], cwd=tmp_path / "new", env=FOAM, capture_output=True, text=True, check=False
         )
         assert (done.returncode, done.stdout.split()[-1:]) == (0, ["End"]), done.stdout[-500:]
+
+
+def total_volume(case):
+    done = subprocess.run(["checkMesh", "-constant"], cwd=case, env=FOAM, capture_output=True, text=True, check=True)
+    return float(done.stdout.partition("Total volume = ")[2].split(". ")[0])
+
+
+BLOCK = """FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }
+vertices ((0 0 0)(2 0 0)(2 1.2 0)(0 1 0)(0 0 1)(2 0.1 1)(2 1 1)(0 1 1.3));
+blocks ( hex (0 1 2 3 4 5 6 7) (10 8 6) simpleGrading (1 3 1) );
+edges ();
+boundary ( floor {type wall; faces ((0 1 5 4));} roof {type wall; faces ((3 7 6 2));}
+    sides {type patch; faces ((0 4 7 3)(2 6 5 1)(0 3 2 1)(4 5 6 7));} );
+"""
+
+
+@pytest.mark.skipif(shutil.which("blockMesh") is None, reason="OpenFOAM is not installed")
+@pytest.mark.parametrize(
+    "settings", ["writeFormat ascii;", "writeFormat binary;", "writeFormat ascii; writeCompression on;"]
+)
+def test_polyhedra_made_by_openfoam(tmp_path, settings):
+    """The dual of a block: five kinds of polyhedra, and hexahedra."""
+    foam.write_case(tmp_path / "a", *mixed(), PATCHES)
+    shutil.rmtree(tmp_path / "a" / "constant" / "polyMesh")
+    (tmp_path / "a" / "system" / "blockMeshDict").write_text(BLOCK)
+    with (tmp_path / "a" / "system" / "controlDict").open("a") as file:
+        file.write(f"{settings} writePrecision 15;\n")
+    for command in (["blockMesh"], ["polyDualMesh", "60", "-overwrite"]):
+        subprocess.run(command, cwd=tmp_path / "a", env=FOAM, capture_output=True, check=True)
+    for file in (tmp_path / "a").glob("*.obj"):
+        file.unlink()
+    shutil.rmtree(tmp_path / "a" / "0", ignore_errors=True)
+    mesh = io.read(tmp_path / "a")
+    report = jm.quality(mesh)
+    assert int(report.inverted) == 0
+    np.testing.assert_allclose(np.asarray(report.volume).sum(), total_volume(tmp_path / "a"), rtol=1e-3)
+    io.write(tmp_path / "same", mesh)
+    assert foam.tree(tmp_path / "same") == foam.tree(tmp_path / "a")
+    arguments = ["deform", str(tmp_path / "a"), str(tmp_path / "b"), "--moving", "floor", "--fixed", "roof", "sides"]
+    assert main([*arguments, "--translate", "0", "-0.02", "0"]) == 0
+    assert check_mesh(tmp_path / "b", "-constant") == check_mesh(tmp_path / "a", "-constant")

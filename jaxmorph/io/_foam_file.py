@@ -62,11 +62,12 @@ class FoamFile:
         return List(count if found[2] else 0, found.end(), found[2] == b"{")
 
     def numbers(self, what: str, width: int = 1) -> np.ndarray:
-        """The file's list of `label`s or `scalar`s, `width` in each element: (count, width), int64 or float64."""
+        """The file's list of `label`s or `scalar`s, `width` in each element: (count, width), int32 or float64."""
         found = self.list_at(self.end)
         kind = np.dtype(np.int64 if what == "label" else np.float64)
         if self.is_binary:
-            return self.binary(found, what, width)[0].reshape(-1, width).astype(kind)
+            values = self.binary(found, what, width)[0].reshape(-1, width)
+            return values.astype(kind if what == "scalar" else _narrow(values))
         if not found.start or found.count == 0:
             return np.zeros((0, width), kind)
         stop = self.data.find(b"}", found.start) if found.uniform else self.data.rfind(b")", found.start)
@@ -119,6 +120,7 @@ class FoamFile:
             done += int(np.count_nonzero(first))
             words[-1] = words[-1].astype(_narrow(words[-1]))
         values = np.concatenate([np.zeros(0, np.int32), *words])
+        words.clear()
         begins = np.concatenate(before)
         sizes = np.diff(begins, append=done + 1) - 1
         fits = (
@@ -135,9 +137,11 @@ class FoamFile:
         return values[keep], np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
 
     def _words(self, start: int, stop: int, dtype: np.dtype) -> np.ndarray:
-        parts = [np.zeros(0, dtype)]
-        parts += [parse(chunk.translate(PARENTHESES), dtype.type) for chunk in chunks(self.data, start, stop)]
-        return np.concatenate(parts)
+        parts = []
+        for chunk in chunks(self.data, start, stop):
+            values = parse(chunk.translate(PARENTHESES), dtype.type)
+            parts.append(values.astype(_narrow(values)) if dtype.kind == "i" else values)
+        return np.concatenate(parts) if parts else np.zeros(0, dtype)
 
 
 def _narrow(labels: np.ndarray) -> type:

@@ -165,19 +165,18 @@ def _in_plane(faces: Faces, points: np.ndarray, boundary: list[Patch], empty: li
 
 
 def _faces(folder: pathlib.Path, n: int) -> Faces:
-    file = load(folder, "faces")
-    labels, starts = file.faces()
+    labels, starts = load(folder, "faces").faces()
     owner, neighbour = (load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour"))
     if labels.min(initial=0) < 0 or labels.max(initial=0) >= n:
         bad = int(labels.max()) if labels.max() >= n else int(labels.min())
-        raise file.error(f"a face names node {bad}, but there are points 0 to {n - 1}")
+        raise ValueError(f"{folder}: a face names node {bad}, but there are points 0 to {n - 1}.")
     if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):
         found = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
-        raise file.error(f"faces, owner and neighbour do not fit together: {found}")
+        raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {found}.")
     neighbour = neighbour[neighbour >= 0]
     cells = np.bincount(np.concatenate([owner, neighbour])) if owner.min() >= 0 else np.zeros(1)
     if cells.min() < 4:
-        raise file.error(f"cell {int(cells.argmin())} has {int(cells.min())} faces; a cell needs 4 at least")
+        raise ValueError(f"{folder}: cell {int(cells.argmin())} has {int(cells.min())} faces; a cell needs 4 at least.")
     return Faces(labels, starts, owner, neighbour)
 
 

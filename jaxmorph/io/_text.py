@@ -146,13 +146,12 @@ def replace_words(text: bytes, start: int, stop: int, values: np.ndarray, blanks
 def _changed(original: bytes, chunk: bytes, starts: np.ndarray, ends: np.ndarray, words: Any, new: np.ndarray) -> bytes:
     """A chunk with `new` in place of those of its words that stand between `starts` and `ends`, where it differs."""
     changed = np.flatnonzero(new != parse(chunk, np.float64)[words].astype(new.dtype))
-    at = 0
-    pieces = []
+    if not len(changed):
+        return original
     begins, stops = starts[changed].tolist(), ends[changed].tolist()
-    for begin, stop, value in zip(begins, stops, new[changed].tolist(), strict=True):
-        pieces += (original[at:begin], b"%r" % value)
-        at = stop
-    pieces.append(original[at:])
+    pieces: list[bytes] = [b""] * (2 * len(changed) + 1)
+    pieces[0::2] = map(original.__getitem__, map(slice, [0, *stops], [*begins, len(original)]))
+    pieces[1::2] = repr(new[changed].tolist())[1:-1].encode().split(b", ")
     return b"".join(pieces)
 
 
