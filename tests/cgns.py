@@ -52,6 +52,13 @@ def elements(group, name, kind, values, first, count):
     node(section, "ElementConnectivity", "DataArray_t", np.asarray(values, np.int32).ravel())
 
 
+def polygons(group, name, kind, rows, first):
+    """NGON_n (22) or NFACE_n (23), with offsets."""
+    elements(group, name, kind, np.concatenate(rows), first, len(rows))
+    starts = np.cumsum([0, *map(len, rows)]).astype(np.int32)
+    node(group[name], "ElementStartOffset", "DataArray_t", starts)
+
+
 def condition(group, name, places, family=None, location=None, what="PointRange"):
     found = group["ZoneBC"] if "ZoneBC" in group else node(group, "ZoneBC", "ZoneBC_t")
     child = node(found, name, "BC_t", "FamilySpecified" if family else "BCWall")

@@ -3,9 +3,11 @@
 import os
 
 import cgns
+import foam
 import h5py
 import numpy as np
 import pytest
+from test_openfoam import split
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -142,8 +144,8 @@ def test_what_is_refused(tmp_path):
         io.read(tmp_path / "c.cgns")
     with h5py.File(tmp_path / "d.cgns", "w") as file:
         zone = cgns.zone(cgns.base(file, 3, 3), "n", tuple(np.eye(3)), 1)
-        cgns.elements(zone, "poly", 23, [1, 2, 3, 4], 1, 1)
-    with pytest.raises(ValueError, match="zone n: section poly has elements of type 23"):
+        cgns.elements(zone, "curved", 11, [1, 2, 3] * 3 + [1], 1, 1)
+    with pytest.raises(ValueError, match="zone n: section curved has elements of type 11"):
         io.read(tmp_path / "d.cgns")
     with h5py.File(tmp_path / "e.cgns", "w") as file:
         zone = cgns.zone(cgns.base(file, 2, 2), "linked", tuple(np.zeros((2, 3, 3))))
@@ -152,3 +154,48 @@ def test_what_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"zone linked: the coordinates are a link to .*a\.cgns"):
         io.read(tmp_path / "e.cgns")
     assert sorted(file.name for file in tmp_path.iterdir()) == [f"{name}.cgns" for name in "acde"]
+
+
+def polyhedral(path):
+    """A cube, four small ones against its side; all as polyhedra, the face of each boundary cell seen from either side."""
+    points, cells = split()
+    faces, owner, neighbour, outer = foam.polyhedral(cells)
+    count = len(faces)
+    faces += [sides[0][1] if i % 3 else sides[0][1][::-1] for i, sides in enumerate(outer)]
+    members = [[] for _ in cells]
+    for number, (a, b) in enumerate(zip(owner, neighbour, strict=True), start=1):
+        members[a].append(number)
+        members[b].append(-number)
+    for i, sides in enumerate(outer):
+        members[sides[0][0]].append((count + 1 + i) * (1 if i % 3 else -1))
+    with h5py.File(path, "w", track_order=True) as file:
+        zone = cgns.zone(cgns.base(file, 3, 3), "p", tuple(points.T), len(cells))
+        cgns.polygons(zone, "faces", 22, [np.array(face) + 1 for face in faces], 1)
+        cgns.polygons(zone, "cells", 23, members, len(faces) + 1)
+        low = [i + 1 for i, face in enumerate(faces) if (points[face, 2] == 0).all()]
+        cgns.condition(zone, "low", [[i] for i in low], "floor", "FaceCenter", "PointList")
+    return points
+
+
+def test_polyhedra(tmp_path):
+    points = polyhedral(tmp_path / "a.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    np.testing.assert_array_equal(mesh.points, points)
+    assert len(mesh.cells["hexahedron"]) == 4
+    report = jm.quality(mesh)
+    assert int(report.inverted) == 0
+    np.testing.assert_allclose(np.asarray(report.volume).sum(), 2, rtol=1e-6)
+    assert set(mesh.patches) == {"floor", "unnamed"}
+    np.testing.assert_array_equal(mesh.patch("floor"), np.flatnonzero(points[:, 2] == 0))
+    inside = ((points > 0) & (points < [2, 1, 1])).all(axis=1)
+    np.testing.assert_array_equal(mesh.patch("floor", "unnamed"), np.flatnonzero(~inside))
+    io.write(tmp_path / "b.cgns", mesh.moved(points * np.pi))
+    np.testing.assert_array_equal(io.read(tmp_path / "b.cgns").points, points * np.pi)
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        file["Base/p/cells/ElementConnectivity/ data"][0] = 999
+    with pytest.raises(ValueError, match="zone p: NFACE_n names faces that are in no section NGON_n"):
+        io.read(tmp_path / "a.cgns")
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        del file["Base/p/cells/ElementStartOffset"]
+    with pytest.raises(ValueError, match="section cells has no ElementStartOffset"):
+        io.read(tmp_path / "a.cgns")

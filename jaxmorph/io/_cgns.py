@@ -100,14 +100,14 @@ def _zones(path: pathlib.Path, file: h5py.File) -> Zones:
     points, cells, patches, faces = [], [], {}, []
     for zone in zones:
         points.append(np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float))
-        blocks, sides, elements = zone.cells()
+        blocks, sides, elements = zone.cells(points[-1])
         mine = [(kind, corners) for kind, corners in blocks if LEVEL[kind] == dimension and len(corners)]
         if not mine:
             raise zone.error(f"no cells of {dimension} dimensions")
         cells += mine
         for name, nodes in zone.patches(elements):
             patches.setdefault(name, []).append(nodes)
-        faces += sides if zone.is_structured else _outer(zone, points[-1], mine)
+        faces += sides or _outer(zone, points[-1], mine)
     return Zones(np.concatenate(points), cells, patches, faces)
 
 

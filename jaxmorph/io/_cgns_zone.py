@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from ._blocks import block_cells, block_ids, block_sides
+from ._cgns_polyhedra import Ragged, polyhedra
 
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
 CORNERS = {2: 1, 3: 2, 5: 3, 7: 4, 10: 4, 12: 5, 14: 6, 17: 8}
-MIXED = 20
+MIXED, NGON, NFACE = 20, 22, 23
 DIMENSION = {2: 0, 3: 1, 5: 2, 7: 2, 10: 3, 12: 3, 14: 3, 17: 3}
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
 
@@ -74,30 +75,53 @@ class Zone:
                 raise self.error(f"{values.size} coordinates for {self.count} vertices")
         return sets
 
-    def cells(self) -> tuple[list[tuple[str, np.ndarray]], list[np.ndarray], dict[int, tuple[int, np.ndarray]]]:
-        """Cells and boundary elements by type; the faces of the sides if structured; else elements by their first number."""
+    def cells(self, points: np.ndarray) -> tuple[list[tuple[str, np.ndarray]], list[np.ndarray], dict[int, Any]]:
+        """Cells and boundary elements by type; outer faces where they are known; vertices of elements by their first number."""
         if self.is_structured:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:
                 raise self.error(f"a block of {' x '.join(map(str, self.shape))} vertices has no cells")
             return [block_cells(ids)], block_sides(ids), {}
-        found = {}
+        blocks, elements, polygons, volumes = [], {}, {}, []
         for name, section in children(self.group, "Elements_t"):
             parts = dict(section.items())
             kind, start = int(data(section)[0]), int(data(parts["ElementRange"])[0])
             connectivity = data(parts["ElementConnectivity"]).astype(np.int64)
+            if kind in (NGON, NFACE):
+                if "ElementStartOffset" not in parts:
+                    raise self.error(
+                        f"section {name} has no ElementStartOffset; cgnsupdate brings the file to version 4"
+                    )
+                rows = Ragged(connectivity, data(parts["ElementStartOffset"]).astype(np.int64))
+                if kind == NFACE:
+                    volumes.append(rows)
+                    continue
+                self._check(name, connectivity)
+                polygons[start] = Ragged(connectivity - 1, rows.starts)
+                elements[start] = Ragged(connectivity - 1 + self.first, rows.starts)
+                continue
             for begin, number, corners in self._section(name, kind, connectivity, start):
-                if corners.size and (corners.min() < 1 or corners.max() > self.count):
-                    raise self.error(f"section {name} names vertices beyond 1 to {self.count}")
-                found[begin] = (number, corners - 1 + self.first)
-        return [(TYPES[number], corners) for number, corners in found.values()], [], found
+                self._check(name, corners)
+                elements[begin] = corners - 1 + self.first
+                blocks.append((TYPES[number], elements[begin]))
+        if not volumes or not polygons:
+            return blocks, [], elements
+        try:
+            more, sides = polyhedra(polygons, volumes, points, self.first)
+        except ValueError as error:
+            raise self.error(str(error)) from error
+        return blocks + more, sides, elements
+
+    def _check(self, name: str, vertices: np.ndarray) -> None:
+        if vertices.size and (vertices.min() < 1 or vertices.max() > self.count):
+            raise self.error(f"section {name} names vertices beyond 1 to {self.count}")
 
     def _section(self, name: str, kind: int, values: np.ndarray, start: int):
         """Elements of one type after another: number of the first, type, vertices."""
         if kind != MIXED:
             if kind not in CORNERS:
                 raise self.error(
-                    f"section {name} has elements of type {kind}; linear elements are read, not polyhedra or curved ones"
+                    f"section {name} has elements of type {kind}; linear elements and polyhedra are read, not curved ones"
                 )
             yield start, kind, values.reshape(-1, CORNERS[kind])
             return
@@ -113,7 +137,7 @@ class Zone:
             yield start, number, rows[:count, 1:]
             at, start = at + count * width, start + count
 
-    def patches(self, elements: dict[int, tuple[int, np.ndarray]]) -> Iterator[tuple[str, np.ndarray]]:
+    def patches(self, elements: dict[int, Any]) -> Iterator[tuple[str, np.ndarray]]:
         """Name (that of its family, if it has one) and nodes of each boundary condition."""
         for _, zone_bc in children(self.group, "ZoneBC_t"):
             for name, condition in children(zone_bc, "BC_t"):
@@ -149,7 +173,7 @@ class Zone:
                 raise self.error(f"boundary condition {name} names vertices beyond 1 to {self.count}")
             return numbers - 1 + self.first
         nodes, found = [np.zeros(0, np.int64)], 0
-        for begin, (_, corners) in elements.items():
+        for begin, corners in elements.items():
             mine = numbers[(numbers >= begin) & (numbers < begin + len(corners))] - begin
             found += len(mine)
             nodes.append(corners[mine].ravel())

@@ -17,7 +17,10 @@ _LAST = {"tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Faces:
-    """`labels` of all faces in a row, where each begins (one more `start` at the end), and the cells on their two sides."""
+    """`labels` of all faces in a row, where each begins (one more `start` at the end), and the cells on their two sides.
+
+    `neighbour` is -1 for an outer face; those at the end may be left out.
+    """
 
     labels: np.ndarray
     starts: np.ndarray
@@ -41,10 +44,9 @@ class Faces:
 
     def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
         """The faces of each cell in a row, `~f` for one whose neighbour it is, and where each cell begins (one more at the end)."""
-        cells = np.concatenate([self.owner, self.neighbour]).astype(np.int32)
-        ids = np.concatenate(
-            [np.arange(len(self.owner), dtype=np.int32), ~np.arange(len(self.neighbour), dtype=np.int32)]
-        )
+        inner = np.flatnonzero(self.neighbour >= 0).astype(np.int32)
+        cells = np.concatenate([self.owner, self.neighbour[inner]]).astype(np.int32)
+        ids = np.concatenate([np.arange(len(self.owner), dtype=np.int32), ~inner])
         columns = np.arange(len(cells) + 1, dtype=np.int32)
         shape = (int(cells.max(initial=-1)) + 1, len(cells))
         by_cell = sparse.csc_matrix((ids, cells, columns), shape).tocsr()

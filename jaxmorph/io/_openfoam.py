@@ -173,8 +173,7 @@ def _faces(folder: pathlib.Path, n: int) -> Faces:
     if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):
         found = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
         raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {found}.")
-    neighbour = neighbour[neighbour >= 0]
-    cells = np.bincount(np.concatenate([owner, neighbour])) if owner.min() >= 0 else np.zeros(1)
+    cells = np.bincount(np.concatenate([owner, neighbour[neighbour >= 0]])) if owner.min() >= 0 else np.zeros(1)
     if cells.min() < 4:
         raise ValueError(f"{folder}: cell {int(cells.argmin())} has {int(cells.min())} faces; a cell needs 4 at least.")
     return Faces(labels, starts, owner, neighbour)
