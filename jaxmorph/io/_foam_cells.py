@@ -93,16 +93,18 @@ def _from_base(faces: Faces, kind: str, mine: np.ndarray) -> tuple[np.ndarray, n
     base = faces.corners(mine[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3
     walls = mine[:, 2:] if kind == "wedge" else mine[:, 1:]
-    from_corner = faces.corners(walls, side)
-    to_corner = np.roll(from_corner, -1, axis=-1)
-    leaves = np.ones(to_corner.shape, bool)
-    for i in range(c):
-        leaves &= to_corner != base[:, i, None, None]
+    # one row for each edge of the walls, so that each operation runs along the cells
+    start = np.ascontiguousarray(np.moveaxis(faces.corners(walls, side), 0, -1))
+    end = np.roll(start, -1, axis=1).reshape(-1, len(mine))
+    start, corners = start.reshape(-1, len(mine)), np.ascontiguousarray(base.T)
+    leaves = np.ones(end.shape, bool)
+    for corner in corners:
+        leaves &= end != corner
     tops, good = [], np.ones(len(mine), bool)
-    for i in range(c):
-        hit = leaves & (from_corner == base[:, i, None, None])
-        tops.append(np.where(hit, to_corner, 0).sum(axis=(1, 2), dtype=base.dtype))
-        good &= hit.sum(axis=(1, 2)) == 1
+    for corner in corners:
+        hit = leaves & (start == corner)
+        tops.append((hit * end).sum(axis=0, dtype=base.dtype))
+        good &= hit.sum(axis=0, dtype=np.int8) == 1
     top = np.stack(tops, axis=1)
     if kind in ("tetra", "pyramid"):
         good &= (top == top[:, :1]).all(axis=1)
