@@ -1,14 +1,27 @@
 """Radial bases. Each takes the squared distance, so that no root has to be differentiated at a source."""
 
 import abc
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ._log import half_x_log_x
+
+
+def _length(value: Any) -> Float[Array, ""]:
+    """A floating point array; what is concrete must be finite and positive, what is traced passes."""
+    value = jnp.asarray(value)
+    if not jnp.issubdtype(value.dtype, jnp.floating):
+        value = value.astype(float)
+    if not isinstance(value, Tracer) and not bool(jnp.all(jnp.isfinite(value) & (value > 0))):
+        raise ValueError(
+            f"the radius of a basis must be positive and finite, not {value}; it is a length in the mesh's units."
+        )
+    return value
 
 
 class AbstractBasis(eqx.Module):
@@ -44,7 +57,7 @@ class ThinPlateSpline(AbstractBasis):
 class WendlandC2(AbstractBasis):
     """phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R = `support_radius`, 0 beyond (Wendland 1995); R in the mesh's units."""
 
-    support_radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    support_radius: Float[Array, ""] = eqx.field(converter=_length)
 
     def __call__(self, r2):
         return _wendland_c2(r2, self.support_radius.astype(r2.dtype))
@@ -53,7 +66,7 @@ class WendlandC2(AbstractBasis):
 class Gaussian(AbstractBasis):
     """phi(r) = exp(-r^2 / R^2) with R = `radius` in the mesh's units. A wide one makes the matrix ill-conditioned."""
 
-    radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    radius: Float[Array, ""] = eqx.field(converter=_length)
 
     def __call__(self, r2):
         return jnp.exp(r2 * (-1 / self.radius.astype(r2.dtype) ** 2))
@@ -63,7 +76,7 @@ class Multiquadric(AbstractBasis):
     """phi(r) = sqrt(1 + r^2 / R^2) (Hardy 1971) with R = `radius` in the mesh's units; needs a constant polynomial."""
 
     min_degree: ClassVar[int | None] = 0
-    radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    radius: Float[Array, ""] = eqx.field(converter=_length)
 
     def __call__(self, r2):
         return jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))

@@ -98,6 +98,21 @@ def test_derivative_in_the_radius(make):
     np.testing.assert_allclose(jax.jacfwd(of_radius)(jnp.asarray(R)), difference, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.parametrize("make", [jm.WendlandC2, jm.Gaussian, jm.Multiquadric])
+def test_what_a_radius_may_be(make):
+    for radius in (0, -1.5, np.nan, np.inf, np.array([1.0, -1.0])):
+        with pytest.raises(ValueError, match="radius of a basis must be positive and finite, not"):
+            make(radius)
+    assert all(leaf.dtype == np.float64 for leaf in jax.tree.leaves([make(2), make(np.int32(2)), make(2.0)]))
+    r2 = np.linspace(0, 3, 7)
+    assert (make(2)(r2) == make(2.0)(r2)).all()
+    slope = jax.jit(jax.grad(lambda radius: make(radius)(r2).sum()))  # traced, it passes unseen
+    assert np.isfinite(slope(2.0))
+    swept = jax.vmap(make)(np.array([1.0, 2.0]))
+    np.testing.assert_allclose(jax.vmap(lambda basis: basis(r2))(swept)[1], make(2.0)(r2), rtol=1e-15)
+    assert jax.tree.leaves(jax.eval_shape(make, 2.0))[0].shape == ()
+
+
 def test_wendland_ends_smoothly():
     r = np.array([R, R * 1.5, 1e3 * R, 1e150])
     basis = jm.WendlandC2(R)
