@@ -18,7 +18,8 @@ class Mesh(eqx.Module):
 
     `points` is (n, d) with d = 2 or 3, in the units of the file. `cells` maps a cell type to its corner ids (k, corners),
     numbered as VTK numbers them; the types are `triangle`, `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron` (`tri`,
-    `tet`, `prism` and `hex` are understood too). `patches` maps a name to the ids of its nodes, without repetition.
+    `tet`, `prism` and `hex` are understood too); types stand in alphabetical order, whatever order they came in, so that arrays
+    per cell mean the same under `jit`. `patches` maps a name to the ids of its nodes, without repetition.
     `source` is what `jaxmorph.io.write` needs to give the file back as it was.
 
     Raises `ValueError` for an unknown cell type, for corner or patch ids outside of `points`, and for wrong shapes.
@@ -31,7 +32,8 @@ class Mesh(eqx.Module):
 
     def __init__(self, points, cells=None, patches=None, source=None):
         self.points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
-        self.cells = {canonical_type(kind): _ids(corners) for kind, corners in dict(cells or {}).items()}
+        cells = {canonical_type(kind): _ids(corners) for kind, corners in dict(cells or {}).items()}
+        self.cells = {kind: cells[kind] for kind in sorted(cells)}  # as JAX sorts the keys of a dict
         self.patches = {name: np.unique(_ids(nodes)) for name, nodes in dict(patches or {}).items()}
         self.source = source
         self._check()
