@@ -6,10 +6,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
 from ._layout import Layout, over_points, pad_rows
-from ._methods.base import AbstractMethod, map_points, place_points
+from ._methods.base import AbstractMethod, Located, map_points, place_points
 from ._methods.sparse import Interpolation, weighted_sum, with_tables, with_tables_of, without_tables
 from ._symmetry import Mirror
 
@@ -67,11 +68,22 @@ class Plan(eqx.Module):
         return self.surface.nodes[self.moves :]
 
     def __repr__(self) -> str:
-        n, d = self.points.shape
-        return (
-            f"Plan({n} points in {d}-D, {self.moves} moving, {len(self.surface.nodes) - self.moves} fixed, "
-            f"{self.points.dtype}, {self.method})"
-        )
+        """Of whatever the leaves are: arrays, stacked or traced ones, shapes, or nothing."""
+        points, nodes = self.volume.points, self.surface.nodes
+        parts = [f"{self.moves} moving"]
+        if hasattr(points, "shape") and hasattr(nodes, "shape"):
+            n, d = points.shape[-2:] if self.layout is None else (self.layout.count, points.shape[-1])
+            parts = [f"{n} points in {d}-D", *parts, f"{nodes.shape[-1] - self.moves} fixed", f"{points.dtype}"]
+        for located in jax.tree.leaves(self.surface.ids, is_leaf=_is_located):
+            counts = (located.repaired, located.outside) if _is_located(located) else ()
+            if counts and all(eqx.is_array(count) and not isinstance(count, Tracer) for count in counts):
+                repaired, outside = (int(count.sum()) for count in counts)
+                parts.append(f"{repaired} repaired in location, {outside} outside by round-off")
+        return f"Plan({', '.join(parts)}, {self.method})"
+
+
+def _is_located(leaf: Any) -> bool:
+    return isinstance(leaf, Located)
 
 
 @eqx.filter_jit
@@ -122,6 +134,8 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
 @eqx.filter_jit
 def deform(plan: Plan, u: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
     """The mesh's points, moved: row i of `u` (m, d) displaces node `plan.moving[i]`, fixed nodes stay.
+
+    Both hold exactly for a method that is `exact`; a reduced `RBF` alone follows both approximately, and moves fixed nodes.
 
     One step, linear in `u`, in the mesh's own node order and units. Traced: `jit`, `grad`, `jvp`, `vmap` and `scan` apply.
     Judge the result with `quality`: nothing here knows about cells.

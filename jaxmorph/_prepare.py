@@ -32,7 +32,8 @@ def prepare(
     NearWall())`. Precision and device are those of `points`: float64 needs JAX's x64 mode.
 
     Raises `ValueError` for ids out of range or named twice in `moving`, coordinates that are not finite, points outside of
-    the hull of the surface (graph mapping), and sources that do not determine the interpolation.
+    the hull of the surface (graph mapping), planes that hold no node or have nodes on both sides, and sources that do not
+    determine the interpolation.
     """
     host, ids = _checked(points, moving, fixed)
     method = default_method() if method is None else method
@@ -41,7 +42,7 @@ def prepare(
     own, images, moves, on_plane = host[nodes], None, m, None
     everything, rows = own, np.arange(len(nodes))
     if planes:
-        check_planes(planes, host.shape[1])
+        check_planes(planes, host)
         on_plane = np.stack([plane.holds(host) for plane in planes], axis=1)
         images, moves = mirror(planes, on_plane[nodes], m)
         everything, rows = np.asarray(images.points(jnp.asarray(own))), np.asarray(images.rows)
@@ -69,8 +70,18 @@ def prepare(
     plan = refit(plan, plan.points)
     placed = with_tables(plan.volume.placed, len(plan.surface.points))
     plan = eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
-    method.check(plan.surface.factors)
+    method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan
+
+
+def _trial(plan: Plan) -> Float[Array, "b d"]:
+    """A smooth displacement of the moving nodes that no polynomial gives, of size one, fixed nodes at rest."""
+    own, mirror = plan.points[plan.surface.nodes], plan.surface.mirror
+    moving = own[: plan.moves]
+    arms = moving - moving.mean(axis=0)
+    extent = jnp.abs(arms).max()
+    u = jnp.zeros_like(own).at[: plan.moves].set(jnp.cos(2 * arms / jnp.where(extent > 0, extent, 1)))
+    return u if mirror is None else mirror.vectors(mirror.within(u, mirror.on_plane))
 
 
 def _own_rows(nodes: np.ndarray, points: Float[Array, "n d"]) -> Interpolation:

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ._host.reduction import roundoff
+
 TOLERANCE = 1e-8
 """Distance from a plane, relative to the mesh's extent, within which a node lies on it."""
 
@@ -15,7 +17,8 @@ TOLERANCE = 1e-8
 class Plane(eqx.Module):
     """A symmetry plane through `origin` with `normal`, both (d,); nodes on it move in it, and only in it.
 
-    Nodes within 1e-8 of the mesh's extent lie on it; `Plane.through` finds a patch's plane.
+    Nodes within 1e-8 of the mesh's extent lie on it, or within the round-off of float32 coordinates; all others are on one
+    side. `Plane.through` finds a patch's plane.
     """
 
     normal: np.ndarray
@@ -36,8 +39,8 @@ class Plane(eqx.Module):
 
         Raises `ValueError` with the deviation and the worst node where they do not lie in one plane.
         """
-        points, nodes = np.asarray(points, dtype=float), np.asarray(nodes)
-        patch = points[nodes]
+        points, nodes = np.asarray(points), np.asarray(nodes)
+        patch = points[nodes].astype(float)
         if len(patch) < points.shape[1]:
             raise ValueError(f"{len(patch)} nodes do not determine a plane in {points.shape[1]} dimensions.")
         origin = patch.mean(axis=0)
@@ -46,7 +49,7 @@ class Plane(eqx.Module):
         if np.abs(np.delete(normal, axis)).max() < 1e-7:  # the usual case: keep the coordinate bit for bit
             normal, origin[axis] = np.eye(len(normal))[axis], np.median(patch[:, axis])
         deviation = np.abs((patch - origin) @ normal)
-        if deviation.max() > TOLERANCE * np.ptp(points, axis=0).max():
+        if deviation.max() > _tolerance(points):
             worst = deviation.argmax()
             place = ", ".join(f"{x:.6g}" for x in patch[worst])
             raise ValueError(
@@ -56,7 +59,15 @@ class Plane(eqx.Module):
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """(n,) whether each point lies on the plane."""
-        return np.abs((points - self.origin) @ self.normal) <= TOLERANCE * np.ptp(points, axis=0).max()
+        return np.abs(self.height(points)) <= _tolerance(points)
+
+    def height(self, points: np.ndarray) -> np.ndarray:
+        """(n,) distance of each point from the plane, positive on the side of its normal."""
+        return (points - self.origin) @ self.normal
+
+
+def _tolerance(points: np.ndarray) -> float:
+    return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
 
 
 class Mirror(eqx.Module):
@@ -95,8 +106,9 @@ class Mirror(eqx.Module):
         return u
 
 
-def check_planes(planes: Sequence[Plane], dimension: int) -> None:
-    """Raises `ValueError` for planes of another dimension, or not at right angles."""
+def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
+    """Raises `ValueError` for planes of another dimension, not at right angles, or that do not bound the mesh."""
+    dimension = points.shape[1]
     for plane in planes:
         if len(plane.normal) != dimension:
             raise ValueError(
@@ -105,6 +117,29 @@ def check_planes(planes: Sequence[Plane], dimension: int) -> None:
     normals = np.stack([plane.normal for plane in planes])
     if np.abs(normals @ normals.T - np.eye(len(planes))).max() > 1e-9:
         raise ValueError("several symmetry planes must be at right angles to each other.")
+    for plane in planes:
+        _check_bounds(plane, points)
+
+
+def _check_bounds(plane: Plane, points: np.ndarray) -> None:
+    height = plane.height(points)
+    on = plane.holds(points)
+    name = f"the symmetry plane with normal {plane.normal.tolist()} through {plane.origin.tolist()}"
+    if not on.any():
+        nearest = np.abs(height).argmin()
+        raise ValueError(
+            f"{name} holds no node of the mesh: the nearest, node {nearest}, is {abs(height[nearest]):.3g} away (tolerance "
+            f"{_tolerance(points):.3g}). `Plane.through(points, nodes)` finds the plane of a patch."
+        )
+    above, below = ~on & (height > 0), ~on & (height < 0)
+    beyond = above if above.sum() < below.sum() else below
+    if beyond.any():
+        worst = np.where(beyond, np.abs(height), 0).argmax()
+        place = ", ".join(f"{x:.6g}" for x in points[worst])
+        raise ValueError(
+            f"{name} has nodes on both sides: {beyond.sum()} of {len(points)} lie beyond it, the farthest is node {worst} at "
+            f"({place}), {abs(height[worst]):.3g} away. A symmetry plane bounds the mesh: give one half alone, or no plane."
+        )
 
 
 def mirror(planes: Sequence[Plane], on_plane: np.ndarray, moving: int) -> tuple[Mirror, int]:

@@ -112,3 +112,27 @@ def motion(points: np.ndarray) -> np.ndarray:
     d = points.shape[1]
     phase = points @ np.array([[2.1, -1.3, 0.7], [0.9, 1.7, -2.2], [-1.1, 0.4, 1.9]])[:d, :d]
     return 0.04 * np.sin(phase + 0.3) + 0.02
+
+
+def whole_and_part(dimension, planes):
+    """A body symmetric in the first `planes` coordinates, whole, and the ids of the part on the positive side."""
+    mesh = body(dimension)
+    part = mesh.points[(mesh.points[:, :planes] > 0.05).all(axis=1)]
+    role = np.zeros(len(mesh.points), int)
+    role[mesh.moving], role[mesh.fixed] = 1, 2
+    role = role[(mesh.points[:, :planes] > 0.05).all(axis=1)]
+    for axis in range(planes):  # a layer of nodes on the plane
+        on = part[:: 3 if dimension == 2 else 2].copy()
+        on[:, axis] = 0
+        part, role = np.concatenate([part, on]), np.concatenate([role, role[:: 3 if dimension == 2 else 2]])
+    _, first = np.unique(np.round(part, 9), axis=0, return_index=True)
+    part, role = part[np.sort(first)], role[np.sort(first)]
+    whole, whole_role, image_of, signs = part, role, np.arange(len(part)), np.ones_like(part)
+    for axis in range(planes):
+        off = whole[:, axis] != 0
+        flip = np.ones(dimension)
+        flip[axis] = -1
+        whole = np.concatenate([whole, whole[off] * flip])
+        whole_role, image_of = np.concatenate([whole_role, whole_role[off]]), np.concatenate([image_of, image_of[off]])
+        signs = np.concatenate([signs, signs[off] * flip])
+    return part, role, whole, whole_role, image_of, signs

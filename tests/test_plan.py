@@ -1,12 +1,14 @@
-"""Plans: what prepare refuses and in which words, and symmetry planes."""
+"""Plans: what prepare refuses and in which words, and what a plan says of itself."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import body, few, full, motion
+from cases import body, few, motion, whole_and_part
 
 import jaxmorph as jm
+from jaxmorph._host.graph import locate
 
 GRAPH = jm.DelaunayGraph()
 
@@ -71,7 +73,42 @@ def test_what_a_plan_says_of_itself():
     assert (np.asarray(plan.moving) == mesh.moving).all()
     assert (np.asarray(plan.fixed) == mesh.fixed).all()  # a node in both moves; one named twice is one
     assert (np.asarray(plan.points) == mesh.points).all()
-    assert "310 points in 2-D, 31 moving, 31 fixed" in repr(plan)
+    assert "310 points in 2-D, 31 moving, 31 fixed, float64, 0 repaired in location, 0 outside by round-off" in repr(
+        plan
+    )
+
+
+def test_a_plan_speaks_whatever_its_leaves_are():
+    """Error messages, debuggers and progress bars print plans of shapes, of nothing, and stacked ones."""
+    mesh = body(2)
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.SurfaceReconstruction(few()))
+    said = "310 points in 2-D, 31 moving, 31 fixed, float64"
+    for other in (jax.eval_shape(lambda: plan), eqx.filter_eval_shape(jm.refit, plan, mesh.points)):
+        assert said in repr(other)
+        assert "repaired" not in repr(other)
+    nothing = jax.tree.map(lambda _: None, plan)
+    assert "31 moving" in repr(nothing)
+    assert "Plan(" in repr(eqx.filter_grad(lambda plan: jm.deform(plan, mesh.points[mesh.moving]).sum())(plan))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), plan, plan)
+    assert said in repr(stacked)
+    traced = []
+    jax.jit(lambda plan: traced.append(repr(plan)))(plan)
+    assert said in traced[0]
+    assert said in repr(jm.shard(plan, jax.devices()[:1]))
+
+
+def test_a_plan_counts_what_location_repaired():
+    """A cube's faces are flat hull facets, where the search for a simplex misses points within round-off."""
+    side = np.linspace(0, 1, 6)
+    points = np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3)
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    corners = np.flatnonzero(((points == 0) | (points == 1)).all(axis=1))
+    plan = jm.prepare(points @ turn, corners[:4], corners[4:], method=GRAPH)
+    again = locate((points @ turn)[corners], points @ turn, np.setdiff1d(np.arange(216), corners))
+    assert again.repaired + again.outside > 0
+    assert f"{again.repaired} repaired in location, {again.outside} outside by round-off" in repr(plan)
+    other = jm.prepare(points, corners[:4], corners[4:], method=GRAPH)
+    assert jax.tree.structure(plan) == jax.tree.structure(other)  # counts are no part of the structure: plans stack
 
 
 def test_numbers_of_other_kinds():
@@ -98,131 +135,35 @@ def test_refit_is_prepare_on_points_that_keep_their_graph():
         np.testing.assert_allclose(jm.deform(refitted, u), expected, rtol=0, atol=1e-12)
 
 
-def whole_and_part(dimension, planes):
-    """A body symmetric in the first `planes` coordinates, whole, and the ids of the part on the positive side."""
-    mesh = body(dimension)
-    part = mesh.points[(mesh.points[:, :planes] > 0.05).all(axis=1)]
-    role = np.zeros(len(mesh.points), int)
-    role[mesh.moving], role[mesh.fixed] = 1, 2
-    role = role[(mesh.points[:, :planes] > 0.05).all(axis=1)]
-    for axis in range(planes):  # a layer of nodes on the plane
-        on = part[:: 3 if dimension == 2 else 2].copy()
-        on[:, axis] = 0
-        part, role = np.concatenate([part, on]), np.concatenate([role, role[:: 3 if dimension == 2 else 2]])
-    _, first = np.unique(np.round(part, 9), axis=0, return_index=True)
-    part, role = part[np.sort(first)], role[np.sort(first)]
-    whole, whole_role, image_of, signs = part, role, np.arange(len(part)), np.ones_like(part)
-    for axis in range(planes):
-        off = whole[:, axis] != 0
-        flip = np.ones(dimension)
-        flip[axis] = -1
-        whole = np.concatenate([whole, whole[off] * flip])
-        whole_role, image_of = np.concatenate([whole_role, whole_role[off]]), np.concatenate([image_of, image_of[off]])
-        signs = np.concatenate([signs, signs[off] * flip])
-    return part, role, whole, whole_role, image_of, signs
+class Counting(jm.AbstractMethod):
+    """A method that counts how often it is connected, and the points it is then asked about."""
+
+    method: jm.AbstractMethod
+    asked: list = eqx.field(static=True)
+
+    def connect(self, surface, points):
+        self.asked.append(len(points))
+        return self.method.connect(surface, points)
+
+    def fit(self, ids, surface):
+        return self.method.fit(ids, surface)
+
+    def field(self, ids, factors, surface, u):
+        return self.method.field(ids, factors, surface, u)
 
 
-MIRRORED = [(2, 1), (2, 2), (3, 2)]
-METHODS = {
-    "full": full(jm.ThinPlateSpline(), 1),
-    "reconstruction": jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3)),
-}
-
-
-@pytest.mark.parametrize(("dimension", "planes"), MIRRORED)
-def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
-    part, role, whole, whole_role, image_of, signs = whole_and_part(dimension, planes)
-    assert len(whole) > 2**planes * 0.6 * len(part)
-    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
-    u = motion(part)
-    for axis in range(planes):
-        u[part[:, axis] == 0, axis] = 0
-    symmetry = [jm.Plane(np.eye(dimension)[axis] * 3, np.zeros(dimension)) for axis in range(planes)]
-    moved = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=symmetry), u[moving])
-    whole_moving = np.flatnonzero(whole_role == 1)
-    plan = jm.prepare(whole, whole_moving, np.flatnonzero(whole_role == 2), method=METHODS["full"])
-    expected = jm.deform(plan, (u[image_of] * signs)[whole_moving])
-    np.testing.assert_allclose(moved, expected[: len(part)], rtol=0, atol=1e-11)
-
-
-@pytest.mark.parametrize(("name", "dimension", "planes"), [("full", 3, 2), ("reconstruction", 2, 1)])
-def test_laws_with_symmetry_planes(name, dimension, planes):
-    part, role, *_ = whole_and_part(dimension, planes)
-    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
-    symmetry = [jm.Plane(np.eye(dimension)[axis], np.zeros(dimension)) for axis in range(planes)]
-    plan = jm.prepare(part, moving, fixed, method=METHODS[name], symmetry=symmetry)
-    u, rng = motion(part)[moving], np.random.default_rng(0)
-    moved = np.asarray(jm.deform(plan, u))
-    within = u.copy()
-    for axis in range(planes):
-        on = part[:, axis] == 0
-        assert on.sum() >= 4
-        assert (moved[on, axis] == 0).all()  # bit for bit, though u asks for more
-        within[part[moving, axis] == 0, axis] = 0
-        assert (on & (role == 0)).any()
-        slid = np.abs(moved - part)[on & (role == 0)].max()
-        assert slid > 1e-3
-    assert (moved[moving] == part[moving] + within).all()
-    assert (moved[fixed] == part[fixed]).all()
-    assert (jm.deform(plan, within) == moved).all()
-    v = rng.normal(size=u.shape)
-    combined = jm.deform(plan, 2 * u - v) - part
-    np.testing.assert_allclose(combined, 2 * (moved - part) - (jm.deform(plan, v) - part), rtol=0, atol=1e-11)
-    w = rng.normal(size=part.shape)
-    pulled = jm.pullback(plan, u, w)
-    np.testing.assert_allclose(np.vdot(pulled, u), np.vdot(w, moved - part), rtol=1e-10)
-
-    @jax.jit
-    @jax.value_and_grad
-    def objective(points):
-        return jnp.sum(w * jm.deform(jm.refit(plan, points), u))
-
-    step = 1e-7 * rng.normal(size=part.shape)
-    for axis in range(planes):
-        step[part[:, axis] == 0, axis] = 0  # nodes on a plane stay on it
-    difference = (objective(part + step)[0] - objective(part - step)[0]) / 2
-    np.testing.assert_allclose(np.vdot(objective(part)[1], step), difference, rtol=1e-5, atol=1e-12)
-
-
-def test_a_marched_symmetric_mesh():
-    part, role, *_ = whole_and_part(2, 1)
-    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
-    plan = jm.prepare(part, moving, fixed, method=METHODS["reconstruction"], symmetry=jm.Plane([1, 0], [0, 0]))
-    path = np.stack([motion(part)[moving], 2 * motion(part)[moving]])
-    for rebuild in (False, True):
-        plans, points = jm.march(plan, path, rebuild=rebuild)
-        assert (points[part[:, 0] == 0, 0] == 0).all()
-        np.testing.assert_allclose(jm.replay(plans, path), points, rtol=0, atol=1e-12)
-
-
-def test_a_plane_anywhere():
-    """At another place and angle the same mesh moves the same; `Plane.through` finds it from the nodes on it."""
-    part, role, *_ = whole_and_part(2, 1)
-    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
-    u, on = motion(part)[moving], np.flatnonzero(part[:, 0] == 0)
-    straight = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=jm.Plane([1, 0], [0, 0])), u)
-    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
-    points = part @ turn.T + [5.0, -3.0]
-    plane = jm.Plane.through(points, on)
-    assert abs(plane.normal @ turn[:, 1]) < 1e-14
-    moved = jm.deform(jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane), u @ turn.T)
-    np.testing.assert_allclose(moved, straight @ turn.T + np.array([5.0, -3.0]), rtol=0, atol=1e-10)
-    exact = jm.Plane.through(part + np.array([0.1, 0.0]), on)
-    assert (exact.normal == [1, 0]).all()
-    assert exact.origin[0] == 0.1
-
-
-def test_what_is_not_a_symmetry_plane():
-    mesh = body(2)
-    arguments = (mesh.points, mesh.moving, mesh.fixed)
-    for normal, origin in (([0, 0], [0, 0]), ([1, 0], [0, 0, 0]), ([np.nan, 0], [0, 0])):
-        with pytest.raises(ValueError, match="a plane needs a normal that is not zero"):
-            jm.Plane(normal, origin)
-    with pytest.raises(ValueError, match="normal has 3 components; the mesh has 2 dimensions"):
-        jm.prepare(*arguments, method=GRAPH, symmetry=jm.Plane([0, 0, 1], [0, 0, 0]))
-    with pytest.raises(ValueError, match="at right angles"):
-        jm.prepare(*arguments, method=GRAPH, symmetry=[jm.Plane([1, 0], [0, 0]), jm.Plane([1, 1], [0, 0])])
-    with pytest.raises(ValueError, match=r"do not lie in one plane: node \d+ at"):
-        jm.Plane.through(mesh.points, mesh.moving)
-    with pytest.raises(ValueError, match="1 nodes do not determine a plane"):
-        jm.Plane.through(mesh.points, mesh.moving[:1])
+@pytest.mark.parametrize("planes", [0, 1])
+def test_a_coarse_method_is_connected_once(planes):
+    """Its mesh points and the surface's mirror images together: one search, one reduction."""
+    part, role, *_ = whole_and_part(2, planes) if planes else (body(2).points, np.zeros(310))
+    moving, fixed = (np.flatnonzero(role == k) for k in (1, 2)) if planes else (body(2).moving, body(2).fixed)
+    symmetry = [jm.Plane([1, 0], [0, 0])] * planes
+    asked = []
+    method = jm.SurfaceReconstruction(Counting(jm.DelaunayGraph(), asked), jm.DelaunayGraph())
+    plan = jm.prepare(part, moving, fixed, method=method, symmetry=symmetry)
+    images = len(plan.surface.points) - len(plan.surface.nodes)
+    assert asked == [len(part) + images]
+    assert (images > 0) == bool(planes)
+    u = motion(part)[moving]
+    expected = jm.deform(jm.prepare(part, moving, fixed, method=jm.DelaunayGraph(), symmetry=symmetry), u)
+    np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-14)

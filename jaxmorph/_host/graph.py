@@ -26,10 +26,12 @@ TOLERANCE = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Location:
-    """Where points lie in the graph: `vertices` (w, d + 1) ids of surface nodes, and how many answers were repaired."""
+    """Where points lie in the graph: `vertices` (w, d + 1) ids of surface nodes; counts of answers that were repaired, and of
+    points outside of all simplices by no more than round-off."""
 
     vertices: np.ndarray
     repaired: int
+    outside: int = 0
 
 
 def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Location:
@@ -54,13 +56,15 @@ def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Locat
     simplex[order] = graph.find_simplex(targets[order])
     smallest = smallest_weight(nodes, graph.simplices, simplex, targets, flat)
     poor = np.flatnonzero(~(smallest >= -TOLERANCE))
+    outside = 0
     if poor.size:
         simplex[poor], smallest[poor] = _repair(graph, nodes, targets[poor], simplex[poor], flat)
         still = poor[~(smallest[poor] >= -TOLERANCE)]
         _check_inside(points, wanted[still], _beyond_hull(graph, nodes, targets[still], flat) * size)
         simplex[still], beyond = _search(graph, nodes, targets[still], simplex[still], flat)
         _check_inside(points, wanted[still], np.where(beyond > flat + JITTER, beyond, 0) * size)
-    return Location(unique[graph.simplices].astype(np.int32)[simplex], len(poor))
+        outside = int((beyond > 0).sum())
+    return Location(unique[graph.simplices].astype(np.int32)[simplex], len(poor), outside)
 
 
 class _Graph(Delaunay):

@@ -18,6 +18,10 @@ class AbstractReduction(abc.ABC):
     @abc.abstractmethod
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
 
+    def closest(self, points: np.ndarray) -> float:
+        """The distance within which two sources are one too many, for these points: round-off by default."""
+        return roundoff(points)
+
 
 class AbstractSearchPoints(abc.ABC):
     """Where in a leaf's box one looks for a source, in the box's local coordinates from -1 to 1."""
@@ -68,7 +72,8 @@ class KDTree(AbstractReduction):
     `largest_box`); a box not longer than `smallest_box` is left whole. A leaf's box bounds its own points. `search_points`
     are laid into each box, the closest mesh point to each becomes a source, duplicates are dropped, and so are sources
     closer to another one than `separation` times the diagonal of all points: near-coincident sources ruin the
-    conditioning of the solve, and derivatives with it. `extremes=True` adds the points at which the bounding box of all
+    conditioning of the solve, and derivatives with it. A fixed source that close to a moving one is dropped too, by the
+    smaller one of their distances. `extremes=True` adds the points at which the bounding box of all
     points is touched: a blunt trailing edge, a wing's tip. `smallest_box` and `largest_box` are lengths in the mesh's
     units. The result depends on the set of points, not on their order.
     """
@@ -109,8 +114,12 @@ class KDTree(AbstractReduction):
         found = np.unique(scipy.spatial.KDTree(ordered).query(search)[1])
         if self.extremes:
             found = np.concatenate([extreme_points(ordered), found])
-        closest = max(self.separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
-        return np.sort(order[drop_close(ordered, found, closest)])
+        return np.sort(order[drop_close(ordered, found, self.closest(points))])
+
+    def closest(self, points: np.ndarray) -> float:
+        if len(points) == 0:
+            return 0.0
+        return max(self.separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
 
     def boxes(self, points: np.ndarray) -> np.ndarray:
         """(k, 2, d): lower and upper corner of each leaf's box, for points (n, d)."""
@@ -183,3 +192,10 @@ def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarra
         if keep[first]:
             keep[second] = False
     return ids[keep]
+
+
+def drop_near(points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: float) -> np.ndarray:
+    """`ids` without those whose point lies within `closest` of one of the `others`; order kept."""
+    if len(ids) == 0 or len(others) == 0:
+        return ids
+    return ids[scipy.spatial.KDTree(points[others]).query(points[ids])[0] > closest]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-Reduction = Callable[[np.ndarray], np.ndarray]
+from .._host.reduction import AbstractReduction, drop_near
 
 BLOCK = 512
 """Points per block at most: memory, that for derivatives too, is that of one block, whatever the size of the mesh."""
@@ -32,17 +32,23 @@ class Surface:
     images: np.ndarray
     matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
 
-    def reduced(self, moving: Reduction, fixed: Reduction) -> np.ndarray:
-        """Rows chosen among the moving nodes, then among the fixed ones, each with its mirror images."""
-        chosen = []
+    def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
+        """Rows chosen among the moving nodes, then among the fixed ones not too close to those, each with its mirror images."""
+        chosen, closest = [], []
         for reduction, rows in ((moving, np.arange(self.moving)), (fixed, np.arange(self.moving, len(self.points)))):
             own = rows[self.images[rows] == rows]
             chosen.append(rows[np.isin(self.images[rows], own[reduction(self.points[own])])])
-        return np.concatenate(chosen)
+            closest.append(reduction.closest(self.points[own]))
+        return np.concatenate([chosen[0], drop_near(self.points, chosen[1], chosen[0], min(closest))])
 
-    def itself(self) -> "Surface":
-        """The same surface, for asking about the surface's own points."""
-        return dataclasses.replace(self, nodes=np.arange(len(self.points)))
+    def among(self, points: np.ndarray) -> tuple["Surface", np.ndarray]:
+        """The same surface with each of its rows among the points: those that are not (mirror images) are added at the end."""
+        absent = np.flatnonzero(self.nodes < 0)
+        if not absent.size:
+            return self, points
+        nodes = self.nodes.copy()
+        nodes[absent] = len(points) + np.arange(len(absent))
+        return dataclasses.replace(self, nodes=nodes), np.concatenate([points, self.points[absent]])
 
     def rows(self, n: int) -> np.ndarray:
         """(n,) the surface's row of each of n points; b for one that is not on the surface."""
@@ -50,6 +56,13 @@ class Surface:
         present = np.flatnonzero(self.nodes >= 0)
         rows[self.nodes[present]] = present
         return rows
+
+
+class Located(eqx.Module):
+    """How the location of a mesh's points went: how many answers were `repaired`, how many points lie `outside` by round-off."""
+
+    repaired: Int[Array, ""]
+    outside: Int[Array, ""]
 
 
 class AbstractField(eqx.Module):
@@ -106,8 +119,8 @@ class AbstractMethod(eqx.Module):
         """Host: the surface's rows whose displacement the field takes, of those that `connect` chose (a coarse field's sources)."""
         return np.zeros(0, dtype=np.int32)
 
-    def check(self, factors: PyTree) -> None:
-        """Host, once, after the first `fit`: raises or warns when the factors are unusable."""
+    def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
+        """Host, once, after the first `fit`: raises or warns when the factors are unusable; `u` is a displacement to try."""
 
     @property
     def exact(self) -> bool:

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.graph import locate
-from .base import AbstractMethod, Surface
+from .base import AbstractMethod, Located, Surface
 from .sparse import InterpolatedField, Interpolation
 
 
@@ -23,9 +23,11 @@ class DelaunayGraph(AbstractMethod):
         rows = surface.rows(len(points))
         vertices = np.repeat(rows[:, None], points.shape[1] + 1, axis=1)  # a node of the surface: itself, d + 1 times
         inside = np.flatnonzero(rows == len(surface.points))
+        repaired = outside = 0
         if inside.size:
-            vertices[inside] = locate(surface.points, points, inside).vertices
-        return None, vertices
+            found = locate(surface.points, points, inside)
+            vertices[inside], repaired, outside = found.vertices, found.repaired, found.outside
+        return Located(jnp.asarray(repaired, jnp.int32), jnp.asarray(outside, jnp.int32)), vertices
 
     def fit(self, ids, surface):
         return None

@@ -74,8 +74,8 @@ class NearWall(AbstractMethod):
         field = self.correction.field(ids[0], factors[0], surface, u)
         return NearWallField(self, field, InterpolatedField(self, factors, surface, u))
 
-    def check(self, factors):
-        self.correction.check(factors[0])
+    def check(self, ids, factors, u):
+        self.correction.check(ids[0], factors[0], u)
 
     def _width(
         self, matched: Int[Array, " b"], wall: Int[Array, " b"], surface: Float[Array, "b d"]

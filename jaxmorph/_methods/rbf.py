@@ -6,15 +6,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
+import scipy.spatial
 from jaxtyping import Array, Float, Int
 
 from .._basis import AbstractBasis, ThinPlateSpline
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
 from .._product import few_rows_times
-from .base import BLOCK, AbstractField, AbstractMethod, Surface
+from .base import BLOCK, AbstractField, AbstractMethod, Surface, map_points
 
 KERNEL_BLOCK = 2**17
 """Elements of the kernel that a block of points makes: 1 MiB in float64, which stays in a core's own cache."""
+
+USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
+"""Changes of displacements by rounding, relative to them, that are an error, and that are warned of (solved in float32)."""
 
 
 class RBF(AbstractMethod):
@@ -22,10 +27,16 @@ class RBF(AbstractMethod):
 
     Moving and fixed nodes are reduced apart. `degree` is that of the polynomial p: None (no polynomial), 0, or 1, which
     reproduces rigid and affine motions. With `AllPoints()` for both reductions it is the classic method, exact on the
-    surface; with fewer sources the surface follows approximately, and `SurfaceReconstruction` adds what is missing.
+    surface; with fewer sources the surface follows approximately, fixed nodes that are no sources move too, and
+    `SurfaceReconstruction` adds what is missing.
 
     The dense system (eq. 3) is factored once per plan, in float64 where JAX's x64 mode is on. `prepare` raises
-    `ValueError` where the sources cannot determine the polynomial (all in one plane) or the system is singular.
+    `ValueError` where the sources cannot determine the polynomial (all in one plane), and where the system is so nearly
+    singular (a wide radius, sources that nearly coincide) that rounding changes displacements by more than 1 %; it warns from
+    1e-6 on (1e-3 without x64). That is measured: a smooth motion is interpolated, and so is what the result misses at
+    the sources; the largest value of this second field, at the sources and between them, is the error. A condition number
+    would not do: 1e-15 is its reciprocal for a sound Wendland C2 function of the size of an airfoil's mesh (error 3e-7)
+    and for a useless Gaussian (error 0.1), and scaling the mesh changes it.
     """
 
     basis: AbstractBasis = eqx.field(default_factory=ThinPlateSpline)
@@ -78,7 +89,8 @@ class RBF(AbstractMethod):
     def fit(self, ids: Int[Array, " s"], surface):
         points = surface[ids].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))
         centre = points.mean(axis=0)
-        scale = 1 / jnp.abs(points - centre).max()
+        extent = jnp.abs(points - centre).max()
+        scale = 1 / jnp.where(extent > 0, extent, 1)
         centre, scale = (
             jax.lax.stop_gradient((centre, scale)) if not self._below_min_degree else (centre, jnp.ones_like(scale))
         )
@@ -96,15 +108,23 @@ class RBF(AbstractMethod):
     def _phi(self, r2, scale):
         return self.basis(r2 if self.basis.scale_free else r2 / scale**2)
 
-    def check(self, factors: "RBFFactors") -> None:
-        lu = np.asarray(factors.lu)
-        diagonal = np.abs(np.diagonal(lu))
-        eps = np.finfo(lu.dtype).eps
-        if not np.isfinite(lu).all() or diagonal.min() <= eps**2 * diagonal.max():
-            raise ValueError(
-                f"the interpolation matrix of {len(factors.sources)} sources is singular. Use a larger `separation` in the "
-                "reduction, a smaller radius of the basis, or the polynomial that the basis needs."
-            )
+    def check(self, ids, factors: "RBFFactors", u):
+        dtype = factors.lu.dtype
+        error = _rounding(self, factors, np.asarray(u, dtype)[np.asarray(ids)]) / np.abs(u).max()
+        noticeable = NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE
+        if error <= noticeable:
+            return
+        useless = not error <= USELESS  # NaN too
+        how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
+        sources = np.asarray(factors.sources / factors.scale + factors.centre)
+        said = (
+            f"the interpolation matrix of {len(sources)} sources is {how if np.isfinite(error) else 'singular'}"
+            f"{_nearest_two(sources)}. Try a smaller radius of the basis, fewer sources or a larger `separation` in the "
+            f"reduction, or another `degree` of the polynomial{'' if dtype == np.float64 else ', or x64 mode of JAX'}."
+        )
+        if useless:
+            raise ValueError(said)
+        warnings.warn(said, stacklevel=3)
 
     def field(self, ids, factors: "RBFFactors", surface, u):
         values = u[ids].astype(factors.lu.dtype)
@@ -114,6 +134,40 @@ class RBF(AbstractMethod):
         beta, alpha = weights.T[:, : len(factors.sources)], weights.T[:, len(factors.sources) :]
         sources, centre, scale = (leaf.astype(u.dtype) for leaf in (factors.sources, factors.centre, factors.scale))
         return RBFField(self, sources, centre, scale, beta, alpha)
+
+
+def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
+    """Host: how much rounding changes the interpolation of `values` (s, d), at the sources and between them.
+
+    One step of iterative refinement: the field of what the first one misses at the sources.
+    """
+    lu, pivots, count = np.asarray(factors.lu), np.asarray(factors.pivots), len(values)
+    sources = factors.sources / factors.scale + factors.centre
+
+    def field(values):
+        rhs = np.concatenate([values, np.zeros((len(lu) - count, values.shape[1]), lu.dtype)])
+        weights = scipy.linalg.lu_solve((lu, pivots), rhs, check_finite=False).T
+        beta, alpha = jnp.asarray(weights[:, :count]), jnp.asarray(weights[:, count:])
+        return RBFField(rbf, factors.sources, factors.centre, factors.scale, beta, alpha)
+
+    with np.errstate(all="ignore"):
+        missed = values - np.asarray(_mapped(field(values), sources, None))
+        change = field(missed)
+        between = [(sources + jnp.roll(sources, shift, axis=0)) / 2 for shift in (1, 1 + count // 2)]
+        moved = np.stack([missed, *(_mapped(change, points, None) for points in (sources, *between))])
+        return float(np.abs(moved).max())
+
+
+_mapped = eqx.filter_jit(map_points)
+
+
+def _nearest_two(sources: np.ndarray) -> str:
+    if len(sources) < 2:
+        return ""
+    distance, nearest = map(np.asarray, scipy.spatial.KDTree(sources).query(sources, k=2))
+    first = distance[:, 1].argmin()
+    pair = " and ".join(str(tuple(float(f"{x:.6g}") for x in sources[i])) for i in (first, nearest[first, 1]))
+    return f"; the nearest two sources, {pair}, are {distance[first, 1]:.3g} apart"
 
 
 class RBFFactors(eqx.Module):

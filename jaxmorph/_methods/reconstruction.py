@@ -3,6 +3,7 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 
 from .base import AbstractField, AbstractMethod, Surface, map_points, place_points
 from .delaunay import DelaunayGraph
@@ -27,8 +28,10 @@ class SurfaceReconstruction(AbstractMethod):
         return self.correction.exact
 
     def connect(self, surface: Surface, points):
-        coarse, coarse_at_points = self.coarse.connect(surface, points)
-        _, coarse_at_surface = self.coarse.connect(surface.itself(), surface.points)
+        everywhere, more = surface.among(points)
+        coarse, found = self.coarse.connect(everywhere, more)
+        coarse_at_points = jax.tree.map(lambda leaf: leaf[: len(points)], found)
+        coarse_at_surface = jax.tree.map(lambda leaf: leaf[everywhere.nodes], found)
         surface = dataclasses.replace(surface, matched=self.coarse.matched(coarse))
         correction, correction_at_points = self.correction.connect(surface, points)
         return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)
@@ -46,9 +49,9 @@ class SurfaceReconstruction(AbstractMethod):
     def matched(self, ids):
         return self.correction.matched(ids[2])
 
-    def check(self, factors):
-        self.coarse.check(factors[0])
-        self.correction.check(factors[2])
+    def check(self, ids, factors, u):
+        self.coarse.check(ids[0], factors[0], u)
+        self.correction.check(ids[2], factors[2], u)
 
     def field(self, ids, factors, surface, u):
         coarse, _, correction = ids

@@ -1,0 +1,105 @@
+"""What a plan does with interpolations that rounding spoils, and with those that only look so."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, full, motion
+from test_rbf import dense, surface_values, wendland
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+WIDE = [
+    (jm.Gaussian(10.0), 1, 2),
+    (jm.Gaussian(100.0), None, 3),
+    (jm.Multiquadric(10.0), 0, 3),
+    (jm.Multiquadric(100.0), 0, 2),
+]
+
+
+@pytest.mark.parametrize(("basis", "degree", "dimension"), WIDE)
+def test_bases_too_wide_for_their_sources_are_refused(basis, degree, dimension):
+    """LAPACK factors these without complaint, pivots of 1e-15 and all; what comes out misses the values it was given."""
+    mesh = body(dimension)
+    text = rf"{len(mesh.boundary)} sources is ill-conditioned: rounding changes .* the nearest two sources, \(.*\) and \(.*, are"
+    with pytest.raises(ValueError, match=text):
+        jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(basis, degree))
+    method, ids = full(basis, degree), jnp.arange(len(mesh.boundary))
+    sources, values = mesh.points[mesh.boundary], surface_values(mesh)[1]
+    field = method.field(ids, method.fit(ids, jnp.asarray(sources)), sources, jnp.asarray(values))
+    assert np.abs(field.evaluate(sources, None) - values).max() > 1e-3 * np.abs(values).max()
+
+
+def test_between_good_and_useless_is_a_warning():
+    """Wendland's function of 2000 lengths of the body: the values at the sources are still right to about 1e-6."""
+    mesh = body(3)
+    u, _ = surface_values(mesh)
+    with pytest.warns(
+        UserWarning, match=r"rounding changes the displacements by \de-0[56] of their size.*`separation`"
+    ):
+        jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(2000.0), None))
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(200.0), None))
+    moved, expected = (
+        jm.deform(plan, u),
+        dense(mesh.points, mesh.points[mesh.boundary], surface_values(mesh)[1], lambda r: wendland(r, 200.0), None),
+    )
+    np.testing.assert_allclose(moved - mesh.points, expected, rtol=0, atol=1e-7)
+
+
+def test_a_large_condition_number_alone_is_no_fault():
+    """The sources of a C-grid lie 1e-3 to 15 chords apart: reciprocal condition 1e-11 and less, interpolated values right."""
+    mesh = cases.naca0015(points=2000)
+    moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
+    plan = jm.prepare(mesh.points, moving, fixed, method=full(jm.ThinPlateSpline(), 1))  # any warning is an error here
+    sources = plan.points[plan.surface.nodes]
+    matrix = dense_matrix(np.asarray(sources) / 15)
+    assert np.linalg.cond(matrix, 1) > 1e9
+    values = np.zeros(sources.shape)
+    values[: len(moving)] = motion(np.asarray(sources[: len(moving)]))
+    field = plan.method.field(plan.surface.ids, plan.surface.factors, sources, jnp.asarray(values))
+    np.testing.assert_allclose(field.evaluate(sources, None), values, rtol=0, atol=1e-9)
+
+
+def dense_matrix(sources):
+    """Thin plate spline with a linear polynomial (eq. 3)."""
+    tail = np.concatenate([np.ones((len(sources), 1)), sources], axis=1)
+    r = np.linalg.norm(sources[:, None] - sources[None], axis=2)
+    kernel = r**2 * np.log(np.where(r > 0, r, 1))
+    return np.block([[kernel, tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
+
+
+@pytest.mark.parametrize("degree", [None, 0])
+def test_one_source(degree):
+    """Its value spreads as the basis does; with a constant, everything moves alike."""
+    points = np.array([[3.0, 1.0], [3.5, 1.0], [3.0, 2.0]])
+    plan = jm.prepare(points, [0], method=full(jm.Gaussian(0.7), degree))
+    spread = np.exp(-np.array([0, 0.25, 1]) / 0.49) if degree is None else np.ones(3)
+    np.testing.assert_allclose(jm.deform(plan, [[0.2, -0.1]]) - points, spread[:, None] * [0.2, -0.1], atol=1e-15)
+    assert np.isfinite(jax.grad(lambda x: jm.deform(jm.refit(plan, x), [[0.2, -0.1]]).sum())(points)).all()
+
+
+def test_a_singular_system():
+    """One source of a thin plate spline, which is zero there, and no polynomial."""
+    with pytest.warns(UserWarning, match="ThinPlateSpline without a polynomial"):
+        method = full(jm.ThinPlateSpline(), None)
+    with pytest.raises(ValueError, match=r"the interpolation matrix of 1 sources is singular\. Try"):
+        jm.prepare(np.eye(2), [0], method=method)
+
+
+def test_fixed_sources_keep_away_from_moving_ones():
+    """A wall that goes on as a fixed one, and a node of each 1e-4 from the other: the moving one alone is a source."""
+    moving = np.stack([np.linspace(0, 1, 9), np.zeros(9)], axis=1)
+    fixed = np.concatenate([np.stack([np.linspace(1 + 1e-4, 3, 9), np.zeros(9)], axis=1), [[0, 2.0], [3, 2]]])
+    points = np.concatenate([moving, fixed])
+
+    def sources(reduction, fixed_reduction):
+        method = jm.RBF(reduction=reduction, fixed_reduction=fixed_reduction)
+        return np.asarray(jm.prepare(points, np.arange(9), np.arange(9, 20), method=method).surface.ids)
+
+    near = sources(jm.KDTree(2), jm.KDTree(2))
+    assert 8 in near
+    assert 9 not in near
+    assert 9 in sources(jm.KDTree(2), jm.KDTree(2, separation=1e-6))  # the smaller one of both counts
+    assert 9 in sources(jm.AllPoints(), jm.KDTree(2))
+    assert len(sources(jm.AllPoints(), jm.AllPoints())) == 20

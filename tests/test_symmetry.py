@@ -1,0 +1,158 @@
+"""Symmetry planes: a part that moves as the whole would, nodes that stay in their plane, and planes that are none."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, few, full, motion, whole_and_part
+
+import jaxmorph as jm
+
+GRAPH = jm.DelaunayGraph()
+
+
+MIRRORED = [(2, 1), (2, 2), (3, 2)]
+METHODS = {
+    "full": full(jm.ThinPlateSpline(), 1),
+    "reconstruction": jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3)),
+}
+
+
+@pytest.mark.parametrize(("dimension", "planes"), MIRRORED)
+def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
+    part, role, whole, whole_role, image_of, signs = whole_and_part(dimension, planes)
+    assert len(whole) > 2**planes * 0.6 * len(part)
+    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
+    u = motion(part)
+    for axis in range(planes):
+        u[part[:, axis] == 0, axis] = 0
+    symmetry = [jm.Plane(np.eye(dimension)[axis] * 3, np.zeros(dimension)) for axis in range(planes)]
+    moved = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=symmetry), u[moving])
+    whole_moving = np.flatnonzero(whole_role == 1)
+    plan = jm.prepare(whole, whole_moving, np.flatnonzero(whole_role == 2), method=METHODS["full"])
+    expected = jm.deform(plan, (u[image_of] * signs)[whole_moving])
+    np.testing.assert_allclose(moved, expected[: len(part)], rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("name", "dimension", "planes"), [("full", 3, 2), ("reconstruction", 2, 1)])
+def test_laws_with_symmetry_planes(name, dimension, planes):
+    part, role, *_ = whole_and_part(dimension, planes)
+    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
+    symmetry = [jm.Plane(np.eye(dimension)[axis], np.zeros(dimension)) for axis in range(planes)]
+    plan = jm.prepare(part, moving, fixed, method=METHODS[name], symmetry=symmetry)
+    u, rng = motion(part)[moving], np.random.default_rng(0)
+    moved = np.asarray(jm.deform(plan, u))
+    within = u.copy()
+    for axis in range(planes):
+        on = part[:, axis] == 0
+        assert on.sum() >= 4
+        assert (moved[on, axis] == 0).all()  # bit for bit, though u asks for more
+        within[part[moving, axis] == 0, axis] = 0
+        assert (on & (role == 0)).any()
+        slid = np.abs(moved - part)[on & (role == 0)].max()
+        assert slid > 1e-3
+    assert (moved[moving] == part[moving] + within).all()
+    assert (moved[fixed] == part[fixed]).all()
+    assert (jm.deform(plan, within) == moved).all()
+    v = rng.normal(size=u.shape)
+    combined = jm.deform(plan, 2 * u - v) - part
+    np.testing.assert_allclose(combined, 2 * (moved - part) - (jm.deform(plan, v) - part), rtol=0, atol=1e-11)
+    w = rng.normal(size=part.shape)
+    pulled = jm.pullback(plan, u, w)
+    np.testing.assert_allclose(np.vdot(pulled, u), np.vdot(w, moved - part), rtol=1e-10)
+
+    @jax.jit
+    @jax.value_and_grad
+    def objective(points):
+        return jnp.sum(w * jm.deform(jm.refit(plan, points), u))
+
+    step = 1e-7 * rng.normal(size=part.shape)
+    for axis in range(planes):
+        step[part[:, axis] == 0, axis] = 0  # nodes on a plane stay on it
+    difference = (objective(part + step)[0] - objective(part - step)[0]) / 2
+    np.testing.assert_allclose(np.vdot(objective(part)[1], step), difference, rtol=1e-5, atol=1e-12)
+
+
+def test_a_marched_symmetric_mesh():
+    part, role, *_ = whole_and_part(2, 1)
+    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
+    plan = jm.prepare(part, moving, fixed, method=METHODS["reconstruction"], symmetry=jm.Plane([1, 0], [0, 0]))
+    path = np.stack([motion(part)[moving], 2 * motion(part)[moving]])
+    for rebuild in (False, True):
+        plans, points = jm.march(plan, path, rebuild=rebuild)
+        assert (points[part[:, 0] == 0, 0] == 0).all()
+        np.testing.assert_allclose(jm.replay(plans, path), points, rtol=0, atol=1e-12)
+
+
+def test_a_plane_anywhere():
+    """At another place and angle the same mesh moves the same; `Plane.through` finds it from the nodes on it."""
+    part, role, *_ = whole_and_part(2, 1)
+    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
+    u, on = motion(part)[moving], np.flatnonzero(part[:, 0] == 0)
+    straight = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=jm.Plane([1, 0], [0, 0])), u)
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    points = part @ turn.T + [5.0, -3.0]
+    plane = jm.Plane.through(points, on)
+    assert abs(plane.normal @ turn[:, 1]) < 1e-14
+    moved = jm.deform(jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane), u @ turn.T)
+    np.testing.assert_allclose(moved, straight @ turn.T + np.array([5.0, -3.0]), rtol=0, atol=1e-10)
+    exact = jm.Plane.through(part + np.array([0.1, 0.0]), on)
+    assert (exact.normal == [1, 0]).all()
+    assert exact.origin[0] == 0.1
+
+
+def test_what_is_not_a_symmetry_plane():
+    mesh = body(2)
+    arguments = (mesh.points, mesh.moving, mesh.fixed)
+    for normal, origin in (([0, 0], [0, 0]), ([1, 0], [0, 0, 0]), ([np.nan, 0], [0, 0])):
+        with pytest.raises(ValueError, match="a plane needs a normal that is not zero"):
+            jm.Plane(normal, origin)
+    with pytest.raises(ValueError, match="normal has 3 components; the mesh has 2 dimensions"):
+        jm.prepare(*arguments, method=GRAPH, symmetry=jm.Plane([0, 0, 1], [0, 0, 0]))
+    with pytest.raises(ValueError, match="at right angles"):
+        jm.prepare(*arguments, method=GRAPH, symmetry=[jm.Plane([1, 0], [0, 0]), jm.Plane([1, 1], [0, 0])])
+    with pytest.raises(ValueError, match=r"do not lie in one plane: node \d+ at"):
+        jm.Plane.through(mesh.points, mesh.moving)
+    with pytest.raises(ValueError, match="1 nodes do not determine a plane"):
+        jm.Plane.through(mesh.points, mesh.moving[:1])
+
+
+def test_a_symmetry_plane_bounds_the_mesh():
+    part, role, *_ = whole_and_part(2, 1)
+    arguments = (part, np.flatnonzero(role == 1), np.flatnonzero(role == 2))
+    on = part[:, 0] == 0
+    gap = np.sort(part[~on, 0])[0]
+    nearest = r"holds no node of the mesh: the nearest, node \d+, is 0\.01 away \(tolerance"
+    with pytest.raises(ValueError, match=nearest):
+        jm.prepare(*arguments, method=GRAPH, symmetry=jm.Plane([2, 0], [-0.01, 7]))
+    beyond = (part[:, 0] < gap) & ~on
+    assert not beyond.any()
+    for normal in (1, -1):
+        with pytest.raises(
+            ValueError, match=rf"nodes on both sides: {on.sum()} of {len(part)} lie beyond .* {gap:.3g} away"
+        ):
+            jm.prepare(*arguments, method=GRAPH, symmetry=jm.Plane([normal, 0], [gap, 0]))
+    whole = body(2)
+    points = np.append(whole.points, [[0, 1.0], [0, 2.0]], axis=0)
+    left, farthest = points[points[:, 0] < 0], points[:, 0].argmin()
+    assert len(left) < len(points) / 2
+    with pytest.raises(ValueError, match=rf"{len(left)} of 312 lie beyond it, the farthest is node {farthest} at"):
+        jm.prepare(points, whole.moving, whole.fixed, method=GRAPH, symmetry=jm.Plane([1, 0], [0, 0]))
+
+
+def test_a_symmetry_plane_of_a_float32_mesh():
+    """Turned and moved away from the origin, its nodes lie on no plane to better than 1e-7 of their coordinates."""
+    part, role, *_ = whole_and_part(2, 1)
+    moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
+    u, on = motion(part)[moving], np.flatnonzero(part[:, 0] == 0)
+    turn, shift = np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([5.0, -3.0])
+    points = (part @ turn.T + shift).astype(np.float32)
+    plane = jm.Plane(turn[:, 0], shift)
+    off = np.abs(plane.height(points))
+    assert off[on].max() > 1e-8 * np.ptp(points)
+    assert jm.Plane.through(points, on).holds(points)[on].all()
+    assert (np.flatnonzero(plane.holds(points)) == on).all()
+    exact = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=jm.Plane([1, 0], [0, 0])), u)
+    plan = jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane)
+    moved = jm.deform(plan, (u @ turn.T).astype(np.float32))
+    np.testing.assert_allclose(moved, exact @ turn.T + shift, rtol=0, atol=1e-4)
