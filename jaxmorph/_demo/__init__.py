@@ -3,7 +3,7 @@
 import importlib
 import pathlib
 
-CASES = {"naca0015": "_airfoil"}
+CASES = {"naca0015": "_airfoil", "agard445": "_wing"}
 """Name of a case, and the module whose `run` shows it."""
 
 

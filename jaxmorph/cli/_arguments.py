@@ -61,7 +61,7 @@ example:
 _DEMO = """\
 examples:
   jaxmorph demo
-  jaxmorph demo naca0015 --output results"""
+  jaxmorph demo agard445 --output results"""
 
 _FILES = "SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D (.xyz, .p3d), or an OpenFOAM case"
 

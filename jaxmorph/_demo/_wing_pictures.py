@@ -1,0 +1,121 @@
+"""Pictures of the wing: its surface before and after, and cuts through the mesh, coloured by what became of the cells."""
+
+import pathlib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import jaxmorph as jm
+from jaxmorph import plot  # before matplotlib: it says what to install
+
+# isort: split
+import matplotlib
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from ._wing import Outcome
+
+STYLE: dict[Any, Any] = {"font.size": 13, "axes.titlesize": 15}
+ASPECT_RATIO = 1.0, 4.0
+CHANGE_OF_VOLUME = 0.0, 0.3
+"""Values at the ends of the scales."""
+
+CUT = 0.92
+"""Where the mesh is cut across the wing, in semi-spans."""
+
+HALF_CUT = (0.36, 0.25)
+"""Half width and half height of what is shown of the cut, in metres."""
+
+ABOVE = (-1, -3, 2.2)
+"""Where the viewer of the whole wing is, seen from the wing: above its root."""
+
+HEIGHT = 2000
+"""Of a picture in space, in pixels: more than are shown, so that lines are thin."""
+
+MARGIN = 1.04
+"""Height and width of a picture over those of what it shows."""
+
+
+def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome: "Outcome", motion: Any) -> None:
+    """The wing before and after, each face coloured by its cell's aspect ratio."""
+    views = [
+        ("undeformed", mesh.points, start),
+        (f"mode {motion[0]}, tip up by {motion[1]:g} semi-spans", outcome.points, outcome.reports[motion]),
+    ]
+    wing = mesh.patch("wing")
+    camera, half = whole(np.concatenate([points[wing] for _, points, _ in views]), ABOVE)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(13.33, 7.5), dpi=150, layout="constrained")
+        axes = figure.subplots(1, len(views))
+        for axis, (title, points, report) in zip(axes, views, strict=True):
+            values = np.asarray(report.aspect_ratio)
+            plotter = plot.surface(mesh, points, values=values, limits=ASPECT_RATIO, patch="wing")
+            _show(axis, plotter, camera, half, title)
+        _bar(figure, axes, ASPECT_RATIO, "aspect ratio of the cells on the wing")
+        figure.savefig(path)
+
+
+def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"], motion: Any) -> None:
+    """The cells that a plane across the wing cuts, by each method: above their aspect ratio, below their change of volume."""
+    plane = jm.Plane((0, 1, 0), (0, _span_of_cut(mesh), 0))
+    kinds = (ASPECT_RATIO, "aspect ratio"), (CHANGE_OF_VOLUME, "|V/V0 - 1|")
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(13.33, 8.6), dpi=150, layout="constrained")
+        axes = figure.subplots(2, len(outcomes), squeeze=False)
+        for column, outcome in zip(axes.T, outcomes, strict=True):
+            report = outcome.reports[motion]
+            values = np.asarray(report.aspect_ratio), np.abs(np.asarray(report.volume_ratio) - 1)
+            titles = outcome.study.name, f"smallest V/V0 of all cells {float(report.min_volume_ratio):.2f}"
+            camera = _across(mesh, outcome.points)
+            for axis, shown, (limits, _), title in zip(column, values, kinds, titles, strict=True):
+                plotter = plot.cut(mesh, outcome.points, plane=plane, values=shown, limits=limits)
+                _show(axis, plotter, camera, HALF_CUT, title)
+        for row, (limits, label) in zip(axes, kinds, strict=True):
+            _bar(figure, row, limits, label)
+        figure.savefig(path)
+
+
+def _across(mesh: jm.Mesh, points: np.ndarray) -> tuple:
+    """A camera that sees x to the right and z up, round the section that is cut."""
+    wing, y = points[mesh.patch("wing")], _span_of_cut(mesh)
+    section = wing[np.abs(wing[:, 1] - y) < 0.02]
+    x, _, z = (section.min(axis=0) + section.max(axis=0)) / 2
+    return (x, y - 5, z), (x, y, z), (0, 0, 1)
+
+
+def _span_of_cut(mesh: jm.Mesh) -> float:
+    return CUT * float(mesh.points[mesh.patch("wing"), 1].max())
+
+
+def whole(points: np.ndarray, viewer: tuple[float, float, float]) -> tuple[tuple, tuple[float, float]]:
+    """A camera in the direction `viewer` that has all (n, 3) points in sight, z up; half the width and height that it takes."""
+    towards = np.asarray(viewer) / np.linalg.norm(viewer)
+    right = np.cross((0, 0, 1), towards)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(towards, right), towards])
+    seen = points @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    focus = (low + high) / 2 @ axes
+    width, height = MARGIN * (high - low)[:2] / 2
+    return (focus + 5 * towards, focus, (0, 0, 1)), (float(width), float(height))
+
+
+def _show(axis: Any, plotter: Any, camera: tuple, half: tuple[float, float], title: str) -> None:
+    """A picture in space on an axis in the plane, without perspective, so that sizes compare; `half` its width and height."""
+    plotter.window_size = round(HEIGHT * half[0] / half[1]), HEIGHT
+    plotter.set_background("white")
+    plotter.camera_position = [tuple(map(float, vector)) for vector in camera]
+    plotter.camera.parallel_projection = True
+    plotter.camera.parallel_scale = half[1]
+    axis.imshow(plotter.screenshot(return_img=True))
+    plotter.close()
+    axis.set_title(title)
+    axis.set_axis_off()
+
+
+def _bar(figure: Figure, axes: Any, limits: tuple[float, float], label: str) -> None:
+    scale = ScalarMappable(Normalize(*limits), plot.COLOURS)
+    figure.colorbar(scale, ax=axes, aspect=35, pad=0.02, extend="max").set_label(label)
