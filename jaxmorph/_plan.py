@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
+from ._compile import compiled
 from ._layout import Layout, over_points, pad_rows
 from ._methods.base import AbstractMethod, Located, map_points, place_points
 from ._methods.sparse import Interpolation, weighted_sum, with_tables, with_tables_of, without_tables
@@ -131,7 +132,7 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
     )
 
 
-@eqx.filter_jit
+@compiled
 def deform(plan: Plan, u: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
     """The mesh's points, moved: row i of `u` (m, d) displaces node `plan.moving[i]`, fixed nodes stay.
 
@@ -175,7 +176,7 @@ def _moved(exact: bool) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
     return move
 
 
-@eqx.filter_jit
+@compiled
 def pullback(plan: Plan, u: Float[ArrayLike, "m d"], cotangent: Float[ArrayLike, "n d"]) -> Float[Array, "m d"]:
     """Sensitivities with respect to all points (n, d), pulled back to the moving ones: (m, d).
 
