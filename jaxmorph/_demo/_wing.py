@@ -110,9 +110,9 @@ def measure(mesh: jm.Mesh, study: Study) -> Outcome:
 
 def _sources(plan: jm.Plan) -> tuple[int, int]:
     """How many sources are on the wing, and on the far field; none where there is no field of radial basis functions."""
-    if not (isinstance(plan.method, jm.SurfaceReconstruction) and isinstance(plan.method.coarse, jm.RBF)):
+    rbf, points = getattr(plan.method, "coarse", plan.method), np.asarray(plan.points)
+    if not isinstance(rbf, jm.RBF):
         return 0, 0
-    rbf, points = plan.method.coarse, np.asarray(plan.points)
     on_wing, far = (points[np.asarray(ids)] for ids in (plan.moving, plan.fixed))
     return len(rbf.reduction(on_wing)), len(rbf.fixed_reduction(far))
 

@@ -31,6 +31,13 @@ def nearest_of(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return chosen[np.asarray(KDTree(points[chosen]).query(points)[1])].astype(np.int32)
 
 
+def largest_gap(points: np.ndarray, chosen: np.ndarray, wall: np.ndarray) -> np.ndarray:
+    """(b,) for each point the largest distance that one of its wall has from the one `chosen` for it."""
+    largest = np.zeros(len(points))
+    np.maximum.at(largest, wall, np.linalg.norm(points - points[chosen], axis=1))
+    return largest[wall]
+
+
 def extreme_of_each(points: np.ndarray, wall: np.ndarray) -> np.ndarray:
     """One node of each wall, the first along its longest side."""
     members = [np.flatnonzero(wall == label) for label in np.unique(wall)]

@@ -141,8 +141,21 @@ def place_points(
     """`method.place` for every point."""
     if not jax.tree.leaves(ids):
         return ids
-    place = jax.checkpoint(lambda part: method.place(part[0], part[1], factors, surface))
-    return jax.lax.map(place, (points, ids), batch_size=BLOCK)
+    place = jax.checkpoint(jax.vmap(lambda x, ids: method.place(x, ids, factors, surface)))
+    n = len(points)
+    block = min(BLOCK, n)
+    starts = jnp.minimum(
+        jnp.arange(0, n, block), n - block
+    )  # the last block begins within the one before: no other shape
+
+    def of_block(start):
+        return place(*jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, block), (points, ids)))
+
+    def put_together(leaf):
+        rows = leaf.reshape(-1, *leaf.shape[2:])
+        return jnp.concatenate([rows[: n - block], leaf[-1]])
+
+    return jax.tree.map(put_together, jax.lax.map(of_block, starts))
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._basis import WendlandC2
-from .._host.neighbours import extreme_of_each, near_walls, nearest_of, walls
+from .._host.neighbours import extreme_of_each, largest_gap, near_walls, nearest_of, walls
 from .base import AbstractField, AbstractMethod, Surface, map_points
 from .delaunay import DelaunayGraph
 from .sparse import InterpolatedField, Interpolation
@@ -48,9 +48,8 @@ class NearWall(AbstractMethod):
         matched = nearest_of(
             surface.points, surface.matched if len(surface.matched) else extreme_of_each(surface.points, wall)
         )
-        width = np.asarray(
-            eqx.filter_jit(self._width)(jnp.asarray(matched), jnp.asarray(wall), jnp.asarray(surface.points))
-        )
+        gap = largest_gap(surface.points, matched, wall)
+        width = REACH * gap if self.width is None else np.full(len(gap), self.width)
         own = surface.rows(len(points))
         inside = np.flatnonzero(own == len(surface.points))
         near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1)
