@@ -7,6 +7,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
 
 WIDE = {"xla_cpu_prefer_vector_width": 512}
 """XLA by itself holds back to 256 bits, and a kernel sum then takes up to half as long again. No effect where there are fewer."""
@@ -19,7 +20,8 @@ def compiled(function: Function) -> Function:
 
     Within another transformation it is an ordinary jitted function: JAX takes options for the outermost one only.
     """
-    plain, wide = eqx.filter_jit(function), eqx.filter_jit(function, compiler_options=WIDE)
+    plain = eqx.filter_jit(function)
+    wide = eqx.filter_jit(function, compiler_options=WIDE)  # pyright: ignore[reportCallIssue] -- passed on to `jax.jit`
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
@@ -30,7 +32,7 @@ def compiled(function: Function) -> Function:
 
 def _direct(arguments) -> bool:
     arrays = [leaf for leaf in jax.tree.leaves(arguments) if isinstance(leaf, jax.Array)]
-    if any(isinstance(array, jax.core.Tracer) for array in arrays):
+    if any(isinstance(array, Tracer) for array in arrays):
         return False
     on_cpu = all(device.platform == "cpu" for array in arrays for device in array.sharding.device_set)
-    return on_cpu and not isinstance(jnp.zeros(()), jax.core.Tracer)  # a tracer is made even of a constant under `jit`
+    return on_cpu and not isinstance(jnp.zeros(()), Tracer)  # a tracer is made even of a constant under `jit`

@@ -76,12 +76,14 @@ def prepare(
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:
     """A smooth displacement of the moving nodes that no polynomial gives, of size one, fixed nodes at rest."""
-    own, mirror = plan.points[plan.surface.nodes], plan.surface.mirror
+    own, mirror = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.surface.mirror
     moving = own[: plan.moves]
     arms = moving - moving.mean(axis=0)
-    extent = jnp.abs(arms).max()
-    u = jnp.zeros_like(own).at[: plan.moves].set(jnp.cos(2 * arms / jnp.where(extent > 0, extent, 1)))
-    return u if mirror is None else mirror.vectors(mirror.within(u, mirror.on_plane))
+    u = np.zeros_like(own)
+    u[: plan.moves] = np.cos(2 * arms / (np.abs(arms).max() or 1))
+    if mirror is None:
+        return jnp.asarray(u)
+    return mirror.vectors(mirror.within(jnp.asarray(u), mirror.on_plane))
 
 
 def _own_rows(nodes: np.ndarray, points: Float[Array, "n d"]) -> Interpolation:

@@ -6,7 +6,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from .graph import morton_order
-from .reduction import roundoff
 
 
 def walls(points: np.ndarray) -> np.ndarray:
@@ -54,11 +53,9 @@ def near_walls(
     again). The nearest nodes are looked for among the neighbours of the very nearest: one search a point instead of many.
     """
     order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
-    found = KDTree(surface).query(points[order], distance_upper_bound=max(reach.max(), roundoff(surface)))
-    distance, first = map(np.asarray, found)
-    hit = np.flatnonzero(np.isfinite(distance))
-    hit = hit[distance[hit] < reach[first[hit]]]
-    near, first = order[hit], first[hit]
+    distance, first = _nearest_within(surface, reach, points[order])
+    hit = np.flatnonzero(distance < np.inf)
+    near, first, distance = order[hit], first[hit], distance[hit]
     around = _around(surface, wall, 2 * count)
     rows = np.empty((len(near), count + 1), dtype=np.int32)
     for start in range(0, len(near), 65536):
@@ -68,13 +65,38 @@ def near_walls(
         closest = np.argsort(sum(a * a for a in apart), axis=1, kind="stable")[:, :count]
         rows[part, :count] = np.take_along_axis(candidates, closest, axis=1)
     rows[:, count] = rows[:, 0]
+    own = np.ones(len(near), dtype=bool)
     for label in np.unique(wall[first]):
         here, others = np.flatnonzero(wall[first] == label), np.flatnonzero(wall != label)
         if others.size:
             bound = 8 * reach[wall == label].max()
-            other = np.asarray(KDTree(surface[others]).query(points[near[here]], distance_upper_bound=bound)[1])
-            rows[here[other < len(others)], count] = others[other[other < len(others)]]
-    return near, rows
+            apart, other = map(np.asarray, _tree(surface[others]).query(points[near[here]], distance_upper_bound=bound))
+            found = np.flatnonzero(other < len(others))
+            rows[here[found], count] = others[other[found]]
+            own[here[found]] = distance[here[found]] <= apart[found]
+    return near[own], rows[own]
+
+
+def _nearest_within(surface: np.ndarray, reach: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest surface node to each point, of those within their reach, and its distance; infinite where there is none.
+
+    Nodes of about the same reach are searched together: a bound that is far too large costs ten times as much.
+    """
+    distance, first = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+    reaching = np.flatnonzero(reach > 0)
+    size = np.frexp(reach[reaching])[1]
+    for exponent in np.unique(size):
+        members = reaching[size == exponent]
+        found = _tree(surface[members]).query(points, distance_upper_bound=reach[members].max())
+        apart, node = np.asarray(found[0]), members[np.minimum(found[1], len(members) - 1)]
+        closer = (apart < distance) & (apart < reach[node])
+        distance[closer], first[closer] = apart[closer], node[closer]
+    return distance, first
+
+
+def _tree(points: np.ndarray) -> KDTree:
+    """For many searches: cells that are cut in the middle are searched three times faster here than those cut at the median."""
+    return KDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
 
 
 def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
@@ -83,6 +105,6 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
     for label in np.unique(wall):
         own = np.flatnonzero(wall == label)
         k = min(count, len(own))
-        found = own[np.asarray(KDTree(surface[own]).query(surface[own], k=k)[1]).reshape(len(own), k)]
+        found = own[np.asarray(_tree(surface[own]).query(surface[own], k=k)[1]).reshape(len(own), k)]
         around[own] = np.concatenate([found, np.repeat(own[:, None], count - k, axis=1)], axis=1)
     return around

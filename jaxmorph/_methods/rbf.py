@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from .._basis import AbstractBasis, ThinPlateSpline
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
 from .._product import few_rows_times
-from .base import BLOCK, AbstractField, AbstractMethod, Surface, map_points
+from .base import BLOCK, AbstractField, AbstractMethod, Surface
 
 KERNEL_BLOCK = 2**17
 """Elements of the kernel that a block of points makes: 1 MiB in float64, which stays in a core's own cache."""
@@ -141,24 +141,32 @@ def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
 
     One step of iterative refinement: the field of what the first one misses at the sources.
     """
-    lu, pivots, count = np.asarray(factors.lu), np.asarray(factors.pivots), len(values)
-    sources = factors.sources / factors.scale + factors.centre
+    lu, pivots, sources, scale = map(np.asarray, (factors.lu, factors.pivots, factors.sources, factors.scale))
+    count, block = len(values), min(1024, len(values))
 
-    def field(values):
+    def weights(values):
         rhs = np.concatenate([values, np.zeros((len(lu) - count, values.shape[1]), lu.dtype)])
-        weights = scipy.linalg.lu_solve((lu, pivots), rhs, check_finite=False).T
-        beta, alpha = jnp.asarray(weights[:, :count]), jnp.asarray(weights[:, count:])
-        return RBFField(rbf, factors.sources, factors.centre, factors.scale, beta, alpha)
+        return scipy.linalg.lu_solve((lu, pivots), rhs, check_finite=False)
+
+    def field(weights, points):
+        result = np.empty((len(points), weights.shape[1]), lu.dtype)
+        for start in np.minimum(np.arange(0, len(points), block), len(points) - block):
+            part = points[start : start + block]
+            result[start : start + block] = np.asarray(_system_rows(rbf, sources, scale, part)) @ weights
+        return result
 
     with np.errstate(all="ignore"):
-        missed = values - np.asarray(_mapped(field(values), sources, None))
-        change = field(missed)
-        between = [(sources + jnp.roll(sources, shift, axis=0)) / 2 for shift in (1, 1 + count // 2)]
-        moved = np.stack([missed, *(_mapped(change, points, None) for points in (sources, *between))])
-        return float(np.abs(moved).max())
+        missed = values - field(weights(values), sources)
+        between = [(sources + np.roll(sources, shift, axis=0)) / 2 for shift in (1, 1 + count // 2)]
+        moved = field(weights(missed), np.concatenate([sources, *between]))
+        return float(np.abs(np.concatenate([missed, moved])).max())
 
 
-_mapped = eqx.filter_jit(map_points)
+@eqx.filter_jit
+def _system_rows(rbf: RBF, sources, scale, points):
+    """Rows of the system (eq. 3) at any points, all in scaled coordinates."""
+    kernel = rbf._phi(_squared_distances(points, sources), scale)
+    return jnp.concatenate([kernel, polynomial(points, rbf.degree)], axis=1)
 
 
 def _nearest_two(sources: np.ndarray) -> str:
