@@ -125,9 +125,15 @@ def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool
     k = weights.shape[1]
     values = jax.lax.optimization_barrier(values)  # else what makes them is done again for each gather
     if not turned:
-        return sum(weights[:, i, None] * values[nodes[:, i]] for i in range(k))
-    rows = sum(sorted_weights[:, i, None] * values[entries[:, i] // k] for i in range(entries.shape[1]))
+        return sum(weights[:, i, None] * _rows(values, nodes[:, i]) for i in range(k))
+    points = [jax.lax.div(entries[:, i], jnp.int32(k)) for i in range(entries.shape[1])]  # 0 where there is no entry
+    rows = sum(sorted_weights[:, i, None] * _rows(values, at) for i, at in enumerate(points))
     return jax.ops.segment_sum(rows, owner, count, indices_are_sorted=True)
+
+
+def _rows(values: Float[Array, "b c"], ids: Int[Array, " n"]) -> Float[Array, "n c"]:
+    """`values[ids]` for ids that are known to be rows."""
+    return values.at[ids].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 _sum_p = Primitive("jaxmorph_sparse_sum")
