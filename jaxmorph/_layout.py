@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Int, PyTree
 
 AXIS = "points"
 
@@ -47,6 +47,14 @@ def pad_rows(leaf: Array, layout: Layout) -> Array:
     if not layout.padding:
         return leaf
     return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (layout.padding, *leaf.shape[1:]))])
+
+
+def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
+    """Within `over_points`: where points `ids` stand among the `count` rows of this device; `count` or more if they do not."""
+    if layout is None:
+        return ids
+    here = ids - jax.lax.axis_index(AXIS) * count
+    return jnp.where((here >= 0) & (here < count), here, count + jnp.arange(len(ids)))
 
 
 def over_points(

@@ -10,9 +10,9 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
 from ._compile import compiled
-from ._layout import Layout, over_points, pad_rows
+from ._layout import Layout, over_points, pad_rows, rows_here
 from ._methods.base import AbstractMethod, Located, map_points, place_points
-from ._methods.sparse import Interpolation, weighted_sum, with_tables, with_tables_of, without_tables
+from ._methods.sparse import Interpolation, with_tables, with_tables_of, without_tables
 from ._symmetry import Mirror
 
 
@@ -27,13 +27,9 @@ class SurfaceHalf(eqx.Module):
 
 
 class VolumeHalf(eqx.Module):
-    """What is laid over devices: each leaf has one row per point of the mesh, but for tables of transposes.
-
-    `own` takes a node of the surface to its own row there.
-    """
+    """What is laid over devices: each leaf has one row per point of the mesh, but for tables of transposes."""
 
     points: Float[Array, "n d"]
-    own: Interpolation
     on_plane: Bool[Array, "n p"] | None
     ids: PyTree
     placed: PyTree
@@ -125,7 +121,7 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
     return Plan(
         method=plan.method,
         surface=SurfaceHalf(surface, old.nodes, old.mirror, old.ids, plan.method.fit(old.ids, surface)),
-        volume=VolumeHalf(points, volume.own, volume.on_plane, volume.ids, volume.placed),
+        volume=VolumeHalf(points, volume.on_plane, volume.ids, volume.placed),
         moves=plan.moves,
         carried=carried,
         layout=plan.layout,
@@ -159,19 +155,22 @@ def deform_surface(plan: Plan, own: Float[Array, "o d"]) -> Float[Array, "n d"]:
         own = surface.mirror.within(own, surface.mirror.on_plane)
         u = surface.mirror.vectors(own)
     field = plan.method.field(surface.ids, surface.factors, surface.points, u)
-    moved = over_points(plan.layout, _moved(plan.method.exact), (field, own, surface.mirror), plan.volume)
+    shared = field, own, surface.nodes, surface.mirror
+    moved = over_points(plan.layout, _moved(plan.layout, plan.method.exact), shared, plan.volume)
     return moved if plan.layout is None else moved[: plan.layout.count]
 
 
-def _moved(exact: bool) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
+def _moved(layout: Layout | None, exact: bool) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
     def move(shared, volume):
-        field, own, mirror = shared
+        field, own, nodes, mirror = shared
         displacement = map_points(field, volume.points, volume.placed)
-        if exact:
-            displacement = weighted_sum(volume.own, own) + jnp.where(volume.own.reached[:, None], 0, displacement)
         if mirror is not None:
             displacement = mirror.within(displacement, volume.on_plane)
-        return volume.points + displacement
+        moved = volume.points + displacement
+        if exact:
+            at = rows_here(layout, nodes, len(moved))
+            moved = moved.at[at].set(volume.points[at] + own, mode="drop", unique_indices=True)
+        return moved
 
     return move
 
@@ -205,12 +204,11 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
         raise ValueError("this plan is laid over devices already: shard the plan that `prepare` returned.")
     layout = Layout.over(devices, len(plan.volume.points))
     volume = jax.tree.map(lambda leaf: pad_rows(leaf, layout), without_tables(plan.volume))
-    own = with_tables(volume.own, len(plan.surface.nodes), layout.mesh.size)
     placed = with_tables(volume.placed, len(plan.surface.points), layout.mesh.size)
     volume = eqx.tree_at(
-        lambda volume: (volume.own, volume.placed),
+        lambda volume: volume.placed,
         volume,
-        (own, placed),
+        placed,
         is_leaf=lambda leaf: leaf is None or isinstance(leaf, Interpolation),
     )
     volume = layout.divided(volume)

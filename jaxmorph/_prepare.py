@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from ._methods import default_method
 from ._methods.base import AbstractMethod, Surface
-from ._methods.sparse import Interpolation, with_tables
+from ._methods.sparse import with_tables
 from ._plan import Plan, SurfaceHalf, VolumeHalf, refit
 from ._symmetry import Plane, check_planes, mirror
 
@@ -54,7 +54,6 @@ def prepare(
         surface=SurfaceHalf(jnp.asarray(everything), jnp.asarray(nodes, jnp.int32), images, surface_ids, None),
         volume=VolumeHalf(
             jnp.asarray(host),
-            _own_rows(nodes, jnp.asarray(host)),
             None if on_plane is None else jnp.asarray(on_plane),
             volume_ids,
             None,
@@ -84,14 +83,6 @@ def _trial(plan: Plan) -> Float[Array, "b d"]:
     if mirror is None:
         return jnp.asarray(u)
     return mirror.vectors(mirror.within(jnp.asarray(u), mirror.on_plane))
-
-
-def _own_rows(nodes: np.ndarray, points: Float[Array, "n d"]) -> Interpolation:
-    """Takes each of the surface's `nodes` to its own row, and no other point anywhere."""
-    rows, reached = np.zeros((len(points), 1), dtype=np.int32), np.zeros(len(points), dtype=bool)
-    rows[nodes, 0], reached[nodes] = np.arange(len(nodes)), True
-    own = Interpolation(jnp.asarray(rows), jnp.asarray(reached[:, None].astype(points.dtype)), jnp.asarray(reached))
-    return with_tables(own, len(nodes))
 
 
 def _first(rows: np.ndarray) -> np.ndarray:
