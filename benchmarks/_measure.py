@@ -5,7 +5,7 @@ import os
 import platform
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 
@@ -40,8 +40,8 @@ def about(**what: object) -> None:
     )
 
 
-def table(rows: list[tuple[str, str, str]]) -> None:
-    """Claim, measured, goal, as Markdown."""
-    print("\n| what | measured | goal |\n|---|---|---|")
+def table(rows: Sequence[Sequence[str]], heads: Sequence[str] = ("what", "measured", "goal")) -> None:
+    """As Markdown."""
+    print("\n| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
     for row in rows:
         print("| " + " | ".join(row) + " |")

@@ -7,6 +7,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
 
 WIDE = {"xla_cpu_prefer_vector_width": 512}
@@ -20,19 +21,18 @@ def compiled(function: Function) -> Function:
 
     Within another transformation it is an ordinary jitted function: JAX takes options for the outermost one only.
     """
-    plain = eqx.filter_jit(function)
-    wide = eqx.filter_jit(function, compiler_options=WIDE)  # pyright: ignore[reportCallIssue] -- passed on to `jax.jit`
+    plain, wide = eqx.filter_jit(function), jax.jit(function, compiler_options=WIDE)
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
-        return (wide if _direct((arguments, keywords)) else plain)(*arguments, **keywords)
+        return (wide if _direct(jax.tree.leaves((arguments, keywords))) else plain)(*arguments, **keywords)
 
     return call  # pyright: ignore[reportReturnType]
 
 
-def _direct(arguments) -> bool:
-    arrays = [leaf for leaf in jax.tree.leaves(arguments) if isinstance(leaf, jax.Array)]
-    if any(isinstance(array, Tracer) for array in arrays):
+def _direct(leaves: list) -> bool:
+    if not all(isinstance(leaf, jax.Array | np.ndarray) and not isinstance(leaf, Tracer) for leaf in leaves):
         return False
-    on_cpu = all(device.platform == "cpu" for array in arrays for device in array.sharding.device_set)
+    devices = next((leaf.sharding.device_set for leaf in leaves if isinstance(leaf, jax.Array)), set())
+    on_cpu = all(device.platform == "cpu" for device in devices)
     return on_cpu and not isinstance(jnp.zeros(()), Tracer)  # a tracer is made even of a constant under `jit`

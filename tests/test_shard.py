@@ -56,7 +56,9 @@ def found():
 def test_equal_to_the_whole(found, method, count):
     """Points bit for bit but for the order of sums; gradients as far as the solve's conditioning lets them."""
     points, pulled, marched, base = found[f"{method} {count}"]
-    np.testing.assert_array_less([points, marched], [1e-13, 1e-12])  # a second solve, on points that differ by round-off
+    np.testing.assert_array_less(
+        [points, marched], [1e-13, 1e-12]
+    )  # a second solve, on points that differ by round-off
     np.testing.assert_array_less([pulled, base], 1e-8 if method == "default" else 1e-12)
 
 

@@ -39,8 +39,10 @@ def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Locat
 
     `surface` is (b, d), `points` (n, d), `wanted` (w,) ids among them. Raises `ValueError` for points outside of the surface's
     convex hull, with their count, the worst one and its distance, and for a surface without extent in some direction.
+    Coordinates in single precision are taken for exact numbers, but for points on the hull.
     """
-    dimension = surface.shape[1]
+    dimension, slack = surface.shape[1], roundoff(surface)
+    surface, points = surface.astype(np.float64, copy=False), points.astype(np.float64, copy=False)
     centre, size = surface.min(axis=0), np.ptp(surface, axis=0).max() or 1.0
     unit, targets = (surface - centre) / size, (points[wanted] - centre) / size
     unique = _without_coincident(unit, roundoff(surface) / size)
@@ -60,9 +62,9 @@ def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Locat
     if poor.size:
         simplex[poor], smallest[poor] = _repair(graph, nodes, targets[poor], simplex[poor], flat)
         still = poor[~(smallest[poor] >= -TOLERANCE)]
-        _check_inside(points, wanted[still], _beyond_hull(graph, nodes, targets[still], flat) * size)
+        _check_inside(points, wanted[still], _beyond_hull(graph, nodes, targets[still], flat) * size - slack)
         simplex[still], beyond = _search(graph, nodes, targets[still], simplex[still], flat)
-        _check_inside(points, wanted[still], np.where(beyond > flat + JITTER, beyond, 0) * size)
+        _check_inside(points, wanted[still], np.where(beyond > flat + JITTER, beyond, 0) * size - slack)
         outside = int((beyond > 0).sum())
     return Location(unique[graph.simplices].astype(np.int32)[simplex], len(poor), outside)
 

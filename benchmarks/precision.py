@@ -1,0 +1,80 @@
+"""What single precision is worth: points and gradients of `deform` on the paper's two meshes, against double precision.
+
+python benchmarks/precision.py
+
+Errors are the largest of all components, relative to the largest component: of the points' displacements, and of the gradient with respect to u
+for random cotangents, which smooth vectors would hide. The solve is in double precision where JAX's x64 mode is on.
+"""
+
+import subprocess
+import sys
+import tempfile
+
+import jax
+import numpy as np
+from _measure import about, table
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+METHODS = {
+    "`prepare`'s default": None,
+    "paper's, all nodes sources": jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints()),
+    "graph mapping": jm.DelaunayGraph(),
+}
+
+
+def problems():
+    airfoil, wing = cases.naca0015(), cases.agard445(points=16_000)
+    arms = airfoil.points[airfoil.patch("airfoil")] - [0.25, 0]
+    angle = np.deg2rad(-15)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) - np.eye(2)
+    yield "airfoil, 15 degrees", airfoil, "airfoil", arms @ turn.T
+    yield "wing, mode 1 by 0.25", wing, "wing", cases.agard445_mode(wing.points[wing.patch("wing")], 1, 0.25)
+
+
+def results(dtype) -> dict[str, np.ndarray]:
+    found = {}
+    for case, mesh, moving, u in problems():
+        cotangent = np.random.default_rng(0).normal(size=mesh.points.shape).astype(dtype)
+        for name, method in METHODS.items():
+            if len(mesh.points) > 15_000 and mesh.points.shape[1] == 3 and isinstance(method, jm.RBF):
+                continue  # 4,475 sources: the airfoil shows it
+            points = mesh.points.astype(dtype)
+            try:
+                plan = jm.prepare(points, mesh.patch(moving), mesh.patch("farfield"), method=method)
+            except ValueError as error:
+                print(f"{case}, {name}, refused: {error}", file=sys.stderr)
+                continue
+            moved = np.asarray(jm.deform(plan, u.astype(dtype)), float) - points
+            found[f"{case}, {name}, displacements"] = moved
+            found[f"{case}, {name}, inverted"] = np.array(int(jm.quality(mesh, points + moved).inverted))
+            found[f"{case}, {name}, gradient"] = np.asarray(jm.pullback(plan, u.astype(dtype), cotangent), float)
+    return found
+
+
+def without_x64() -> dict[str, np.ndarray]:
+    with tempfile.NamedTemporaryFile(suffix=".npz") as file:
+        subprocess.run([sys.executable, __file__, file.name], check=True)
+        return dict(np.load(file.name))
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        np.savez(sys.argv[1], **results(np.float32))  # pyright: ignore[reportArgumentType]
+        sys.exit()
+    jax.config.update("jax_enable_x64", True)
+    about(dtype="float32 against float64")
+    exact, mixed, single = results(np.float64), results(np.float32), without_x64()
+    rows = []
+    for name, value in exact.items():
+        cells = []
+        for found in (mixed, single):
+            if name not in found:
+                cells.append("refused")
+            elif name.endswith("inverted"):
+                cells.append(str(int(found[name])))
+            else:
+                cells.append(f"{np.abs(found[name] - value).max() / np.abs(value).max():.0e}")
+        rows.append((name, *cells))
+    table(rows, ("what", "x64 mode on", "off"))
