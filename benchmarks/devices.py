@@ -2,11 +2,12 @@
 
 python benchmarks/devices.py [--n 1000000] [--s 300]
 
-The devices are forced (`--xla_force_host_platform_device_count=8`): they share the machine's cores, so nothing gets faster; the work that each
-would repeat shows as CPU time. Differences are the largest of all components, relative to the largest component.
+The devices are forced (`--xla_force_host_platform_device_count=8`): they share the machine's cores, so nothing gets faster, but
+work that each repeats would show as CPU time. Differences are the largest of all components, relative to the largest component.
 """
 
 import argparse
+import functools
 import os
 
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
@@ -33,7 +34,8 @@ def main() -> None:
     first: dict[str, tuple[np.ndarray, float]] = {}
     rows = []
     for name, function in (("deform", jm.deform), ("pullback", lambda plan, u: jm.pullback(plan, u, cotangent))):
-        times = cpu_seconds({str(count): lambda laid=laid: function(laid, u) for count, laid in plans.items()}, 3)
+        calls = {str(count): functools.partial(function, laid, u) for count, laid in plans.items()}
+        times = cpu_seconds(calls, 3)
         for count, laid in plans.items():
             found = np.asarray(function(laid, u))
             exact, alone = first.setdefault(name, (found, times[str(count)]))

@@ -2,8 +2,8 @@
 
 python benchmarks/precision.py
 
-Errors are the largest of all components, relative to the largest component: of the points' displacements, and of the gradient with respect to u
-for random cotangents, which smooth vectors would hide. The solve is in double precision where JAX's x64 mode is on.
+Errors are the largest of all components, relative to the largest component: of the points' displacements, and of the gradient
+with respect to u for random cotangents (smooth ones hide errors). The solve is in double precision where JAX's x64 mode is on.
 """
 
 import subprocess
