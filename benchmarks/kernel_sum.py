@@ -50,45 +50,27 @@ def measure(n: int, s: int) -> None:
 
     plan = plan_of(n, s)
     u = displacements(plan)
-    against_scipy(plan, u, per_pair)
+    against_peers(plan, u, per_pair)
     derivatives_and_many(plan, u, per_pair)
 
 
-def against_scipy(plan, u, per_pair) -> None:
+def against_peers(plan, u, per_pair) -> None:
     import numpy as np
-    from scipy.interpolate import RBFInterpolator
+    from _peers import evaluations
 
     import jaxmorph as jm
 
     points = np.asarray(plan.points)
-    scipy = RBFInterpolator(points[plan.moving], np.asarray(u), kernel="thin_plate_spline", degree=1)
-    functions = {"jaxmorph": lambda: jm.deform(plan, u), "SciPy": lambda: scipy(points)}
-    fast = ferreus(points[plan.moving], np.asarray(u), points)
-    if fast:
-        functions["ferreus-rbf"] = fast
-    exact = scipy(points)
-    print(
-        "\n| thin plate spline, evaluation | ns a pair | times jaxmorph | largest difference from SciPy |\n|---|---|---|---|"
-    )
-    differences = {name: np.abs(np.asarray(function()) - exact).max() for name, function in functions.items()}
+    peers = dict(evaluations(points[plan.moving], np.asarray(u), points))
+    exact = peers["SciPy"]()
+    print("\n| evaluation | ns a pair | times jaxmorph | largest difference from SciPy |\n|---|---|---|---|")
+    differences = {name: np.abs(np.asarray(function()) - exact).max() for name, function in peers.items()}
     differences["jaxmorph"] = np.abs(np.asarray(jm.deform(plan, u)) - points - exact).max()
-    times = per_pair(functions, 3)
-    for name, value in times.items():
-        print(f"| {name} | {value:.2f} | {value / times['jaxmorph']:.1f} | {differences[name]:.0e} |", flush=True)
-
-
-def ferreus(sources, values, points):
-    """The fast multipole evaluation of ferreus-rbf, where it is installed."""
-    try:
-        from ferreus_rbf import RBFInterpolator
-        from ferreus_rbf.interpolant_config import Drift, FittingAccuracy, FittingAccuracyType, InterpolantSettings
-        from ferreus_rbf.interpolant_config import RBFKernelType as Kernel
-    except ImportError:
-        return None
-    accuracy = FittingAccuracy(1e-10, FittingAccuracyType.Relative)
-    settings = InterpolantSettings(Kernel.ThinPlateSpline, drift=Drift.Linear, fitting_accuracy=accuracy)
-    interpolator = RBFInterpolator(sources, values, settings)
-    return lambda: interpolator.evaluate(points)
+    for name, peer in peers.items():
+        times = per_pair({"jaxmorph": lambda: jm.deform(plan, u), name: peer}, 5)
+        factor = times[name] / times["jaxmorph"]
+        print(f"| {name} | {times[name]:.2f} | {factor:.1f} | {differences[name]:.0e} |", flush=True)
+    print(f"| jaxmorph | {times['jaxmorph']:.2f} | 1.0 | {differences['jaxmorph']:.0e} |", flush=True)
 
 
 def derivatives_and_many(plan, u, per_pair) -> None:
