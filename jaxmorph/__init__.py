@@ -7,6 +7,7 @@ from ._basis import ThinPlateSpline as ThinPlateSpline
 from ._basis import WendlandC2 as WendlandC2
 from ._fewest import Steps as Steps
 from ._fewest import fewest_steps as fewest_steps
+from ._host.greedy import Greedy as Greedy
 from ._host.reduction import AbstractReduction as AbstractReduction
 from ._host.reduction import AbstractSearchPoints as AbstractSearchPoints
 from ._host.reduction import AllPoints as AllPoints

@@ -32,7 +32,11 @@ class Mesh(eqx.Module):
 
     def __init__(self, points, cells=None, patches=None, source=None):
         self.points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
-        cells = {canonical_type(kind): _ids(corners) for kind, corners in dict(cells or {}).items()}
+        given = {kind: canonical_type(kind) for kind in cells or {}}
+        twice = sorted(kind for kind, name in given.items() if list(given.values()).count(name) > 1)
+        if twice:
+            raise ValueError(f"cells of one type are given under several names ({', '.join(twice)}): join them.")
+        cells = {given[kind]: _ids(corners) for kind, corners in dict(cells or {}).items()}
         self.cells = {kind: cells[kind] for kind in sorted(cells)}  # as JAX sorts the keys of a dict
         self.patches = {name: np.unique(_ids(nodes)) for name, nodes in dict(patches or {}).items()}
         self.source = source

@@ -9,6 +9,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
+from jaxmorph import cases as jm_cases
 from jaxmorph._host.graph import locate, morton_order
 
 SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
@@ -199,3 +200,16 @@ def test_a_real_box_of_tetrahedra(sides):
     surface = mesh.patch(*sides)
     points = np.asarray(mesh.points)
     check_weights(points[surface], points, np.setdiff1d(np.arange(len(points)), surface))
+
+
+def test_coordinates_in_single_precision():
+    """The paper's airfoil: layers, a wake and an outlet whose coordinates were rounded."""
+    mesh = jm_cases.naca0015()
+    moving, far = mesh.patch("airfoil"), mesh.patch("farfield")
+    plan = jm.prepare(mesh.points.astype(np.float32), moving, far, method=jm.DelaunayGraph())
+    u = 0.1 * (mesh.points[moving] - [0.25, 0]) @ [[0, 1], [-1, 0]]
+    moved = np.asarray(jm.deform(plan, u.astype(np.float32)))
+    assert moved.dtype == np.float32
+    exact = jm.deform(jm.prepare(mesh.points, moving, far, method=jm.DelaunayGraph()), u)
+    np.testing.assert_allclose(moved, exact, atol=2e-5)
+    assert int(jm.quality(mesh, moved.astype(float)).inverted) == 0

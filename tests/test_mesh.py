@@ -77,3 +77,8 @@ def test_cell_data_goes_to_its_cells(tmp_path, written):
     }
     expected = {(0, 1, 4, 5): 1, (1, 2, 3, 4): 1.25, (5, 4, 6): 0.5, (2, 7, 3): 0.625}
     assert told == pytest.approx(expected)
+
+
+def test_one_type_under_two_names_is_refused():
+    with pytest.raises(ValueError, match="under several names"):
+        jm.Mesh(POINTS, {"tri": [[0, 1, 2]], "triangle": [[2, 3, 4]]})

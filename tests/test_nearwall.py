@@ -229,3 +229,10 @@ def test_same_field_on_a_mesh_refined_along_the_wall():
         fields.append(np.asarray(jm.deform(plan, u) - points)[-2:])
     np.testing.assert_allclose(fields[0], fields[1], atol=1e-3)
     assert np.abs(fields[0]).max() > 0.02
+
+
+def test_a_mesh_of_nothing_but_surface():
+    points = np.random.default_rng(0).normal(size=(30, 3))
+    u = 0.1 * points[:20] ** 2
+    moved = jm.deform(jm.prepare(points, np.arange(20), np.arange(20, 30)), u)
+    np.testing.assert_array_equal(moved, points + np.concatenate([u, np.zeros((10, 3))]))

@@ -52,6 +52,8 @@ def near_walls(
     wall, nearest first, and then the nearest node of any other wall within eight times the reach (else the first one
     again). The nearest nodes are looked for among the neighbours of the very nearest: one search a point instead of many.
     """
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
     order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
     distance, first = _nearest_within(surface, reach, points[order])
     hit = np.flatnonzero(distance < np.inf)

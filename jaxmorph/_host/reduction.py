@@ -117,9 +117,7 @@ class KDTree(AbstractReduction):
         return np.sort(order[drop_close(ordered, found, self.closest(points))])
 
     def closest(self, points: np.ndarray) -> float:
-        if len(points) == 0:
-            return 0.0
-        return max(self.separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
+        return least_distance(points, self.separation)
 
     def boxes(self, points: np.ndarray) -> np.ndarray:
         """(k, 2, d): lower and upper corner of each leaf's box, for points (n, d)."""
@@ -159,6 +157,13 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndar
 def canonical_order(points: np.ndarray) -> np.ndarray:
     """A permutation that sorts points by their coordinates: what follows does not depend on the order they came in."""
     return np.lexsort(points.T[::-1])
+
+
+def least_distance(points: np.ndarray, separation: float) -> float:
+    """`separation` times the diagonal of all points, but no less than round-off."""
+    if len(points) == 0:
+        return 0.0
+    return max(separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
 
 
 def roundoff(points: np.ndarray) -> float:

@@ -1,0 +1,98 @@
+"""The greedy reduction: SciPy judges its sources."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial.distance import cdist
+
+import jaxmorph as jm
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    points = np.random.default_rng(0).normal(size=(400, 3))
+    return points / np.linalg.norm(points, axis=1)[:, None]
+
+
+@pytest.fixture(scope="module")
+def motions(sphere):
+    """Two that bend the sphere, one of them in a small part of it alone."""
+    x, _, z = sphere.T
+    return np.stack(
+        [np.stack([0 * x, np.sin(3 * x), x**2], axis=1), np.stack([0 * x, 0 * x, np.exp(-20 * (1 - z))], axis=1)]
+    )
+
+
+def missed(points, sources, motions):
+    values = np.concatenate(list(motions), axis=1)
+    spline = RBFInterpolator(points[sources], values[sources], kernel="thin_plate_spline", degree=1)
+    return np.abs(spline(points) - values).max()
+
+
+def test_motions_are_met_better_than_by_boxes(sphere, motions):
+    boxes = jm.KDTree(16)(sphere)
+    chosen = jm.Greedy(len(boxes), motions)(sphere)
+    assert len(chosen) == len(set(chosen)) == len(boxes)
+    assert missed(sphere, chosen, motions) < missed(sphere, boxes, motions) / 3
+
+
+def test_it_ends_at_the_tolerance(sphere, motions):
+    bound = 0.02 * np.abs(motions).max()
+    chosen = jm.Greedy(400, motions, tolerance=0.02)(sphere)
+    assert len(chosen) < 120
+    assert missed(sphere, chosen, motions) <= bound
+    assert missed(sphere, jm.Greedy(len(chosen) // 2, motions)(sphere), motions) > bound
+
+
+def test_even_cover_is_within_twice_the_best(sphere):
+    """Gonzalez 1985: the farthest of all points is no farther than twice the best; k sources leave k + 1 points that far apart."""
+    chosen = jm.Greedy(25)(sphere)
+    reach = cdist(sphere, sphere[chosen]).min(axis=1)
+    far = np.append(chosen, reach.argmax())
+    apart = cdist(sphere[far], sphere[far])[np.triu_indices(len(far), 1)]
+    assert apart.min() >= reach.max() * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("with_motions", [False, True])
+def test_order_does_not_matter(sphere, motions, with_motions):
+    order = np.random.default_rng(1).permutation(len(sphere))
+    first = jm.Greedy(30, motions if with_motions else None)(sphere)
+    again = jm.Greedy(30, motions[:, order] if with_motions else None)(sphere[order])
+    assert set(first) == set(order[again])
+
+
+def test_sources_keep_their_distance(sphere, motions):
+    for given in (None, motions):
+        chosen = jm.Greedy(400, given, separation=0.1)(sphere)
+        apart = cdist(sphere[chosen], sphere[chosen])[np.triu_indices(len(chosen), 1)]
+        assert apart.min() > 0.1 * np.linalg.norm(np.ptp(sphere, axis=0))
+
+
+def test_a_flat_surface_and_hardly_any_points(sphere, motions):
+    flat = sphere * [1, 1, 0]
+    assert len(jm.Greedy(20, motions)(flat)) == 20
+    assert jm.Greedy(4)(np.zeros((0, 2))).tolist() == []
+    assert jm.Greedy(4)(np.zeros((1, 2))).tolist() == [0]
+    assert jm.Greedy(4, np.ones((1, 2, 2)))(np.array([[0.0, 0], [1, 0]])).tolist() == [0, 1]
+
+
+def test_a_plan_with_it_moves_as_told(sphere, motions):
+    far = 4 * sphere[::10]
+    points = np.concatenate([sphere, far, 2 * sphere[:50]])
+    moving, fixed = np.arange(400), np.arange(400, 440)
+    method = jm.SurfaceReconstruction(jm.RBF(reduction=jm.Greedy(40, motions)))
+    moved = np.asarray(jm.deform(jm.prepare(points, moving, fixed, method=method), motions[0]))
+    np.testing.assert_allclose(moved[moving], sphere + motions[0], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((0,), "at least 1, not 0"),
+        ((3, np.ones((4, 2))), r"shape \(4, 2\); expected"),
+        ((3, np.ones((1, 7, 3))), "there are 400 points in 3"),
+    ],
+)
+def test_what_makes_no_sense(sphere, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        jm.Greedy(*arguments)(sphere)
