@@ -2,8 +2,14 @@
 
 import dataclasses
 import functools
+import pathlib
+import sys
+import types
 from collections.abc import Callable
 
+import jax
+import jax.numpy as jnp
+import nbformat
 import numpy as np
 
 import jaxmorph as jm
@@ -34,6 +40,20 @@ def few(leaves=2):
     return jm.RBF(reduction=jm.KDTree(leaves), fixed_reduction=jm.KDTree(2))
 
 
+def of_the_notebook():
+    """What `notebooks/07_extend.ipynb` defines, as it stands there."""
+    path = pathlib.Path(__file__).parents[1] / "notebooks" / "07_extend.ipynb"
+    cells = nbformat.read(path, as_version=4).cells
+    source = "\n".join(cell.source for cell in cells if "extension" in cell.metadata.get("tags", ()))
+    module = types.ModuleType("extension")
+    sys.modules[module.__name__] = module  # for pickle
+    vars(module).update(jm=jm, jnp=jnp, jax=jax)
+    exec(compile(source, str(path), "exec"), vars(module))
+    return module
+
+
+EXTENSION = of_the_notebook()
+
 CASES = [
     Case("default", lambda length: jm.SurfaceReconstruction(), turns=False, dimensions=(2,)),
     Case("few-sources", lambda length: jm.SurfaceReconstruction(few()), turns=False),
@@ -54,6 +74,8 @@ CASES = [
         translates=False,
         dimensions=(2,),
     ),
+    Case("notebook's basis", lambda length: full(EXTENSION.Cubic(), 1), dimensions=(3,)),
+    Case("notebook's method", lambda length: EXTENSION.InverseDistance(), affine=False, dimensions=(2,)),
     Case("gaussian-1", lambda length: full(jm.Gaussian(0.1 * length), 1), dimensions=(2,)),
     Case("multiquadric-0", lambda length: full(jm.Multiquadric(0.1 * length), 0), affine=False, dimensions=(2,)),
 ]

@@ -9,7 +9,7 @@ import pytest
 
 FOLDER = pathlib.Path(__file__).parents[1] / "notebooks"
 
-SMALL = {"01_airfoil.ipynb": {"points": 2000}, "02_wing.ipynb": {"points": 6500}}
+SMALL = {"01_airfoil.ipynb": {"points": 2000}, "02_wing.ipynb": {"points": 6500}, "07_extend.ipynb": {"points": 2000}}
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -70,7 +70,18 @@ def check_wing(said):
     assert "symmetry: nothing to say" in said
 
 
-CHECKS = {"01_airfoil.ipynb": check_airfoil, "02_wing.ipynb": check_wing}
+def check_extension(said):
+    """Exact on the surface, no inverted cell, and the gradient is that of the differences."""
+    rows = re.findall(
+        r"(thin plate spline|cubic|inverse distances|cubic \+ inverse distances) +(\S+) +\S+ +\S+ +(\d+)\n", said
+    )
+    assert len(rows) == 4
+    assert all(float(error) < 1e-15 and inverted == "0" for _, error, inverted in rows)
+    slope, difference = map(float, re.search(r"direction (-?[0-9.]+), central difference (-?[0-9.]+)", said).groups())
+    assert slope == pytest.approx(difference, rel=1e-6)
+
+
+CHECKS = {"01_airfoil.ipynb": check_airfoil, "02_wing.ipynb": check_wing, "07_extend.ipynb": check_extension}
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
