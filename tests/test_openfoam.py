@@ -294,7 +294,7 @@ def test_from_the_command_line(tmp_path, capsys):
         "5",
     ]
     assert main(arguments) == 0
-    assert "a: 42 points in 2-D, 2 triangle, 27 quad" in capsys.readouterr().out
+    assert "a: 42 points in 2-D, 27 quad, 2 triangle" in capsys.readouterr().out
     moved = io.read(tmp_path / "a" / "1")
     wall = moved.points[moved.patch("hole")]
     np.testing.assert_allclose(np.linalg.norm(wall, axis=1), 1, rtol=1e-12)

@@ -28,7 +28,7 @@ def airfoil():
 
 
 def mixed():
-    """A unit square of one quad and two triangles beside it."""
+    """A unit square of one quad and two triangles beside it, which come after it in the mesh as in the alphabet."""
     points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0], [2, 1]], dtype=float)
     return jm.Mesh(points, {"triangle": [[1, 4, 5], [1, 5, 2]], "quad": [[0, 1, 2, 3]]})
 
@@ -50,19 +50,19 @@ def outlines(collection):
 
 def test_mesh_draws_each_cell_in_its_colour():
     mesh = mixed()
-    axis = plot.mesh(mesh, values=[1.0, 2.0, 4.0], limits=(0, 4))
+    axis = plot.mesh(mesh, values=[4.0, 1.0, 2.0], limits=(0, 4))
     faces, edges = axis.collections
-    np.testing.assert_array_equal(faces.get_array(), [1, 2, 4])
+    np.testing.assert_array_equal(faces.get_array(), [4, 1, 2])
     assert faces.get_clim() == (0, 4)
     assert len(outlines(faces)) == len(outlines(edges)) == 3
-    np.testing.assert_array_equal(outlines(faces)[2][:4], mesh.points[[0, 1, 2, 3]])
-    np.testing.assert_array_equal(outlines(faces)[0][:3], mesh.points[[1, 4, 5]])
+    np.testing.assert_array_equal(outlines(faces)[0][:4], mesh.points[[0, 1, 2, 3]])
+    np.testing.assert_array_equal(outlines(faces)[1][:3], mesh.points[[1, 4, 5]])
 
 
 def test_mesh_at_other_points_in_a_window_of_a_given_axis():
     mesh, given = mixed(), plt.subplots()[1]
     axis = plot.mesh(
-        mesh, mesh.points + np.array([10, 0]), values=[1, 2, 4], window=((10.1, 10.9), (0.2, 0.5)), axis=given
+        mesh, mesh.points + np.array([10, 0]), values=[4, 1, 2], window=((10.1, 10.9), (0.2, 0.5)), axis=given
     )
     assert axis is given
     assert axis.get_xlim() == (10.1, 10.9)
@@ -176,7 +176,7 @@ def test_cut_shows_the_cells_that_the_plane_meets():
 def test_values_follow_the_order_of_the_cells_for_mixed_types():
     points = np.array([*[[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], [2, 0.5, 0.5]], float)
     mesh = jm.Mesh(points, {"pyramid": [[1, 2, 6, 5, 8]], "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]]})
-    plotter = plot.surface(mesh, values=[3.0, 7.0])
+    plotter = plot.surface(mesh, values=[7.0, 3.0])  # types stand in alphabetical order
     faces = plotter.meshes[0]
     np.testing.assert_array_equal(faces.cell_data["values"], np.where(faces.cell_centers().points[:, 0] > 1, 3, 7))
     plotter.close()
