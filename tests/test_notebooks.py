@@ -9,8 +9,16 @@ import pytest
 
 FOLDER = pathlib.Path(__file__).parents[1] / "notebooks"
 
-SMALL = {"01_airfoil.ipynb": {"points": 2000}, "02_wing.ipynb": {"points": 6500}, "07_extend.ipynb": {"points": 2000}}
+SMALL = {
+    "01_airfoil.ipynb": {"points": 2000},
+    "02_wing.ipynb": {"points": 6500},
+    "04_mode_sweep.ipynb": {"points": 6500, "side": 3},
+    "05_fsi.ipynb": {"points": 6500, "steps": 40},
+    "07_extend.ipynb": {"points": 2000},
+}
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
+
+SLOW = {"02_wing.ipynb", "04_mode_sweep.ipynb", "05_fsi.ipynb"}
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 640 * 1024
@@ -28,7 +36,7 @@ def with_parameters(notebook, values):
 # Warnings are those of Jupyter's client; what the notebook's own kernel warns of is looked for in its output.
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "02_wing.ipynb" else name for name in sorted(SMALL)]
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in sorted(SMALL)]
 )
 def test_notebook_runs(name):
     notebook = with_parameters(nbformat.read(FOLDER / name, as_version=4), SMALL[name])
@@ -81,7 +89,42 @@ def check_extension(said):
     assert slope == pytest.approx(difference, rel=1e-6)
 
 
-CHECKS = {"01_airfoil.ipynb": check_airfoil, "02_wing.ipynb": check_wing, "07_extend.ipynb": check_extension}
+def check_sweep(said):
+    """One call and a loop agree, and so does the sum of two fields."""
+    assert "9 displacements, 0 of them invert a cell" in said
+    differences = re.findall(r"difference[a-z ]*:? (\S+) m", said)
+    assert len(differences) == 2
+    assert all(float(difference) < 1e-11 for difference in differences)
+
+
+def check_coupling(said):
+    """Work, force and moment are conserved, memory does not grow, the mesh comes back."""
+    number = r"(\d\S*)"
+    work, force, moment, few, many, back = (
+        float(re.search(before + number, said)[1].rstrip(","))
+        for before in (
+            "relative difference ",
+            "total force ",
+            "of the moment ",
+            "temporary memory: ",
+            "5 steps, ",
+            "off by ",
+        )
+    )
+    assert work < 1e-12
+    assert max(force, moment) < 1e-11
+    assert many == pytest.approx(few, rel=0.01)
+    assert back == 0
+    assert "inverted cells 0" in said
+
+
+CHECKS = {
+    "01_airfoil.ipynb": check_airfoil,
+    "02_wing.ipynb": check_wing,
+    "04_mode_sweep.ipynb": check_sweep,
+    "05_fsi.ipynb": check_coupling,
+    "07_extend.ipynb": check_extension,
+}
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
