@@ -1,0 +1,101 @@
+"""Derivatives beyond the first, and beyond the displacement, through the whole of `deform` and `quality`; against differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+STEP = 1e-5
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return cases.naca0015(points=800)
+
+
+@pytest.fixture(scope="module")
+def plan(mesh):
+    return planned(mesh, jm.WendlandC2(4.0))
+
+
+def planned(mesh, basis):
+    method = jm.SurfaceReconstruction(jm.RBF(basis, reduction=jm.KDTree(4), fixed_reduction=jm.KDTree(2)))
+    return jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
+
+
+def bump(mesh, a):
+    x = mesh.points[mesh.patch("airfoil")][:, :1]
+    return a * jnp.sin(jnp.pi * x) * jnp.array([0.0, 1.0])
+
+
+def noise(shape):
+    return np.random.default_rng(0).normal(size=shape)
+
+
+def test_hessian_vector_products_of_quality(mesh, plan):
+    """Forward over reverse, the cheap way: costs a few gradients, whatever the number of displacements."""
+
+    def objective(u):
+        return jnp.mean((jm.quality(mesh, jm.deform(plan, u)).volume_ratio - 1) ** 2)  # skewness has kinks
+
+    u, direction = bump(mesh, 0.05), 1e-3 * noise((plan.moves, 2))
+    gradient = jax.jit(jax.grad(objective))
+    product = jax.jit(lambda u, v: jax.jvp(gradient, (u,), (v,))[1])(u, direction)
+    difference = (gradient(u + STEP * direction) - gradient(u - STEP * direction)) / (2 * STEP)
+    np.testing.assert_allclose(product, difference, atol=1e-6 * np.abs(difference).max())
+
+
+def test_derivative_by_the_radius_of_a_basis(mesh, plan):
+    """The radius is a leaf of the plan: `refit` makes the solve anew with another one."""
+    u, w = bump(mesh, 0.1), noise(mesh.points.shape)
+
+    def objective(radius):
+        other = eqx.tree_at(lambda plan: plan.method.coarse.basis.support_radius, plan, radius)
+        return jnp.vdot(w, jm.deform(jm.refit(other, plan.points), u))
+
+    slope = jax.jit(jax.grad(objective))(4.0)
+    again = [float(jnp.vdot(w, jm.deform(planned(mesh, jm.WendlandC2(r)), u))) for r in (4.0 - 1e-4, 4.0 + 1e-4)]
+    np.testing.assert_allclose(slope, (again[1] - again[0]) / 2e-4, rtol=1e-5)
+
+
+def test_derivative_by_base_points(mesh, plan):
+    u, w, direction = bump(mesh, 0.1), noise(mesh.points.shape), noise(mesh.points.shape[::-1]).T
+
+    def objective(points):
+        return jnp.vdot(w, jm.deform(jm.refit(plan, points), u))
+
+    direction = direction * 1e-3 * np.linalg.norm(mesh.points - [0.5, 0], axis=1)[:, None]  # no node passes another
+    slope = jnp.vdot(jax.jit(jax.grad(objective))(plan.points), direction)
+    ahead, behind = (objective(plan.points + sign * 1e-4 * direction) for sign in (1, -1))
+    np.testing.assert_allclose(slope, (ahead - behind) / 2e-4, rtol=1e-5)
+
+
+def test_a_hundred_steps_of_an_optimisation_in_one_program(mesh, plan):
+    """Gradient descent inside of `lax.scan` finds the bump of a mesh, and is itself differentiable, each step recomputed."""
+    target = jm.deform(plan, bump(mesh, 0.08))
+
+    def misfit(a, target):
+        return jnp.sum((jm.deform(plan, bump(mesh, a)) - target) ** 2)
+
+    curvature = 2 * jnp.sum((jm.deform(plan, bump(mesh, 1.0)) - plan.points) ** 2)
+
+    def descend(target):
+        step = jax.checkpoint(lambda a, _: (a - 0.2 / curvature * jax.grad(misfit)(a, target), None))
+        return jax.lax.scan(step, jnp.zeros(()), length=100)[0]
+
+    np.testing.assert_allclose(jax.jit(descend)(target), 0.08, rtol=1e-8)
+    direction = jm.deform(plan, bump(mesh, 1.0)) - plan.points
+    slope = jnp.vdot(jax.jit(jax.grad(descend))(target), direction)  # the bump found grows as the one given
+    np.testing.assert_allclose(slope, 1.0, rtol=1e-8)
+
+
+def test_plans_of_one_shape_in_one_call(mesh, plan):
+    u = bump(mesh, 0.1)
+    plans = [jm.refit(plan, plan.points * stretch) for stretch in (0.9, 1.0, 1.2)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *plans)
+    together = eqx.filter_vmap(jm.deform, in_axes=(eqx.if_array(0), None))(stacked, u)
+    np.testing.assert_allclose(together, jnp.stack([jm.deform(one, u) for one in plans]), atol=1e-12)
