@@ -9,8 +9,6 @@ import pytest
 import jaxmorph as jm
 from jaxmorph import cases
 
-STEP = 1e-5
-
 
 @pytest.fixture(scope="module")
 def mesh():
@@ -42,10 +40,11 @@ def test_hessian_vector_products_of_quality(mesh, plan):
     def objective(u):
         return jnp.mean((jm.quality(mesh, jm.deform(plan, u)).volume_ratio - 1) ** 2)  # skewness has kinks
 
-    u, direction = bump(mesh, 0.05), 1e-3 * noise((plan.moves, 2))
+    x = mesh.points[mesh.patch("airfoil")][:, :1]
+    u, direction = bump(mesh, 0.05), 1e-3 * np.sin(2 * np.pi * x) * [0.3, 1]  # smooth: rounding is then small in the difference
     gradient = jax.jit(jax.grad(objective))
     product = jax.jit(lambda u, v: jax.jvp(gradient, (u,), (v,))[1])(u, direction)
-    difference = (gradient(u + STEP * direction) - gradient(u - STEP * direction)) / (2 * STEP)
+    difference = (gradient(u + direction) - gradient(u - direction)) / 2
     np.testing.assert_allclose(product, difference, atol=1e-6 * np.abs(difference).max())
 
 
