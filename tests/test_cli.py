@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from ring import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -17,19 +18,14 @@ from jaxmorph.cli import _progress, main
 def folder(tmp_path_factory):
     """A ring of quads between a wall of 24 nodes and a far field, as SU2 file; ids of the wall are 0 to 23."""
     folder = tmp_path_factory.mktemp("cli")
-    angle, radius = np.meshgrid(2 * np.pi * np.arange(24) / 24, np.geomspace(1, 5, 9))
-    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 2)
-    ids = np.arange(len(points)).reshape(9, 24)
-    after = np.roll(ids, -1, axis=1)
-    quads = np.stack([ids[:-1], ids[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
-    io.write(folder / "ring.su2", jm.Mesh(points, {"quad": quads}, {"wall": ids[0], "far": ids[-1]}))
-    wall = points[:24] * [1.0, 1.25]
+    mesh = write_ring(folder / "ring.su2")
+    wall = mesh.points[:24] * [1.0, 1.25]
     rows = np.random.default_rng(0).permutation(24)
     lines = "".join(f"{k} {float(wall[k, 0])!r} {float(wall[k, 1])!r}\n" for k in rows)
     (folder / "wall.dat").write_text(lines)
     shift = "".join(f"{k},0.125,-0.25\n" for k in range(24))
     (folder / "shift.csv").write_text("id,dx,dy\n" + shift)
-    (folder / "far.dat").write_text("".join(f"{k} 0 0\n" for k in ids[-1]))
+    (folder / "far.dat").write_text("".join(f"{k} 0 0\n" for k in mesh.patch("far")))
     (folder / "text.su2").write_text("This is about = nothing.\n")
     return folder
 
@@ -181,7 +177,8 @@ def test_no_input_is_overwritten(here, capsys):
     assert (here / "wall.su2").read_bytes() == table
 
 
-def test_info_and_help(here, capsys):
+def test_info_and_help(here, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     assert main(["info", "ring.su2"]) == 0
     said = capsys.readouterr().out
     for expected in ("2-D, 216 points", "192 quad", "x        -5 to 5", "wall         24 nodes"):
@@ -192,7 +189,7 @@ def test_info_and_help(here, capsys):
         assert ended.value.code == 0
         text = capsys.readouterr().out
         assert "example" in text
-        assert max(map(len, text.split("\n"))) <= 84
+        assert max(map(len, text.split("\n"))) <= 80
 
 
 def test_a_process_of_its_own_computes_in_double_precision(here):

@@ -10,6 +10,8 @@ import jax
 from ._arguments import parser
 from ._deform import deform
 from ._inspect import info, quality
+from ._job import with_job
+from ._output import Output
 
 INTERRUPTED = 130
 
@@ -17,29 +19,32 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; the arguments are those of the process unless given.
 
-    Returns the exit status: 0, 1 when a cell is inverted, 2 for bad input, after one line that says what is wrong with it.
-    Calculations are in float64: JAX's x64 mode is switched on. `SystemExit` (2) is raised for arguments that make no sense.
+    Returns the exit status: 0, 1 when a cell is inverted or a quality gate fails, 2 for bad input, after one line that says what
+    is wrong with it, 130 when interrupted. Calculations are in float64: JAX's x64 mode is switched on. `SystemExit` (2) is
+    raised for arguments that make no sense.
     """
-    chosen = parser().parse_args(arguments)
-    jax.config.update("jax_enable_x64", True)
-    commands = {"deform": deform, "quality": quality, "info": info, "demo": _demo}
-    name = f"jaxmorph {chosen.command}"
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    out = Output(words[0] if words and not words[0].startswith("-") else "", as_json="--json" in words)
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_: print(f"{name}: warning: {_line(message)}", file=sys.stderr)
+        warnings.showwarning = lambda message, *_: out.warn(_line(message))
         try:
-            return commands[chosen.command](chosen)
+            chosen = parser().parse_args(with_job(words))
+            jax.config.update("jax_enable_x64", True)
+            commands = {"deform": deform, "quality": quality, "info": info, "demo": _demo}
+            out.verbose = getattr(chosen, "verbose", False)
+            return out.end(commands[chosen.command](chosen, out))
         except OSError as error:
             named = f"{error.filename}: {error.strerror}" if error.filename else error
-            print(f"{name}: {_line(named)}", file=sys.stderr)
+            out.complain(_line(named))
         except (ValueError, ImportError) as error:
-            print(f"{name}: {_line(error)}", file=sys.stderr)
+            out.complain(_line(error))
         except KeyboardInterrupt:
-            print(f"{name}: interrupted; no file is half written.", file=sys.stderr)
-            return INTERRUPTED
-    return 2
+            out.complain("interrupted; no file is half written.")
+            return out.end(INTERRUPTED)
+    return out.end(2)
 
 
-def _demo(arguments: argparse.Namespace) -> int:
+def _demo(arguments: argparse.Namespace, out: Output) -> int:
     from jaxmorph._demo import run
 
     return run(arguments.case, arguments.output)

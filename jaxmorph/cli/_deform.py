@@ -2,145 +2,183 @@
 
 import argparse
 import dataclasses
-import sys
-import time
+import textwrap
 
 import numpy as np
+from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 
-from ._motion import motion
-from ._progress import Progress
-from ._tables import compared, count, inverted_cells
+from . import _gates
+from ._estimate import estimate
+from ._files import save
+from ._gates import Gate, Judged
+from ._job import text_of
+from ._method import Choice, check_patches, choose, prepare
+from ._motion import Motions, motions
+from ._output import Output
+from ._tables import compared, count, inverted_cells, numbers
 
 HINTS = {"paper": "more --sources or more --steps", "rbf": "more --steps", "dgm": "--method paper"}
 """What to try when cells are inverted."""
 
-SEARCHES = 24
-"""Reductions tried to find one of about as many sources as asked for."""
-
-
-def deform(arguments: argparse.Namespace) -> int:
-    """Reads, moves, judges, writes; says each on the terminal. Returns the exit status."""
-    began = time.monotonic()
-    progress = Progress("jaxmorph deform")
-    with progress(f"reading {arguments.file.name}"):
-        mesh = io.read(arguments.file)
-    _check(arguments, mesh)
-    moving, fixed = mesh.patch(*arguments.moving), mesh.patch(*arguments.fixed)
-    path = motion(arguments, mesh, moving).path(np.asarray(mesh.points)[moving], arguments.steps)
-    largest = float(np.linalg.norm(path[-1], axis=1).max())
-    with progress("choosing sources"):
-        choice = choose(arguments, np.asarray(mesh.points)[moving])
-    cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in mesh.cells.items())
-    print(f"{arguments.file.name}: {len(mesh.points)} points in {mesh.points.shape[1]}-D, {cells}")
-    print(f"moving   {', '.join(arguments.moving)}: {count(len(moving), 'node')}, by up to {largest:.4g}")
-    print(f"fixed    {', '.join(arguments.fixed)}: {count(len(np.setdiff1d(fixed, moving)), 'node')}")
-    print(f"method   {choice.name}, {count(arguments.steps, 'step')}", flush=True)
-    with progress("preparing"):
-        plan = _prepare(arguments, mesh, moving, fixed, choice.method)
-        for warning in jm.inspect(plan, path[-1]).warnings:
-            print(f"jaxmorph deform: warning: {warning}", file=sys.stderr)
-    with progress(f"deforming in {count(arguments.steps, 'step')}"):
-        points = jm.deform(plan, path[0]) if arguments.steps == 1 else jm.march(plan, path)[1]
-        moved = mesh.moved(np.asarray(points))
-    with progress("judging the cells"):
-        before, after = jm.quality(mesh), jm.quality(mesh, moved.points)
-        table = compared(before, after)
-    print(f"\n{table}\n", flush=True)
-    bad = inverted_cells(after)
-    if bad:
-        print(f"jaxmorph deform: {bad} Try {HINTS[arguments.method]}.", file=sys.stderr)
-    if bad and not arguments.allow_inverted:
-        print(f"{arguments.output} is not written; --allow-inverted writes it all the same.", file=sys.stderr)
-        return 1
-    with progress(f"writing {arguments.output.name}"):
-        _write(arguments, mesh, moved, after)
-    print(f"wrote {arguments.output} ({time.monotonic() - began:.1f} s)")
-    return 1 if bad else 0
-
-
-def _prepare(arguments, mesh: Mesh, moving: np.ndarray, fixed: np.ndarray, method: jm.AbstractMethod | None) -> jm.Plan:
-    """A patch is plane, or an error names it; so does one for points outside of the hull name the patches left out."""
-    planes = []
-    for name in arguments.symmetry:
-        try:
-            planes.append(jm.Plane.through(mesh.points, mesh.patch(name)))
-        except ValueError as error:
-            raise ValueError(f"--symmetry {name}: {error}") from None
-    try:
-        return jm.prepare(mesh.points, moving, fixed, method=method, symmetry=planes)
-    except ValueError as error:
-        left = [name for name in mesh.patches if name not in {*arguments.moving, *arguments.fixed, *arguments.symmetry}]
-        if "convex hull" in str(error) and left:
-            raise ValueError(f"{error} Patches that are neither: {', '.join(left)}.") from None
-        raise
-
-
-def _check(arguments: argparse.Namespace, mesh: Mesh) -> None:
-    """`ValueError` for what can be known to fail before any work."""
-    io.check_output(arguments.output, mesh)
-    files = [file for file in (arguments.displacement, arguments.displacement_from) if file is not None]
-    if arguments.output.resolve() in [file.resolve() for file in files]:
-        raise ValueError(f"{arguments.output}: the displacements are read from this file; write to another one.")
-    known = ", ".join(mesh.patches) or "none"
-    for option, names, do in (("--moving", arguments.moving, "move"), ("--fixed", arguments.fixed, "stay")):
-        if not names:
-            raise ValueError(f"{option} is missing: name the patches that {do}; this mesh has: {known}.")
-        if not len(mesh.patch(*names)):
-            raise ValueError(f"{option} {' '.join(names)}: there are no nodes in it.")
-    for name in arguments.symmetry:
-        mesh.patch(name)
-    both = sorted(set(arguments.moving) & set(arguments.fixed))
-    if both:
-        raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
-    if arguments.steps < 1:
-        raise ValueError(f"--steps must be 1 or more, found {arguments.steps}.")
-    if not len(mesh.cells):
-        raise ValueError(f"{arguments.file}: the mesh has no cells.")
+TRIAL = 120.0
+"""Seconds that a run may have taken for others to be tried after it."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Choice:
-    """A method (None: the library's own choice), and what to call it."""
+class Run:
+    """A mesh, the motion of its moving nodes and what was asked for: all that one attempt needs but method and steps."""
 
-    method: jm.AbstractMethod | None
-    name: str
+    arguments: argparse.Namespace
+    mesh: Mesh
+    names: list[str]
+    moving: np.ndarray
+    motion: Motions
+    gates: list[Gate]
+    before: jm.QualityReport
+
+    @property
+    def wall(self) -> Float[np.ndarray, "m d"]:
+        return np.asarray(self.mesh.points)[self.moving]
+
+    def prepare(self, choice: Choice) -> jm.Plan:
+        return prepare(self.arguments, self.mesh, self.names, choice.method)
+
+    def points(self, plan: jm.Plan, steps: int) -> Float[np.ndarray, "n d"]:
+        """The moved points, always in double precision; those that a single precision plan leaves alone keep all digits."""
+        path = self.motion.path(self.wall, steps)
+        moved = jm.deform(plan, path[0]) if steps == 1 else jm.march(plan, path)[1]
+        if moved.dtype == np.float64:
+            return np.asarray(moved)
+        points = np.asarray(self.mesh.points) + (np.asarray(moved, float) - np.asarray(plan.points, float))
+        if plan.method.exact:
+            points[self.moving] = self.wall + path[-1]
+        return points
+
+    def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, list[str]]:
+        """The quality of the moved mesh, and a sentence for each thing that is wrong with it."""
+        after = Judged(self.mesh, points, jm.quality(self.mesh, points))
+        bad = inverted_cells(after.report)
+        return after, [*([bad] if bad else []), *_gates.failures(self.gates, after)]
 
 
-def choose(arguments: argparse.Namespace, wall: np.ndarray) -> Choice:
-    """The method asked for. `ValueError` for sources where they mean nothing."""
-    if arguments.sources is not None and arguments.method != "paper":
-        raise ValueError(f"--sources is for --method paper; {arguments.method} has no sources to choose.")
-    if arguments.method == "rbf":
-        return Choice(jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints()), "full radial basis functions")
-    if arguments.method == "dgm":
-        return Choice(jm.DelaunayGraph(), "Delaunay graph mapping")
-    if arguments.sources is None:
-        return Choice(None, "reduced radial basis functions + graph")
-    reduction = about(arguments.sources, wall)
-    name = f"reduced radial basis functions ({len(reduction(wall))} wall sources) + graph"
-    return Choice(jm.SurfaceReconstruction(jm.RBF(reduction=reduction), jm.NearWall()), name)
+def deform(arguments: argparse.Namespace, out: Output) -> int:
+    """Reads, moves, judges, writes; says each on the terminal. Returns the exit status."""
+    with out.progress(f"reading {arguments.file.name}"):
+        mesh = io.read(arguments.file)
+    run, choice = _run(arguments, mesh, out)
+    foreseen = estimate(mesh, len(run.moving), len(mesh.patch(*arguments.fixed)), choice, arguments)
+    if foreseen.is_large or arguments.verbose:
+        out.say(textwrap.fill(str(foreseen), 80, subsequent_indent=" " * 9))
+    if foreseen.is_too_large:
+        out.warn("this may not fit into memory; fewer --sources and --dtype float32 need less.")
+    with out.progress("preparing", foreseen.preparing):
+        plan = run.prepare(choice)
+    with out.progress("inspecting the motion"):
+        for warning in jm.inspect(plan, run.motion.path(run.wall, 1)[-1]).warnings:
+            out.warn(warning)
+    with out.progress(f"deforming in {count(arguments.steps, 'step')}", foreseen.deforming):
+        points = run.points(plan, arguments.steps)
+    with out.progress("judging the cells"):
+        after, bad = run.judge(points)
+        before = Judged(mesh, mesh.points, run.before)
+        tables = [compared(run.before, after.report), _gates.table(run.gates, before, after)]
+    out.say("\n" + "\n\n".join(filter(None, tables)) + "\n", before=numbers(run.before), after=numbers(after.report))
+    out.say(gates=_gates.facts(run.gates, before, after))
+    if arguments.save_job is not None:
+        save(arguments.save_job, text_of(arguments).encode())
+        out.say(f"job      {arguments.save_job}")
+    if bad:
+        _fail(run, choice, bad, out)
+    if bad and not arguments.allow_inverted:
+        out.complain(f"{arguments.output} is not written; --allow-inverted writes it all the same.")
+        return 1
+    with out.progress(f"writing {arguments.output.name}"):
+        _write(arguments, mesh, mesh.moved(points), after.report)
+    out.say(f"wrote {arguments.output} ({out.seconds:.1f} s)", output=str(arguments.output))
+    return 1 if bad else 0
 
 
-def about(sources: int, wall: np.ndarray) -> jm.AbstractReduction:
-    """The k-d tree whose number of leaves gives the number of sources closest to the one asked for."""
-    d = wall.shape[1]
-    if sources < d + 1:
-        raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {sources}.")
-    if sources >= len(wall):
-        return jm.AllPoints()
-    tried: dict[int, int] = {}
-    low, high = 1, min(sources, len(wall))
-    for _ in range(SEARCHES):
-        leaves = (low + high) // 2
-        tried[leaves] = len(jm.KDTree(leaves, extremes=True)(wall))
-        low, high = (leaves + 1, high) if tried[leaves] < sources else (low, leaves - 1)
-        if low > high:
-            break
-    best = min(tried, key=lambda leaves: (abs(tried[leaves] - sources), leaves))
-    return jm.KDTree(best, extremes=True)
+def _run(arguments: argparse.Namespace, mesh: Mesh, out: Output) -> tuple[Run, Choice]:
+    """What is to be done, all of it checked; says so."""
+    groups = arguments.moving or []
+    names = list(dict.fromkeys(name for group in groups for name in group.patches))
+    _check(arguments, mesh, names)
+    moving, fixed = mesh.patch(*names), mesh.patch(*arguments.fixed)
+    motion, points = motions(groups, mesh, moving), np.asarray(mesh.points)
+    limits = _gates.gates(arguments)
+    with out.progress("choosing sources"):
+        choice = choose(arguments.method, arguments.sources, points[moving])
+    way = np.linalg.norm(motion.path(points[moving], 1)[-1], axis=1)
+    cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in mesh.cells.items())
+    out.say(f"{arguments.file.name}: {len(points)} points in {points.shape[1]}-D, {cells}", points=len(points))
+    for group in groups:
+        nodes = mesh.patch(*group.patches)
+        largest = way[np.searchsorted(moving, nodes)].max()
+        _wrapped(out, f"moving   {group.name}: {count(len(nodes), 'node')}, by up to {largest:.4g}")
+    _wrapped(out, f"fixed    {', '.join(arguments.fixed)}: {count(len(np.setdiff1d(fixed, moving)), 'node')}")
+    out.say(f"method   {choice.name}, {count(arguments.steps, 'step')}", method=choice.name, steps=arguments.steps)
+    out.say(moving={name: len(mesh.patch(name)) for name in names}, largest=float(way.max()), sources=choice.sources)
+    with out.progress("judging the cells"):
+        before = jm.quality(mesh)
+    return Run(arguments, mesh, names, moving, motion, limits, before), choice
+
+
+def _wrapped(out: Output, text: str) -> None:
+    out.say(textwrap.fill(text, 80, subsequent_indent=" " * 9, break_long_words=False, break_on_hyphens=False))
+
+
+def _check(arguments: argparse.Namespace, mesh: Mesh, names: list[str]) -> None:
+    """`ValueError` for what can be known to fail before any work."""
+    io.check_output(arguments.output, mesh)
+    for group in arguments.moving or []:
+        inputs = [group.displacement, group.displacement_from, *(file for file, _ in group.mode), group.box]
+        for file in filter(None, inputs):
+            if arguments.output.resolve() == type(arguments.output)(file).resolve():
+                raise ValueError(
+                    f"{arguments.output}: the displacements are read from this file; write to another one."
+                )
+        if group.patches and not len(mesh.patch(*group.patches)):
+            raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
+    check_patches(arguments, mesh, names)
+    if arguments.steps < 1:
+        raise ValueError(f"--steps must be 1 or more, found {arguments.steps}.")
+
+
+def _fail(run: Run, choice: Choice, bad: list[str], out: Output) -> None:
+    """Says what is wrong, and what another attempt has found to be right."""
+    for sentence in bad[:-1]:
+        out.complain(sentence)
+    if out.seconds > TRIAL or not run.arguments.dry_run:
+        out.complain(f"{bad[-1]} Try {HINTS[run.arguments.method]}.")
+        return
+    worked = _tried(run, choice, out)
+    hint = f"With {worked} all is well." if worked else f"Try {HINTS[run.arguments.method]}."
+    out.complain(f"{bad[-1]} {hint}")
+    out.say(suggestion=worked)
+
+
+def _tried(run: Run, choice: Choice, out: Output) -> str:
+    """The flags of the first attempt, with more sources or more steps, whose mesh is good; nothing when none is."""
+    asked, most = run.arguments, len(run.wall)
+    more = [min(factor * choice.sources, most) for factor in (2, 4)] if asked.method == "paper" else [None, None]
+    trials = [(more[0], asked.steps), (None, 2 * asked.steps), (more[1], 4 * asked.steps)]
+    trials = list(dict.fromkeys(trial for trial in trials if trial != (None, asked.steps)))
+    if asked.method == "dgm":
+        trials = [(None, asked.steps), (None, 4 * asked.steps)]
+    with out.progress("trying others") as stage:
+        for done, (sources, steps) in enumerate(trials):
+            method = "paper" if asked.method == "dgm" else asked.method
+            sources = asked.sources if sources is None else sources
+            plan = run.prepare(choose(method, sources, run.wall))
+            if not run.judge(run.points(plan, steps))[1]:
+                flags = ["--method paper"] if method != asked.method else []
+                flags += [f"--sources {sources}"] if sources != asked.sources else []
+                return " ".join([*flags, *([f"--steps {steps}"] if steps != asked.steps else [])])
+            stage.done((done + 1) / len(trials))
+    return ""
 
 
 def _write(arguments: argparse.Namespace, mesh: Mesh, moved: Mesh, after: jm.QualityReport) -> None:

@@ -1,52 +1,61 @@
 """`jaxmorph quality` and `jaxmorph info`."""
 
 import argparse
-import sys
 
 import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 
-from ._progress import Progress
-from ._tables import alone, compared, inverted_cells
+from . import _gates
+from ._gates import Judged
+from ._output import Output
+from ._tables import alone, compared, inverted_cells, numbers
 
 
-def quality(arguments: argparse.Namespace) -> int:
+def quality(arguments: argparse.Namespace, out: Output) -> int:
     """Prints the quality of a mesh, or of two with the same cells. Returns the exit status."""
-    progress = Progress("jaxmorph quality")
-    with progress("reading"):
+    limits = _gates.gates(arguments)
+    with out.progress("reading"):
         mesh = io.read(arguments.file)
         moved = None if arguments.moved is None else io.read(arguments.moved)
-    with progress("judging the cells"):
-        report = jm.quality(mesh)
-        if moved is None:
-            text = alone(report)
-        else:
+    if moved is None and any(gate.measure == "jacobian_ratio" for gate in limits):
+        raise ValueError("--min-jacobian-ratio compares two meshes: give FILE2.")
+    with out.progress("judging the cells"):
+        before, after = None, Judged(mesh, mesh.points, jm.quality(mesh))
+        text = alone(after.report)
+        if moved is not None:
             _check_same(arguments, mesh, moved)
-            before, report = report, jm.quality(mesh, moved.points)
-            text = compared(before, report)
-    print(text)
-    bad = inverted_cells(report)
-    if bad:
-        print(f"jaxmorph quality: {bad}", file=sys.stderr)
+            before, after = after, Judged(mesh, moved.points, jm.quality(mesh, moved.points))
+            text = compared(before.report, after.report)
+        gates = _gates.table(limits, before, after)
+    out.say("\n\n".join(filter(None, [text, gates])), gates=_gates.facts(limits, before, after))
+    if before is not None:
+        out.say(before=numbers(before.report))
+    out.say(after=numbers(after.report))
+    bad = [sentence for sentence in (inverted_cells(after.report), *_gates.failures(limits, after)) if sentence]
+    for sentence in bad:
+        out.complain(sentence)
     return 1 if bad else 0
 
 
-def info(arguments: argparse.Namespace) -> int:
+def info(arguments: argparse.Namespace, out: Output) -> int:
     """Prints what a mesh file holds. Returns the exit status."""
-    with Progress("jaxmorph info")("reading"):
+    with out.progress("reading"):
         mesh = io.read(arguments.file)
     points = np.asarray(mesh.points)
     n, d = points.shape
-    print(f"{arguments.file.name}: {d}-D, {n} points")
-    print("cells    " + ", ".join(f"{len(corners)} {kind}" for kind, corners in mesh.cells.items()))
-    for name, low, high in zip("xyz", points.min(axis=0), points.max(axis=0), strict=False):
-        print(f"{name:<9}{low:.6g} to {high:.6g}")
-    print("patches" if mesh.patches else "patches  none")
-    width = max(map(len, mesh.patches), default=0)
-    for name, nodes in mesh.patches.items():
-        print(f"  {name:<{width}}  {len(nodes):>9} nodes")
+    cells = {kind: len(corners) for kind, corners in mesh.cells.items()}
+    out.say(f"{arguments.file.name}: {d}-D, {n} points", dimension=d, points=n)
+    out.say("cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items()), cells=cells)
+    low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    for name, least, most in zip("xyz", low, high, strict=False):
+        out.say(f"{name:<9}{least:.6g} to {most:.6g}")
+    patches = {name: len(nodes) for name, nodes in mesh.patches.items()}
+    out.say("patches" if patches else "patches  none", low=low, high=high, patches=patches)
+    width = max(map(len, patches), default=0)
+    for name, number in patches.items():
+        out.say(f"  {name:<{width}}  {number:>9} nodes")
     return 0
 
 

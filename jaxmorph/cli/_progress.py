@@ -10,33 +10,57 @@ PATIENCE = 2.0
 """Seconds after which a stage of the work is announced."""
 
 
-class Progress:
-    """Announces a stage that takes longer than `PATIENCE` on standard error, with the seconds it has taken so far.
+class Stage:
+    """One stage of the work, and how much of it is done."""
 
-    Nothing is said when standard error is not a terminal, and nothing stays of it when the stage is over.
+    def __init__(self, name: str, expected: float | None):
+        self.name, self.expected = name, expected
+        self.began, self.share = time.monotonic(), 0.0
+
+    def done(self, share: float) -> None:
+        """Tells how much of the stage is done, of 1."""
+        self.share = share
+
+    def __str__(self) -> str:
+        passed = time.monotonic() - self.began
+        text = f"{self.name} ... {passed:.0f} s"
+        if self.share > 0:
+            return f"{text}, {self.share:.0%}, {passed / self.share - passed:.0f} s left"
+        if self.expected is not None and self.expected > passed:
+            return f"{text}, about {self.expected - passed:.0f} s left"
+        return text
+
+
+class Progress:
+    """Announces a stage that takes longer than `PATIENCE` on standard error: the seconds passed, and those left where known.
+
+    Nothing is said when standard error is not a terminal, and nothing stays of it when the stage is over. `seconds` holds
+    how long each stage took.
     """
 
     def __init__(self, command: str):
         self.command = command
+        self.seconds: dict[str, float] = {}
 
     @contextlib.contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        if not sys.stderr.isatty():
-            yield
-            return
-        over = threading.Event()
+    def __call__(self, name: str, expected: float | None = None) -> Iterator[Stage]:
+        stage, over = Stage(name, expected), threading.Event()
         clock = threading.Thread(target=self._tell, args=(stage, over), daemon=True)
-        clock.start()
+        is_heard = sys.stderr.isatty()
+        if is_heard:
+            clock.start()
         try:
-            yield
+            yield stage
         finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - stage.began
             over.set()
-            clock.join()
+            if is_heard:
+                clock.join()
 
-    def _tell(self, stage: str, over: threading.Event) -> None:
-        began, told = time.monotonic(), False
+    def _tell(self, stage: Stage, over: threading.Event) -> None:
+        told = False
         while not over.wait(0.5 if told else PATIENCE):
-            sys.stderr.write(f"\r\033[K{self.command}: {stage} ... {time.monotonic() - began:.0f} s")
+            sys.stderr.write(f"\r\033[K{self.command}: {stage}")
             sys.stderr.flush()
             told = True
         if told:

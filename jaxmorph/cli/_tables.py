@@ -1,5 +1,7 @@
 """Quality as text, 80 columns wide."""
 
+from typing import Any
+
 import numpy as np
 
 from jaxmorph import QualityReport
@@ -71,3 +73,14 @@ def _row(report: QualityReport, kind: str, name: str, numbers: str) -> str:
         return f"{label:<24}{numbers}"
     cell = int(report.worst(1, by=name)[0])
     return f"{label:<24}{numbers}   {cell} near {place(report, cell)}"
+
+
+def numbers(report: QualityReport) -> dict[str, Any]:
+    """The tables' numbers for machines."""
+    found: dict[str, Any] = {"cells": _total(report), "inverted": int(report.inverted)}
+    for kind, name in (*ROWS, *RATIOS, ("min", "volume")):
+        found[f"{kind}_{name}"] = float(getattr(report, kind)(name))
+    for name in ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio"):
+        cell = int(report.worst(1, by=name)[0])
+        found[f"worst_{name}"] = {"cell": cell, "near": np.asarray(report.centroid[cell]).tolist()}
+    return found

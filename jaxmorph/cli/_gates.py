@@ -1,0 +1,144 @@
+"""Quality gates: limits that a mesh must keep, and which cells are beyond them."""
+
+import argparse
+import dataclasses
+import functools
+from typing import Any
+
+import numpy as np
+
+from jaxmorph import Mesh, QualityReport
+
+from ._faces import face_skewness
+from ._tables import place
+
+GATES = {
+    "max_aspect_ratio": "largest aspect ratio",
+    "max_non_orthogonality": "largest non-orthogonality in degrees",
+    "max_skewness": "largest skewness of a cell, 0 to 1",
+    "max_face_skewness": "largest skewness of a face, as checkMesh's",
+    "min_jacobian_ratio": "smallest corner Jacobian over its initial value",
+}
+"""The flags, by their names, and what they say in the help."""
+
+PRESETS = {"checkmesh": {"max_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
+"""OpenFOAM's checkMesh: `primitiveMesh::aspectThreshold_`, `nonOrthThreshold_`, `skewThreshold_`."""
+
+WORST = 5
+"""Cells named for each gate that fails."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """A mesh on some points, and the report of their quality."""
+
+    mesh: Mesh
+    points: Any
+    report: QualityReport
+
+    @functools.cached_property
+    def counted(self) -> np.ndarray:
+        """Ids of the cells that count: those of the highest dimension."""
+        return np.sort(self.report.worst(len(self.report.volume)))
+
+    @functools.cached_property
+    def face_skewness(self) -> np.ndarray:
+        return face_skewness(self.mesh, self.points)
+
+    def values(self, measure: str) -> np.ndarray:
+        """One value for each cell that counts."""
+        found = self.face_skewness if measure == "face_skewness" else getattr(self.report, measure)
+        return np.asarray(found)[self.counted]
+
+
+@dataclasses.dataclass(frozen=True)
+class Gate:
+    """A limit, from above or from below."""
+
+    flag: str
+    limit: float
+
+    @property
+    def measure(self) -> str:
+        return self.flag[4:]
+
+    @property
+    def label(self) -> str:
+        return f"{self.flag[:3]} {self.measure.replace('_', ' ').replace('non orth', 'non-orth')}"
+
+    def extreme(self, judged: Judged) -> float:
+        values = judged.values(self.measure)
+        return float(values.max() if self.flag.startswith("max") else values.min())
+
+    def beyond(self, judged: Judged) -> np.ndarray:
+        """Ids of the cells beyond the limit, the worst first; NaN is beyond every limit."""
+        sign = 1.0 if self.flag.startswith("max") else -1.0
+        badness = sign * judged.values(self.measure).astype(float)
+        badness = np.where(np.isnan(badness), np.inf, badness)
+        rows = np.flatnonzero(badness > sign * self.limit)
+        return judged.counted[rows[np.argsort(-badness[rows], kind="stable")]]
+
+
+def gates(arguments: argparse.Namespace) -> list[Gate]:
+    """Those of the preset, and those given by themselves, which win. `ValueError` for limits that are no numbers."""
+    limits = dict(PRESETS.get(arguments.preset, {}))
+    limits |= {flag: getattr(arguments, flag) for flag in GATES if getattr(arguments, flag) is not None}
+    wrong = [flag for flag, limit in limits.items() if np.isnan(limit)]
+    if wrong:
+        raise ValueError(f"--{wrong[0].replace('_', '-')} needs a number, found nan.")
+    return [Gate(flag, limits[flag]) for flag in GATES if flag in limits]
+
+
+def table(chosen: list[Gate], before: Judged | None, after: Judged) -> str:
+    """A row for each gate, then the worst cells of those that fail; nothing without gates."""
+    if not chosen:
+        return ""
+    lines = [f"{'gate':<24}{'limit':>12}{'before':>12}{'after' if before else 'now':>12}   cells beyond"]
+    worst = []
+    for gate in chosen:
+        has_before = before is not None and gate.measure != "jacobian_ratio"
+        old = f"{gate.extreme(before):.5g}" if before is not None and has_before else "-"
+        bad = gate.beyond(after)
+        share = f"{len(bad)} of {len(after.counted)}" if len(bad) else "0"
+        lines.append(f"{gate.label:<24}{gate.limit:>12.5g}{old:>12}{gate.extreme(after):>12.5g}   {share}")
+        if len(bad):
+            worst.append(f"worst cells by {gate.label}")
+            worst += [_cell(gate, after, int(cell)) for cell in bad[:WORST]]
+    return "\n".join(lines + worst)
+
+
+def _cell(gate: Gate, judged: Judged, cell: int) -> str:
+    row = int(np.searchsorted(judged.counted, cell))
+    return f"  {cell:<22}{judged.values(gate.measure)[row]:>12.5g}   near {place(judged.report, cell)}"
+
+
+def failures(chosen: list[Gate], after: Judged) -> list[str]:
+    """One sentence for each gate that fails."""
+    said = []
+    for gate in chosen:
+        bad = gate.beyond(after)
+        if len(bad):
+            are = "cell is" if len(bad) == 1 else "cells are"
+            limit = f"--{gate.flag.replace('_', '-')} {gate.limit:g}"
+            said.append(f"{len(bad)} of {len(after.counted)} {are} beyond {limit}, the worst is cell {bad[0]}.")
+    return said
+
+
+def facts(chosen: list[Gate], before: Judged | None, after: Judged) -> list[dict[str, Any]]:
+    """The same for machines."""
+    found = []
+    for gate in chosen:
+        bad = gate.beyond(after)
+        old = None if before is None or gate.measure == "jacobian_ratio" else gate.extreme(before)
+        cells = [{"cell": int(cell), "near": after.report.centroid[cell].tolist()} for cell in bad[:WORST]]
+        found.append(
+            {
+                "gate": gate.flag,
+                "limit": gate.limit,
+                "before": old,
+                "after": gate.extreme(after),
+                "beyond": len(bad),
+                "worst": cells,
+            }
+        )
+    return found

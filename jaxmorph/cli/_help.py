@@ -1,0 +1,69 @@
+"""The pages of help: what stands below the flags."""
+
+MAIN = """\
+examples:
+  jaxmorph demo
+  jaxmorph info wing.su2
+  jaxmorph deform airfoil.su2 rotated.su2 --moving airfoil --fixed farfield \\
+      --rotate -5 --about 0.25 0
+
+exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input"""
+
+DEFORM = """\
+Each --moving begins a motion of its own; the flags after it, up to the next,
+say which. The nodes go, in this order, through the displacement file and the
+modes, box, scaling, twisting, bending, rotation and translation. Patches named
+again by another --moving go on from there. With --steps N the mesh follows in N
+steps, each with 1/N of every angle, factor, translation and displacement.
+
+A box is a TOML file: low and high (two corners), points (how many control
+points each way), and for each that moves a [[moved]] with at (its numbers, from
+0) and by (its displacement). Nodes outside of it stay.
+
+A job is a TOML file with the names of the flags: file, output, fixed, ..., and
+a [[moving]] (patches, rotate, about, ...) for each motion; in it modes are
+[["FILE", AMPLITUDE], ...], a box a file or a table. Flags beside --job win.
+
+examples:
+  pitch nose-up about the quarter chord, in three steps:
+    jaxmorph deform airfoil.su2 pitched.su2 --moving airfoil --fixed farfield \\
+        --rotate -15 --about 0.25 0 --steps 3
+  new positions of the wall from a file with rows of node id, x, y:
+    jaxmorph deform airfoil.su2 bumped.su2 --moving airfoil --fixed farfield \\
+        --displacement surface.dat
+  the motion from one surface to another of the same triangles:
+    jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
+        --displacement bent.stl --displacement-from straight.stl
+  a half wing on its symmetry plane, twisted and bent along its span y:
+    jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
+        --symmetry symmetry --along 0 1 0 --axis 1 0 0 --twist -3 --bend 8
+  a flap and a slat, each about its hinge, judged by checkMesh's limits:
+    jaxmorph deform wing.su2 flaps.vtu --fixed wing farfield \\
+        --moving flap --rotate 10 --about 0.8 0 0 --axis 0 1 0 \\
+        --moving slat --rotate -5 --about 0.1 0 0 --axis 0 1 0 \\
+        --preset checkmesh --save-job flaps.toml
+  the same from its job, in four steps:
+    jaxmorph deform --job flaps.toml --steps 4
+
+exit status: 0; 1 when cells are inverted or a gate fails (OUT is then not
+written unless --allow-inverted is given); 2 for bad input"""
+
+QUALITY = """\
+Skewness: 0 ideal, 1 degenerate. Aspect ratio: 1 ideal. Means are weighted by
+area or volume. With FILE2, the same mesh with other coordinates, cells count as
+inverted when they are so relative to FILE, and ratios are of FILE2 to FILE.
+
+examples:
+  jaxmorph quality airfoil.su2
+  jaxmorph quality airfoil.su2 pitched.su2 --max-non-orthogonality 70
+
+exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input"""
+
+INFO = """\
+example:
+  jaxmorph info airfoil.su2"""
+
+DEMO = """\
+examples:
+  jaxmorph demo
+  jaxmorph demo agard445 --output results"""

@@ -1,0 +1,97 @@
+"""The method that the command line asks for."""
+
+import argparse
+import dataclasses
+
+import numpy as np
+
+import jaxmorph as jm
+
+SEARCHES = 24
+"""Reductions tried to find one of about as many sources as asked for."""
+
+LEAVES = 64
+"""Leaves of the wall's k-d tree in the library's own choice."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """A method (None: the library's own choice), what to call it, and how many sources it has on the moving patches."""
+
+    method: jm.AbstractMethod | None
+    name: str
+    sources: int
+
+
+def choose(method: str, sources: int | None, wall: np.ndarray) -> Choice:
+    """The method asked for. `ValueError` for sources where they mean nothing."""
+    if sources is not None and method != "paper":
+        raise ValueError(f"--sources is for --method paper; {method} has no sources to choose.")
+    if method == "rbf":
+        full = jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints())
+        return Choice(full, "full radial basis functions", len(wall))
+    if method == "dgm":
+        return Choice(jm.DelaunayGraph(), "Delaunay graph mapping", 0)
+    if sources is None:
+        count = len(jm.KDTree(LEAVES, extremes=True)(wall))
+        return Choice(None, "reduced radial basis functions + graph", count)
+    reduction = about(sources, wall)
+    count = len(reduction(wall))
+    name = f"reduced radial basis functions ({count} wall sources) + graph"
+    return Choice(jm.SurfaceReconstruction(jm.RBF(reduction=reduction), jm.NearWall()), name, count)
+
+
+def about(sources: int, wall: np.ndarray) -> jm.AbstractReduction:
+    """The k-d tree whose number of leaves gives the number of sources closest to the one asked for."""
+    d = wall.shape[1]
+    if sources < d + 1:
+        raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {sources}.")
+    if sources >= len(wall):
+        return jm.AllPoints()
+    tried: dict[int, int] = {}
+    low, high = 1, min(sources, len(wall))
+    for _ in range(SEARCHES):
+        leaves = (low + high) // 2
+        tried[leaves] = len(jm.KDTree(leaves, extremes=True)(wall))
+        low, high = (leaves + 1, high) if tried[leaves] < sources else (low, leaves - 1)
+        if low > high:
+            break
+    best = min(tried, key=lambda leaves: (abs(tried[leaves] - sources), leaves))
+    return jm.KDTree(best, extremes=True)
+
+
+def prepare(
+    arguments: argparse.Namespace, mesh: jm.Mesh, moving: list[str], method: jm.AbstractMethod | None
+) -> jm.Plan:
+    """A patch is plane, or an error names it; so does one for points outside of the hull name the patches left out."""
+    planes = []
+    for name in arguments.symmetry:
+        try:
+            planes.append(jm.Plane.through(mesh.points, mesh.patch(name)))
+        except ValueError as error:
+            raise ValueError(f"--symmetry {name}: {error}") from None
+    points = np.asarray(mesh.points).astype(arguments.dtype)
+    try:
+        return jm.prepare(points, mesh.patch(*moving), mesh.patch(*arguments.fixed), method=method, symmetry=planes)
+    except ValueError as error:
+        left = [name for name in mesh.patches if name not in {*moving, *arguments.fixed, *arguments.symmetry}]
+        if "convex hull" in str(error) and left:
+            raise ValueError(f"{error} Patches that are neither: {', '.join(left)}.") from None
+        raise
+
+
+def check_patches(arguments: argparse.Namespace, mesh: jm.Mesh, moving: list[str]) -> None:
+    """`ValueError` for what can be known of the patches before any work."""
+    known = ", ".join(mesh.patches) or "none"
+    for option, names, do in (("--moving", moving, "move"), ("--fixed", arguments.fixed, "stay")):
+        if not names:
+            raise ValueError(f"{option} is missing: name the patches that {do}; this mesh has: {known}.")
+        if not len(mesh.patch(*names)):
+            raise ValueError(f"{option} {' '.join(names)}: there are no nodes in it.")
+    for name in arguments.symmetry:
+        mesh.patch(name)
+    both = sorted(set(moving) & set(arguments.fixed))
+    if both:
+        raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
+    if not len(mesh.cells):
+        raise ValueError(f"{arguments.file}: the mesh has no cells.")

@@ -1,0 +1,59 @@
+"""What a command says: text for people, or one JSON object for machines; warnings; how long its stages took."""
+
+import json
+import math
+import sys
+import time
+from typing import Any
+
+from ._progress import Progress
+
+
+class Output:
+    """Text goes to standard output as it comes, unless `as_json`: then facts are gathered and printed at the end."""
+
+    def __init__(self, command: str, *, as_json: bool = False, verbose: bool = False):
+        self.name, self.as_json, self.verbose = f"jaxmorph {command}", as_json, verbose
+        self.facts: dict[str, Any] = {"command": command}
+        self.progress = Progress(self.name)
+        self.began = time.monotonic()
+
+    def say(self, text: str = "", **facts: Any) -> None:
+        """A line or more, and the facts in it by name."""
+        self.facts.update(facts)
+        if text and not self.as_json:
+            print(text, flush=True)
+
+    def complain(self, text: str, key: str = "problems") -> None:
+        """On standard error, and in the list of facts called `key`."""
+        self.facts.setdefault(key, []).append(text)
+        print(f"{self.name}: {text}", file=sys.stderr)
+
+    def warn(self, text: str) -> None:
+        self.complain(f"warning: {text}", "warnings")
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self.began
+
+    def end(self, status: int) -> int:
+        """Timings where asked for, the JSON object where it is; returns the exit status."""
+        stages = self.progress.seconds
+        if self.as_json:
+            timings = {name: round(taken, 3) for name, taken in stages.items()}
+            facts = self.facts | {"status": status, "seconds": round(self.seconds, 3), "stages": timings}
+            print(json.dumps(finite(facts), allow_nan=False), flush=True)
+        elif self.verbose:
+            width = max(map(len, stages), default=0)
+            lines = [f"  {name:<{width}} {taken:>9.2f} s" for name, taken in stages.items()]
+            print("\n".join(["timings", *lines, f"  {'all':<{width}} {self.seconds:>9.2f} s"]), flush=True)
+        return status
+
+
+def finite(value: Any) -> Any:
+    """The same with null for numbers that JSON does not know."""
+    if isinstance(value, dict):
+        return {key: finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

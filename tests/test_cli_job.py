@@ -1,0 +1,192 @@
+"""Job files, and what machines and impatient people get from the command line."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+
+import numpy as np
+import pytest
+from ring import write_ring
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.cli import _progress, main
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_ring(tmp_path / "ring.su2")
+    (tmp_path / "shift.csv").write_text("".join(f"{k},0.125,-0.25\n" for k in range(24)))
+    return tmp_path
+
+
+JOB = """\
+file = "ring.su2"
+output = "from_job.su2"
+fixed = ["far"]
+method = "rbf"
+steps = 2
+max-aspect-ratio = 50
+
+[[moving]]
+patches = ["wall"]
+rotate = -2.5e1
+about = [0.5, -0.1]
+mode = [["shift.csv", 0.5]]
+
+[[moving]]
+patches = ["wall"]
+box = { low = [-2, -2], high = [2, 2], points = [2, 3], moved = [{ at = [1, 2], by = [0.1, 0] }] }
+"""
+BOX = '{"low": [-2, -2], "high": [2, 2], "points": [2, 3], "moved": [{"at": [1, 2], "by": [0.1, 0]}]}'
+
+
+def test_a_job_says_what_the_flags_say(here, capsys):
+    (here / "job.toml").write_text(JOB)
+    assert main(["deform", "--job", "job.toml"]) == 0
+    flags = ["--moving", "wall", "--rotate", "-25", "--about", "0.5", "-0.1", "--mode", "shift.csv", "0.5"]
+    flags += ["--moving", "wall", "--box", BOX, "--fixed", "far", "--method", "rbf", "--steps", "2"]
+    capsys.readouterr()
+    assert (
+        main(["deform", "ring.su2", "flags.su2", *flags, "--max-aspect-ratio", "50", "--save-job", "saved.toml"]) == 0
+    )
+    said = capsys.readouterr().out
+    assert (here / "flags.su2").read_bytes() == (here / "from_job.su2").read_bytes()
+    expected = tomllib.loads(JOB) | {"output": "flags.su2", "dtype": "float64"}
+    expected["max_aspect_ratio"] = expected.pop("max-aspect-ratio")
+    assert tomllib.loads((here / "saved.toml").read_text()) == expected
+    (here / "flags.su2").unlink()
+    assert main(["deform", "--job", "saved.toml"]) == 0
+    again = capsys.readouterr().out
+    assert (here / "flags.su2").read_bytes() == (here / "from_job.su2").read_bytes()
+    assert again.split("wrote")[0] == said.split("job  ")[0]
+
+
+def test_flags_beside_a_job_win(here):
+    (here / "job.toml").write_text(JOB)
+    assert main(["deform", "ring.su2", "other.su2", "--job", "job.toml", "--box", BOX.replace("0.1", "0.3")]) == 0
+    assert not (here / "from_job.su2").exists()
+    assert main(["deform", "--job", "job.toml"]) == 0
+    a, b = (np.asarray(io.read(here / name).points)[:24] for name in ("other.su2", "from_job.su2"))
+    x = io.read("ring.su2").points[:24]
+    turn = np.radians(-25)
+    turned = (x + np.array([0.0625 - 0.5, -0.125 + 0.1])) @ np.array(
+        [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+    ) + np.array([0.5, -0.1])
+    t = (turned + 2) / 4
+    weight = t[:, :1] * t[:, 1:] ** 2  # the polynomials of control point (1, 2) of (2, 3)
+    np.testing.assert_allclose(a - b, weight * [[0.2, 0]], atol=1e-13)
+
+
+BAD_JOBS = {
+    "not TOML": ("file = ring.su2", "job.toml: not TOML"),
+    "unknown": ("fille = 'ring.su2'", "job.toml: a job has no fille; it may have file, output"),
+    "unknown motion": (
+        "[[moving]]\npatches = ['wall']\nrotat = 1",
+        r"job.toml: \[\[moving\]\] has no rotat; it may have",
+    ),
+    "no patches": ("[[moving]]\nrotate = 1", r"job.toml: a \[\[moving\]\] without patches"),
+    "no list": ("moving = 'wall'", r"job.toml: moving is a list of tables: begin each with \[\[moving\]\]"),
+    "wrong value": ("steps = true", "job.toml: steps cannot be True"),
+    "wrong switch": ("allow_inverted = 1", "job.toml: allow_inverted is true or false, found 1"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_JOBS)
+def test_a_bad_job_is_answered_in_one_line(here, capsys, what):
+    text, message = BAD_JOBS[what]
+    (here / "job.toml").write_text(text)
+    assert main(["deform", "--job", "job.toml"]) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    with pytest.raises(ValueError, match=f"^jaxmorph deform: {message}"):
+        raise ValueError(said.err)
+
+
+def test_a_job_that_is_not_there(here, capsys):
+    assert main(["deform", "--job", "none.toml"]) == 2
+    assert capsys.readouterr().err == "jaxmorph deform: none.toml: No such file or directory\n"
+
+
+MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0"]
+
+
+def test_json_is_one_object_and_says_what_the_text_says(here, capsys):
+    assert main(["deform", "ring.su2", "out.su2", *MOVE, "--json"]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    found = json.loads(said.out)
+    mesh = io.read("ring.su2")
+    report = jm.quality(mesh, io.read("out.su2").points)
+    assert (found["status"], found["output"], found["points"], found["moving"]) == (0, "out.su2", 216, {"wall": 24})
+    assert found["after"]["max_skewness"] == pytest.approx(float(report.max_skewness), rel=1e-12)
+    assert found["after"]["worst_skewness"]["cell"] == int(np.argmax(report.skewness))
+    assert found["largest"] == pytest.approx(0.2)
+    assert {"reading ring.su2", "preparing", "writing out.su2"} <= set(found["stages"])
+    assert main(["info", "ring.su2", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["cells"], found["patches"]) == ({"quad": 192}, {"wall": 24, "far": 24})
+    assert main(["quality", "none.su2", "--json"]) == 2
+    said = capsys.readouterr()
+    assert json.loads(said.out)["problems"] == ["none.su2: No such file or directory"]
+    assert said.err.count("\n") == 1
+
+
+def test_verbose_tells_the_time_of_each_stage(here, capsys):
+    assert main(["deform", "ring.su2", "out.su2", *MOVE, "--verbose"]) == 0
+    said = capsys.readouterr().out
+    assert "estimate 216 points, 48 surface nodes," in said
+    for stage in (
+        "reading ring.su2",
+        "preparing",
+        "deforming in 1 step",
+        "judging the cells",
+        "writing out.su2",
+        "all",
+    ):
+        assert f"\n  {stage} " in said
+    assert max(map(len, said.split("\n"))) <= 80
+
+
+def test_single_precision_moves_to_its_precision_and_the_wall_exactly(here):
+    for dtype in ("float64", "float32"):
+        assert main(["deform", "ring.su2", f"{dtype}.su2", *MOVE, "--rotate", "10", "--dtype", dtype]) == 0
+    double, single = (np.asarray(io.read(f"{dtype}.su2").points) for dtype in ("float64", "float32"))
+    np.testing.assert_allclose(single, double, atol=1e-5)
+    assert np.abs(single - double).max() > 1e-12
+    np.testing.assert_allclose(single[:24], double[:24], atol=1e-15)
+
+
+def test_time_left_is_told_where_it_is_known():
+    stage = _progress.Stage("deforming", None)
+    stage.began = time.monotonic() - 10
+    assert str(stage) == "deforming ... 10 s"
+    stage.expected = 15.0
+    assert str(stage) == "deforming ... 10 s, about 5 s left"
+    stage.expected = 5.0
+    assert str(stage) == "deforming ... 10 s"
+    stage.done(0.25)
+    assert str(stage) == "deforming ... 10 s, 25%, 30 s left"
+
+
+def test_an_interrupt_leaves_no_half_written_file(here):
+    """A signal while the file is being written, in a process of its own."""
+    code = f"""
+import os, pathlib, signal, sys
+from jaxmorph.cli import main
+replace = pathlib.Path.replace
+def interrupted(self, target):
+    assert self.exists()
+    os.kill(os.getpid(), signal.SIGINT)
+    return replace(self, target)
+pathlib.Path.replace = interrupted
+sys.exit(main(["deform", "ring.su2", "out.su2", *{MOVE!r}, "--method", "dgm"]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr == "jaxmorph deform: interrupted; no file is half written.\n"
+    assert done.returncode == 128 + signal.SIGINT
+    assert sorted(path.name for path in here.iterdir()) == ["ring.su2", "shift.csv"]

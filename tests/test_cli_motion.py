@@ -1,0 +1,184 @@
+"""Motions of the command line against closed forms."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.cli import main
+
+
+@pytest.fixture(scope="module")
+def brick(tmp_path_factory):
+    """Tetrahedra between -2 and 2 with the two patches `low` (x = -2) and `high` (x = 2); all other sides are `rest`."""
+    axis = np.linspace(-2, 2, 6)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    ids = np.arange(216).reshape(6, 6, 6)
+    block = [ids[i : i + 5, j : j + 5, k : k + 5].ravel() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    paths = [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]]
+    cells = np.concatenate([np.stack(block, axis=1)[:, path] for path in paths])
+    side = np.abs(points).max(axis=1) == 2
+    low, high = np.flatnonzero(points[:, 0] == -2), np.flatnonzero(points[:, 0] == 2)
+    rest = np.setdiff1d(np.flatnonzero(side), np.concatenate([low, high]))
+    file = tmp_path_factory.mktemp("motion") / "brick.su2"
+    io.write(file, jm.Mesh(points, {"tetra": cells}, {"low": low, "high": high, "rest": rest}))
+    return file
+
+
+def moved(brick, *flags) -> tuple[np.ndarray, np.ndarray, jm.Mesh]:
+    """Old and new points, and the mesh; nothing said of the quality."""
+    out = brick.with_name("out.su2")
+    fixed = ["rest"] if "low" in flags else ["rest", "low"]
+    words = ["deform", str(brick), str(out), "--fixed", *fixed, *flags, "--allow-inverted", "--no-dry-run"]
+    assert main([*words, "--method", "dgm"]) in (0, 1)
+    mesh = io.read(brick)
+    return np.asarray(mesh.points), np.asarray(io.read(out).points), mesh
+
+
+def test_each_patch_has_its_own_motion(brick):
+    turn = ("--rotate", "20", "--about", "0", "0.5", "0", "--axis", "1", "0", "0")
+    x, y, mesh = moved(brick, "--moving", "high", *turn, "--moving", "low", "--translate", "-0.2", "0", "0.1")
+    high, low = mesh.patch("high"), mesh.patch("low")
+    centre = np.array([0, 0.5, 0])
+    expected = centre + Rotation.from_euler("x", 20, degrees=True).apply(x[high] - centre)
+    np.testing.assert_allclose(y[high], expected, atol=1e-14)
+    np.testing.assert_allclose(y[low], x[low] + [-0.2, 0, 0.1], atol=1e-14)
+    np.testing.assert_array_equal(y[mesh.patch("rest")], x[mesh.patch("rest")])
+
+
+def test_a_patch_named_again_goes_on_from_there(brick):
+    about = ("--axis", "0", "0", "1", "--about", "2", "0", "0")
+    x, y, mesh = moved(
+        brick, "--moving", "high", "--translate", "0.5", "0", "0", "--moving", "high", "--rotate", "90", *about
+    )
+    high = mesh.patch("high")
+    shifted = x[high] + [0.5, 0, 0] - [2, 0, 0]
+    expected = np.column_stack([2 - shifted[:, 1], shifted[:, 0], shifted[:, 2]])
+    np.testing.assert_allclose(y[high], expected, atol=1e-14)
+
+
+def test_twist_grows_along_the_line_and_stops_at_its_ends(brick):
+    line = ("--along", "0", "2", "0", "--about", "1", "-1", "0", "--length", "2")
+    x, y, mesh = moved(brick, "--moving", "high", "--twist", "30", *line)
+    centre = np.array([1, -1, 0])
+    for node in mesh.patch("high"):
+        share = np.clip((x[node, 1] + 1) / 2, 0, 1)
+        expected = centre + Rotation.from_euler("y", 30 * share, degrees=True).apply(x[node] - centre)
+        np.testing.assert_allclose(y[node], expected, atol=1e-14)
+
+
+def test_bend_makes_an_arc_of_the_same_length(brick):
+    """By integrating the tangent along the line: numbers that the closed form of the library does not use."""
+    line = ("--axis", "1", "0", "0", "--along", "0", "1", "0", "--about", "0", "-1", "0", "--length", "2")
+    x, y, mesh = moved(brick, "--moving", "high", "--bend", "60", *line)
+    for node in mesh.patch("high"):
+        s = x[node, 1] + 1
+        t = np.linspace(0, np.clip(s, 0, 2), 20001)
+        angle = np.radians(60) * t / 2
+        tangent = np.column_stack([np.cos(angle), np.sin(angle)])
+        middle = np.trapezoid(tangent, t, axis=0) + (s - t[-1]) * tangent[-1]
+        normal = np.array([-tangent[-1, 1], tangent[-1, 0]])
+        expected = np.append(x[node, 0], [-1, 0] + middle + x[node, 2] * normal)
+        np.testing.assert_allclose(y[node], expected, atol=1e-8)
+
+
+def test_modes_and_displacements_add(brick):
+    mesh = io.read(brick)
+    high, rng = mesh.patch("high"), np.random.default_rng(0)
+    shapes = 0.1 * rng.normal(size=(3, len(high), 3))
+    np.savez(brick.with_name("a.npz"), ids=high[::-1], displacement=shapes[0, ::-1])
+    for name, shape in (("b.csv", shapes[1]), ("c.csv", shapes[2])):
+        rows = [f"{node},{','.join(map(repr, row))}" for node, row in zip(high.tolist(), shape.tolist(), strict=True)]
+        brick.with_name(name).write_text("id,dx,dy,dz\n" + "\n".join(rows))
+    a, b, c = (str(brick.with_name(name)) for name in ("a.npz", "b.csv", "c.csv"))
+    flags = ("--mode", a, "0.5", "--mode", b, "-2e0", "--displacement", c, "--displacement-is", "displacement")
+    x, y, _ = moved(brick, "--moving", "high", *flags, "--steps", "2")
+    np.testing.assert_allclose(y[high], x[high] + 0.5 * shapes[0] - 2 * shapes[1] + shapes[2], atol=1e-14)
+
+
+def test_a_box_moves_what_is_inside_by_bernstein_polynomials(brick):
+    box = {"low": [1, -1.5, -3], "high": [3, 2.5, 3], "points": [2, 4, 3]}
+    control = np.zeros((2, 4, 3, 3))
+    control[1, 2, 1], control[0, 1, 2] = [0.1, 0.2, -0.3], [0.3, 0, 0.1]
+    box["moved"] = [{"at": [1, 2, 1], "by": [0.1, 0.2, -0.3]}, {"at": [0, 1, 2], "by": [0.3, 0, 0.1]}]
+    x, y, mesh = moved(brick, "--moving", "high", "--box", json.dumps(box))
+    high = mesh.patch("high")
+    t = (x[high] - [1, -1.5, -3]) / [2, 4, 6]
+    inside = ((t >= 0) & (t <= 1)).all(axis=1)
+    assert 0 < inside.sum() < len(high)
+    # de Casteljau: interpolating linearly between control points, again and again, with no polynomial in sight
+    for node, where, is_inside in zip(high, t, inside, strict=True):
+        values = control
+        for share in where:
+            while len(values) > 1:
+                values = (1 - share) * values[:-1] + share * values[1:]
+            values = values[0]
+        np.testing.assert_allclose(y[node] - x[node], values if is_inside else 0, atol=1e-14)
+    brick.with_name("box.toml").write_text(
+        "low = [1, -1.5, -3]\nhigh = [3, 2.5, 3]\npoints = [2, 4, 3]\n[[moved]]\nat = [1, 2, 1]\n"
+        "by = [0.1, 0.2, -0.3]\n[[moved]]\nat = [0, 1, 2]\nby = [0.3, 0, 0.1]\n"
+    )
+    np.testing.assert_array_equal(moved(brick, "--moving", "high", "--box", str(brick.with_name("box.toml")))[1], y)
+
+
+WRONG = {
+    "no axis": (["--bend", "5", "--along", "0", "1", "0"], "--bend needs --axis X Y Z"),
+    "no line": (["--twist", "5"], "--along X Y Z is missing"),
+    "not at right angles": (
+        ["--bend", "5", "--axis", "1", "0", "0", "--along", "1", "1", "0"],
+        "--bend needs --axis and --along at right angles",
+    ),
+    "behind": (
+        ["--twist", "5", "--along", "1", "0", "0", "--about", "3", "0", "0"],
+        "--twist needs a --length above 0, and no node lies ahead of --about",
+    ),
+    "nothing to turn": (["--translate", "1", "0", "0", "--axis", "1", "0", "0"], "--axis without --rotate or --bend"),
+    "no mode": (["--mode", "none.csv", "1"], "none.csv: No such file"),
+    "bad mode": (["--mode", "none.csv", "nan"], "--mode none.csv needs an amplitude"),
+    "no box": (["--box", '{"low": [0, 0, 0]}'], "--box: low, high, points and a list moved expected, found low"),
+    "flat box": (
+        ["--box", '{"low": [0, 0, 0], "high": [1, 1, 0], "points": [2, 2, 2], "moved": []}'],
+        "--box: low must be below high",
+    ),
+    "outside of the lattice": (
+        ["--box", '{"low": [0,0,0], "high": [1,1,1], "points": [2,2,2], "moved": [{"at": [2,0,0], "by": [0,0,1]}]}'],
+        r"--box: at = \[2, 0, 0\] is none of the control points",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_motions_that_make_no_sense(brick, capsys, what):
+    flags, message = WRONG[what]
+    out = brick.with_name("wrong.su2")
+    assert main(["deform", str(brick), str(out), "--moving", "high", *flags, "--fixed", "rest", "low"]) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n"), out.exists()) == ("", 1, False)
+    assert re.search(message, said.err), said.err
+
+
+def test_a_flag_twice_for_one_patch(brick, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(
+            [
+                "deform",
+                str(brick),
+                "x.su2",
+                "--moving",
+                "high",
+                "--translate",
+                "1",
+                "0",
+                "0",
+                "--translate",
+                "1",
+                "0",
+                "0",
+            ]
+        )
+    assert ended.value.code == 2
+    assert "--translate twice for one --moving" in capsys.readouterr().err
