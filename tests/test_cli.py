@@ -183,7 +183,7 @@ def test_info_and_help(here, capsys, monkeypatch):
     said = capsys.readouterr().out
     for expected in ("2-D, 216 points", "192 quad", "x        -5 to 5", "wall         24 nodes"):
         assert expected in said
-    for command in ([], ["deform"], ["quality"], ["info"], ["demo"]):
+    for command in ([], ["deform"], ["modes"], ["sensitivity"], ["quality"], ["info"], ["demo"]):
         with pytest.raises(SystemExit) as ended:
             main([*command, "--help"])
         assert ended.value.code == 0

@@ -1,4 +1,4 @@
-"""The command line: `jaxmorph deform`, `quality`, `info`, `demo`; a thin skin over the library's public names."""
+"""The command line, a thin skin over the library's public names: `jaxmorph deform`, `modes`, `sensitivity`, `quality` ..."""
 
 import argparse
 import sys
@@ -11,7 +11,9 @@ from ._arguments import parser
 from ._deform import deform
 from ._inspect import info, quality
 from ._job import with_job
+from ._modes import modes
 from ._output import Output
+from ._sensitivity import sensitivity
 
 INTERRUPTED = 130
 
@@ -30,7 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             chosen = parser().parse_args(with_job(words))
             jax.config.update("jax_enable_x64", True)
-            commands = {"deform": deform, "quality": quality, "info": info, "demo": _demo}
+            commands = {"deform": deform, "modes": modes, "sensitivity": sensitivity}
+            commands |= {"quality": quality, "info": info, "demo": _demo}
             out.verbose = getattr(chosen, "verbose", False)
             return out.end(commands[chosen.command](chosen, out))
         except OSError as error:

@@ -18,6 +18,12 @@ _DEFORM = """IN OUT --moving NAME ... MOTION ... [--moving ...]
            --fixed NAME ... [--symmetry NAME ...] [METHOD ...] [GATE ...]
        jaxmorph deform --job FILE"""
 
+_MODES = """IN OUT --moving NAME ... --fixed NAME ... --mode FILE ...
+           [--amplitude A ...] [--symmetry NAME ...] [METHOD ...] [GATE ...]"""
+
+_SENSITIVITY = """IN SENS OUT --moving NAME ... --fixed NAME ...
+           [--symmetry NAME ...] [METHOD ...]"""
+
 
 class Parser(argparse.ArgumentParser):
     """Says in one line what is wrong with the arguments, and takes -1e-3 for a number."""
@@ -35,6 +41,8 @@ def parser() -> argparse.ArgumentParser:
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_deform(commands)
+    _add_modes(commands)
+    _add_sensitivity(commands)
     quality = _command(commands, "quality", "quality of a mesh's cells", _help.QUALITY, "FILE [FILE2] [GATE ...]")
     quality.add_argument("file", metavar="FILE", type=pathlib.Path, help=f"a mesh: {_FILES}")
     quality.add_argument("moved", metavar="FILE2", nargs="?", type=pathlib.Path, help="the same mesh, deformed")
@@ -91,6 +99,46 @@ def _add_deform(commands) -> None:
         "--no-dry-run", action="store_false", dest="dry_run", help="do not try more sources and steps for advice"
     )
     _add_speech(deform)
+
+
+def _add_modes(commands) -> None:
+    modes = _command(commands, "modes", "move a mesh by many shapes or amplitudes at once", _help.MODES, _MODES)
+    _add_input(modes)
+    what = "OUT.pvd: .vtu files and a time series of them; else files OUT_0001, OUT_0002, ... of its ending"
+    modes.add_argument("output", metavar="OUT", type=pathlib.Path, help=what)
+    group = modes.add_argument_group("surface")
+    group.add_argument("--moving", metavar="NAME", nargs="+", default=[], help="patches that move")
+    _add_fixed(group)
+    group = modes.add_argument_group("shapes")
+    group.add_argument(
+        "--mode",
+        metavar="FILE",
+        type=pathlib.Path,
+        nargs="+",
+        required=True,
+        help="displacements of the moving nodes: rows of node id, x, y[, z], or .npz",
+    )
+    group.add_argument(
+        "--amplitude", metavar="A", type=float, nargs="+", default=[1.0], help="factors for each of them (default 1)"
+    )
+    _add_method(modes)
+    _add_gates(modes)
+    modes.add_argument("--allow-inverted", action="store_true", help="write bad meshes too")
+    _add_speech(modes)
+
+
+def _add_sensitivity(commands) -> None:
+    what = "pull an adjoint solver's dJ/d(volume nodes) back to the moving nodes"
+    command = _command(commands, "sensitivity", what, _help.SENSITIVITY, _SENSITIVITY)
+    _add_input(command)
+    what = "dJ/d(points) of all nodes: SU2's, rows of node id and dJ/dx, dJ/dy[, dJ/dz], or .npz"
+    command.add_argument("sensitivity", metavar="SENS", type=pathlib.Path, help=what)
+    command.add_argument("output", metavar="OUT", type=pathlib.Path, help="where to write it: .csv or .npz")
+    group = command.add_argument_group("surface")
+    group.add_argument("--moving", metavar="NAME", nargs="+", default=[], help="patches that move")
+    _add_fixed(group)
+    _add_method(command)
+    _add_speech(command)
 
 
 def _add_input(command: argparse.ArgumentParser) -> None:

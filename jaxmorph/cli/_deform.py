@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import textwrap
+import warnings
 
 import numpy as np
 from jaxtyping import Float
@@ -12,10 +13,10 @@ from jaxmorph import Mesh, io
 
 from . import _gates
 from ._estimate import estimate
-from ._files import save
+from ._files import save, write_moved
 from ._gates import Gate, Judged
 from ._job import text_of
-from ._method import Choice, check_patches, choose, prepare
+from ._method import Choice, check_patches, choose, in_double, prepare
 from ._motion import Motions, motions
 from ._output import Output
 from ._tables import compared, count, inverted_cells, numbers
@@ -47,15 +48,10 @@ class Run:
         return prepare(self.arguments, self.mesh, self.names, choice.method)
 
     def points(self, plan: jm.Plan, steps: int) -> Float[np.ndarray, "n d"]:
-        """The moved points, always in double precision; those that a single precision plan leaves alone keep all digits."""
+        """The moved points, always in double precision."""
         path = self.motion.path(self.wall, steps)
         moved = jm.deform(plan, path[0]) if steps == 1 else jm.march(plan, path)[1]
-        if moved.dtype == np.float64:
-            return np.asarray(moved)
-        points = np.asarray(self.mesh.points) + (np.asarray(moved, float) - np.asarray(plan.points, float))
-        if plan.method.exact:
-            points[self.moving] = self.wall + path[-1]
-        return points
+        return in_double(self.mesh, plan, moved, path[-1])
 
     def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, list[str]]:
         """The quality of the moved mesh, and a sentence for each thing that is wrong with it."""
@@ -96,7 +92,7 @@ def deform(arguments: argparse.Namespace, out: Output) -> int:
         out.complain(f"{arguments.output} is not written; --allow-inverted writes it all the same.")
         return 1
     with out.progress(f"writing {arguments.output.name}"):
-        _write(arguments, mesh, mesh.moved(points), after.report)
+        write_moved(arguments.output, mesh, mesh.moved(points), after.report)
     out.say(f"wrote {arguments.output} ({out.seconds:.1f} s)", output=str(arguments.output))
     return 1 if bad else 0
 
@@ -172,8 +168,7 @@ def _tried(run: Run, choice: Choice, out: Output) -> str:
         for done, (sources, steps) in enumerate(trials):
             method = "paper" if asked.method == "dgm" else asked.method
             sources = asked.sources if sources is None else sources
-            plan = run.prepare(choose(method, sources, run.wall))
-            if not run.judge(run.points(plan, steps))[1]:
+            if _works(run, method, sources, steps):
                 flags = ["--method paper"] if method != asked.method else []
                 flags += [f"--sources {sources}"] if sources != asked.sources else []
                 return " ".join([*flags, *([f"--steps {steps}"] if steps != asked.steps else [])])
@@ -181,13 +176,12 @@ def _tried(run: Run, choice: Choice, out: Output) -> str:
     return ""
 
 
-def _write(arguments: argparse.Namespace, mesh: Mesh, moved: Mesh, after: jm.QualityReport) -> None:
-    """With the displacement and the quality of each cell where the format holds arrays."""
-    if not io.check_output(arguments.output, mesh):
-        io.write(arguments.output, moved)
-        return
-    names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
-    cell_data = {name: np.asarray(getattr(after, name)) for name in names}
-    cell_data["is_inverted"] = np.asarray(after.is_inverted).astype(np.uint8)
-    displacement = np.asarray(moved.points) - np.asarray(mesh.points)
-    io.write(arguments.output, moved, point_data={"displacement": displacement}, cell_data=cell_data)
+def _works(run: Run, method: str, sources: int | None, steps: int) -> bool:
+    """Whether the mesh is good by another method; not so where that one refuses."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            plan = run.prepare(choose(method, sources, run.wall))
+        except ValueError:
+            return False
+        return not run.judge(run.points(plan, steps))[1]

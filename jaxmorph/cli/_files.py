@@ -1,7 +1,12 @@
-"""Small files of the command line's own, written completely or not at all."""
+"""What the command line writes, completely or not at all."""
 
 import os
 import pathlib
+
+import numpy as np
+
+import jaxmorph as jm
+from jaxmorph import Mesh, io
 
 
 def save(path: pathlib.Path, content: bytes) -> None:
@@ -12,3 +17,15 @@ def save(path: pathlib.Path, content: bytes) -> None:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def write_moved(path: pathlib.Path, mesh: Mesh, moved: Mesh, after: jm.QualityReport) -> None:
+    """A moved mesh, with the displacement and the quality of each cell where the format holds arrays."""
+    if not io.check_output(path, mesh):
+        io.write(path, moved)
+        return
+    names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
+    cell_data = {name: np.asarray(getattr(after, name)) for name in names}
+    cell_data["is_inverted"] = np.asarray(after.is_inverted).astype(np.uint8)
+    displacement = np.asarray(moved.points) - np.asarray(mesh.points)
+    io.write(path, moved, point_data={"displacement": displacement}, cell_data=cell_data)

@@ -48,6 +48,32 @@ examples:
 exit status: 0; 1 when cells are inverted or a gate fails (OUT is then not
 written unless --allow-inverted is given); 2 for bad input"""
 
+MODES = """\
+Every mode file at every amplitude, through one plan, several at a time. Times
+of a series are the amplitudes where one mode's go up, else the cases' numbers.
+
+examples:
+  the first mode of a wing at five amplitudes, for ParaView:
+    jaxmorph modes wing.su2 flutter.pvd --moving wing --fixed farfield \\
+        --symmetry symmetry --mode mode1.csv --amplitude -0.2 -0.1 0 0.1 0.2
+  a mesh for each of twenty design variables, shapes_0001.su2 and so on:
+    jaxmorph modes airfoil.su2 shapes.su2 --moving airfoil --fixed farfield \\
+        --mode bumps/*.npz --amplitude 0.01
+
+exit status: 0; 1 when cells are inverted or a gate fails in any of them (it is
+then not written unless --allow-inverted is given); 2 for bad input"""
+
+SENSITIVITY = """\
+The transpose of deform, at the mesh as it is, for the same patches and method.
+Rows of OUT have the node ids of IN.
+
+example:
+  SU2's volume sensitivities to those of the wall's nodes:
+    jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
+        --moving airfoil --fixed farfield
+
+exit status: 0; 2 for bad input"""
+
 QUALITY = """\
 Skewness: 0 ideal, 1 degenerate. Aspect ratio: 1 ideal. Means are weighted by
 area or volume. With FILE2, the same mesh with other coordinates, cells count as

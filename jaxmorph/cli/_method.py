@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 
+import jax
 import numpy as np
 
 import jaxmorph as jm
@@ -95,3 +96,14 @@ def check_patches(arguments: argparse.Namespace, mesh: jm.Mesh, moving: list[str
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
     if not len(mesh.cells):
         raise ValueError(f"{arguments.file}: the mesh has no cells.")
+
+
+def in_double(mesh: jm.Mesh, plan: jm.Plan, moved: jax.Array | np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Moved points in double precision: nodes that a plan in single precision leaves alone keep all their digits."""
+    if moved.dtype == np.float64:
+        return np.asarray(moved)
+    base, nodes = np.asarray(mesh.points), np.asarray(plan.moving)
+    points = base + (np.asarray(moved, float) - np.asarray(plan.points, float))
+    if plan.method.exact:
+        points[nodes] = base[nodes] + u
+    return points

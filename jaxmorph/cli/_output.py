@@ -18,10 +18,10 @@ class Output:
         self.progress = Progress(self.name)
         self.began = time.monotonic()
 
-    def say(self, text: str = "", **facts: Any) -> None:
+    def say(self, text: str | None = None, **facts: Any) -> None:
         """A line or more, and the facts in it by name."""
         self.facts.update(facts)
-        if text and not self.as_json:
+        if text is not None and not self.as_json:
             print(text, flush=True)
 
     def complain(self, text: str, key: str = "problems") -> None:

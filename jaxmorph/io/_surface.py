@@ -2,11 +2,15 @@
 
 import os
 import pathlib
+import re
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ._text import Section
+
+IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
+"""What headers call the column of node ids, which is the first one otherwise."""
 
 
 def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
@@ -17,21 +21,34 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
 
     Raises `ValueError`, with file and line, for other contents and for ids that come twice or are no whole numbers.
     """
-    path = pathlib.Path(path)
+    return read_table(pathlib.Path(path), d)
+
+
+def read_table(
+    path: pathlib.Path, d: int, wanted: tuple[str, ...] = ()
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
+    """Node ids and d numbers for each: the columns that a header calls as `wanted`, whatever stands beside them; else all."""
     text = path.read_bytes()
     for mark in (b"%", b"#"):
         text = b"\n".join(line.partition(mark)[0] for line in text.split(b"\n"))
-    text = text.replace(b",", b" ").replace(b";", b" ")
     start = _after_header(text)
+    names = [name.strip(b"\"'").lower() for name in re.findall(rb"\"[^\"]*\"|[^\s,;]+", text[:start])]
+    text = text.replace(b",", b" ").replace(b";", b" ")
     section = Section(path, text, start, len(text))
     rows = section.rows(np.float64)
     if not len(rows.counts):
         raise ValueError(f"{path}: no rows of node id and {d} numbers in this file.")
-    wrong = np.flatnonzero(rows.counts != d + 1)
+    columns = [0, *range(1, d + 1)]
+    if wanted and all(name.encode() in names for name in wanted[:d]):
+        number = next((k for k, name in enumerate(names) if name in IDS), 0)
+        columns = [number, *(names.index(name.encode()) for name in wanted[:d])]
+    width = len(names) if max(columns) > d else d + 1
+    wrong = np.flatnonzero(rows.counts != width)
     if wrong.size:
+        expected = f"a node id and {d} numbers" if width == d + 1 else f"{width} numbers, as in the header,"
         found = f"found {rows.counts[wrong[0]]} numbers"
-        raise section.error(f"a node id and {d} numbers expected, {found}.", int(wrong[0]))
-    table = rows.values.reshape(-1, d + 1)
+        raise section.error(f"{expected} expected, {found}.", int(wrong[0]))
+    table = rows.values.reshape(-1, width)[:, columns]
     wrong = np.flatnonzero(~np.isfinite(table).all(axis=1) | (table[:, 0] != np.floor(table[:, 0])) | (table[:, 0] < 0))
     if wrong.size:
         raise section.error(f"found {table[wrong[0]].tolist()}, not a node id and {d} finite numbers.", int(wrong[0]))

@@ -1,0 +1,52 @@
+"""Sensitivities with respect to the points of a mesh, as an adjoint solver writes them."""
+
+import os
+import pathlib
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxmorph import Mesh
+
+from ._shape import load_npz
+from ._surface import read_table
+
+NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
+"""SU2's names of the columns, in lower case."""
+
+
+def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
+    """dJ/d(points) for every node of the mesh, in the unit of J over that of the points: what `pullback` takes.
+
+    A table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`] (SU2's volume sensitivities and adjoint
+    restarts, .csv or .dat), or one with rows of node id and as many numbers as the mesh has dimensions, in any order; or .npz
+    of `sensitivity` (n, d), with `ids` where its rows are not in the order of the nodes.
+
+    Raises `ValueError` for nodes that are missing, foreign or there twice, and for values that are not finite.
+    """
+    path = pathlib.Path(path)
+    n, d = mesh.points.shape
+    ids, values = _arrays(path, n) if path.suffix.lower() == ".npz" else read_table(path, d, NAMES)
+    if values.shape != (len(ids), d) or not np.isfinite(values).all():
+        raise ValueError(f"{path}: finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
+    foreign = np.setdiff1d(ids, np.arange(n))
+    if foreign.size:
+        raise ValueError(f"{path}: {foreign.size} node ids are not of the mesh (0 to {n - 1}), first {foreign[0]}.")
+    missing = np.setdiff1d(np.arange(n), ids)
+    if missing.size or len(ids) != n:
+        found = f"{missing.size} of {n} nodes are missing (first {missing[0]})" if missing.size else "nodes come twice"
+        raise ValueError(f"{path}: {found}; sensitivities of all nodes of the volume are needed.")
+    result = np.empty((n, d))
+    result[ids] = values
+    return result
+
+
+def _arrays(path: pathlib.Path, n: int) -> tuple[np.ndarray, np.ndarray]:
+    with load_npz(path) as arrays:
+        if "sensitivity" not in arrays:
+            raise ValueError(f"{path}: an array sensitivity expected, found {', '.join(arrays) or 'none'}.")
+        values = np.asarray(arrays["sensitivity"], float)
+        ids = np.asarray(arrays["ids"]) if "ids" in arrays else np.arange(len(values))
+    if ids.dtype.kind not in "iu" or ids.ndim != 1:
+        raise ValueError(f"{path}: ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
+    return ids, values
