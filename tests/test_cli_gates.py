@@ -77,6 +77,14 @@ def test_no_advice_where_none_works(here, capsys):
     assert "Try more --sources or more --steps." in capsys.readouterr().err
 
 
+def test_a_mesh_that_was_bad_before_is_told_and_gets_no_advice(here, capsys):
+    assert deform("was.su2", "--translate", "0.1", "0", "--max-aspect-ratio", "1.1") == 1
+    said = capsys.readouterr().err
+    assert "192 of 192 cells are beyond --max-aspect-ratio 1.1 (192 before the motion), the worst is cell" in said
+    assert "Try" not in said
+    assert "With" not in said
+
+
 def test_the_preset_is_that_of_checkmesh_and_single_limits_win(here, capsys):
     assert deform("a.su2", "--rotate", "1", "--preset", "checkmesh", "--max-aspect-ratio", "7", "--json") == 0
     gates = {gate["gate"]: gate for gate in json.loads(capsys.readouterr().out)["gates"]}

@@ -38,7 +38,7 @@ class Run:
     moving: np.ndarray
     motion: Motions
     gates: list[Gate]
-    before: jm.QualityReport
+    before: Judged
 
     @property
     def wall(self) -> Float[np.ndarray, "m d"]:
@@ -57,7 +57,7 @@ class Run:
         """The quality of the moved mesh, and a sentence for each thing that is wrong with it."""
         after = Judged(self.mesh, points, jm.quality(self.mesh, points))
         bad = inverted_cells(after.report)
-        return after, [*([bad] if bad else []), *_gates.failures(self.gates, after)]
+        return after, [*([bad] if bad else []), *_gates.failures(self.gates, self.before, after)]
 
 
 def deform(arguments: argparse.Namespace, out: Output) -> int:
@@ -79,10 +79,11 @@ def deform(arguments: argparse.Namespace, out: Output) -> int:
         points = run.points(plan, arguments.steps)
     with out.progress("judging the cells"):
         after, bad = run.judge(points)
-        before = Judged(mesh, mesh.points, run.before)
-        tables = [compared(run.before, after.report), _gates.table(run.gates, before, after)]
-    out.say("\n" + "\n\n".join(filter(None, tables)) + "\n", before=numbers(run.before), after=numbers(after.report))
-    out.say(gates=_gates.facts(run.gates, before, after))
+        tables = [compared(run.before.report, after.report), _gates.table(run.gates, run.before, after)]
+    out.say(
+        "\n" + "\n\n".join(filter(None, tables)) + "\n", before=numbers(run.before.report), after=numbers(after.report)
+    )
+    out.say(gates=_gates.facts(run.gates, run.before, after))
     if arguments.save_job is not None:
         save(arguments.save_job, text_of(arguments).encode())
         out.say(f"job      {arguments.save_job}")
@@ -118,7 +119,7 @@ def _run(arguments: argparse.Namespace, mesh: Mesh, out: Output) -> tuple[Run, C
     out.say(f"method   {choice.name}, {count(arguments.steps, 'step')}", method=choice.name, steps=arguments.steps)
     out.say(moving={name: len(mesh.patch(name)) for name in names}, largest=float(way.max()), sources=choice.sources)
     with out.progress("judging the cells"):
-        before = jm.quality(mesh)
+        before = Judged(mesh, mesh.points, jm.quality(mesh))
     return Run(arguments, mesh, names, moving, motion, limits, before), choice
 
 
@@ -147,6 +148,9 @@ def _fail(run: Run, choice: Choice, bad: list[str], out: Output) -> None:
     """Says what is wrong, and what another attempt has found to be right."""
     for sentence in bad[:-1]:
         out.complain(sentence)
+    if _gates.hopeless(run.gates, run.before):
+        out.complain(bad[-1])
+        return
     if out.seconds > TRIAL or not run.arguments.dry_run:
         out.complain(f"{bad[-1]} Try {HINTS[run.arguments.method]}.")
         return

@@ -112,16 +112,27 @@ def _cell(gate: Gate, judged: Judged, cell: int) -> str:
     return f"  {cell:<22}{judged.values(gate.measure)[row]:>12.5g}   near {place(judged.report, cell)}"
 
 
-def failures(chosen: list[Gate], after: Judged) -> list[str]:
-    """One sentence for each gate that fails."""
+def failures(chosen: list[Gate], before: Judged | None, after: Judged) -> list[str]:
+    """One sentence for each gate that fails; with how many cells did before, where any did."""
     said = []
     for gate in chosen:
         bad = gate.beyond(after)
         if len(bad):
             are = "cell is" if len(bad) == 1 else "cells are"
             limit = f"--{gate.flag.replace('_', '-')} {gate.limit:g}"
-            said.append(f"{len(bad)} of {len(after.counted)} {are} beyond {limit}, the worst is cell {bad[0]}.")
+            old = "" if before is None else _before(gate, before)
+            said.append(f"{len(bad)} of {len(after.counted)} {are} beyond {limit}{old}, the worst is cell {bad[0]}.")
     return said
+
+
+def _before(gate: Gate, before: Judged) -> str:
+    count = len(gate.beyond(before))
+    return f" ({count} before the motion)" if count else ""
+
+
+def hopeless(chosen: list[Gate], before: Judged) -> bool:
+    """Whether the mesh was beyond a limit before it moved, which no other way of moving it can cure."""
+    return any(len(gate.beyond(before)) for gate in chosen)
 
 
 def facts(chosen: list[Gate], before: Judged | None, after: Judged) -> list[dict[str, Any]]:

@@ -33,7 +33,7 @@ def quality(arguments: argparse.Namespace, out: Output) -> int:
     if before is not None:
         out.say(before=numbers(before.report))
     out.say(after=numbers(after.report))
-    bad = [sentence for sentence in (inverted_cells(after.report), *_gates.failures(limits, after)) if sentence]
+    bad = [sentence for sentence in (inverted_cells(after.report), *_gates.failures(limits, before, after)) if sentence]
     for sentence in bad:
         out.complain(sentence)
     return 1 if bad else 0

@@ -49,13 +49,15 @@ def modes(arguments: argparse.Namespace, out: Output) -> int:
         choice = choose(arguments.method, arguments.sources, np.asarray(mesh.points)[moving])
         plan = prepare(arguments, mesh, arguments.moving, choice.method)
     what = f"{count(len(shapes), 'mode')} at {count(len(arguments.amplitude), 'amplitude')}"
-    out.say(f"{arguments.file.name}: {len(mesh.points)} points, {what}; {choice.name}", method=choice.name)
+    out.say(f"{arguments.file.name}: {len(mesh.points)} points, {what}", points=len(mesh.points))
+    out.say(f"method   {choice.name}", method=choice.name)
     out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{'min J/J0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
+    before = Judged(mesh, mesh.points, jm.quality(mesh)) if limits else None
     with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, shapes, cases):
             report = jm.quality(mesh, points)
-            failed = [inverted_cells(report), *_gates.failures(limits, Judged(mesh, points, report))]
+            failed = [inverted_cells(report), *_gates.failures(limits, before, Judged(mesh, points, report))]
             failed = [sentence for sentence in failed if sentence]
             bad += bool(failed)
             _tell(case, arguments.mode[case.mode], report, failed, out)

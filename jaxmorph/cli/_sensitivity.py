@@ -37,7 +37,8 @@ def sensitivity(arguments: argparse.Namespace, out: Output) -> int:
         plan = prepare(arguments, mesh, arguments.moving, choice.method)
     with out.progress("pulling back"):
         found = np.asarray(jm.pullback(plan, np.zeros((len(moving), given.shape[1])), given), float)
-    out.say(f"{arguments.file.name}: {len(mesh.points)} points, {count(len(moving), 'moving node')}; {choice.name}")
+    out.say(f"{arguments.file.name}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
+    out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
     size = np.linalg.norm(found, axis=1)
     worst = int(size.argmax())
     place = ", ".join(f"{x:.3g}" for x in np.asarray(mesh.points)[moving[worst]])
