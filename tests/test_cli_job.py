@@ -1,6 +1,7 @@
 """Job files, and what machines and impatient people get from the command line."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -150,6 +151,21 @@ def test_verbose_tells_the_time_of_each_stage(here, capsys):
     ):
         assert f"\n  {stage} " in said
     assert max(map(len, said.split("\n"))) <= 80
+
+
+def test_what_may_not_fit_into_memory_is_told_before_the_work(here, capsys, monkeypatch):
+    from jaxmorph.cli import _estimate
+
+    monkeypatch.setattr(_estimate, "_physical_memory", lambda: 1e8)
+    assert main(["deform", "ring.su2", "out.su2", *MOVE, "--method", "dgm"]) == 0
+    said = capsys.readouterr()
+    assert re.search(r"^jaxmorph deform: warning: \S+ GB may not fit into memory", said.err)
+    assert "estimate" not in said.out
+    monkeypatch.setattr(_estimate, "LARGE", 200)
+    assert main(["deform", "ring.su2", "out.su2", *MOVE, "--method", "rbf"]) == 0
+    assert re.search(
+        r"estimate 216 points, 48 surface nodes, 48 sources: about \S+ GB, \S+ s\n", capsys.readouterr().out
+    )
 
 
 def test_single_precision_moves_to_its_precision_and_the_wall_exactly(here):

@@ -65,11 +65,13 @@ def deform(arguments: argparse.Namespace, out: Output) -> int:
     with out.progress(f"reading {arguments.file.name}"):
         mesh = io.read(arguments.file)
     run, choice = _run(arguments, mesh, out)
-    foreseen = estimate(mesh, len(run.moving), len(mesh.patch(*arguments.fixed)), choice, arguments)
+    foreseen = estimate(mesh, len(mesh.patch(*run.names, *arguments.fixed)), choice, arguments)
     if foreseen.is_large or arguments.verbose:
         out.say(textwrap.fill(str(foreseen), 80, subsequent_indent=" " * 9))
     if foreseen.is_too_large:
-        out.warn("this may not fit into memory; fewer --sources and --dtype float32 need less.")
+        out.warn(
+            f"{foreseen.memory / 1e9:.2g} GB may not fit into memory; fewer --sources and --dtype float32 need less."
+        )
     with out.progress("preparing", foreseen.preparing):
         plan = run.prepare(choice)
     with out.progress("inspecting the motion"):
@@ -77,7 +79,7 @@ def deform(arguments: argparse.Namespace, out: Output) -> int:
             out.warn(warning)
     with out.progress(f"deforming in {count(arguments.steps, 'step')}", foreseen.deforming):
         points = run.points(plan, arguments.steps)
-    with out.progress("judging the cells"):
+    with out.progress("judging the cells", foreseen.judging / 2):
         after, bad = run.judge(points)
         tables = [compared(run.before.report, after.report), _gates.table(run.gates, run.before, after)]
     out.say(

@@ -7,25 +7,26 @@ import os
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._host.topology import CORNERS, FACES
 
 from ._method import Choice
 
-LARGE = 500_000
-"""Points from which on the estimate is told."""
+LARGE, LONG = 500_000, 30.0
+"""Points, and seconds, from which on the estimate is told."""
 
-PAIR = 1.8e-9
-"""Seconds for a pair of a point and a source, one core."""
+START = 0.3e9
+"""Bytes of the process before it has read anything."""
 
-POINT = {"graph": 4e-6, "none": 4e-7}
-"""Seconds of preparation for a point, with and without location in the Delaunay graph."""
+PAIR, POINT, CELL, SOURCES = 1.8e-9, {2: 5e-6, 3: 15e-6}, 8e-6, 1e-10
+"""Seconds: of the sum for a pair of point and source, of preparing a point in 2-D and 3-D, of judging a cell; for sources cubed."""
 
-KEPT = {"graph": 400, "none": 60}
-"""Bytes that a plan and the quality report keep for a point of the mesh and its cells."""
+COMPILING = 2.0
+"""Seconds that each stage takes on the smallest mesh."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """For n points, b surface nodes and s sources: bytes at the most, and seconds of the two long stages."""
+    """For n points, b surface nodes and s sources: bytes at the most, and seconds of the three long stages."""
 
     n: int
     b: int
@@ -33,10 +34,15 @@ class Estimate:
     memory: float
     preparing: float
     deforming: float
+    judging: float
+
+    @property
+    def seconds(self) -> float:
+        return self.preparing + self.deforming + self.judging
 
     @property
     def is_large(self) -> bool:
-        return self.n >= LARGE
+        return self.n >= LARGE or self.seconds >= LONG
 
     @property
     def is_too_large(self) -> bool:
@@ -45,22 +51,24 @@ class Estimate:
     def __str__(self) -> str:
         return (
             f"estimate {self.n} points, {self.b} surface nodes, {self.s} sources: about {self.memory / 1e9:.2g} GB, "
-            f"{self.preparing:.2g} s to prepare, {self.deforming:.2g} s to deform"
+            f"{self.seconds:.2g} s"
         )
 
 
-def estimate(mesh: Mesh, moving: int, fixed: int, choice: Choice, arguments: argparse.Namespace) -> Estimate:
-    """From what was measured on one core (double precision; the order of magnitude is what it is good for)."""
+def estimate(mesh: Mesh, b: int, choice: Choice, arguments: argparse.Namespace) -> Estimate:
+    """From measurements on one core of a server processor: good for the order of magnitude."""
     n, d = mesh.points.shape
-    s = choice.sources
-    if arguments.method == "rbf":
-        s += fixed
-    kind = "none" if arguments.method == "rbf" else "graph"
+    s = b if arguments.method == "rbf" else choice.sources
     size = np.dtype(arguments.dtype).itemsize / 8
-    cells = sum(len(corners) for corners in mesh.cells.values())
-    memory = size * (n * KEPT[kind] + 3 * 8 * s**2 + 3 * d * 8 * n) + cells * 8 * 40
-    deforming = arguments.steps * (n * s * PAIR + 1e-10 * s**3)
-    return Estimate(n, moving + fixed, s, memory, 1.0 + n * POINT[kind] + 1e-10 * s**3, 1.0 + deforming)
+    quality = sum(len(ids) * CORNERS[kind] * len(FACES[kind]) for kind, ids in mesh.cells.items()) * 15 * d**2
+    memory = START + size * (1000 * n + 24 * s**2) + quality
+    solve = SOURCES * s**3
+    return Estimate(
+        *(n, b, s, memory),
+        preparing=COMPILING + (0 if arguments.method == "rbf" else n * POINT[d]) + solve,
+        deforming=COMPILING + arguments.steps * (n * s * PAIR + solve),
+        judging=COMPILING + 2 * CELL * sum(len(ids) for ids in mesh.cells.values()),
+    )
 
 
 def _physical_memory() -> float:
