@@ -116,6 +116,23 @@ def test_a_job_that_is_not_there(here, capsys):
 MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0"]
 
 
+def test_a_job_that_cannot_be_saved_is_told_before_the_work(here, capsys):
+    for job, message in (("no/job.toml", "there is no such folder"), ("out.su2", "OUT goes there")):
+        assert main(["deform", "ring.su2", "out.su2", *MOVE, "--save-job", job]) == 2
+        said = capsys.readouterr()
+        assert (said.out, said.err) == ("", f"jaxmorph deform: --save-job {job}: {message}.\n")
+
+
+def test_running_out_of_memory_is_one_line(here, capsys, monkeypatch):
+    def greedy(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr(jm, "prepare", greedy)
+    assert main(["deform", "ring.su2", "out.su2", *MOVE]) == 2
+    assert capsys.readouterr().err == "jaxmorph deform: out of memory; fewer --sources and --dtype float32 need less.\n"
+    assert not (here / "out.su2").exists()
+
+
 def test_json_is_one_object_and_says_what_the_text_says(here, capsys):
     assert main(["deform", "ring.su2", "out.su2", *MOVE, "--json"]) == 0
     said = capsys.readouterr()

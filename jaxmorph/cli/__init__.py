@@ -41,6 +41,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             out.complain(_line(named))
         except (ValueError, ImportError) as error:
             out.complain(_line(error))
+        except (MemoryError, jax.errors.JaxRuntimeError) as error:
+            if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
+                raise
+            out.complain("out of memory; fewer --sources and --dtype float32 need less.")
         except KeyboardInterrupt:
             out.complain("interrupted; no file is half written.")
             return out.end(INTERRUPTED)

@@ -122,6 +122,8 @@ def _run(arguments: argparse.Namespace, mesh: Mesh, out: Output) -> tuple[Run, C
     out.say(moving={name: len(mesh.patch(name)) for name in names}, largest=float(way.max()), sources=choice.sources)
     with out.progress("judging the cells"):
         before = Judged(mesh, mesh.points, jm.quality(mesh))
+        for gate in limits:
+            gate.extreme(before)  # what cannot be judged is told now
     return Run(arguments, mesh, names, moving, motion, limits, before), choice
 
 
@@ -141,6 +143,9 @@ def _check(arguments: argparse.Namespace, mesh: Mesh, names: list[str]) -> None:
                 )
         if group.patches and not len(mesh.patch(*group.patches)):
             raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
+    job = arguments.save_job
+    if job is not None and (not job.parent.is_dir() or job.resolve() == arguments.output.resolve()):
+        raise ValueError(f"--save-job {job}: {'OUT goes there' if job.parent.is_dir() else 'there is no such folder'}.")
     check_patches(arguments, mesh, names)
     if arguments.steps < 1:
         raise ValueError(f"--steps must be 1 or more, found {arguments.steps}.")
