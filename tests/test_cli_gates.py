@@ -1,7 +1,12 @@
 """Quality gates of the command line: what they judge, what they say, what they advise."""
 
+import gzip
 import json
+import os
+import pathlib
 import re
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -86,10 +91,10 @@ def test_a_mesh_that_was_bad_before_is_told_and_gets_no_advice(here, capsys):
 
 
 def test_the_preset_is_that_of_checkmesh_and_single_limits_win(here, capsys):
-    assert deform("a.su2", "--rotate", "1", "--preset", "checkmesh", "--max-aspect-ratio", "7", "--json") == 0
+    assert deform("a.su2", "--rotate", "1", "--preset", "checkmesh", "--max-face-skewness", "3", "--json") == 0
     gates = {gate["gate"]: gate for gate in json.loads(capsys.readouterr().out)["gates"]}
     limits = {name: gate["limit"] for name, gate in gates.items()}
-    assert limits == {"max_aspect_ratio": 7, "max_non_orthogonality": 70, "max_face_skewness": 4}
+    assert limits == {"max_face_aspect_ratio": 1000, "max_non_orthogonality": 70, "max_face_skewness": 3}
     assert all(gate["beyond"] == 0 for gate in gates.values())
 
 
@@ -142,3 +147,39 @@ def test_skewness_of_faces_in_space(kind):
             worst = max(worst, np.linalg.norm(by) / max(reach, (0.2 if common else 0.4) * np.linalg.norm(across)))
         expected.append(worst)
     np.testing.assert_allclose(face_skewness(jm.Mesh(points, {kind: cells}), points), expected, rtol=1e-10)
+
+
+FOAM = {"WM_PROJECT_DIR": "/usr/share/openfoam"} | os.environ
+AIRFOIL = pathlib.Path("/usr/share/doc/openfoam-examples/examples/incompressible/simpleFoam/airFoil2D")
+BLOCK = """FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }
+vertices ((0 0 0) (2 .3 0) (1.4 1 .2) (0 1.7 0) (.1 .2 1) (1 0 1.3) (1.2 1.1 1) (-.4 .8 .9));
+blocks (hex (0 1 2 3 4 5 6 7) (5 4 3) simpleGrading (6 .1 3));
+boundary (low {type wall; faces ((0 3 2 1));}
+    rest {type patch; faces ((4 5 6 7) (0 4 7 3) (1 2 6 5) (0 1 5 4) (3 7 6 2));});
+"""
+
+
+@pytest.mark.skipif(shutil.which("checkMesh") is None, reason="OpenFOAM is not installed")
+@pytest.mark.parametrize("kind", ["plane", "space"])
+def test_the_preset_measures_what_checkmesh_does(tmp_path, capsys, kind):
+    case = tmp_path / "case"
+    if kind == "plane":
+        shutil.copytree(AIRFOIL, case)
+        for file in case.rglob("*.gz"):
+            file.with_suffix("").write_bytes(gzip.decompress(file.read_bytes()))
+            file.unlink()
+    else:
+        shutil.copytree(AIRFOIL / "system", case / "system")
+        (case / "system" / "blockMeshDict").write_text(BLOCK)
+        subprocess.run(["blockMesh"], cwd=case, env=FOAM, capture_output=True, check=True)
+    done = subprocess.run(["checkMesh"], cwd=case, env=FOAM, capture_output=True, text=True, check=True).stdout
+    patterns = {
+        "max_face_aspect_ratio": r"Max aspect ratio = (\S+)",
+        "max_face_skewness": r"Max skewness = ([\d.e+-]+)",
+    }
+    patterns["max_non_orthogonality"] = r"non-orthogonality Max: (\S+)"
+    assert main(["quality", str(case), "--preset", "checkmesh", "--json"]) == 0
+    found = {gate["gate"]: gate["after"] for gate in json.loads(capsys.readouterr().out)["gates"]}
+    for name, pattern in patterns.items():
+        near = 1e-5 if name.startswith("max_face") else 2e-4  # faces that are not plane have another centre
+        assert found[name] == pytest.approx(float(re.search(pattern, done)[1]), rel=near), name

@@ -233,7 +233,7 @@ def _add_gates(command: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--preset",
         choices=tuple(PRESETS),
-        help="limits of OpenFOAM's checkMesh: aspect ratio 1000, 70 degrees, faces 4",
+        help="limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, skewness 4",
     )
 
 

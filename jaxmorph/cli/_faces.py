@@ -1,4 +1,4 @@
-"""The skewness of faces as OpenFOAM's checkMesh measures it: it is of faces, and has no upper bound."""
+"""Aspect ratio and skewness as OpenFOAM's checkMesh measures them: from the faces of cells, and skewness without upper bound."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,13 +19,9 @@ def face_skewness(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndar
 
     Raises `ValueError` for surfaces in space.
     """
-    points = np.asarray(points, float)
-    faces, owner, total = _faces(mesh)
-    if faces.shape[1] != points.shape[1] + (points.shape[1] == 3):
-        raise ValueError("skewness of faces is for meshes that fill the plane or space, not for surfaces in space.")
-    corners = points[np.where(faces < 0, faces[:, :1], faces)]
-    centre, area = _edges(corners) if points.shape[1] == 2 else _polygons(corners)
-    own = _cell_centres(centre, area, owner, total)[owner]
+    faces, owner, total, corners = _faces_at(mesh, points)
+    centre, area = _centres_and_areas(corners)
+    own = _cell_centres(centre, area, owner, total)[0][owner]
     other = _behind(faces)
     inside = other >= 0
     normal = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), FLOOR)
@@ -41,6 +37,37 @@ def face_skewness(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndar
     result = np.zeros(total)
     np.maximum.at(result, owner, size / np.maximum(np.maximum(reach, least), FLOOR))
     return result
+
+
+def face_aspect_ratio(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " k"]:
+    """For each cell the largest of the sums of its faces' areas as seen along the axes, over the smallest; 1 for boundary elements.
+
+    In space at least a sixth of those sums together over the volume to the power of 2/3. Depends on how a cell lies in the axes.
+
+    Raises `ValueError` for surfaces in space.
+    """
+    _, owner, total, corners = _faces_at(mesh, points)
+    centre, area = _centres_and_areas(corners)
+    seen = _summed(np.abs(area), owner, total)
+    counted = np.bincount(owner, minlength=total) > 0
+    ratio = seen.max(axis=1) / np.maximum(seen.min(axis=1), FLOOR)
+    if area.shape[1] == 3:
+        volume = np.abs(_cell_centres(centre, area, owner, total)[1]) / 3
+        ratio = np.maximum(ratio, seen.sum(axis=1) / 6 / np.maximum(volume, FLOOR) ** (2 / 3))
+    return np.where(counted, ratio, 1.0)
+
+
+def _faces_at(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
+    """`_faces`, and the places of their corners."""
+    points = np.asarray(points, float)
+    faces, owner, total = _faces(mesh)
+    if faces.shape[1] != points.shape[1] + (points.shape[1] == 3):
+        raise ValueError("OpenFOAM's measures are for meshes that fill the plane or space, not for surfaces in space.")
+    return faces, owner, total, points[np.where(faces < 0, faces[:, :1], faces)]
+
+
+def _centres_and_areas(corners: Float[np.ndarray, "t c d"]) -> tuple[Vectors, Vectors]:
+    return _edges(corners) if corners.shape[2] == 2 else _polygons(corners)
 
 
 def _faces(mesh: Mesh) -> tuple[Int[np.ndarray, "t c"], Int[np.ndarray, " t"], int]:
@@ -84,15 +111,17 @@ def _polygons(corners: Float[np.ndarray, "t 4 3"]) -> tuple[Vectors, Vectors]:
     return (weights * (corners + after + middle) / 3).sum(axis=1) / total, areas.sum(axis=1)
 
 
-def _cell_centres(centre: Vectors, area: Vectors, owner: Int[np.ndarray, " t"], total: int) -> Vectors:
-    """Centres of mass, by pyramids (triangles in the plane) from the faces to the mean of their centres."""
+def _cell_centres(
+    centre: Vectors, area: Vectors, owner: Int[np.ndarray, " t"], total: int
+) -> tuple[Vectors, np.ndarray]:
+    """Centres of mass, by pyramids (triangles in the plane) from the faces to the mean of their centres; volumes times d."""
     d = centre.shape[1]
     count = np.maximum(np.bincount(owner, minlength=total), 1)[:, None]
     middle = (_summed(centre, owner, total) / count)[owner]
     volume = _dot(area, centre - middle)[:, None]
     moments = _summed(volume * (d * centre + middle) / (d + 1), owner, total)
     volumes = _summed(volume, owner, total)
-    return moments / np.where(volumes == 0, FLOOR, volumes)
+    return moments / np.where(volumes == 0, FLOOR, volumes), volumes[:, 0]
 
 
 def _summed(values: Float[np.ndarray, "t k"], owner: Int[np.ndarray, " t"], total: int) -> Float[np.ndarray, "c k"]:

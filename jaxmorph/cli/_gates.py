@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxmorph import Mesh, QualityReport
 
-from ._faces import face_skewness
+from ._faces import face_aspect_ratio, face_skewness
 from ._tables import place
 
 GATES = {
@@ -17,11 +17,12 @@ GATES = {
     "max_non_orthogonality": "largest non-orthogonality in degrees",
     "max_skewness": "largest skewness of a cell, 0 to 1",
     "max_face_skewness": "largest skewness of a face, as checkMesh's",
+    "max_face_aspect_ratio": "largest aspect ratio from areas of faces, as checkMesh's",
     "min_jacobian_ratio": "smallest corner Jacobian over its initial value",
 }
 """The flags, by their names, and what they say in the help."""
 
-PRESETS = {"checkmesh": {"max_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
+PRESETS = {"checkmesh": {"max_face_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
 """OpenFOAM's checkMesh: `primitiveMesh::aspectThreshold_`, `nonOrthThreshold_`, `skewThreshold_`."""
 
 WORST = 5
@@ -45,9 +46,13 @@ class Judged:
     def face_skewness(self) -> np.ndarray:
         return face_skewness(self.mesh, self.points)
 
+    @functools.cached_property
+    def face_aspect_ratio(self) -> np.ndarray:
+        return face_aspect_ratio(self.mesh, self.points)
+
     def values(self, measure: str) -> np.ndarray:
         """One value for each cell that counts."""
-        found = self.face_skewness if measure == "face_skewness" else getattr(self.report, measure)
+        found = getattr(self if measure.startswith("face") else self.report, measure)
         return np.asarray(found)[self.counted]
 
 
