@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -80,7 +81,7 @@ def test_bend_makes_an_arc_of_the_same_length(brick):
         t = np.linspace(0, np.clip(s, 0, 2), 20001)
         angle = np.radians(60) * t / 2
         tangent = np.column_stack([np.cos(angle), np.sin(angle)])
-        middle = np.trapezoid(tangent, t, axis=0) + (s - t[-1]) * tangent[-1]
+        middle = trapezoid(tangent, t, axis=0) + (s - t[-1]) * tangent[-1]
         normal = np.array([-tangent[-1, 1], tangent[-1, 0]])
         expected = np.append(x[node, 0], [-1, 0] + middle + x[node, 2] * normal)
         np.testing.assert_allclose(y[node], expected, atol=1e-8)
