@@ -79,7 +79,9 @@ def test_the_advice_is_one_that_works(here, capsys):
 
 def test_no_advice_where_none_works(here, capsys):
     assert deform("never.su2", "--translate", "4.5", "0") == 1
-    assert "Try more --sources or more --steps." in capsys.readouterr().err
+    assert "A dry run with more --sources or --steps does not cure it." in capsys.readouterr().err
+    assert deform("never.su2", "--translate", "4.5", "0", "--no-dry-run") == 1
+    assert "Try more --sources or --steps." in capsys.readouterr().err
 
 
 def test_a_mesh_that_was_bad_before_is_told_and_gets_no_advice(here, capsys):

@@ -21,7 +21,7 @@ from ._motion import Motions, motions
 from ._output import Output
 from ._tables import compared, count, inverted_cells, numbers
 
-HINTS = {"paper": "more --sources or more --steps", "rbf": "more --steps", "dgm": "--method paper"}
+HINTS = {"paper": "more --sources or --steps", "rbf": "more --steps", "dgm": "--method paper"}
 """What to try when cells are inverted."""
 
 TRIAL = 120.0
@@ -113,10 +113,10 @@ def _run(arguments: argparse.Namespace, mesh: Mesh, out: Output) -> tuple[Run, C
     way = np.linalg.norm(motion.path(points[moving], 1)[-1], axis=1)
     cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in mesh.cells.items())
     out.say(f"{arguments.file.name}: {len(points)} points in {points.shape[1]}-D, {cells}", points=len(points))
-    for group in groups:
-        nodes = mesh.patch(*group.patches)
+    for patches in dict.fromkeys(tuple(group.patches) for group in groups):
+        nodes = mesh.patch(*patches)
         largest = way[np.searchsorted(moving, nodes)].max()
-        _wrapped(out, f"moving   {group.name}: {count(len(nodes), 'node')}, by up to {largest:.4g}")
+        _wrapped(out, f"moving   {', '.join(patches)}: {count(len(nodes), 'node')}, by up to {largest:.4g}")
     _wrapped(out, f"fixed    {', '.join(arguments.fixed)}: {count(len(np.setdiff1d(fixed, moving)), 'node')}")
     out.say(f"method   {choice.name}, {count(arguments.steps, 'step')}", method=choice.name, steps=arguments.steps)
     out.say(moving={name: len(mesh.patch(name)) for name in names}, largest=float(way.max()), sources=choice.sources)
@@ -162,7 +162,9 @@ def _fail(run: Run, choice: Choice, bad: list[str], out: Output) -> None:
         out.complain(f"{bad[-1]} Try {HINTS[run.arguments.method]}.")
         return
     worked = _tried(run, choice, out)
-    hint = f"With {worked} all is well." if worked else f"Try {HINTS[run.arguments.method]}."
+    hint = (
+        f"With {worked} all is well." if worked else f"A dry run with {HINTS[run.arguments.method]} does not cure it."
+    )
     out.complain(f"{bad[-1]} {hint}")
     out.say(suggestion=worked)
 
