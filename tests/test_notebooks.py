@@ -12,13 +12,14 @@ FOLDER = pathlib.Path(__file__).parents[1] / "notebooks"
 SMALL = {
     "01_airfoil.ipynb": {"points": 2000},
     "02_wing.ipynb": {"points": 6500},
+    "03_shape_optimisation.ipynb": {"points": 1500, "steps": 15},
     "04_mode_sweep.ipynb": {"points": 6500, "side": 3},
     "05_fsi.ipynb": {"points": 6500, "steps": 40},
     "07_extend.ipynb": {"points": 2000},
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
 
-SLOW = {"02_wing.ipynb", "04_mode_sweep.ipynb", "05_fsi.ipynb"}
+SLOW = {"02_wing.ipynb", "03_shape_optimisation.ipynb", "04_mode_sweep.ipynb", "05_fsi.ipynb"}
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 640 * 1024
@@ -89,6 +90,15 @@ def check_extension(said):
     assert slope == pytest.approx(difference, rel=1e-6)
 
 
+def check_optimisation(said):
+    """The gradient is that of differences, and leads further than one without the mesh's sensitivity; no cell is inverted."""
+    assert float(re.search(r"from central differences: (\S+)", said)[1]) < 1e-5
+    rows = re.findall(r"(right|blind) gradient: .* ([0-9.]+) times smaller, .*inverted cells (\d+)", said)
+    assert [name for name, *_ in rows] == ["right", "blind"]
+    assert float(rows[0][1]) > 2 * float(rows[1][1])
+    assert {inverted for *_, inverted in rows} == {"0"}
+
+
 def check_sweep(said):
     """One call and a loop agree, and so does the sum of two fields."""
     assert "9 displacements, 0 of them invert a cell" in said
@@ -121,6 +131,7 @@ def check_coupling(said):
 CHECKS = {
     "01_airfoil.ipynb": check_airfoil,
     "02_wing.ipynb": check_wing,
+    "03_shape_optimisation.ipynb": check_optimisation,
     "04_mode_sweep.ipynb": check_sweep,
     "05_fsi.ipynb": check_coupling,
     "07_extend.ipynb": check_extension,
