@@ -15,6 +15,9 @@ from ._host.reduction import Centre as Centre
 from ._host.reduction import Corners as Corners
 from ._host.reduction import GaussPoints as GaussPoints
 from ._host.reduction import KDTree as KDTree
+from ._improve import Improvement as Improvement
+from ._improve import improve as improve
+from ._improve import untangle as untangle
 from ._inspect import Inspection as Inspection
 from ._inspect import inspect as inspect
 from ._mesh import Mesh as Mesh

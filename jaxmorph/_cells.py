@@ -108,16 +108,22 @@ def volume(kind: str, x: Sequence[Vector]) -> Scalar:
     return functools.reduce(jnp.add, fluxes) / 3
 
 
+def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
+    """Edges that leave each corner, each (s, k); for a hexahedron also the principal axes at its centre."""
+    corner, *ends = _pick(x, FRAMES[kind])
+    edges = [end - corner for end in ends]
+    if kind == "hexahedron":
+        edges = [_append(edge, axis * 0.25) for edge, axis in zip(edges, principal_axes(kind, x), strict=True)]
+    return edges
+
+
 def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Array, "s k"], Float[Array, "s k"]]:
     """Jacobians at the corners, and for a hexahedron also at its centre, as Verdict samples them.
 
     Each with the bound that turns an error of the coordinates into one of the Jacobian: the sum over the edges of
     the product of the others' lengths.
     """
-    corner, *ends = _pick(x, FRAMES[kind])
-    edges = [end - corner for end in ends]
-    if kind == "hexahedron":
-        edges = [_append(edge, axis * 0.25) for edge, axis in zip(edges, principal_axes(kind, x), strict=True)]
+    edges = frames(kind, x)
     lengths = [norm(edge) for edge in edges]
     if kind == "line":
         return lengths[0], jnp.ones_like(lengths[0])

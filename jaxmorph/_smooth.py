@@ -1,0 +1,28 @@
+"""Smooth stand-ins for functions with kinks."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def soft_maximum(values: Float[Array, "..."], sharpness: Any = 50.0, axis: int | None = None) -> Float[Array, "..."]:
+    """log(mean(exp(sharpness values))) / sharpness along an axis: below the largest value, by log(count) / sharpness at most.
+
+    Smooth, with the derivative spread over the values near the largest. The mean instead of the sum keeps the soft maximum of
+    equal values equal to them. The unit of `sharpness` is the inverse of that of `values`; it must be positive.
+    """
+    values = jnp.asarray(values)
+    count = values.size if axis is None else values.shape[axis]
+    largest = jax.scipy.special.logsumexp(sharpness * values, axis=axis)
+    return (largest - jnp.log(jnp.asarray(count, values.dtype))) / sharpness
+
+
+def positive_part(x: Float[Array, "..."], softness: Any) -> Float[Array, "..."]:
+    """(x + sqrt(x^2 + softness^2)) / 2: positive and increasing everywhere, x for x far above `softness`.
+
+    The regularised determinant of Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
+    """
+    root = jnp.sqrt(x**2 + softness**2)
+    return jnp.where(x >= 0, (x + root) / 2, softness**2 / (2 * (root + jnp.abs(x))))
