@@ -19,16 +19,19 @@ from ._mesh import Mesh
 from ._quality import quality
 from ._untangle import Distortion, ProjectedNewton
 
-SOFTNESS = (1.0, 0.3, 0.03, 1e-3)
-"""Softness of the barrier, stage after stage: at first inverted cells may pass through each other, at last none is free to."""
+SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
+"""Softness of the barrier in the last stage, its largest share from one stage to the next, and how many there are at most."""
 
 
 class Improvement(eqx.Module):
     """What `improve` found: traced arrays, and a line about them by `str`.
 
-    `points` (n, d); inverted cells `before` and `after`, of `cells`, as `quality` counts them; `energy`, the mean distortion of a cell,
-    0 where all have their target's shape and size; `residual`, the largest derivative left of the sum over the cells, with respect to a
-    node's place in units of its smallest cell: far below 1 for a minimum; `steps` of Newton's method, rejected ones included.
+    - `points` (n, d).
+    - `before`, `after`: how many of the `cells` were and are inverted, as `quality` counts them.
+    - `energy`: mean distortion of a cell, 0 where all have their target's shape and size.
+    - `residual`: largest derivative of the sum over the cells with respect to a node's place in units of its smallest cell;
+      far below 1 at a minimum.
+    - `steps` of Newton's method, rejected ones included.
     """
 
     points: Float[Array, "n d"]
@@ -40,7 +43,7 @@ class Improvement(eqx.Module):
     cells: int = eqx.field(static=True)
 
     def __str__(self) -> str:
-        how = "at a minimum" if float(self.residual) < 1e-3 else f"stopped early, residual {float(self.residual):.1g}"
+        how = "at a minimum" if float(self.residual) < 1e-2 else f"stopped early, residual {float(self.residual):.1g}"
         return (
             f"{int(self.before)} of {self.cells} cells were inverted, {int(self.after)} are now; "
             f"mean distortion {float(self.energy):.3g} after {int(self.steps)} steps, {how}"
@@ -54,39 +57,47 @@ def improve(
     fixed: Integer[Any, " f"] | None = None,
     ideal: bool = False,
     size: float = 0.5,
-    tolerance: float = 1e-4,
+    tolerance: float = 0.1,
     max_steps: int = 60,
     progress: Callable[[float, float], None] | None = None,
 ) -> Improvement:
     """Moves the inner nodes of `mesh` from `points` to where the cells are least distorted; untangles inverted cells.
 
-    `fixed` are the ids of nodes that stay where `points` has them, bit for bit: by default all patches and the outer boundary. The target of
-    each cell is its shape on the undeformed mesh, `mesh.points`, so boundary layers keep their anisotropy; with `ideal=True` the
-    equilateral one (a cube, a square) of the undeformed volume. `size`, 0 to 1, is what the change of size counts against that
-    of shape. The energy, per cell, is the mean over corners of (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det^2 T) / (2 chi) - 1,
-    with T from target to cell and chi the determinant of T, regularised: finite on inverted cells. It is minimised by
-    Newton's method, at most `max_steps` in each of four stages in which the barrier at chi = 0 sharpens, the last until no node moves by more than `tolerance` of
-    its smallest cell; `progress(softness,
-    energy)` is called on the host after each step. Sparse systems are solved by SciPy on the host.
+    `fixed` are the ids of nodes that stay where `points` has them, bit for bit: by default all patches and the outer boundary.
+    The target of each cell is its shape on the undeformed mesh, `mesh.points`, so boundary layers keep their anisotropy; with
+    `ideal=True` the equilateral one (a cube, a square) of the undeformed volume. `size`, 0 to 1, is what the change of size
+    counts against that of shape. The energy of a cell is the mean over its corners of
+
+        (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det^2 T) / (2 chi) - 1,
+
+    with T from target to cell and chi the determinant of T, regularised: finite on inverted cells. It is minimised by Newton's
+    method, at most `max_steps` in each of five stages in which the barrier at chi = 0 sharpens, the last one until nodes move
+    by less than `tolerance`, root mean square, of their smallest cell. `progress(softness, energy)` is called on the host after
+    each step. Sparse systems are solved by SciPy on the host.
 
     Traced in `points`: under `jit`, and differentiable in both modes with respect to the fixed nodes' places, by the implicit
-    function theorem at the minimum (conjugate gradients; check `residual`). Derivatives with respect to the places of
-    inner nodes, where the search starts, are zero. `mesh` is to be closed over, not traced. Use float64.
+    function theorem at the minimum (conjugate gradients): as accurate as `residual` is small, so lower `tolerance` for it.
+    Derivatives with respect to the places of inner nodes, where the search starts, are zero. `mesh` is to be closed over,
+    not traced. Use float64.
 
-    Nothing is promised for a boundary that crosses itself: see `after`, or `str` of the result. Source: Garanzha et al., Foldover-free
-    maps in 50 lines of code, ACM Trans. Graph. 40, 2021; the projected Hessian is that of Teran et al., SCA 2005.
+    Nothing is promised for a boundary that crosses itself: `after`, or `str` of the result, says what is left. Sources: Garanzha
+    et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021; Teran et al., Robust quasistatic finite
+    elements and flesh simulation, SCA 2005.
 
-    Raises `ValueError` for a mesh without cells of its own dimension, for a shape of `points` other than that of `mesh.points`, for
-    node ids that are not there, and for `size` outside of 0 to 1.
+    Raises `ValueError` for a mesh without cells of its own dimension, for a shape of `points` other than that of
+    `mesh.points`, for node ids that are not there, and for `size` outside of 0 to 1.
     """
     start = jnp.asarray(points)
     _check(mesh, start, fixed, size, max_steps)
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size)
-    y, count = jnp.zeros_like(base), 0
-    for softness in SOFTNESS:
-        enough = tolerance if softness == SOFTNESS[-1] else max(tolerance, 1e-2)
-        stage = eqx.tree_at(lambda it: it.softness, distortion, jnp.asarray(softness, base.dtype))
+    y, count, stage = jnp.zeros_like(base), 0, distortion
+    softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
+    for last in (False,) * (STAGES - 1) + (True,):
+        least = SHARPEST if last else -2 * distortion.least(y, held)
+        softness = jnp.maximum(jnp.minimum(least, GENTLER * softness), SHARPEST)
+        enough = tolerance if last else max(tolerance, 0.3)
+        stage = eqx.tree_at(lambda it: it.softness, distortion, softness.astype(base.dtype))
         options = (jnp.asarray(enough, base.dtype), max_steps, progress)
         y, steps = _minimise(stage, jax.lax.stop_gradient(y), base, blocks, options)
         count += steps
@@ -107,7 +118,9 @@ def _minimise(distortion: Distortion, y, base, blocks, options):
             jax.debug.callback(progress, distortion.softness, said["loss_this_step"][1])
 
     held = jax.lax.stop_gradient(base)
-    solver = ProjectedNewton(distortion, held, blocks, rtol=tolerance, atol=tolerance, verbose=tell)
+    solver = ProjectedNewton(  # pyright does not see the fields of equinox's abstract classes
+        tolerance, tolerance, optx.rms_norm, distortion, held, blocks, tell
+    )
     adjoint = optx.ImplicitAdjoint(lx.CG(rtol=1e-9, atol=1e-9))
     tags = frozenset({lx.positive_semidefinite_tag})
     solution = optx.minimise(distortion, solver, y, base, max_steps=max_steps, adjoint=adjoint, throw=False, tags=tags)
@@ -128,7 +141,9 @@ def _check(mesh: Mesh, points, fixed, size: float, max_steps: int) -> None:
         raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {(n, d)}.")
     ids = np.asarray([] if fixed is None else fixed)
     if ids.size and (ids.dtype.kind not in "iu" or ids.min() < 0 or ids.max() >= n):
-        raise ValueError(f"`fixed` must hold node ids from 0 to {n - 1}; found {ids.dtype} from {ids.min()} to {ids.max()}.")
+        raise ValueError(
+            f"`fixed` must hold node ids from 0 to {n - 1}; found {ids.dtype} from {ids.min()} to {ids.max()}."
+        )
     if not 0 <= size <= 1:
         raise ValueError(f"`size` is {size}; it must be from 0 (shape alone) to 1 (size alone).")
     if max_steps < 1:

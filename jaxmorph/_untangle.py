@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from . import _cells
 from ._distortion import Target, corners, energy, samples
 from ._host.newton import Pattern, solve
-from ._host.topology import CORNERS, FRAMES
+from ._host.topology import CORNERS
 from ._vector import Vector
 
 SHIFT = 1e-8
@@ -48,6 +48,14 @@ class Distortion(eqx.Module):
         squared, tau = samples(kind, x, of)
         return jnp.mean(of.counts * energy(squared, tau, self.softness, self.size, len(of.inverse)), axis=0)
 
+    def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
+        """Smallest determinant of T: negative where a cell is inverted."""
+        points, least = self.points(y, base), []
+        for kind, ids in self.cells.items():
+            of = self.targets[kind]
+            least.append(jnp.min(jnp.where(of.counts > 0, samples(kind, corners(points, ids), of)[1], 1)))
+        return jnp.min(jnp.stack(least))
+
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "pairs d d"]:
         """Second derivatives for each pair of corners of each cell, the negative ones of each sample left out."""
         points, parts = self.points(y, base), []
@@ -59,7 +67,9 @@ class Distortion(eqx.Module):
             curved = jax.vmap(jax.vmap(jax.hessian(self._of_stretch)))(stretch.reshape(*stretch.shape[:2], d * d))
             values, vectors = jnp.linalg.eigh(curved)
             values = jnp.maximum(values, 0) * (of.counts / len(of.counts))[..., None]
-            positive = jnp.einsum("skip,skp,skjp->skij", vectors, values, vectors).reshape(*values.shape[:2], d, d, d, d)
+            positive = jnp.einsum("skip,skp,skjp->skij", vectors, values, vectors).reshape(
+                *values.shape[:2], d, d, d, d
+            )
             half = jnp.einsum("skabef,szfk->skabze", positive, gradients)
             whole = jnp.einsum("skabze,scbk->kczae", half, gradients)
             scale = moves[ids]
@@ -83,7 +93,9 @@ def _gradients(kind: str, of: Target) -> Float[Array, "s c d k"]:
     one = np.eye(CORNERS[kind])
     dimension = len(of.inverse)
     edges = _cells.frames(kind, [Vector([jnp.asarray(row)] * dimension) for row in one])  # linear in the corners
-    parts = [edge[0][:, :, None, None] * jnp.stack(row, axis=1)[:, None] for edge, row in zip(edges, of.inverse, strict=True)]
+    parts = [
+        edge[0][:, :, None, None] * jnp.stack(row, axis=1)[:, None] for edge, row in zip(edges, of.inverse, strict=True)
+    ]
     return sum(parts[1:], start=parts[0])
 
 
@@ -123,16 +135,16 @@ class ProjectedNewton(optx.AbstractQuasiNewton):
     Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
     """
 
+    rtol: Any
+    atol: Any
+    norm: Callable
     distortion: Distortion
     base: Float[Array, "n d"]
     pattern: Pattern
-    rtol: float
-    atol: float
-    norm: Callable = optx.max_norm
+    verbose: Callable
     use_inverse: bool = True
     descent: optx.AbstractDescent = optx.NewtonDescent()
     search: optx.AbstractSearch = optx.BacktrackingArmijo(slope=1e-4)
-    verbose: Callable = lambda **_: None
 
     def init_hessian(self, y, f, grad):
         pairs = len(self.pattern.block)

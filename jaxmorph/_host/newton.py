@@ -1,6 +1,6 @@
 """Sparse symmetric systems with one small block for each pair of nodes that share a cell."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -45,21 +45,29 @@ def solve(starts, columns, block, blocks, shift, right) -> np.ndarray:
     return found.reshape(n, d).astype(right.dtype)
 
 
-def _factored(matrix: sparse.spmatrix, right: np.ndarray) -> np.ndarray:
+def _factored(matrix: Any, right: np.ndarray) -> np.ndarray:
     options = {"SymmetricMode": True}
     factors = linalg.splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     return factors.solve(right.ravel().astype(float))
 
 
-def _iterated(matrix: sparse.bsr_matrix, right: np.ndarray) -> np.ndarray:
+def _iterated(matrix: Any, right: np.ndarray) -> np.ndarray:
     n, d = right.shape
     rows = np.repeat(np.arange(n), np.diff(matrix.indptr))
     diagonal = matrix.indices == rows
     inverse = np.zeros((n, d, d))
     inverse[rows[diagonal]] = np.linalg.inv(matrix.data[diagonal])
 
-    def precondition(x):
-        return np.einsum("nab,nb->na", inverse, x.reshape(n, d)).ravel()
-
-    preconditioner = linalg.LinearOperator(matrix.shape, matvec=precondition, dtype=float)
+    preconditioner = linalg.aslinearoperator(_Preconditioner(matrix.shape, inverse))
     return linalg.cg(matrix.tocsr(), right.ravel(), rtol=1e-2, maxiter=500, M=preconditioner)[0]
+
+
+class _Preconditioner:
+    """The inverses of the diagonal blocks, as what SciPy takes for a linear operator."""
+
+    def __init__(self, shape: tuple[int, int], inverse: np.ndarray):
+        self.shape, self.inverse, self.dtype = shape, inverse, inverse.dtype
+
+    def matvec(self, x: np.ndarray) -> np.ndarray:
+        n, d, _ = self.inverse.shape
+        return np.einsum("nab,nb->na", self.inverse, x.reshape(n, d)).ravel()

@@ -1,0 +1,246 @@
+"""Inner nodes where the distortion of all cells is least: closed forms, differences, and grids that a morph has inverted."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph._distortion import IDEAL, corners, energy, samples, solid, target
+from jaxmorph._host.newton import pattern, solve
+from jaxmorph._improve import _prepared
+
+
+def grid(n, dimension=2):
+    """Unit square of n x n quads, or unit cube of hexahedra."""
+    axes = np.meshgrid(*[np.linspace(0, 1, n + 1)] * dimension, indexing="ij")
+    points = np.stack([axis.ravel() for axis in axes], axis=1)
+    ids = np.arange((n + 1) ** dimension).reshape([n + 1] * dimension)
+    if dimension == 2:
+        return jm.Mesh(points, {"quad": _stacked(ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:])})
+    low, high = ids[:, :, :-1], ids[:, :, 1:]
+    ring = [
+        layer[at] for layer in (low, high) for at in (np.s_[:-1, :-1], np.s_[1:, :-1], np.s_[1:, 1:], np.s_[:-1, 1:])
+    ]
+    return jm.Mesh(points, {"hexahedron": _stacked(*ring)})
+
+
+def _stacked(*corners):
+    return np.stack([corner.ravel() for corner in corners], axis=1)
+
+
+def cell(kind, points=None):
+    ideal = np.array(IDEAL[kind], dtype=float)
+    return jm.Mesh(ideal if points is None else points, {kind: np.arange(len(ideal))[None]})
+
+
+def mean_energy(mesh, points, softness=0.0, size=0.5, ideal=False):
+    """Of the first cell."""
+    kind, ids = next(iter(mesh.cells.items()))
+    of = target(kind, corners(jnp.asarray(mesh.points), ids), ideal)
+    squared, tau = samples(kind, corners(jnp.asarray(points), ids), of)
+    values = of.counts * energy(squared, tau, softness, size, mesh.points.shape[1])
+    return float(jnp.sum(values) / jnp.sum(of.counts))
+
+
+@pytest.mark.parametrize("kind", list(IDEAL))
+def test_energy_is_that_of_the_singular_values(kind):
+    """Of any linear map from the ideal cell, with sigma from SciPy's side: the mean ratio and the size by themselves."""
+    rng = np.random.default_rng(1)
+    mesh = cell(kind)
+    d = mesh.points.shape[1]
+    linear = np.eye(d) + 0.3 * rng.normal(size=(d, d))
+    linear *= np.sign(np.linalg.det(linear))
+    sigma = np.linalg.svd(linear, compute_uv=False)
+    det = sigma.prod() * np.sign(np.linalg.det(linear))
+    if det < 0:
+        linear, det = linear[:, [1, 0, *range(2, d)]], -det
+    moved = mesh.points @ linear.T
+    inverse_mean_ratio = (sigma**2).sum() / d / det ** (2 / d)
+    np.testing.assert_allclose(mean_energy(mesh, moved, size=0.0), inverse_mean_ratio - 1, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(mean_energy(mesh, moved, size=1.0), (det + 1 / det) / 2 - 1, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(mean_energy(mesh, 3 * moved @ linear.T, ideal=True, size=0.0) >= 0, True)
+    np.testing.assert_allclose(mean_energy(mesh, mesh.points, ideal=True), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", list(IDEAL))
+def test_left_handed_cells_are_their_own_target(kind):
+    mirrored = cell(
+        kind, np.array(IDEAL[kind], dtype=float) * ([-1, 1] if kind in ("triangle", "quad") else [-1, 1, 1])
+    )
+    np.testing.assert_allclose(mean_energy(mirrored, mirrored.points), 0, atol=1e-12)
+    np.testing.assert_allclose(mean_energy(mirrored, mirrored.points, ideal=True), 0, atol=1e-12)
+
+
+def test_a_right_triangle_has_the_mean_ratio_of_the_books():
+    """Area 1/2, edges 1, 1, sqrt 2: 4 sqrt(3) area / (sum of squares) = sqrt(3) / 2."""
+    mesh = cell("triangle")
+    value = mean_energy(mesh, np.array([[0.0, 0], [1, 0], [0, 1]]), size=0.0)
+    np.testing.assert_allclose(1 / (value + 1), np.sqrt(3) / 2, rtol=1e-14)
+
+
+@pytest.mark.parametrize("kind", list(IDEAL))
+def test_inverted_cells_have_a_finite_energy_that_pulls_them_back(kind):
+    mesh = cell(kind)
+    flat = np.array(mesh.points)
+    turned = flat * ([1.0, -0.3] if flat.shape[1] == 2 else [1, 1, -0.3])
+    stretch = turned - flat  # away from the ideal cell
+    along = [mean_energy(mesh, flat + t * stretch, softness=1e-2) for t in (0.7, 0.9, 1.0)]
+    assert np.all(np.isfinite(along))
+    assert along[0] < along[1] < along[2]
+    assert along[2] > 10
+
+
+@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
+    """At the target the Hessian is positive: blocks add up to it, and the host solves with it."""
+    mesh = grid(3, dimension)
+    n = len(mesh.points)
+    distortion, pairs = _prepared(mesh, jnp.float64, None, False, 0.5)
+    base, y = jnp.asarray(mesh.points), jnp.zeros_like(jnp.asarray(mesh.points))
+    dense = np.asarray(jax.hessian(lambda y: distortion(y, base))(y)).reshape(n * dimension, -1)
+    blocks = np.asarray(distortion.blocks(y, base))
+    ids = next(iter(mesh.cells.values()))
+    rows = np.repeat(ids, ids.shape[1], axis=1).ravel()
+    columns = np.tile(ids, (1, ids.shape[1])).ravel()
+    whole = np.zeros((n, dimension, n, dimension))
+    np.add.at(whole, (rows, slice(None), columns), blocks)
+    whole = whole.reshape(n * dimension, -1)
+    values = np.linalg.eigvalsh(whole - dense)
+    assert values.min() > -1e-9  # nothing but negative curvature of samples was left out
+    right = np.random.default_rng(0).normal(size=(n, dimension))
+    shift = np.ones(n)
+    found = solve(*pairs, blocks, shift, right)
+    np.testing.assert_allclose((whole + np.eye(n * dimension)) @ found.ravel(), right.ravel(), atol=1e-9)
+    assert pattern([ids], n).block.max() + 1 == len(pairs.columns)
+
+
+@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_it_finds_scipys_minimum_and_untangles(dimension):
+    mesh = grid(3, dimension)
+    rng = np.random.default_rng(2)
+    inner = np.all((mesh.points > 0.01) & (mesh.points < 0.99), axis=1)
+    # one bulge of a side, and inner nodes that are anywhere
+    points = mesh.points + 0.15 * np.sin(np.pi * mesh.points[:, :1]) * np.eye(dimension)[1]
+    points[inner] += 0.25 * rng.normal(size=points[inner].shape)
+    result = jm.improve(mesh, points, tolerance=1e-9)
+    assert int(result.before) > 0
+    assert int(result.after) == 0
+    assert float(result.residual) < 1e-6
+    assert np.array_equal(np.asarray(result.points)[~inner], points[~inner])
+    assert "0 are now" in str(result)
+    distortion, _ = _prepared(mesh, jnp.float64, None, False, 0.5)
+    found = jnp.asarray(result.points)
+    sharp = _softened(distortion, 1e-3)
+    value_and_grad = jax.jit(jax.value_and_grad(lambda y: sharp(y.reshape(found.shape), found)))
+    oracle = scipy.optimize.minimize(
+        lambda y: [np.asarray(part) for part in value_and_grad(y)],
+        0.02 * rng.normal(size=found.size),
+        jac=True,
+        method="L-BFGS-B",
+        options={"ftol": 1e-14, "gtol": 1e-8, "maxiter": 2000},
+    )
+    np.testing.assert_allclose(oracle.fun, value_and_grad(jnp.zeros(found.size))[0], rtol=1e-9)
+
+
+def _softened(distortion, softness):
+    import equinox as eqx
+
+    return eqx.tree_at(lambda it: it.softness, distortion, jnp.asarray(softness))
+
+
+def test_the_undeformed_mesh_is_left_alone_and_keeps_its_boundary_layer():
+    mesh = grid(6)
+    points = mesh.points.copy()
+    points[:, 1] = points[:, 1] ** 6  # first cell 2e-5 thick
+    mesh = mesh.moved(points)
+    result = jm.improve(mesh, points)
+    np.testing.assert_allclose(result.points, points, atol=1e-6)
+    np.testing.assert_allclose(jm.improve(mesh, points + 0.2).points, points + 0.2, atol=1e-6)
+
+
+def test_ideal_targets_make_a_lattice_regular_again():
+    """Their minimum is known: the regular grid, whatever the inner nodes of the undeformed mesh were."""
+    regular = grid(3)
+    inner = np.all((regular.points > 0.01) & (regular.points < 0.99), axis=1)
+    points = regular.points + 0.05 * inner[:, None] * np.random.default_rng(3).normal(size=regular.points.shape)
+    result = jm.improve(regular.moved(points), points, ideal=True, size=0.0, tolerance=1e-9)
+    np.testing.assert_allclose(result.points, regular.points, atol=1e-7)
+    assert not np.allclose(jm.improve(regular.moved(points), points).points, regular.points, atol=1e-3)
+
+
+def test_derivatives_are_those_of_the_minimum():
+    """Against central differences of the whole solve; inner nodes are but a start."""
+    mesh = grid(3)
+    points = jnp.asarray(mesh.points + 0.1 * np.sin(2 * mesh.points[:, ::-1]))
+    rng = np.random.default_rng(4)
+    weights, tangent = rng.normal(size=points.shape), rng.normal(size=points.shape)
+    inner = np.all((mesh.points > 0.01) & (mesh.points < 0.99), axis=1)
+
+    @jax.jit
+    def objective(points):
+        return jnp.sum(jnp.sin(3 * jm.improve(mesh, points, tolerance=1e-10).points) * weights)
+
+    step = 1e-5
+    difference = (objective(points + step * tangent) - objective(points - step * tangent)) / (2 * step)
+    gradient = jax.grad(objective)(points)
+    np.testing.assert_allclose(np.vdot(gradient, tangent), difference, rtol=1e-6)
+    np.testing.assert_allclose(jax.jvp(objective, (points,), (jnp.asarray(tangent),))[1], difference, rtol=1e-6)
+    assert np.all(np.asarray(gradient)[inner] == 0)
+
+
+def test_progress_and_choice_of_fixed_nodes():
+    mesh, said = grid(3), []
+    points = mesh.points.copy()
+    points[5] += 0.4
+    held = np.array([5, *np.flatnonzero(np.any((points < 0.01) | (points > 0.99), axis=1))])
+    result = jm.untangle(mesh, points, fixed=held, progress=lambda *told: said.append(tuple(map(float, told))))
+    jax.effects_barrier()
+    assert np.array_equal(np.asarray(result.points)[5], points[5])
+    assert len(said) == int(result.steps)
+    assert said[-1][0] < said[0][0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"points": np.zeros((3, 2))}, "shape"),
+        ({"fixed": [99]}, "node ids"),
+        ({"size": 2.0}, "shape alone"),
+        ({"max_steps": 0}, "at least 1"),
+        ({"mesh": jm.Mesh(np.zeros((4, 2)), {})}, "nothing to improve"),
+    ],
+)
+def test_wrong_input_is_named(change, message):
+    mesh = change.pop("mesh", grid(2))
+    with pytest.raises(ValueError, match=message):
+        jm.improve(mesh, change.pop("points", mesh.points), **change)
+
+
+def rotated(mesh, degrees):
+    base, angle = mesh.points[mesh.patch("airfoil")], -np.deg2rad(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return (base - [0.25, 0]) @ turn.T + [0.25, 0] - base
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("degrees", [90])
+def test_an_airfoil_beyond_what_graph_mapping_bears(degrees):
+    mesh = cases.naca0015(points=1500)
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
+    points = jm.deform(plan, rotated(mesh, degrees))
+    assert int(jm.quality(mesh, points).inverted) > 100
+    result = jm.improve(mesh, points)
+    assert int(result.after) == 0
+    report = jm.quality(mesh, result.points)
+    assert float(report.min_jacobian_ratio) > 0.5
+    held = mesh.patch("airfoil", "farfield")
+    assert np.array_equal(np.asarray(result.points)[held], np.asarray(points)[held])
+
+
+def test_solid_cells_leave_boundary_elements_out():
+    assert set(solid({"triangle": np.zeros((2, 3)), "tetra": np.zeros((2, 4)), "line": np.zeros((1, 2))}, 3)) == {
+        "tetra"
+    }
