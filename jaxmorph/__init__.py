@@ -5,6 +5,9 @@ from ._basis import Gaussian as Gaussian
 from ._basis import Multiquadric as Multiquadric
 from ._basis import ThinPlateSpline as ThinPlateSpline
 from ._basis import WendlandC2 as WendlandC2
+from ._choose import Choice as Choice
+from ._choose import choose as choose
+from ._distortion import distortion as distortion
 from ._fewest import Steps as Steps
 from ._fewest import fewest_steps as fewest_steps
 from ._host.greedy import Greedy as Greedy
@@ -36,6 +39,7 @@ from ._plan import shard as shard
 from ._prepare import prepare as prepare
 from ._quality import quality as quality
 from ._report import QualityReport as QualityReport
+from ._smooth import soft_maximum as soft_maximum
 from ._steps import march as march
 from ._steps import replay as replay
 from ._symmetry import Plane as Plane

@@ -244,3 +244,31 @@ def test_solid_cells_leave_boundary_elements_out():
     assert set(solid({"triangle": np.zeros((2, 3)), "tetra": np.zeros((2, 4)), "line": np.zeros((1, 2))}, 3)) == {
         "tetra"
     }
+
+
+def test_distortion_is_a_smooth_objective():
+    """Against differences, on a mesh with inverted cells; cell by cell in the order of the mesh."""
+    mesh = grid(2)
+    points = mesh.points + 0.3 * np.random.default_rng(5).normal(size=mesh.points.shape)
+    tangent = np.random.default_rng(6).normal(size=points.shape)
+    assert int(jm.quality(mesh, points).inverted) > 0
+
+    def objective(points):
+        return jm.soft_maximum(jm.distortion(mesh, points, softness=0.1), 2.0)
+
+    value, gradient = jax.value_and_grad(objective)(jnp.asarray(points))
+    step = 1e-6
+    difference = (objective(points + step * tangent) - objective(points - step * tangent)) / (2 * step)
+    np.testing.assert_allclose(np.vdot(gradient, tangent), difference, rtol=1e-6)
+    cells = np.asarray(jm.distortion(mesh, points, softness=0.1))
+    assert cells.max() - np.log(len(cells)) / 2 <= float(value) <= cells.max()
+    np.testing.assert_allclose(jm.distortion(mesh), 0, atol=1e-5)
+    with pytest.raises(ValueError, match="not defined"):
+        jm.distortion(jm.Mesh(np.zeros((4, 3)), {"triangle": [[0, 1, 2]]}))
+
+
+def test_soft_maximum_of_equal_values_is_theirs_and_sharpens():
+    values = np.array([[0.2, 0.5, 0.1], [0.7, 0.7, 0.7]])
+    np.testing.assert_allclose(jm.soft_maximum(values, 1e4, axis=1), [0.5 - np.log(3) / 1e4, 0.7], rtol=1e-12)
+    np.testing.assert_allclose(jm.soft_maximum(values, 3.0), np.log(np.mean(np.exp(3 * values))) / 3, rtol=1e-12)
+    np.testing.assert_allclose(jax.grad(jm.soft_maximum)(jnp.ones(4)), 0.25)

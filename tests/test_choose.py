@@ -1,0 +1,82 @@
+"""Sources and radius chosen for a family of motions: the table says what is true, and the choice is the cheapest good one."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.interpolate
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+
+@pytest.fixture(scope="module")
+def problem():
+    mesh = cases.naca0015(points=1200)
+    base = mesh.points[mesh.patch("airfoil")]
+    wave = [0.04 * np.sin(k * np.pi * base[:, :1]) * [0, 1] for k in (1, 2)]
+    return mesh, mesh.patch("airfoil"), mesh.patch("farfield"), np.stack(wave)
+
+
+@pytest.fixture(scope="module")
+def choice(problem):
+    return jm.choose(*problem, leaves=(2, 16))
+
+
+def test_the_errors_are_those_of_scipys_interpolation(problem, choice):
+    """Thin plate spline with a linear polynomial from the same sources, evaluated by SciPy."""
+    mesh, moving, fixed, motions = problem
+    row = choice.table[2]
+    assert (row["leaves"], row["radius"]) == (16, None)
+    surface = mesh.points[np.concatenate([moving, fixed])]
+    values = np.zeros((len(surface), 4))
+    values[: len(moving)] = np.moveaxis(motions, 0, 1).reshape(len(moving), -1)
+    values /= np.abs(values).max()
+    chosen = jm.prepare(mesh.points, moving, fixed, method=jm.RBF(reduction=jm.KDTree(16, extremes=True))).surface.ids
+    interpolant = scipy.interpolate.RBFInterpolator(
+        surface[chosen], values[chosen], kernel="thin_plate_spline", degree=1
+    )
+    missed = np.sqrt(np.mean((values - interpolant(surface)) ** 2))
+    assert len(chosen) == row["sources"]
+    np.testing.assert_allclose(row["error"], missed, rtol=1e-6)
+
+
+def test_the_radius_is_no_worse_than_others_that_one_might_guess(problem, choice):
+    mesh, moving, fixed, motions = problem
+    row = choice.table[3]
+    surface = mesh.points[np.concatenate([moving, fixed])]
+    ids = jm.prepare(mesh.points, moving, fixed, method=jm.RBF(reduction=jm.KDTree(16, extremes=True))).surface.ids
+    values = np.zeros((len(surface), 4))
+    values[: len(moving)] = np.moveaxis(motions, 0, 1).reshape(len(moving), -1)
+    values /= np.abs(values).max()
+
+    def error(radius):
+        r = np.linalg.norm(surface[:, None] - surface[None, ids], axis=2) / radius
+        rows = np.hstack([np.maximum(1 - r, 0) ** 4 * (4 * r + 1), np.ones((len(r), 1)), surface])
+        matrix = np.zeros((len(ids) + 3,) * 2)
+        matrix[: len(ids)] = rows[ids]
+        matrix[len(ids) :, : len(ids)] = rows[ids][:, len(ids) :].T
+        weights = np.linalg.solve(matrix, np.vstack([values[ids], np.zeros((3, 4))]))
+        return np.sqrt(np.mean((values - rows @ weights) ** 2))
+
+    np.testing.assert_allclose(error(row["radius"]), row["error"], rtol=1e-3)
+    assert row["error"] <= 1.05 * min(error(radius) for radius in (0.25, 0.5, 1.0, 2.0, 5.0))
+
+
+def test_the_choice_moves_the_mesh_as_the_table_says(problem, choice):
+    mesh, _, _, motions = problem
+    row = choice.table[choice.chosen]
+    reports = [jm.quality(mesh, jm.deform(choice.plan, jnp.asarray(u))) for u in motions]
+    assert sum(int(report.inverted) for report in reports) == row["inverted"] == 0
+    np.testing.assert_allclose(min(float(report.min_jacobian_ratio) for report in reports), row["jacobian"])
+    text = str(choice).splitlines()
+    assert len(text) == 1 + len(choice.table) == 5
+    assert text[1 + choice.chosen].startswith("*")
+    cheaper = [other for other in choice.table if other["sources"] < row["sources"]]
+    best = max(other["jacobian"] for other in choice.table)
+    assert all(other["error"] > 0.01 or other["inverted"] or other["jacobian"] < 0.98 * best for other in cheaper)
+
+
+@pytest.mark.parametrize("motions", [np.zeros((1, 3, 2)), np.zeros((3, 2))])
+def test_wrong_motions_are_named(problem, motions):
+    with pytest.raises(ValueError, match="motions"):
+        jm.choose(*problem[:3], motions)
