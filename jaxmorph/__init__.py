@@ -8,6 +8,7 @@ from ._basis import WendlandC2 as WendlandC2
 from ._choose import Choice as Choice
 from ._choose import choose as choose
 from ._distortion import distortion as distortion
+from ._distortion import smooth_skewness as smooth_skewness
 from ._fewest import Steps as Steps
 from ._fewest import fewest_steps as fewest_steps
 from ._host.greedy import Greedy as Greedy

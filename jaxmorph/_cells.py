@@ -10,7 +10,7 @@ derivative is finite, on cells of no size too.
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,12 @@ from ._host.topology import DIMENSION, EDGES, FACES, FRAMES
 from ._vector import Vector, angle, cross, divide, dot, mean, norm, stack, total
 
 Scalar = Float[Array, " k"]
+Largest = Callable[[Float[Array, "t k"]], Scalar]
+
+
+def max_rows(terms: Float[Array, "t k"]) -> Scalar:
+    return jnp.max(terms, axis=0)
+
 
 _PARALLEL = {
     "quad": (((0, 1), (3, 2)), ((1, 2), (0, 3))),
@@ -138,8 +144,8 @@ def _append(a: Vector, row: Vector) -> Vector:
     return Vector([jnp.concatenate([rows, last[None]]) for rows, last in pairs])
 
 
-def skewness(kind: str, x: Sequence[Vector]) -> Scalar:
-    """0 for the ideal cell, 1 for a degenerate one.
+def skewness(kind: str, x: Sequence[Vector], largest: Largest = max_rows) -> Scalar:
+    """0 for the ideal cell, 1 for a degenerate one; the `largest` of several terms, which may be a smooth stand-in.
 
     Quad and hexahedron: Verdict's `skew`, the largest |cos| of the angles between the principal axes (Taylor and
     Flanagan, SAND87-0525). The others: Verdict's `equiangle_skew`, the largest deviation of an angle of a face from the
@@ -149,23 +155,22 @@ def skewness(kind: str, x: Sequence[Vector]) -> Scalar:
         return jnp.zeros_like(x[0][0])
     if kind in _PARALLEL:
         axes = [_unit(axis) for axis in principal_axes(kind, x)]
-        return jnp.max(jnp.stack([jnp.abs(dot(a, b)) for a, b in itertools.combinations(axes, 2)]), axis=0)
-    worst = []
+        cosines = jnp.stack([dot(a, b) for a, b in itertools.combinations(axes, 2)])
+        return largest(jnp.concatenate([cosines, -cosines]))
+    terms = []
     for group in _groups(kind):
-        size = len(group[0])
-        ideal = math.pi * (size - 2) / size
-        corners = _pick(x, group)
+        size, corners = len(group[0]), _pick(x, group)
         sides = [corners[(i + 1) % size] - corner for i, corner in enumerate(corners)]
         angles = jnp.concatenate([angle(side, sides[i - 1] * -1) for i, side in enumerate(sides)])
-        worst.append(_deviation(angles, ideal))
+        terms += _deviations(angles, math.pi * (size - 2) / size)
     if kind == "tetra":
         first, second = _pick(face_areas(kind, x).unstack(), tuple(itertools.combinations(range(4), 2)))
-        worst.append(_deviation(math.pi - angle(first, second), math.acos(1 / 3)))
-    return functools.reduce(jnp.maximum, worst)
+        terms += _deviations(math.pi - angle(first, second), math.acos(1 / 3))
+    return largest(jnp.concatenate(terms))
 
 
-def _deviation(angles: Float[Array, "a k"], ideal: float) -> Scalar:
-    return jnp.maximum((jnp.max(angles, axis=0) - ideal) / (math.pi - ideal), 1 - jnp.min(angles, axis=0) / ideal)
+def _deviations(angles: Float[Array, "a k"], ideal: float) -> list[Float[Array, "a k"]]:
+    return [(angles - ideal) / (math.pi - ideal), 1 - angles / ideal]
 
 
 def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from . import _cells
 from ._host.topology import CORNERS, DIMENSION, FRAMES
 from ._mesh import Mesh
-from ._smooth import positive_part
-from ._vector import Vector, cross, dot
+from ._smooth import positive_part, soft_maximum
+from ._vector import Vector, corners, cross, dot
 
 Scalar = Float[Array, "s k"]
 
@@ -45,11 +45,6 @@ class Target(NamedTuple):
     inverse: tuple[tuple[Scalar, ...], ...]
     determinant: Scalar
     counts: Scalar
-
-
-def corners(points: Float[Array, "n d"], ids: Int[Any, "k c"]) -> list[Vector]:
-    axes = [points[:, axis] for axis in range(points.shape[1])]
-    return [Vector([axis[ids[:, corner]] for axis in axes]) for corner in range(ids.shape[1])]
 
 
 def target(kind: str, x: list[Vector], ideal: bool) -> Target:
@@ -156,4 +151,22 @@ def distortion(
         of = target(kind, corners(reference, ids), ideal)
         squared, tau = samples(kind, corners(current, ids), of)
         parts.append(jnp.mean(of.counts * energy(squared, tau, softness, size, current.shape[1]), axis=0))
+    return jnp.concatenate(parts)
+
+
+def smooth_skewness(
+    mesh: Mesh, points: Float[Any, "n d"] | None = None, *, sharpness: float = 50.0
+) -> Float[Array, " k"]:
+    """`quality(mesh, points).skewness` with a soft maximum for its maximum: smooth in `points`, for all cells but lines.
+
+    Below it by log(36) / `sharpness` at most, for a quad log(2) / `sharpness`.
+    """
+    current = jnp.asarray(mesh.points if points is None else points)
+    largest = functools.partial(soft_maximum, sharpness=sharpness, axis=0)
+    parts = [
+        _cells.skewness(kind, [x - first for x in placed], largest)
+        for kind, ids in mesh.cells.items()
+        for placed in [corners(current, ids)]
+        for first in placed[:1]
+    ]
     return jnp.concatenate(parts)

@@ -11,13 +11,14 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int, Integer
 
-from ._distortion import corners, node_scales, solid, target
+from ._distortion import node_scales, solid, target
 from ._host.adjacency import neighbours
 from ._host.newton import pattern
 from ._host.topology import FACES
 from ._mesh import Mesh
 from ._quality import quality
 from ._untangle import Distortion, ProjectedNewton
+from ._vector import corners
 
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 """Softness of the barrier in the last stage, its largest share from one stage to the next, and how many there are at most."""
@@ -118,8 +119,14 @@ def _minimise(distortion: Distortion, y, base, blocks, options):
             jax.debug.callback(progress, distortion.softness, said["loss_this_step"][1])
 
     held = jax.lax.stop_gradient(base)
-    solver = ProjectedNewton(  # pyright does not see the fields of equinox's abstract classes
-        tolerance, tolerance, optx.rms_norm, distortion, held, blocks, tell
+    solver = ProjectedNewton(
+        rtol=tolerance,
+        atol=tolerance,
+        norm=optx.rms_norm,
+        distortion=distortion,
+        base=held,
+        pattern=blocks,
+        verbose=tell,
     )
     adjoint = optx.ImplicitAdjoint(lx.CG(rtol=1e-9, atol=1e-9))
     tags = frozenset({lx.positive_semidefinite_tag})

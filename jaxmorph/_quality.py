@@ -15,7 +15,7 @@ from ._host.adjacency import handedness, neighbours
 from ._host.topology import DIMENSION, FACES
 from ._mesh import Mesh
 from ._report import QualityReport
-from ._vector import Vector, mean
+from ._vector import Vector, corners, mean
 
 
 def quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> QualityReport:
@@ -84,7 +84,7 @@ class Standard(NamedTuple):
 def _standard(kinds: tuple[str, ...], cells: tuple[Array, ...], points: Float[Array, "n d"]) -> list[Standard]:
     standards = []
     for kind, ids in zip(kinds, cells, strict=True):
-        x = _corners(points, ids)
+        x = corners(points, ids)
         volume, jacobians, noise = _sizes(kind, x)
         sign = jnp.where(volume < 0, -1, 1)
         judged = sign * jacobians > noise
@@ -108,8 +108,8 @@ def _measure(
     points: Float[Array, "n d"],
     standards: list[Standard] | None,
 ) -> QualityReport:
-    corners = {kind: _corners(points, ids) for kind, ids in zip(kinds, cells, strict=True)}
-    sizes = {kind: _sizes(kind, x) for kind, x in corners.items()}
+    placed = {kind: corners(points, ids) for kind, ids in zip(kinds, cells, strict=True)}
+    sizes = {kind: _sizes(kind, x) for kind, x in placed.items()}
     if standards is None:
         signs = _enclosed_signs({kind: volume for kind, (volume, _, _) in sizes.items()}, links)
         judged = {kind: _judge_alone(*sizes[kind], signs[kind]) for kind in kinds}
@@ -117,16 +117,11 @@ def _measure(
         of = dict(zip(kinds, standards, strict=True))
         signs = {kind: standard.sign for kind, standard in of.items()}
         judged = {kind: _judge(*sizes[kind][:2], of[kind]) for kind in kinds}
-    columns = [judged[kind] | _shape(kind, corners[kind]) for kind in kinds]
+    columns = [judged[kind] | _shape(kind, placed[kind]) for kind in kinds]
     joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *columns)
-    angles = _non_orthogonality(corners, signs, links.neighbour)
+    angles = _non_orthogonality(placed, signs, links.neighbour)
     types = tuple((kind, len(ids)) for kind, ids in zip(kinds, cells, strict=True))
     return QualityReport(**joined, non_orthogonality=angles, types=types, relative=standards is not None)
-
-
-def _corners(points: Float[Array, "n d"], ids: Int[Array, "k c"]) -> list[Vector]:
-    axes = [points[:, axis] for axis in range(points.shape[1])]
-    return [Vector([axis[ids[:, corner]] for axis in axes]) for corner in range(ids.shape[1])]
 
 
 def _relative(x: list[Vector]) -> tuple[list[Vector], Float[Array, " k"]]:

@@ -12,10 +12,10 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _cells
-from ._distortion import Target, corners, energy, samples
+from ._distortion import Target, energy, samples
 from ._host.newton import Pattern, solve
 from ._host.topology import CORNERS
-from ._vector import Vector
+from ._vector import Vector, corners
 
 SHIFT = 1e-8
 """Added to the diagonal of a Hessian in coordinates of order one, which may be singular where cells are inverted."""

@@ -46,6 +46,12 @@ class Vector:
         return Vector([a * factor for a in self.components])
 
 
+def corners(points: Float[Array, "n d"], ids: Int[Array, "k c"]) -> list[Vector]:
+    """One vector for each corner of k cells."""
+    axes = [points[:, axis] for axis in range(points.shape[1])]
+    return [Vector([axis[ids[:, corner]] for axis in axes]) for corner in range(ids.shape[1])]
+
+
 def dot(a: Vector, b: Vector) -> Scalar:
     return functools.reduce(jnp.add, [p * q for p, q in zip(a.components, b.components, strict=True)])
 

@@ -8,9 +8,10 @@ import scipy.optimize
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._distortion import IDEAL, corners, energy, samples, solid, target
+from jaxmorph._distortion import IDEAL, energy, samples, solid, target
 from jaxmorph._host.newton import pattern, solve
 from jaxmorph._improve import _prepared
+from jaxmorph._vector import corners
 
 
 def grid(n, dimension=2):
@@ -272,3 +273,19 @@ def test_soft_maximum_of_equal_values_is_theirs_and_sharpens():
     np.testing.assert_allclose(jm.soft_maximum(values, 1e4, axis=1), [0.5 - np.log(3) / 1e4, 0.7], rtol=1e-12)
     np.testing.assert_allclose(jm.soft_maximum(values, 3.0), np.log(np.mean(np.exp(3 * values))) / 3, rtol=1e-12)
     np.testing.assert_allclose(jax.grad(jm.soft_maximum)(jnp.ones(4)), 0.25)
+
+
+@pytest.mark.parametrize("kind", list(IDEAL))
+def test_smooth_skewness_is_near_verdicts_and_differentiable_at_the_ideal_cell(kind):
+    mesh = cell(kind)
+    points = mesh.points + 0.15 * np.random.default_rng(7).normal(size=mesh.points.shape)
+    exact = float(jm.quality(mesh, points).skewness[0])
+    assert exact - np.log(36) / 500 <= float(jm.smooth_skewness(mesh, points, sharpness=500.0)[0]) <= exact
+    tangent, step = np.random.default_rng(8).normal(size=points.shape), 1e-6
+
+    def objective(points):
+        return jnp.sum(jm.smooth_skewness(mesh, points))
+
+    difference = (objective(mesh.points + step * tangent) - objective(mesh.points - step * tangent)) / (2 * step)
+    gradient = jax.grad(objective)(jnp.asarray(mesh.points))
+    np.testing.assert_allclose(np.vdot(gradient, tangent), difference, rtol=1e-5, atol=1e-7)
