@@ -211,6 +211,7 @@ def test_an_interrupt_leaves_no_half_written_file(here):
     code = f"""
 import os, pathlib, signal, sys
 from jaxmorph.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 replace = pathlib.Path.replace
 def interrupted(self, target):
     assert self.exists()

@@ -19,7 +19,7 @@ SMALL = {
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
 
-SLOW = {"02_wing.ipynb", "03_shape_optimisation.ipynb", "04_mode_sweep.ipynb", "05_fsi.ipynb"}
+FAST = {"07_extend.ipynb"}
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 640 * 1024
@@ -37,7 +37,7 @@ def with_parameters(notebook, values):
 # Warnings are those of Jupyter's client; what the notebook's own kernel warns of is looked for in its output.
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in sorted(SMALL)]
+    "name", [name if name in FAST else pytest.param(name, marks=pytest.mark.slow) for name in sorted(SMALL)]
 )
 def test_notebook_runs(name):
     notebook = with_parameters(nbformat.read(FOLDER / name, as_version=4), SMALL[name])

@@ -27,7 +27,7 @@ for name, method in methods.items():
     path = np.stack([u / 2, u])
     whole = jm.deform(plan, u), jm.pullback(plan, u, cotangent), jm.march(plan, path)[1]
     base = jax.grad(lambda x: jnp.vdot(jm.deform(jm.refit(plan, x), u), cotangent))(plan.points)
-    for count in (2, 3, 4):
+    for count in (2, 3):
         laid = jm.shard(plan, jax.devices()[:count])
         shared = jm.deform(laid, u), jm.pullback(laid, u, cotangent), jm.march(laid, path)[1]
         shared += (jax.grad(lambda x: jnp.vdot(jm.deform(jm.refit(laid, x), u), cotangent))(laid.points),)
@@ -44,14 +44,14 @@ print(json.dumps(found))
 
 @pytest.fixture(scope="module")
 def found():
-    flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=4"
+    flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=3"
     environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
     done = subprocess.run([sys.executable, "-c", SHARDED], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("count", [2, 3, 4])
+@pytest.mark.parametrize("count", [2, 3])
 @pytest.mark.parametrize("method", ["default", "graph"])
 def test_equal_to_the_whole(found, method, count):
     """Points bit for bit but for the order of sums; gradients as far as the solve's conditioning lets them."""
@@ -62,7 +62,7 @@ def test_equal_to_the_whole(found, method, count):
     np.testing.assert_array_less([pulled, base], 1e-8 if method == "default" else 1e-12)
 
 
-@pytest.mark.parametrize("count", [2, 4])
+@pytest.mark.parametrize("count", [2, 3])
 @pytest.mark.parametrize("method", ["default", "graph"])
 def test_one_all_reduce_and_none_in_a_loop(found, method, count):
     reduces, in_loops = found[f"{method} {count} text"]
