@@ -172,6 +172,7 @@ def test_ideal_targets_make_a_lattice_regular_again():
     assert not np.allclose(jm.improve(regular.moved(points), points).points, regular.points, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_minimum():
     """Against central differences of the whole solve; inner nodes are but a start."""
     mesh = grid(3)
