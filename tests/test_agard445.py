@@ -1,5 +1,6 @@
 """The AGARD 445.6 wing against its published shape and counts, VTK's cell quality, and closed forms."""
 
+import resource
 import signal
 import sys
 from pathlib import Path
@@ -135,12 +136,13 @@ def check_options_and_fail(geo):
 
 
 def test_a_session_of_its_own_leaves_nothing_behind(capfd, monkeypatch):
-    handler = signal.getsignal(signal.SIGINT)
+    handler, limit = signal.getsignal(signal.SIGINT), resource.getrlimit(resource.RLIMIT_STACK)
     monkeypatch.setattr(gmsh_side, "_wing", check_options_and_fail)
     with pytest.raises(RuntimeError, match="on purpose"):
         gmsh_side.generate(gmsh, _agard445.RESOLUTIONS[6_500])
     assert not gmsh.isInitialized()
     assert signal.getsignal(signal.SIGINT) is handler
+    assert resource.getrlimit(resource.RLIMIT_STACK) == limit
     assert capfd.readouterr() == ("", "")
 
 

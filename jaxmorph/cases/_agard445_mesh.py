@@ -7,6 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+try:
+    import resource
+except ImportError:  # Windows has no such limit
+    resource = None
+
 from ._agard445_wing import ROOT_CHORD, SEMI_SPAN, TIP_CHORD, TIP_LEADING_EDGE, upper_contour
 
 RADIUS = 8.0
@@ -97,6 +102,19 @@ def generate(gmsh: Any, sizes: Sizes) -> dict[str, np.ndarray]:
 
 
 @contextlib.contextmanager
+def _stack_limit_kept() -> Iterator[None]:
+    """gmsh lifts the limit of the stack for good; the threads of child processes would then have 2 MiB, too few for OpenBLAS."""
+    if resource is None:
+        yield
+        return
+    limit = resource.getrlimit(resource.RLIMIT_STACK)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_STACK, limit)
+
+
+@contextlib.contextmanager
 def _session(gmsh: Any) -> Iterator[None]:
     """A fresh model under OPTIONS; a caller's own session keeps its options, its models and the one it works on.
 
@@ -104,7 +122,8 @@ def _session(gmsh: Any) -> Iterator[None]:
     """
     ours = not gmsh.isInitialized()
     if ours:
-        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        with _stack_limit_kept():
+            gmsh.initialize(readConfigFiles=False, interruptible=False)
     terminal, current = gmsh.option.getNumber("General.Terminal"), gmsh.model.getCurrent()
     gmsh.option.setNumber("General.Terminal", 0)
     before = {"General.Terminal": terminal}
