@@ -107,6 +107,12 @@ def energy(squared: Scalar, tau: Scalar, softness: Any, size: float, dimension: 
     return (1 - size) * shape + size * (1 + tau**2) / (2 * chi) - 1
 
 
+def energy_of_cells(kind: str, x: list[Vector], of: Target, softness: Any, size: float) -> Float[Array, " k"]:
+    """Mean of the energy over the samples of each cell."""
+    squared, tau = samples(kind, x, of)
+    return jnp.mean(of.counts * energy(squared, tau, softness, size, len(of.inverse)), axis=0)
+
+
 def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Float[Array, " n"]:
     """How far a node moves to change the energy by about one: the inverse root of its diagonal entry of the Hessian."""
     stiffness = jnp.zeros(n)
@@ -149,8 +155,7 @@ def distortion(
     parts = []
     for kind, ids in kinds.items():
         of = target(kind, corners(reference, ids), ideal)
-        squared, tau = samples(kind, corners(current, ids), of)
-        parts.append(jnp.mean(of.counts * energy(squared, tau, softness, size, current.shape[1]), axis=0))
+        parts.append(energy_of_cells(kind, corners(current, ids), of, softness, size))
     return jnp.concatenate(parts)
 
 
@@ -163,10 +168,8 @@ def smooth_skewness(
     """
     current = jnp.asarray(mesh.points if points is None else points)
     largest = functools.partial(soft_maximum, sharpness=sharpness, axis=0)
-    parts = [
-        _cells.skewness(kind, [x - first for x in placed], largest)
-        for kind, ids in mesh.cells.items()
-        for placed in [corners(current, ids)]
-        for first in placed[:1]
-    ]
+    parts = []
+    for kind, ids in mesh.cells.items():
+        x = corners(current, ids)
+        parts.append(_cells.skewness(kind, [corner - x[0] for corner in x], largest))
     return jnp.concatenate(parts)

@@ -66,11 +66,15 @@ def prepare(
             'Call jax.config.update("jax_enable_x64", True) first.',
             stacklevel=2,
         )
-    plan = refit(plan, plan.points)
-    placed = with_tables(plan.volume.placed, len(plan.surface.points))
-    plan = eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
+    plan = _with_tables(refit(plan, plan.points))
     method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan
+
+
+def _with_tables(plan: Plan) -> Plan:
+    """The plan with a table of the transpose for each of its interpolations."""
+    placed = with_tables(plan.volume.placed, len(plan.surface.points))
+    return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
 
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:

@@ -12,7 +12,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _cells
-from ._distortion import Target, energy, samples
+from ._distortion import Target, energy, energy_of_cells, samples
 from ._host.newton import Pattern, solve
 from ._host.topology import CORNERS
 from ._vector import Vector, corners
@@ -39,14 +39,9 @@ class Distortion(eqx.Module):
     def __call__(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
         points, total = self.points(y, base), jnp.zeros((), y.dtype)
         for kind, ids in self.cells.items():
-            total += jnp.sum(self.of_cells(kind, corners(points, ids)))
+            x, of = corners(points, ids), self.targets[kind]
+            total += jnp.sum(energy_of_cells(kind, x, of, self.softness, self.size))
         return total
-
-    def of_cells(self, kind: str, x: list[Vector]) -> Float[Array, " k"]:
-        """Mean over the samples of each cell."""
-        of = self.targets[kind]
-        squared, tau = samples(kind, x, of)
-        return jnp.mean(of.counts * energy(squared, tau, self.softness, self.size, len(of.inverse)), axis=0)
 
     def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
         """Smallest determinant of T: negative where a cell is inverted."""

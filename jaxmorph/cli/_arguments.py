@@ -106,9 +106,7 @@ def _add_modes(commands) -> None:
     _add_input(modes)
     what = "OUT.pvd: .vtu files and a time series of them; else files OUT_0001, OUT_0002, ... of its ending"
     modes.add_argument("output", metavar="OUT", type=pathlib.Path, help=what)
-    group = modes.add_argument_group("surface")
-    group.add_argument("--moving", metavar="NAME", nargs="+", default=[], help="patches that move")
-    _add_fixed(group)
+    _add_surface(modes)
     group = modes.add_argument_group("shapes")
     group.add_argument(
         "--mode",
@@ -134,15 +132,20 @@ def _add_sensitivity(commands) -> None:
     what = "dJ/d(points) of all nodes: SU2's, rows of node id and dJ/dx, dJ/dy[, dJ/dz], or .npz"
     command.add_argument("sensitivity", metavar="SENS", type=pathlib.Path, help=what)
     command.add_argument("output", metavar="OUT", type=pathlib.Path, help="where to write it: .csv or .npz")
-    group = command.add_argument_group("surface")
-    group.add_argument("--moving", metavar="NAME", nargs="+", default=[], help="patches that move")
-    _add_fixed(group)
+    _add_surface(command)
     _add_method(command)
     _add_speech(command)
 
 
 def _add_input(command: argparse.ArgumentParser) -> None:
     command.add_argument("file", metavar="IN", type=pathlib.Path, help=f"a mesh: {_FILES}")
+
+
+def _add_surface(command: argparse.ArgumentParser) -> None:
+    """For one motion of all moving patches; those of `deform` have one each."""
+    group = command.add_argument_group("surface")
+    group.add_argument("--moving", metavar="NAME", nargs="+", default=[], help="patches that move")
+    _add_fixed(group)
 
 
 def _add_fixed(group) -> None:

@@ -101,15 +101,19 @@ def table(chosen: list[Gate], before: Judged | None, after: Judged) -> str:
     lines = [f"{'gate':<24}{'limit':>12}{'before':>12}{'after' if before else 'now':>12}   cells beyond"]
     worst = []
     for gate in chosen:
-        has_before = before is not None and gate.measure != "jacobian_ratio"
-        old = f"{gate.extreme(before):.5g}" if before is not None and has_before else "-"
-        bad = gate.beyond(after)
+        start, bad = _start(gate, before), gate.beyond(after)
+        old = "-" if start is None else f"{start:.5g}"
         share = f"{len(bad)} of {len(after.counted)}" if len(bad) else "0"
         lines.append(f"{gate.label:<24}{gate.limit:>12.5g}{old:>12}{gate.extreme(after):>12.5g}   {share}")
         if len(bad):
             worst.append(f"worst cells by {gate.label}")
             worst += [_cell(gate, after, int(cell)) for cell in bad[:WORST]]
     return "\n".join(lines + worst)
+
+
+def _start(gate: Gate, before: Judged | None) -> float | None:
+    """The extreme before the motion; the ratio of Jacobians has none, being relative to that mesh."""
+    return None if before is None or gate.measure == "jacobian_ratio" else gate.extreme(before)
 
 
 def _cell(gate: Gate, judged: Judged, cell: int) -> str:
@@ -145,13 +149,12 @@ def facts(chosen: list[Gate], before: Judged | None, after: Judged) -> list[dict
     found = []
     for gate in chosen:
         bad = gate.beyond(after)
-        old = None if before is None or gate.measure == "jacobian_ratio" else gate.extreme(before)
         cells = [{"cell": int(cell), "near": after.report.centroid[cell].tolist()} for cell in bad[:WORST]]
         found.append(
             {
                 "gate": gate.flag,
                 "limit": gate.limit,
-                "before": old,
+                "before": _start(gate, before),
                 "after": gate.extreme(after),
                 "beyond": len(bad),
                 "worst": cells,
