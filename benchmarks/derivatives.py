@@ -77,6 +77,10 @@ def of_quality(mesh, plan, u):
             lambda plan, u: jax.jvp(lambda u: gradient(plan, u), (u,), (0.1 * u,))[1],
             (plan, u),
         ),
+        "the same, `jax.grad` of a product with `jax.grad`": (
+            lambda plan, u: jax.grad(lambda v: jnp.vdot(gradient(plan, v), 0.1 * u))(u),
+            (plan, u),
+        ),
     }
 
 
@@ -86,7 +90,7 @@ def of_an_optimisation(plan, u):
     curvature = 2 * jnp.sum((target - plan.points) ** 2)
 
     def ended(plan, target, remembered):
-        misfit = lambda a: jnp.sum((jm.deform(plan, a * u) - target) ** 2)  # noqa: E731
+        misfit = lambda a: jnp.sum(jnp.log1p((jm.deform(plan, a * u) - target) ** 2))  # noqa: E731
         step = lambda a, _: (a - 0.2 / curvature * jax.grad(misfit)(a), None)  # noqa: E731
         return jax.lax.scan(remembered(step), jnp.zeros(()), length=STEPS)[0]
 

@@ -85,13 +85,24 @@ def part(text: str, place: list[str], wanted: str) -> str:
     section = "\n".join(rows[begins[0] + 1 : after[0] if after else None]).strip()
     if len(place) == 1:
         return section
-    blocks = re.split(r"\n\n+|\n(?=- )", section)
+    blocks = paragraphs(section)
     found = [i for i, block in enumerate(blocks) if block.removeprefix("- ").startswith(place[1])]
     if len(found) != 1:
         raise PluginError(f"{{{{ {wanted} }}}}: {len(found)} paragraphs or items begin so.")
     first, *following = blocks[found[0] :]
     kept = [first.removeprefix("- ").replace("\n  ", "\n")]
     return "\n\n".join(kept + [block for block in following[:1] if block.startswith(("|", "```"))])
+
+
+def paragraphs(section: str) -> list[str]:
+    """Paragraphs, list items, tables, and fenced blocks whole."""
+    found, fenced = [[]], False
+    for line in section.splitlines():
+        if not fenced and (not line or line.startswith("- ")):
+            found.append([])
+        fenced ^= line.startswith("```")
+        found[-1].append(line)
+    return [said for block in found if (said := "\n".join(block).strip())]
 
 
 def headings(text: str) -> list[int]:
