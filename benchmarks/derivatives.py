@@ -132,7 +132,12 @@ def main() -> None:
     seconds = cpu_seconds({name: run for name, (run, _) in programs.items()}, repeats=5)
     first = seconds["`deform`"]
     rows = [
-        (name, f"{1e3 * seconds[name]:.1f}", f"{seconds[name] / first:.2g}", f"{space / 1e6:.1f}")
+        (
+            name,
+            f"{1e3 * seconds[name]:.1f}",
+            f"{times:.1f}" if (times := seconds[name] / first) < 10 else f"{times:.0f}",
+            f"{space / 1e6:.1f}",
+        )
         for name, (_, space) in programs.items()
     ]
     table(rows, ("what", "CPU, ms", "times `deform`", "set aside, MB"))

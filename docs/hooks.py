@@ -124,7 +124,7 @@ def linked(text: str, document: str, page: str) -> str:
         file = posixpath.normpath(posixpath.join(posixpath.dirname(document), link[1]))
         if not (ROOT / file).exists():
             raise PluginError(f"{document} links to {link[1]}, which is not there.")
-        found = PAGES.get(file, file.removeprefix("docs/").replace(".ipynb", ".md"))
+        found = PAGES.get(file, file.removeprefix("docs/").removeprefix("pages/").replace(".ipynb", ".md"))
         return f"]({posixpath.relpath(found, posixpath.dirname(page) or '.')})"
 
     return re.sub(r"\]\(([^)\s]+)\)", target, text)

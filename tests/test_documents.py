@@ -1,19 +1,11 @@
 """The code in README.md and CONTRIBUTING.md runs as it stands there."""
 
-import pathlib
-import re
-
 import jax
 import numpy as np
 import pytest
+from documents import blocks
 
 import jaxmorph as jm
-
-ROOT = pathlib.Path(__file__).parent.parent
-
-
-def blocks(document: str) -> list[str]:
-    return re.findall(r"```python\n(.*?)```", (ROOT / document).read_text(), flags=re.DOTALL)
 
 
 @pytest.mark.parametrize("code", blocks("CONTRIBUTING.md"))
