@@ -133,7 +133,8 @@ def linked(text: str, document: str, page: str) -> str:
 def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
     """A page, and its pictures by name."""
     resources = {"unique_key": file.stem, "output_files_dir": f"{file.stem}_files"}
-    body, found = MarkdownExporter().from_notebook_node(nbformat.read(file, as_version=4), resources=resources)
+    exporter = MarkdownExporter(preprocessors=["nbconvert.preprocessors.CoalesceStreamsPreprocessor"])
+    body, found = exporter.from_notebook_node(nbformat.read(file, as_version=4), resources=resources)
     title, text = body.strip().split("\n", 1)
     body = f"{title}\n\n*`notebooks/{file.name}`, as it ran.*\n{text}"
     body = re.sub(r"!\[(?:png|jpeg|gif)\]", "![What the cell above draws]", body)
