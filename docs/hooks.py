@@ -116,25 +116,32 @@ def headings(text: str) -> list[int]:
 
 
 def linked(text: str, document: str, page: str) -> str:
-    """The text of a document with its links to files of the project turned to the pages made of them."""
+    """The text of a document with its links to files of the project turned to the pages made of them, or to their names."""
 
     def target(link):
-        if re.match(r"\w+://|#", link[1]):
+        said, to = link.groups()
+        if re.match(r"\w+:|#", to):
             return link[0]
-        file = posixpath.normpath(posixpath.join(posixpath.dirname(document), link[1]))
+        file = posixpath.normpath(posixpath.join(posixpath.dirname(document), to))
         if not (ROOT / file).exists():
-            raise PluginError(f"{document} links to {link[1]}, which is not there.")
-        found = PAGES.get(file, file.removeprefix("docs/").removeprefix("pages/").replace(".ipynb", ".md"))
-        return f"]({posixpath.relpath(found, posixpath.dirname(page) or '.')})"
+            raise PluginError(f"{document} links to {to}, which is not there.")
+        found = PAGES.get(file, re.sub(r"^docs/(pages/)?", "", file).replace(".ipynb", ".md"))
+        if found == file and file.split("/")[0] != "notebooks":
+            return f"{said} (`{file}`)"
+        return f"[{said}]({posixpath.relpath(found, posixpath.dirname(page) or '.')})"
 
-    return re.sub(r"\]\(([^)\s]+)\)", target, text)
+    return re.sub(r"\[([^\]]*)\]\(([^)\s]+)\)", target, text)
 
 
 def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
     """A page, and its pictures by name."""
     resources = {"unique_key": file.stem, "output_files_dir": f"{file.stem}_files"}
     exporter = MarkdownExporter(preprocessors=["nbconvert.preprocessors.CoalesceStreamsPreprocessor"])
-    body, found = exporter.from_notebook_node(nbformat.read(file, as_version=4), resources=resources)
+    cells = nbformat.read(file, as_version=4)
+    for cell in cells.cells:
+        if cell.cell_type == "markdown":
+            cell.source = linked(cell.source, f"notebooks/{file.name}", f"notebooks/{file.stem}.md")
+    body, found = exporter.from_notebook_node(cells, resources=resources)
     title, text = body.strip().split("\n", 1)
     body = f"{title}\n\n*`notebooks/{file.name}`, as it ran.*\n{text}"
     body = re.sub(r"!\[(?:png|jpeg|gif)\]", "![What the cell above draws]", body)
