@@ -1,14 +1,23 @@
 """Pictures of meshes: in the plane with matplotlib, in space with pyvista, off screen.
 
-Plots in the plane take an axis (a new one where none is given) and give it back; those in space do so with a plotter.
+Plots in the plane take an axis (a new one where none is given) and give it back; those in space do so with a plotter. `animate`
+makes a film of either, `page` an interactive page of a surface in space.
 """
 
+from ._curves import SurfaceErrors as SurfaceErrors
+from ._curves import convergence as convergence
+from ._curves import histogram as histogram
+from ._curves import surface_errors as surface_errors
+from ._film import animate as animate
+from ._film import swing as swing
+from ._page import page as page
 from ._plane import Window as Window
 from ._plane import before_after as before_after
 from ._plane import graph as graph
-from ._plane import histogram as histogram
 from ._plane import mesh as mesh
-from ._plane import sources as sources
+from ._sources import sources as sources
+from ._sources import sources_in_space as sources_in_space
+from ._space import before_after_in_space as before_after_in_space
 from ._space import cut as cut
 from ._space import surface as surface
 from ._style import BLUE as BLUE

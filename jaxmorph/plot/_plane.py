@@ -1,6 +1,5 @@
 """Pictures in the plane, with matplotlib."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,12 +8,13 @@ from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 
-from ._style import BLUE, COLOURS, DARK, GREEN, GREY, ORANGE, check_values
+from ._style import BLUE, DARK, GREY, ORANGE, check_values, colour_scale
 
 try:
     import matplotlib.pyplot as plt
     from matplotlib.axes import Axes
     from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.ticker import ScalarFormatter as ScalarFormatter
 except ImportError as error:
     raise ImportError("jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'") from error
 
@@ -32,26 +32,36 @@ def mesh(
     *,
     values: Float[Any, " k"] | None = None,
     limits: tuple[float, float] | None = None,
+    label: str | None = None,
     window: Window | None = None,
     axis: Axes | None = None,
 ) -> Axes:
     """The cells of a mesh in the plane, at `points` if given, coloured by `values` (one for each cell, as `quality` gives).
 
-    `limits` are the values at the ends of the colour scale, `window` ((left, right), (bottom, top)) is what is shown.
-    `axis.collections[0]` is what a colour bar needs.
+    `limits` are the values at the light and at the dark end of the colours: (1, 0) for a measure that is small where cells
+    are bad. With a `label`, what the values are, a colour bar is drawn; `axis.collections[0]` is what one of your own needs.
+    `window` ((left, right), (bottom, top)) is what is shown.
 
-    Raises `ValueError` for a mesh in space and for a number of values that is not that of the cells.
+    Raises `ValueError` for a mesh in space, for points of another shape than the mesh's, for a number of values that is not that
+    of the cells, and for a `label` without values.
     """
-    axis, corners = _axis(axis), _corners(mesh, points)
-    window = _show(axis, corners.reshape(-1, 2), window)
-    seen = _inside(corners, window)
+    corners = _corners(mesh, points)
+    if values is None and label is not None:
+        raise ValueError(f"there are no `values` that are {label!r}.")
     if values is not None:
         check_values(values, len(corners))
-        faces = PolyCollection(list(corners[seen]), cmap=COLOURS, linewidths=0.3, edgecolors="face", rasterized=True)
+    colours, limits = colour_scale(limits)
+    axis = given_or_new(axis)
+    window = show(axis, corners.reshape(-1, 2), window)
+    seen = _inside(corners, window)
+    if values is not None:
+        faces = PolyCollection(list(corners[seen]), cmap=colours, linewidths=0.3, edgecolors="face", rasterized=True)
         axis.set_facecolor("#c4cad3")  # what is not mesh: bodies
         faces.set_array(np.asarray(values)[seen])
         faces.set_clim(*(limits if limits is not None else (None, None)))
         axis.add_collection(faces, autolim=False)
+        if label is not None:
+            axis.figure.colorbar(faces, cax=axis.inset_axes((1.02, 0, 0.03, 1)), label=label)
     _edges(axis, corners[seen], window, DARK)
     return axis
 
@@ -59,35 +69,14 @@ def mesh(
 def before_after(
     mesh: jm.Mesh, points: Float[Any, "n 2"], *, window: Window | None = None, axis: Axes | None = None
 ) -> Axes:
-    """The undeformed mesh in orange under the deformed one in blue; `window` as in `mesh`."""
-    axis, before, after = _axis(axis), _corners(mesh, None), _corners(mesh, points)
-    window = _show(axis, np.concatenate([before, after]).reshape(-1, 2), window)
+    """The undeformed mesh in orange under the deformed one in blue; `window` and errors as in `mesh`."""
+    before, after = _corners(mesh, None), _corners(mesh, points)
+    axis = given_or_new(axis)
+    window = show(axis, np.concatenate([before, after]).reshape(-1, 2), window)
     for corners, colour, label in ((before, ORANGE, "undeformed"), (after, BLUE, "deformed")):
         _edges(axis, corners[_inside(corners, window)], window, colour)
         axis.plot([], [], color=colour, label=label)
     axis.legend(loc="upper right", framealpha=1)
-    return axis
-
-
-def sources(
-    points: Float[Any, "m 2"],
-    reduction: jm.AbstractReduction,
-    *,
-    axis: Axes | None = None,
-) -> Axes:
-    """What a reduction chooses among the nodes of a boundary; for a `KDTree` with its leaves' boxes (figure 1 of the paper)."""
-    axis, points = _axis(axis), _flat(points)
-    chosen = points[reduction(points)]
-    if isinstance(reduction, jm.KDTree):
-        boxes = reduction.boxes(points)
-        outline = boxes[:, [0, 1, 1, 0, 0], 0], boxes[:, [0, 0, 1, 1, 0], 1]
-        axis.plot(*(side.T for side in outline), color=GREEN, linewidth=1.2)
-        axis.plot([], [], color=GREEN, label=f"{len(boxes)} leaves")
-    axis.plot(*points.T, ".", color=GREY, markersize=4, label=f"{len(points)} nodes", zorder=2)
-    axis.plot(*chosen.T, "o", color=ORANGE, markersize=7, label=f"{len(chosen)} sources", zorder=3)
-    axis.set_aspect("equal")
-    axis.margins(0.05, 0.1)
-    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.02), ncols=3, frameon=False)
     return axis
 
 
@@ -101,15 +90,19 @@ def graph(
 ) -> Axes:
     """The Delaunay graph of a plan's surface, displaced by `u` if given (figure 2 of the paper).
 
-    Moving nodes are orange, fixed ones blue; `interior=True` shows the nodes of the volume too.
+    Moving nodes are orange, fixed ones blue; `interior=True` shows the nodes of the volume too, where the plan's method puts
+    them.
+
+    Raises `ValueError` for a plan in space, and when the shape of `u` is not (m, 2).
     """
-    axis, points = _axis(axis), _flat(plan.points)
+    points = flat(plan.points)
     moving, fixed = np.asarray(plan.moving), np.asarray(plan.fixed)
     nodes = np.concatenate([moving, fixed])
     simplices = nodes[Delaunay(points[nodes]).simplices]
     if u is not None:
         points = np.asarray(jm.deform(plan, u))
-    window = _show(axis, points[nodes], window)
+    axis = given_or_new(axis)
+    window = show(axis, points[nodes], window)
     if interior:
         axis.plot(*np.delete(points, nodes, axis=0).T, ".", color=GREY, markersize=2, zorder=1)
     edges = np.unique(np.sort(simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
@@ -120,46 +113,29 @@ def graph(
     return axis
 
 
-def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", axis: Axes | None = None) -> Axes:
-    """How many cells have which value of a measure, for several reports by name: `{"before": ..., "after": ...}`.
-
-    `measure` is the name of one of the report's arrays. Counts are on a logarithmic scale: the worst cells are few.
-    """
-    axis = _axis(axis)
-    values = {name: np.asarray(getattr(report, measure)) for name, report in reports.items()}
-    finite = {name: of_cells[np.isfinite(of_cells)] for name, of_cells in values.items()}
-    bins = np.histogram_bin_edges(np.concatenate(list(finite.values())), bins=60)
-    colours = (GREY, BLUE, ORANGE, GREEN, DARK)
-    for k, (name, of_cells) in enumerate(finite.items()):
-        style = {"histtype": "bar", "alpha": 0.5} if k == 0 else {"histtype": "step", "linewidth": 1.8}
-        axis.hist(of_cells, bins=list(bins), label=name, color=colours[k % len(colours)], log=True, **style)
-    axis.set_xlabel(measure.replace("_", " "))
-    axis.set_ylabel("cells")
-    axis.legend()
-    return axis
-
-
-def _axis(axis: Axes | None) -> Axes:
+def given_or_new(axis: Axes | None) -> Axes:
     return plt.subplots(layout="constrained")[1] if axis is None else axis
 
 
 def _corners(mesh: jm.Mesh, points: Any) -> Float[np.ndarray, "k 4 2"]:
     """Corners of all cells in the order of `mesh.cells`; those of a triangle, or a line, repeated."""
-    points = np.asarray(mesh.points if points is None else points)
-    if points.shape[1] != 2 or not set(mesh.cells) <= set(FOUR_CORNERS):
+    if mesh.points.shape[1] != 2:
         raise ValueError(f"this is for cells in the plane, not {mesh}; see `plot.surface` and `plot.cut`.")
+    points = np.asarray(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
     ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.cells.items()]
     return points[np.concatenate(ids)]
 
 
-def _flat(points: Any) -> Float[np.ndarray, "n 2"]:
+def flat(points: Any, in_space: str | None = None) -> Float[np.ndarray, "n 2"]:
+    """Points in the plane; `ValueError` for others, with what to use `in_space`."""
     points = np.asarray(points, dtype=float)
     if points.ndim != 2 or points.shape[1] != 2:
-        raise ValueError(f"this is for points in the plane, not of shape {points.shape}.")
+        see = "" if in_space is None else f"; see `{in_space}`"
+        raise ValueError(f"this is for points in the plane, not of shape {points.shape}{see}.")
     return points
 
 
-def _show(axis: Axes, points: Float[np.ndarray, "n 2"], window: Window | None) -> Window:
+def show(axis: Axes, points: Float[np.ndarray, "n 2"], window: Window | None) -> Window:
     if window is None:
         (left, bottom), (right, top) = points.min(axis=0), points.max(axis=0)
         window = ((left, right), (bottom, top))

@@ -1,5 +1,6 @@
 """Pictures in space, with pyvista, off screen."""
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,13 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 
-from ._style import COLOURS, DARK, GREY, check_values
+from ._style import BLUE, DARK, GREY, ORANGE, check_values, colour_scale
+
+VIEWER = -1.0, -2.5, 1.8
+"""Where one looks from: x to the right, y away, z up."""
+
+MARGIN = 1.15
+"""Height and width of a picture over those of what it shows: the scale and the legend have room beside it."""
 
 
 def surface(
@@ -16,19 +23,36 @@ def surface(
     *,
     values: Float[Any, " k"] | None = None,
     limits: tuple[float, float] | None = None,
+    label: str | None = None,
     patch: str | None = None,
     plotter: Any = None,
 ) -> Any:
     """The outside of a mesh in space, or one patch of it, each face coloured by the value of its cell.
 
-    `points`, `values` and `limits` as in `mesh`. Returns the pyvista plotter (a new one, off screen, where none is given):
-    `plotter.screenshot(path)` writes the picture, `plotter.add_scalar_bar("aspect ratio")` adds the scale.
+    `points`, `values`, `limits` and `label` as in `mesh`. Returns the pyvista plotter (a new one, off screen, where none is
+    given): `plotter.screenshot(path)` writes the picture.
+
+    Raises `ValueError` as `mesh` does, for a mesh in the plane, for a `patch` that is not known, and where there is no face.
     """
-    outside = _outside(_grid(mesh, points, values))
-    if patch is not None:
-        on_patch = np.isin(outside.point_data["vtkOriginalPointIds"], mesh.patch(patch))
-        outside = outside.extract_points(on_patch, adjacent_cells=False)  # faces with all nodes in it
-    return _draw(outside, limits, plotter, lighting=True)
+    return _draw(outside(mesh, points, values, patch), limits, label, plotter, lighting=True)
+
+
+def before_after_in_space(
+    mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None
+) -> Any:
+    """The undeformed outside of a mesh in space, or of one patch, in orange, and the deformed one in blue (figure 7a of the paper).
+
+    Everything else as in `surface`.
+    """
+    before, after = outside(mesh, None, None, patch), outside(mesh, points, None, patch)
+    new, plotter = plotter is None, new_plotter() if plotter is None else plotter
+    light = {"ambient": 0.4, "diffuse": 0.7, "show_edges": True, "line_width": 0.5}
+    plotter.add_mesh(before, color=ORANGE, label="undeformed", edge_color=DARK, **light)
+    plotter.add_mesh(after, color=BLUE, label="deformed", edge_color=DARK, **light)
+    add_legend(plotter, [["undeformed", ORANGE], ["deformed", BLUE]])
+    if new:
+        aim(plotter)
+    return plotter
 
 
 def cut(
@@ -38,54 +62,110 @@ def cut(
     plane: jm.Plane,
     values: Float[Any, " k"] | None = None,
     limits: tuple[float, float] | None = None,
+    label: str | None = None,
     plotter: Any = None,
 ) -> Any:
     """The cells of a mesh in space where a plane cuts them; everything else as in `surface`."""
     normal, origin = (np.asarray(vector, dtype=float).tolist() for vector in (plane.normal, plane.origin))
     section = _grid(mesh, points, values).slice(normal=normal, origin=origin)
-    return _draw(section, limits, plotter, lighting=False)
+    return _draw(section, limits, label, plotter, lighting=False)
+
+
+def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
+    """Faces that bound the cells, or those with all nodes in a patch, as pyvista has them.
+
+    By VTK's own filter: pyvista has called it by several names. `ValueError` where there are none.
+    """
+    from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
+
+    on_patch = None if patch is None else mesh.patch(patch)
+    boundary = vtkGeometryFilter()
+    boundary.SetInputData(_grid(mesh, points, values))
+    boundary.PassThroughPointIdsOn()
+    boundary.Update()
+    faces = pyvista().wrap(boundary.GetOutput())
+    if on_patch is not None:
+        chosen = np.isin(faces.point_data["vtkOriginalPointIds"], on_patch)
+        faces = faces.extract_points(chosen, adjacent_cells=False)
+    if faces.n_cells == 0:
+        of = "the mesh" if patch is None else f"patch {patch!r}"
+        raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {of}.")
+    return faces
 
 
 def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     """The mesh as pyvista has it."""
-    pyvista = _pyvista()
-    points = np.asarray(mesh.points if points is None else points, dtype=float)
-    if points.shape[1] != 3:
-        raise ValueError(f"this is for cells in space, not {mesh}; see `plot.mesh`.")
+    if mesh.points.shape[1] != 3:
+        raise ValueError(f"this is for cells in space, not {mesh}; see `plot.mesh` and `plot.before_after`.")
+    points = np.asarray(mesh.points if points is None else mesh.moved(np.asarray(points)).points, dtype=float)
     types = {"tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14, "triangle": 5, "quad": 9, "line": 3}
-    grid = pyvista.UnstructuredGrid({types[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
+    grid = pyvista().UnstructuredGrid({types[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
     if values is not None:
         check_values(values, grid.n_cells)
         grid.cell_data["values"] = np.asarray(values)
     return grid
 
 
-def _outside(grid: Any) -> Any:
-    """Faces that bound the cells. By VTK's own filter: pyvista has called it by several names."""
-    from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
-
-    boundary = vtkGeometryFilter()
-    boundary.SetInputData(grid)
-    boundary.PassThroughPointIdsOn()
-    boundary.Update()
-    return _pyvista().wrap(boundary.GetOutput())
-
-
-def _draw(part: Any, limits: tuple[float, float] | None, plotter: Any, *, lighting: bool) -> Any:
+def _draw(part: Any, limits: tuple[float, float] | None, label: str | None, plotter: Any, *, lighting: bool) -> Any:
     if part.n_cells == 0:
-        raise ValueError("there is nothing to draw: the plane cuts no cell, or no face has all its nodes in the patch.")
-    if plotter is None:
-        pyvista = _pyvista()
-        with pyvista.vtk_verbosity("off"):  # it complains where there is no display, and draws all the same
-            plotter = pyvista.Plotter(off_screen=True, window_size=(1600, 900))
-    coloured = {"scalars": "values", "cmap": COLOURS, "clim": limits} if "values" in part.cell_data else {"color": GREY}
+        raise ValueError("there is nothing to draw: the plane cuts no cell.")
+    has_values = "values" in part.cell_data
+    if label is not None and not has_values:
+        raise ValueError(f"there are no `values` that are {label!r}.")
+    colours, limits = colour_scale(limits)
+    new, plotter = plotter is None, new_plotter() if plotter is None else plotter
+    coloured = {"scalars": "values", "cmap": colours, "clim": limits} if has_values else {"color": GREY}
     light = {"ambient": 0.4, "diffuse": 0.7} if lighting else {"lighting": False}  # without: colours as on the scale
     edges = {"show_edges": True, "edge_color": DARK, "line_width": 0.5}
     plotter.add_mesh(part, show_scalar_bar=False, **edges, **light, **coloured)
+    if label is not None:
+        size = {"height": 0.6, "width": 0.05, "position_x": 0.88, "position_y": 0.2}
+        font = {"font_family": "arial", "title_font_size": 30, "label_font_size": 26, "fmt": "%.3g", "color": DARK}
+        plotter.add_scalar_bar(f"{label}\n", vertical=True, **font, **size)
+    if new:
+        aim(plotter)
     return plotter
 
 
-def _pyvista() -> Any:
+def new_plotter() -> Any:
+    with pyvista().vtk_verbosity("off"):  # it complains where there is no display, and draws all the same
+        plotter = pyvista().Plotter(off_screen=True, window_size=(1600, 900))
+    plotter.set_background("white")
+    plotter.enable_anti_aliasing("msaa", multi_samples=8)
+    return plotter
+
+
+def aim(plotter: Any, reach: Float[Any, " 3"] = (0, 0, 0)) -> None:
+    """Turns the camera to all that was drawn, and to what lies `reach` beyond: from `VIEWER`, without perspective."""
+    low, high = np.reshape(plotter.bounds, (3, 2)).T
+    corners = np.array(list(itertools.product(*zip(low - reach, high + reach, strict=True))))
+    towards, across, upwards = view_axes()
+    middle, size = corners.mean(axis=0), np.ptp(corners @ np.stack([across, upwards], axis=1), axis=0)
+    distance = 2 * np.linalg.norm(corners[-1] - corners[0])
+    plotter.camera_position = [tuple(middle + distance * towards), tuple(middle), (0, 0, 1)]
+    width, height = plotter.window_size
+    plotter.camera.parallel_projection = True
+    plotter.camera.parallel_scale = MARGIN / 2 * max(size[1], size[0] * height / width)
+    plotter.renderer.reset_camera_clipping_range()
+
+
+def view_axes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors towards the viewer, and to the right and upwards in the picture."""
+    towards = np.array(VIEWER) / np.linalg.norm(VIEWER)
+    across = np.cross((0, 0, 1), towards)
+    across /= np.linalg.norm(across)
+    return towards, across, np.cross(towards, across)
+
+
+def add_legend(plotter: Any, entries: list[list[str]]) -> None:
+    """Names, each in its colour, in the upper right corner."""
+    for k, (name, colour) in enumerate(entries):
+        place = {"position": (0.8, 0.94 - 0.05 * k), "viewport": True, "name": f"legend {k}"}
+        plotter.add_text(name, font_size=16, color=colour, **place)
+
+
+def pyvista() -> Any:
+    """The package, or what to install."""
     try:
         import pyvista
     except ImportError as error:

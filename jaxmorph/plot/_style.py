@@ -1,5 +1,9 @@
 """What all pictures share."""
 
+import contextlib
+import os
+import pathlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,8 +14,45 @@ DARK, GREY, BLUE, ORANGE, GREEN = "#1b1b1b", "#9a9a9a", "#0072b2", "#d55e00", "#
 COLOURS = "YlOrBr"
 """For qualities: light where a cell is good, so that its outline is seen; ordered by lightness alone."""
 
+DISPLACEMENT = "YlGnBu"
+"""For lengths of displacements: of another hue, ordered by lightness too."""
+
 
 def check_values(values: Any, cells: int) -> None:
     """Raises `ValueError` unless there is one value for each cell."""
     if np.shape(values) != (cells,):
         raise ValueError(f"`values` has shape {np.shape(values)}; this mesh has {cells} cells.")
+
+
+def colour_scale(limits: tuple[float, float] | None, colours: str = COLOURS) -> tuple[str, tuple[float, float] | None]:
+    """The colour map and its limits, ascending: the map is turned round where the dark end is the smaller one.
+
+    Raises `ValueError` unless the limits are two finite numbers that differ.
+    """
+    if limits is None:
+        return colours, None
+    if np.shape(limits) != (2,) or not np.isfinite(limits).all() or limits[0] == limits[1]:
+        raise ValueError(f"`limits` are the values at the light and at the dark end of the colours, not {limits}.")
+    light, dark = map(float, limits)
+    return (colours, (light, dark)) if light < dark else (f"{colours}_r", (dark, light))
+
+
+def check_suffix(path: str | os.PathLike, *suffixes: str) -> pathlib.Path:
+    """Raises `ValueError` for a name that does not end in one of `suffixes`, or in a folder that is not there."""
+    path = pathlib.Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise ValueError(f"{path.name!r} should end in {' or '.join(suffixes)}.")
+    if not path.parent.is_dir():
+        raise ValueError(f"there is no folder {str(path.parent)!r} to write {path.name!r} to.")
+    return path
+
+
+@contextlib.contextmanager
+def complete(path: pathlib.Path) -> Iterator[pathlib.Path]:
+    """A temporary name beside `path`, which takes its place at the end; on failure nothing is left."""
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

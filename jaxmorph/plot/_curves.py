@@ -1,0 +1,125 @@
+"""Numbers as curves: histograms of quality, and the error on the surface against the number of sources."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+import jaxmorph as jm
+from jaxmorph._host.topology import DIMENSION
+
+from ._plane import Axes, ScalarFormatter, given_or_new
+from ._sources import of_plan, radial_basis_functions
+from ._style import BLUE, DARK, GREEN, GREY, ORANGE
+
+MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "jacobian", "volume_ratio", "jacobian_ratio")
+
+
+def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", axis: Axes | None = None) -> Axes:
+    """How many cells have which value of a measure, for several reports by name: `{"before": ..., "after": ...}`.
+
+    `measure` is the name of one of the report's arrays. Counts are on a logarithmic scale: the worst cells are few. Cells of
+    the boundary do not count, nor do infinite values.
+
+    Raises `ValueError` for a measure that is not known, and where there is no report.
+    """
+    if measure not in MEASURES:
+        raise ValueError(f"no measure is called {measure!r}; there are {', '.join(MEASURES)}.")
+    if not reports:
+        raise ValueError("`reports` is empty: give at least one, such as {'undeformed': jm.quality(mesh)}.")
+    finite = {name: _of_cells(report, measure) for name, report in reports.items()}
+    axis = given_or_new(axis)
+    bins = np.histogram_bin_edges(np.concatenate(list(finite.values())), bins=60)
+    colours = (GREY, BLUE, ORANGE, GREEN, DARK)
+    for k, (name, of_cells) in enumerate(finite.items()):
+        style = {"histtype": "bar", "alpha": 0.5} if k == 0 else {"histtype": "step", "linewidth": 1.8}
+        axis.hist(of_cells, bins=list(bins), label=name, color=colours[k % len(colours)], log=True, **style)
+    axis.set_ylim(bottom=0.5)  # below a single cell
+    axis.set_xlabel(measure.replace("_", " "))
+    axis.set_ylabel("cells")
+    axis.legend()
+    return axis
+
+
+def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]:
+    """Finite values of the cells of the highest dimension."""
+    highest = max(DIMENSION[kind] for kind, _ in report.types)
+    counts = np.concatenate([np.full(count, DIMENSION[kind] == highest) for kind, count in report.types])
+    values = np.asarray(getattr(report, measure))
+    return values[counts & np.isfinite(values)]
+
+
+@dataclasses.dataclass(frozen=True)
+class SurfaceErrors:
+    """What reduced radial basis functions miss on a moving surface, one entry a reduction: `surface_errors` finds it.
+
+    `sources` is their number in all, moving and fixed; `largest` and `mean` are of the distances of moving nodes from where
+    they should be, relative to the largest displacement.
+    """
+
+    sources: Int[np.ndarray, " r"]
+    largest: Float[np.ndarray, " r"]
+    mean: Float[np.ndarray, " r"]
+
+
+def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.AbstractReduction]) -> SurfaceErrors:
+    """Host: how far the plan's radial basis functions alone, without a correction, miss a displacement `u` (m, d).
+
+    The basis, polynomial and reduction of the fixed nodes are the plan's; the moving nodes are reduced by each of
+    `reductions` in turn, such as `[jm.KDTree(leaves) for leaves in (1, 4, 16, 64)]`. One dense solve each, and no volume mesh.
+
+    Raises `ValueError` for a plan without radial basis functions, when the shape of `u` is not (m, d) or `u` is zero, for no
+    `reductions`, and what `prepare` raises for one of them.
+    """
+    rbf, _ = radial_basis_functions(plan)
+    points, m = np.asarray(plan.points), plan.moves
+    u = np.asarray(u, dtype=points.dtype)
+    if u.shape != (m, points.shape[1]):
+        raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {points.shape[1]} dimensions.")
+    if not np.any(u):
+        raise ValueError("`u` is zero: every reduction follows it.")
+    if not len(reductions):
+        raise ValueError("`reductions` is empty: name at least one, such as jm.KDTree(16).")
+    nodes, mirror = np.concatenate([plan.moving, plan.fixed]), plan.surface.mirror
+    b, planes = len(nodes), ()
+    if mirror is not None:  # of the volume only the nodes that tell where the planes are
+        on_plane = np.flatnonzero(np.asarray(plan.volume.on_plane)[: len(points)].any(axis=1))
+        nodes = np.concatenate([nodes, np.setdiff1d(on_plane, nodes)])
+        planes = tuple(jm.Plane(*each) for each in zip(mirror.normals, mirror.origins, strict=True))
+    target = points[nodes[:m]] + u
+    rows = []
+    for reduction in reductions:
+        method = jm.RBF(rbf.basis, reduction, rbf.fixed_reduction, rbf.degree)
+        reduced = jm.prepare(points[nodes], np.arange(m), np.arange(m, b), method=method, symmetry=planes)
+        missed = np.linalg.norm(np.asarray(jm.deform(reduced, u))[:m] - target, axis=1)
+        rows.append((len(of_plan(reduced)[1]), missed.max(), missed.mean()))
+    number, largest, mean = (np.array(column) for column in zip(*rows, strict=True))
+    size = np.linalg.norm(u, axis=1).max()
+    return SurfaceErrors(number, largest / size, mean / size)
+
+
+def convergence(errors: Mapping[str, SurfaceErrors], *, axis: Axes | None = None) -> Axes:
+    """The error on the surface against the number of sources, for several families of reductions by name: `{"k-d tree": ...}`.
+
+    What `surface_errors` found: the largest error as a line, the mean dashed, both on logarithmic scales.
+
+    Raises `ValueError` where there is nothing to draw.
+    """
+    if not errors:
+        raise ValueError("`errors` is empty: give at least one, such as {'k-d tree': plot.surface_errors(...)}.")
+    axis = given_or_new(axis)
+    colours, markers = (BLUE, ORANGE, GREEN, DARK, GREY), "osD^v"
+    for k, (name, found) in enumerate(errors.items()):
+        order, style = np.argsort(found.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
+        axis.loglog(found.sources[order], found.largest[order], "-", label=f"{name}, largest", **style)
+        axis.loglog(found.sources[order], found.mean[order], "--", label=f"{name}, mean", fillstyle="none", **style)
+    axis.set_xscale("log", base=2)
+    axis.xaxis.set_major_formatter(ScalarFormatter())
+    axis.set_xlabel("sources")
+    axis.set_ylabel("error on the surface /\nlargest displacement")
+    axis.grid(color="#dddddd")
+    axis.set_axisbelow(True)
+    axis.legend()
+    return axis

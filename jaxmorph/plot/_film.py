@@ -1,0 +1,137 @@
+"""Films of a moving mesh, as GIF or MP4."""
+
+import os
+import pathlib
+import shutil
+import subprocess
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ._plane import Axes, plt
+from ._space import aim
+from ._style import check_suffix, complete
+
+Picture = UInt8[np.ndarray, "h w 3"]
+
+
+def swing(points: Float[Any, "n d"], extreme: Float[Any, "n d"], *, frames: int = 24) -> Float[np.ndarray, "f n d"]:
+    """One period of a mode: nodes go to `extreme` and as far to the other side, in straight lines, as a sine of time.
+
+    What `deform` gives is linear in the displacement, so that these are the meshes of the mode at each amplitude.
+
+    Raises `ValueError` where the shapes differ, and for fewer than 2 frames.
+    """
+    points, extreme = np.asarray(points), np.asarray(extreme)
+    if points.shape != extreme.shape or points.ndim != 2:
+        raise ValueError(f"`points` has shape {points.shape}, `extreme` {extreme.shape}; both should be (n, d).")
+    if frames < 2:
+        raise ValueError(f"a period has at least 2 frames, not {frames}.")
+    phases = np.sin(2 * np.pi * np.arange(frames) / frames)
+    return points + phases[:, None, None] * (extreme - points)
+
+
+def animate(
+    path: str | os.PathLike,
+    draw: Callable[[Float[np.ndarray, "n d"]], Any],
+    frames: Sequence[Float[Any, "n d"]] | Float[Any, "f n d"],
+    *,
+    rate: float = 12,
+) -> pathlib.Path:
+    """A film: one picture for each of `frames`, the points of a mesh at successive times, as `swing` or `march` give them.
+
+    `draw` makes the picture and returns its axis or its plotter, as all pictures here do:
+    `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"), plot.swing(mesh.points, extreme))`.
+    All frames are seen as the first one is; in space with room for the others unless `draw` places the camera. The size is that of
+    the figure or of the plotter's window; `rate` is in frames a second.
+
+    A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the system's or imageio-ffmpeg's. Returns the path of
+    the file, which is there whole or not at all.
+
+    Raises `ValueError` for another ending, a folder that is not there, fewer than 2 frames or frames of different shapes, and
+    a rate that is not positive; `ImportError` for what is missing.
+    """
+    path = check_suffix(path, ".gif", ".mp4")
+    frames = [np.asarray(points) for points in frames]
+    shapes = sorted({points.shape for points in frames})
+    if len(frames) < 2 or len(shapes) > 1 or len(shapes[0]) != 2:
+        raise ValueError(f"`frames` should be 2 or more of one shape (n, d); found {len(frames)} of shapes {shapes}.")
+    if not 0 < rate < np.inf:
+        raise ValueError(f"`rate` is in frames a second, not {rate}.")
+    write = _gif if path.suffix.lower() == ".gif" else _mp4()
+    reach = np.max([np.abs(points - frames[0]).max(axis=0) for points in frames], axis=0)
+    view, pictures = None, []
+    for points in frames:
+        picture, view = _picture(draw(points), view, reach)
+        pictures.append(picture)
+    if len({picture.shape for picture in pictures}) > 1:
+        raise ValueError("the pictures that `draw` makes differ in size: give each figure the same one.")
+    with complete(path) as partial:
+        write(partial, pictures, rate)
+    return path
+
+
+def _picture(drawn: Any, view: Any, reach: Float[np.ndarray, " d"]) -> tuple[Picture, Any]:
+    """What was drawn, seen as the picture before it; and how it is seen."""
+    if isinstance(drawn, Axes):
+        if view is None:
+            view = drawn.get_xlim(), drawn.get_ylim()
+        drawn.set(xlim=view[0], ylim=view[1])
+        drawn.figure.canvas.draw()
+        pixels = np.asarray(drawn.figure.canvas.buffer_rgba())[..., :3].copy()  # pyright: ignore[reportAttributeAccessIssue]
+        plt.close(drawn.get_figure(root=True))
+        return pixels, view
+    if not hasattr(drawn, "screenshot"):
+        raise ValueError(f"`draw` should return the axis or the plotter that it drew on, not {type(drawn).__name__}.")
+    if view is None:
+        view = _camera(drawn)
+        aim(drawn)
+        if np.allclose(view, _camera(drawn)):  # where all pictures here begin: nobody placed it
+            aim(drawn, reach)
+            view = _camera(drawn)
+    drawn.camera_position, drawn.camera.parallel_scale = view[:9].reshape(3, 3).tolist(), view[9]
+    drawn.renderer.reset_camera_clipping_range()
+    pixels = np.asarray(drawn.screenshot(return_img=True))[..., :3].copy()
+    drawn.close()
+    return pixels, view
+
+
+def _camera(plotter: Any) -> Float[np.ndarray, " 10"]:
+    """Its position, what it looks at, upwards; half the height of what it sees."""
+    return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
+
+
+def _gif(path: pathlib.Path, pictures: list[Picture], rate: float) -> None:
+    """All frames in one palette, so that what does not move does not flicker."""
+    from PIL import Image  # comes with matplotlib
+
+    some = np.concatenate(pictures[:: max(1, len(pictures) // 6)])
+    palette = Image.fromarray(some).quantize(256)
+    images = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    duration = round(100 / rate) * 10  # in a GIF time goes by hundredths of a second
+    images[0].save(path, save_all=True, append_images=images[1:], duration=max(20, duration), loop=0, optimize=True)
+
+
+def _mp4() -> Callable[[pathlib.Path, list[Picture], float], None]:
+    """By ffmpeg: the system's, or the one that imageio-ffmpeg brings."""
+    program = shutil.which("ffmpeg")
+    if program is None:
+        try:
+            from imageio_ffmpeg import get_ffmpeg_exe
+        except ImportError as error:
+            raise ImportError("MP4 needs ffmpeg: pip install imageio-ffmpeg; a .gif needs nothing more") from error
+        program = get_ffmpeg_exe()
+
+    def write(path: pathlib.Path, pictures: list[Picture], rate: float) -> None:
+        height, width = (size // 2 * 2 for size in pictures[0].shape[:2])  # the codec takes even sizes alone
+        given = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
+        wanted = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"]
+        pixels = b"".join(np.ascontiguousarray(picture[:height, :width]).data for picture in pictures)
+        command = [program, "-y", "-loglevel", "error", *given, *wanted, str(path)]
+        done = subprocess.run(command, input=pixels, capture_output=True, check=False)
+        if done.returncode:
+            raise OSError(f"ffmpeg failed: {done.stderr.decode(errors='replace').strip()}")
+
+    return write

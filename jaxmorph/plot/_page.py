@@ -1,0 +1,144 @@
+"""A page with a surface in space that one can turn, zoom and deform, by k3d."""
+
+import dataclasses
+import importlib
+import json
+import os
+import pathlib
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt32
+
+import jaxmorph as jm
+
+from ._plane import plt
+from ._space import outside, view_axes
+from ._style import COLOURS, DARK, DISPLACEMENT, check_suffix, colour_scale, complete
+
+SLIDER = """
+const panel = document.createElement("form");
+panel.id = "deformation";
+panel.style.cssText = "position:fixed;top:16px;left:20px;font:18px sans-serif;color:#1b1b1b;background:#ffffffd0";
+panel.innerHTML = `<div id="label" style="margin-bottom:8px"></div><label>undeformed
+<input id="time" type="range" min="0" max="1" step="0.01" value="1" style="width:220px;vertical-align:middle"> deformed</label>`;
+document.body.append(panel);
+document.title = TITLE;
+document.getElementById("label").textContent = LABEL;
+document.getElementById("time").addEventListener("input", event => K3DInstance.setTime(Number(event.target.value)));
+"""
+"""Its own words are put in for TITLE and LABEL."""
+
+FIELD_OF_VIEW = 30
+"""Of the camera, in degrees."""
+
+
+def page(
+    path: str | os.PathLike,
+    mesh: jm.Mesh,
+    points: Float[Any, "n 3"],
+    *,
+    values: Float[Any, " k"] | None = None,
+    limits: tuple[float, float] | None = None,
+    label: str | None = None,
+    patch: str | None = None,
+) -> pathlib.Path:
+    """An interactive page (.html) of the outside of a mesh in space, or of one patch, with a slider from undeformed to deformed.
+
+    Any browser with WebGL opens it from disk, without a network: all it needs is in the one file, 1.2 MB more than the surface
+    takes. The mouse turns, moves and zooms. Coloured by the length of each node's displacement, in the mesh's units; or by
+    `values`, one for each cell, wherever the slider stands, with `limits` as in `mesh`. `label` says what the colours are. Between
+    the two ends of the slider nodes go in straight lines.
+
+    Returns the path of the file, which is there whole or not at all.
+
+    Raises `ValueError` as `surface` does, and for another ending or a folder that is not there; `ImportError` where k3d is missing.
+    """
+    path = check_suffix(path, ".html", ".htm")
+    try:
+        k3d: Any = importlib.import_module("k3d")  # its own types know no time series
+    except ImportError as error:
+        raise ImportError("pages need k3d: pip install 'jaxmorph[plot]'") from error
+    surface = _Surface.of(mesh, points, values, patch)
+    scene = k3d.plot(
+        grid_visible=False,
+        menu_visibility=False,
+        time=1.0,
+        snapshot_type="full",
+        camera_auto_fit=False,
+        camera_fov=FIELD_OF_VIEW,
+    )
+    scene.camera = surface.camera()
+    colours, limits = colour_scale(limits, COLOURS if values is not None else DISPLACEMENT)
+    low, high = surface.range if limits is None else limits
+    scale = {"color_map": _colour_map(colours), "color_range": [low, high]}
+    if surface.values is None:
+        shade = {"attribute": {"0": np.zeros(len(surface.length), np.float32), "1": surface.length}}
+    else:
+        shade = {"triangles_attribute": np.clip(surface.values, low, high)}
+    places = {"0": surface.before, "1": surface.after}
+    scene += k3d.mesh(places, surface.triangles, side="double", name="surface", **shade, **scale)
+    scene += k3d.lines(
+        places, surface.edges, indices_type="segment", shader="simple", color=int(DARK[1:], 16), name="edges"
+    )
+    label = label or ("displacement" if values is None else "values of the cells")
+    words = {"TITLE": path.stem, "LABEL": label}
+    code = SLIDER
+    for name, said in words.items():
+        code = code.replace(name, json.dumps(said).replace("</", "<\\/"))
+    with complete(path) as partial:
+        partial.write_text(scene.get_snapshot(additional_js_code=code), encoding="utf-8")
+    return path
+
+
+@dataclasses.dataclass(frozen=True)
+class _Surface:
+    """What is drawn, in single precision round the middle: corners before and after, triangles, sides of the faces, colours."""
+
+    before: Float[np.ndarray, "p 3"]
+    after: Float[np.ndarray, "p 3"]
+    triangles: UInt32[np.ndarray, "t 3"]
+    edges: UInt32[np.ndarray, "e 2"]
+    length: Float[np.ndarray, " p"]
+    values: Float[np.ndarray, " t"] | None
+
+    @staticmethod
+    def of(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> "_Surface":
+        faces = outside(mesh, points, values, patch).cast_to_unstructured_grid()
+        ids = np.asarray(faces.point_data["vtkOriginalPointIds"])
+        before, after = (np.asarray(each, dtype=float)[ids] for each in (mesh.points, points))
+        middle = (after.min(axis=0) + after.max(axis=0)) / 2
+        triangles, edges, owners = [], [], []
+        for kind, split in ((5, [[0, 1, 2]]), (9, [[0, 1, 2], [0, 2, 3]])):  # VTK's triangle and quadrilateral
+            corners = faces.cells_dict.get(kind, np.zeros((0, 3 + (kind == 9)), int))
+            triangles.append(corners[:, split].reshape(-1, 3))
+            edges.append(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2))
+            owners.append(np.repeat(np.flatnonzero(faces.celltypes == kind), len(split)))
+        return _Surface(
+            (before - middle).astype(np.float32),
+            (after - middle).astype(np.float32),
+            np.concatenate(triangles).astype(np.uint32),
+            np.unique(np.sort(np.concatenate(edges), axis=1), axis=0).astype(np.uint32),
+            np.linalg.norm(after - before, axis=1).astype(np.float32),
+            None if values is None else np.asarray(faces.cell_data["values"], np.float32)[np.concatenate(owners)],
+        )
+
+    def camera(self) -> list[float]:
+        """Where it is, what it looks at, upwards: far enough away to see both ends of the motion."""
+        corners = np.concatenate([self.before, self.after])
+        middle, size = (corners.min(axis=0) + corners.max(axis=0)) / 2, np.linalg.norm(np.ptp(corners, axis=0))
+        distance = size / 2 / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))
+        return [*(middle + distance * view_axes()[0]).tolist(), *middle.tolist(), 0, 0, 1]
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """From the smallest to the largest value, or from no displacement to the largest."""
+        shown = self.length if self.values is None else self.values[np.isfinite(self.values)]
+        low, high = 0.0 if self.values is None else float(shown.min()), float(shown.max())
+        return low, high if high > low else low + 1
+
+
+def _colour_map(name: str) -> list[float]:
+    """As k3d has it: place, red, green and blue of each of 64 colours."""
+    places = np.linspace(0, 1, 64)
+    return np.column_stack([places, plt.get_cmap(name)(places)[:, :3]]).ravel().tolist()
