@@ -86,6 +86,31 @@ def test_mesh_refuses_what_it_cannot_draw():
         plot.surface(mixed())
 
 
+def test_colours_turn_round_where_small_is_bad_and_a_label_brings_a_bar():
+    axis = plot.mesh(mixed(), values=[0.0, 1.0, 0.5], limits=(1, 0), label="V/V0")
+    faces = axis.collections[0]
+    assert faces.get_clim() == (0, 1)
+    light, dark = plt.get_cmap(plot.COLOURS)([0.0, 1.0])
+    np.testing.assert_allclose(faces.to_rgba([1.0, 0.0]), [light, dark])
+    (bar,) = axis.child_axes
+    assert bar.get_ylabel() == "V/V0"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"label": "skewness"}, "no `values`"),
+        ({"values": np.zeros(3), "limits": (1, 1)}, "`limits`"),
+        ({"values": np.zeros(3), "limits": (0, np.nan)}, "`limits`"),
+        ({"points": np.zeros((5, 2))}, r"shape \(5, 2\)"),
+    ],
+)
+def test_mesh_refuses_before_it_draws(options, said):
+    with pytest.raises(ValueError, match=said):
+        plot.mesh(mixed(), **options)
+    assert not plt.get_fignums()
+
+
 def test_before_and_after_in_two_colours(airfoil):
     moved = airfoil.points * [1, 2]
     axis = plot.before_after(airfoil, moved)
@@ -138,6 +163,21 @@ def test_histogram_counts_every_cell(airfoil):
     assert [text.get_text() for text in axis.get_legend().get_texts()] == ["before", "after"]
 
 
+def test_histogram_counts_cells_of_the_highest_dimension_alone():
+    mesh = mixed()
+    walled = jm.Mesh(mesh.points, {**mesh.cells, "line": [[0, 1], [1, 4]]})
+    axis = plot.histogram({"all": jm.quality(walled)}, measure="volume")
+    assert sum(bar.get_height() for bar in axis.containers[0]) == 3
+    assert axis.get_ylim()[0] < 1  # a single cell is seen
+
+
+def test_histogram_refuses_what_it_does_not_know():
+    with pytest.raises(ValueError, match="'skew'; there are skewness"):
+        plot.histogram({"before": None}, measure="skew")
+    with pytest.raises(ValueError, match="empty"):
+        plot.histogram({})
+
+
 def test_surface_takes_the_colours_of_its_cells():
     mesh = bricks()
     plotter = plot.surface(mesh, values=np.arange(27.0), limits=(0, 26))
@@ -149,6 +189,9 @@ def test_surface_takes_the_colours_of_its_cells():
     plotter.close()
     assert picture.shape[:2] == (900, 1600)
     assert picture.std() > 10
+    assert (picture[[0, -1]] == 255).all()  # the body is inside
+    assert (picture[:, [0, -1]] == 255).all()
+    assert (picture.std(axis=2) > 10).any(axis=1).sum() > 600  # and fills the height
 
 
 def test_surface_of_a_patch_of_a_moved_mesh():
@@ -156,6 +199,40 @@ def test_surface_of_a_patch_of_a_moved_mesh():
     plotter = plot.surface(mesh, mesh.points + np.array([0, 0, 5]), patch="floor")
     assert plotter.meshes[0].n_cells == 9
     np.testing.assert_allclose(plotter.meshes[0].points[:, 2], 5)
+    plotter.close()
+
+
+def test_before_and_after_in_space():
+    mesh = bricks()
+    moved = mesh.points * [1, 1, 2]
+    plotter = plot.before_after_in_space(mesh, moved)
+    before, after = plotter.meshes
+    assert before.n_cells == after.n_cells == 6 * 9
+    np.testing.assert_allclose(np.array(before.bounds), [0, 1] * 3)
+    np.testing.assert_allclose(np.array(after.bounds), [0, 1, 0, 1, 0, 2])
+    plotter.close()
+
+
+def test_space_refuses_what_it_cannot_draw():
+    mesh = bricks()
+    with pytest.raises(ValueError, match="no patch is called 'roof'"):
+        plot.surface(mesh, patch="roof")
+    with pytest.raises(ValueError, match=r"shape \(3, 3\)"):
+        plot.before_after_in_space(mesh, np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="no `values`"):
+        plot.surface(mesh, label="skewness")
+    one_node = jm.Mesh(mesh.points, mesh.cells, {"corner": [0]})
+    with pytest.raises(ValueError, match="no face"):
+        plot.surface(one_node, patch="corner")
+
+
+def test_a_label_brings_a_bar_in_space():
+    plotter = plot.surface(bricks(), values=np.arange(27.0), limits=(26, 0), label="J/J0")
+    assert "J/J0\n" in plotter.scalar_bars
+    assert plotter.mapper.scalar_range == (0, 26)
+    np.testing.assert_allclose(
+        np.array(plotter.mapper.lookup_table.map_value(0))[:3], plt.get_cmap(plot.COLOURS)(255)[:3], atol=0.01
+    )
     plotter.close()
 
 

@@ -10,7 +10,7 @@ import pytest
 ROOT = pathlib.Path(__file__).parents[1]
 PACKAGE = ROOT / "jaxmorph"
 FILES = sorted(PACKAGE.rglob("*.py"))
-OPTIONAL = ("meshio", "h5py", "matplotlib", "pyvista", "vtk", "gmsh", "rich", "platformdirs")
+OPTIONAL = ("meshio", "h5py", "matplotlib", "pyvista", "vtk", "k3d", "gmsh", "rich", "platformdirs")
 OUTER = ("io", "plot", "cases", "cli", "_demo", "__main__")
 """What stands on the public names, and is imported by no part of the core."""
 

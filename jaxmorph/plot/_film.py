@@ -108,7 +108,7 @@ def _gif(path: pathlib.Path, pictures: list[Picture], rate: float) -> None:
     from PIL import Image  # comes with matplotlib
 
     some = np.concatenate(pictures[:: max(1, len(pictures) // 6)])
-    palette = Image.fromarray(some).quantize(256)
+    palette = Image.fromarray(some).quantize(256, Image.Quantize.FASTOCTREE)
     images = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     duration = round(100 / rate) * 10  # in a GIF time goes by hundredths of a second
     images[0].save(path, save_all=True, append_images=images[1:], duration=max(20, duration), loop=0, optimize=True)

@@ -105,7 +105,7 @@ class _Surface:
     @staticmethod
     def of(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> "_Surface":
         faces = outside(mesh, points, values, patch).cast_to_unstructured_grid()
-        ids = np.asarray(faces.point_data["vtkOriginalPointIds"])
+        ids = np.asarray(faces.point_data["node"])
         before, after = (np.asarray(each, dtype=float)[ids] for each in (mesh.points, points))
         middle = (after.min(axis=0) + after.max(axis=0)) / 2
         triangles, edges, owners = [], [], []

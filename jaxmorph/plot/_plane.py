@@ -120,7 +120,9 @@ def given_or_new(axis: Axes | None) -> Axes:
 def _corners(mesh: jm.Mesh, points: Any) -> Float[np.ndarray, "k 4 2"]:
     """Corners of all cells in the order of `mesh.cells`; those of a triangle, or a line, repeated."""
     if mesh.points.shape[1] != 2:
-        raise ValueError(f"this is for cells in the plane, not {mesh}; see `plot.surface` and `plot.cut`.")
+        raise ValueError(
+            f"this is for cells in the plane, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_in_space`."
+        )
     points = np.asarray(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
     ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.cells.items()]
     return points[np.concatenate(ids)]

@@ -72,7 +72,7 @@ def cut(
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Faces that bound the cells, or those with all nodes in a patch, as pyvista has them.
+    """Faces that bound the cells, or those with all nodes in a patch, as pyvista has them; `node` is the id of each point.
 
     By VTK's own filter: pyvista has called it by several names. `ValueError` where there are none.
     """
@@ -84,8 +84,11 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
     boundary.PassThroughPointIdsOn()
     boundary.Update()
     faces = pyvista().wrap(boundary.GetOutput())
+    faces.point_data["node"] = np.asarray(
+        faces.point_data["vtkOriginalPointIds"]
+    )  # a name that the next filter takes again
     if on_patch is not None:
-        chosen = np.isin(faces.point_data["vtkOriginalPointIds"], on_patch)
+        chosen = np.isin(faces.point_data["node"], on_patch)
         faces = faces.extract_points(chosen, adjacent_cells=False)
     if faces.n_cells == 0:
         of = "the mesh" if patch is None else f"patch {patch!r}"

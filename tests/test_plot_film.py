@@ -1,0 +1,261 @@
+"""Films and pages: what was written is read again, by Pillow, by ffmpeg, and by a browser."""
+
+import base64
+import io
+import itertools
+import re
+import shutil
+import subprocess
+import zlib
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from PIL import Image
+from test_plot import bricks, mixed
+
+from jaxmorph import plot
+
+WINDOW = ((-0.5, 2.5), (-0.5, 1.5))
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    yield
+    plt.close("all")
+
+
+def frames_of(path):
+    with Image.open(path) as film:
+        for k in range(film.n_frames):
+            film.seek(k)
+            yield np.asarray(film.convert("RGB")).astype(int), film.info["duration"]
+
+
+def raised(mesh, height=0.5):
+    """The mesh with its upper nodes moved up."""
+    return mesh.points + height * mesh.points[:, -1:] * np.eye(mesh.points.shape[1])[-1]
+
+
+def test_a_mode_swings_as_a_sine():
+    points, extreme = np.zeros((3, 2)), np.array([[1.0, 0], [0, 2], [0, 0]])
+    frames = plot.swing(points, extreme, frames=8)
+    assert frames.shape == (8, 3, 2)
+    np.testing.assert_allclose(frames[:, 0, 0], np.sin(np.arange(8) * np.pi / 4), atol=1e-15)
+    np.testing.assert_allclose(frames[2], extreme)
+    np.testing.assert_allclose(frames[6], -extreme)
+
+
+def test_a_film_in_the_plane_shows_each_frame(tmp_path):
+    mesh = mixed()
+    frames = plot.swing(mesh.points, raised(mesh), frames=8)
+
+    def draw(points):
+        return plot.mesh(mesh, points, values=[0, 1, 2], limits=(0, 2), window=WINDOW)
+
+    path = plot.animate(tmp_path / "mode.gif", draw, frames, rate=10)
+    assert [each.name for each in tmp_path.iterdir()] == ["mode.gif"]
+    film = list(frames_of(path))
+    assert len(film) == 8
+    assert {duration for _, duration in film} == {100}
+    for points, (picture, _) in zip(frames, film, strict=True):
+        axis = draw(points)
+        axis.figure.canvas.draw()
+        still = np.asarray(axis.figure.canvas.buffer_rgba())[..., :3]
+        assert np.abs(picture - still).mean() < 2  # of 255: what 256 colours lose
+    assert not any(np.array_equal(a, b) for (a, _), (b, _) in itertools.pairwise(film))
+
+
+def test_a_film_in_space_keeps_its_camera_and_holds_all_frames(tmp_path):
+    mesh = bricks(2)
+    cameras = []
+
+    def draw(points):
+        plotter = plot.surface(mesh, points)
+        plotter.window_size = 240, 160
+        cameras.append(plotter.camera)
+        return plotter
+
+    film = list(frames_of(plot.animate(tmp_path / "m.gif", draw, [mesh.points, raised(mesh, 3), raised(mesh, -0.5)])))
+    assert len(film) == 3
+    for picture, _ in film:
+        assert (picture[[0, -1]] > 250).all()
+        assert (picture[:, [0, -1]] > 250).all()
+        assert picture.std() > 10
+    assert len({camera.position for camera in cameras}) == 1
+    assert len({camera.parallel_scale for camera in cameras}) == 1
+
+    cameras.clear()
+    placed = [(3.0, -4.0, 2.0), (0.5, 0.5, 0.5), (0.0, 0.0, 1.0)]
+
+    def from_there(points):
+        plotter = draw(points)
+        plotter.camera_position = placed
+        return plotter
+
+    plot.animate(tmp_path / "n.gif", from_there, [mesh.points, raised(mesh)])
+    np.testing.assert_allclose([camera.position for camera in cameras], [placed[0]] * 2)
+
+
+def test_mp4_holds_the_frames(tmp_path):
+    program = shutil.which("ffmpeg") or pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+    mesh = mixed()
+
+    def draw(points):
+        return plot.mesh(mesh, points, window=WINDOW, axis=plt.subplots(figsize=(2.01, 1), dpi=100)[1])
+
+    path = plot.animate(tmp_path / "m.mp4", draw, plot.swing(mesh.points, raised(mesh), frames=5))
+    read = [program, "-loglevel", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "gray", "-"]
+    assert len(subprocess.run(read, capture_output=True, check=True).stdout) == 5 * 200 * 100
+    assert [each.name for each in tmp_path.iterdir()] == ["m.mp4"]
+
+
+def never(points):
+    raise AssertionError("drawn")
+
+
+@pytest.mark.parametrize(
+    ("name", "frames", "rate", "said"),
+    [
+        ("mode.avi", np.zeros((2, 3, 2)), 12, r"\.gif or \.mp4"),
+        ("nowhere/mode.gif", np.zeros((2, 3, 2)), 12, "no folder"),
+        ("mode.gif", np.zeros((1, 3, 2)), 12, "2 or more"),
+        ("mode.gif", [np.zeros((3, 2)), np.zeros((4, 2))], 12, "of one shape"),
+        ("mode.gif", np.zeros((3, 2)), 12, "shape"),
+        ("mode.gif", np.zeros((2, 3, 2)), 0, "`rate`"),
+    ],
+)
+def test_films_are_refused_before_anything_is_drawn(tmp_path, name, frames, rate, said):
+    with pytest.raises(ValueError, match=said):
+        plot.animate(tmp_path / name, never, frames, rate=rate)
+    assert not list(tmp_path.iterdir())
+
+
+def test_swings_and_pictures_that_cannot_be(tmp_path):
+    with pytest.raises(ValueError, match=r"\(3, 2\), `extreme` \(4, 2\)"):
+        plot.swing(np.zeros((3, 2)), np.zeros((4, 2)))
+    with pytest.raises(ValueError, match="at least 2"):
+        plot.swing(np.zeros((3, 2)), np.zeros((3, 2)), frames=1)
+    with pytest.raises(ValueError, match="NoneType"):
+        plot.animate(tmp_path / "m.gif", lambda points: None, np.zeros((2, 3, 2)))
+
+
+def scene(path):
+    """The objects in a page, as k3d packs them."""
+    msgpack = pytest.importorskip("msgpack")
+    packed = re.search(r"var data = '([^']*)'", path.read_text())
+    content = msgpack.unpackb(zlib.decompress(base64.b64decode(packed.group(1))), strict_map_key=False)
+    return {each["name"]: each for each in content["objects"]}
+
+
+def array(packed):
+    return np.frombuffer(packed["data"], packed["dtype"]).reshape(packed["shape"])
+
+
+def test_a_page_holds_the_surface_before_and_after(tmp_path):
+    mesh = bricks(3)
+    path = plot.page(tmp_path / "cube.html", mesh, raised(mesh), label="</script>")
+    assert [each.name for each in tmp_path.iterdir()] == ["cube.html"]
+    assert path.stat().st_size < 2e6
+    objects = scene(path)
+    surface, edges = objects["surface"], objects["edges"]
+    before, after = (array(surface["vertices"][time]) for time in "01")
+    assert len(before) == 4**3 - 2**3
+    np.testing.assert_allclose(np.ptp(before, axis=0), [1, 1, 1], atol=1e-6)
+    np.testing.assert_allclose(np.ptp(after, axis=0), [1, 1, 1.5], atol=1e-6)
+    np.testing.assert_allclose(array(surface["attribute"]["1"]), np.linalg.norm(after - before, axis=1), atol=1e-6)
+    corners = before[array(surface["indices"])]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert len(corners) == 2 * 6 * 9
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1).sum() / 2, 6, rtol=1e-6)
+    ends = before[array(edges["indices"])]
+    assert len(ends) == 2 * 6 * 9  # each of the quadrilaterals' four sides belongs to two
+    np.testing.assert_allclose(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 1 / 3, rtol=1e-5)
+    assert "</script>" not in path.read_text().split('id = "deformation"')[1].split("setTime")[0]
+
+
+def test_a_page_takes_the_colours_of_the_cells_of_a_patch(tmp_path):
+    mesh = bricks(3)
+    path = plot.page(tmp_path / "f.html", mesh, mesh.points, values=np.arange(27.0), limits=(0, 26), patch="floor")
+    surface = scene(path)["surface"]
+    corners = array(surface["vertices"]["1"])[array(surface["indices"])]
+    np.testing.assert_array_equal(corners[..., 2], 0)
+    cell = ((corners.mean(axis=1)[:, :2] + 0.5) * 3).astype(int) @ [9, 3]
+    np.testing.assert_array_equal(array(surface["triangles_attribute"]), cell)
+    assert surface["color_range"] == [0, 26]
+
+
+def test_pages_are_refused_before_anything_is_written(tmp_path):
+    mesh = bricks(2)
+    with pytest.raises(ValueError, match=r"\.html"):
+        plot.page(tmp_path / "cube.htl", mesh, mesh.points)
+    with pytest.raises(ValueError, match="in space"):
+        plot.page(tmp_path / "cube.html", mixed(), mixed().points)
+    with pytest.raises(ValueError, match="8 cells"):
+        plot.page(tmp_path / "cube.html", mesh, mesh.points, values=np.zeros(3))
+    with pytest.raises(ValueError, match="shape"):
+        plot.page(tmp_path / "cube.html", mesh, np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="no patch"):
+        plot.page(tmp_path / "cube.html", mesh, mesh.points, patch="roof")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def browser():
+    """Chromium, drawing WebGL in software."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="no playwright to drive a browser: pip install playwright"
+    )
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no chromium on this machine: apt-get install chromium")
+    options = ["--no-sandbox", "--disable-quic", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"]
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=program, args=options)
+        yield opened
+        opened.close()
+
+
+@pytest.mark.slow
+def test_a_page_draws_in_a_browser_without_a_network(tmp_path, browser):
+    mesh = bricks(4)
+    path = plot.page(tmp_path / "cube.html", mesh, raised(mesh, 2), label="displacement, m")
+    tab = browser.new_page(viewport={"width": 640, "height": 480})
+    problems, requests = [], []
+    tab.on("console", lambda message: problems.append(message.text) if message.type in ("error", "warning") else None)
+    tab.on("pageerror", lambda error: problems.append(str(error)))
+    tab.on("request", lambda request: requests.append(request.url))
+    tab.goto(path.as_uri())
+    tab.wait_for_selector("#deformation", timeout=30_000)
+
+    def body():
+        """Rows and columns of the picture, without slider and scale, in which something is drawn; and how many colours."""
+        picture = np.asarray(Image.open(io.BytesIO(tab.screenshot())))
+        middle = picture[90:, 120:560, :3].astype(int)
+        drawn = (middle < 240).any(axis=2)
+        return drawn.any(axis=1).sum(), drawn.any(axis=0).sum(), len(np.unique(middle[drawn], axis=0))
+
+    def until(seen):
+        """The first body that is as `seen` says, or the last after 20 seconds."""
+        for _ in range(40):
+            tab.wait_for_timeout(500)
+            if seen(*(last := body())):
+                break
+        return last
+
+    tall, wide, colours = until(lambda tall, wide, colours: tall > 150)
+    assert tall > 150
+    assert wide > 100
+    assert colours > 100
+    tab.locator("#time").fill("0")  # undeformed
+    low, _, few = until(lambda low, *_: low < 0.7 * tall)
+    assert 50 < low < 0.7 * tall
+    assert few > 10
+    assert tab.title() == "cube"
+    assert tab.locator("#label").inner_text() == "displacement, m"
+    assert not problems
+    assert [url for url in requests if not url.startswith("blob:")] == [path.as_uri()]

@@ -1,0 +1,168 @@
+"""Pictures of sources and boxes, and the error on the surface, against SciPy and what the reductions give."""
+
+import functools
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import cKDTree
+
+import jaxmorph as jm
+from jaxmorph import plot
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    yield
+    plt.close("all")
+
+
+def circle(radius, n, half=False):
+    angles = np.linspace(0, np.pi, n) if half else np.linspace(0, 2 * np.pi, n, endpoint=False)
+    points = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points[np.abs(points) < 1e-12] = 0
+    return points
+
+
+@functools.cache
+def planned(method=None, half=False):
+    """Two rings and points between them, or half of each above a symmetry plane: 40 moving, 30 fixed."""
+    rings = [circle(radius, n, half) for radius, n in ((1, 40), (6, 30), (2, 20), (4, 20))]
+    method = method or jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(4), fixed_reduction=jm.KDTree(2)))
+    return jm.prepare(
+        np.concatenate(rings),
+        np.arange(40),
+        np.arange(40, 70),
+        method=method,
+        symmetry=jm.Plane((0, 1), (0, 0)) if half else (),
+    )
+
+
+def drawn(axis, name):
+    (line,) = [line for line in axis.lines if name in line.get_label()]
+    return np.column_stack([line.get_xdata(), line.get_ydata()])
+
+
+def ball(n=200):
+    points = np.random.default_rng(0).normal(size=(n, 3))
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def test_a_plan_shows_its_own_sources():
+    plan = planned()
+    points = np.asarray(plan.points)
+    parts = [(points[:40], jm.KDTree(4)), (points[40:70], jm.KDTree(2))]
+    expected = np.concatenate([points[reduction(points)] for points, reduction in parts])
+    axis = plot.sources(plan, search_points=True)
+    np.testing.assert_array_equal(np.sort(drawn(axis, "sources"), axis=0), np.sort(expected, axis=0))
+    np.testing.assert_array_equal(drawn(axis, "nodes"), plan.points[:70])
+    assert "6 leaves" in [line.get_label() for line in axis.lines]
+    assert len(drawn(axis, "search points")) == 6 * 4
+    looked, of_wall = drawn(axis, "search points")[:16], drawn(plot.sources(plan, fixed=False), "sources")
+    distance = cKDTree(points[:40]).query(looked)[0]  # the node closest to each place is a source
+    np.testing.assert_allclose(cKDTree(of_wall).query(looked)[0], distance, atol=1e-12)
+    assert len(of_wall) <= 16
+
+
+def test_sources_of_a_plan_with_a_symmetry_plane_are_its_own_nodes():
+    plan = planned(half=True)
+    shown = drawn(plot.sources(plan), "sources")
+    distance, nodes = cKDTree(plan.points[:70]).query(shown)
+    assert distance.max() == 0
+    assert len(np.unique(nodes)) == len(shown)
+    wall = np.asarray(plan.points[:40])
+    assert cKDTree(shown).query(wall[jm.KDTree(4)(wall)])[0].max() == 0
+
+
+def test_window_and_given_axis():
+    given = plt.subplots()[1]
+    assert plot.sources(planned(), window=((-2, 2), (-1, 1)), axis=given) is given
+    assert given.get_xlim() == (-2, 2)
+
+
+def test_boxes_in_space_are_wires_round_the_points():
+    points, tree = ball(), jm.KDTree(8)
+    plotter = plot.sources_in_space(points, tree, search_points=True)
+    nodes, chosen, wires, searched = plotter.meshes
+    np.testing.assert_allclose(nodes.points, points, atol=1e-6)
+    np.testing.assert_allclose(chosen.points, points[tree(points)], atol=1e-6)
+    assert (wires.n_lines, wires.n_points, searched.n_points) == (12 * 8, 8 * 8, 8 * 8)
+    corners = wires.points.reshape(8, 8, 3)
+    low, high = corners.min(axis=1) - 1e-6, corners.max(axis=1) + 1e-6
+    inside = ((points[:, None] >= low) & (points[:, None] <= high)).all(axis=2)
+    assert inside.any(axis=1).all()
+    assert inside.sum() < 1.1 * len(points)
+    ends = wires.points[wires.lines.reshape(-1, 3)[:, 1:]]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    np.testing.assert_allclose(lengths.sum(), 4 * (high - low).sum(), rtol=1e-4)
+    assert (np.count_nonzero(ends[:, 1] != ends[:, 0], axis=1) == 1).all()
+    assert plot.sources_in_space(points, jm.KDTree(2), plotter=plotter) is plotter
+    plotter.close()
+
+
+def test_refused_before_anything_is_drawn():
+    plan = planned()
+    with pytest.raises(ValueError, match="no radial basis functions"):
+        plot.sources(planned(jm.DelaunayGraph()))
+    with pytest.raises(ValueError, match="own reductions"):
+        plot.sources(plan, jm.KDTree(3))
+    with pytest.raises(ValueError, match="need the `reduction`"):
+        plot.sources(plan.points)
+    with pytest.raises(ValueError, match="sources_in_space"):
+        plot.sources(ball(), jm.KDTree(3))
+    with pytest.raises(ValueError, match=r"plot\.sources"):
+        plot.sources_in_space(plan)
+    with pytest.raises(ValueError, match="in space"):
+        plot.sources_in_space(plan.points, jm.KDTree(3))
+    assert not plt.get_fignums()
+
+
+def test_errors_on_the_surface_are_those_of_scipy():
+    plan = planned()
+    moving, fixed = np.asarray(plan.points[:40]), np.asarray(plan.points[40:70])
+    u = 0.1 * np.stack([np.sin(3 * moving[:, 1]), np.cos(2 * moving[:, 0])], axis=1)
+    trees = [jm.KDTree(2), jm.AllPoints(), jm.KDTree(5)]
+    found = plot.surface_errors(plan, u, trees)
+    for row, tree in enumerate(trees):
+        ids = tree(moving)
+        far = fixed[jm.KDTree(2)(fixed)]
+        given = np.concatenate([u[ids], np.zeros_like(far)])
+        field = RBFInterpolator(np.concatenate([moving[ids], far]), given, kernel="thin_plate_spline", degree=1)
+        missed = np.linalg.norm(field(moving) - u, axis=1) / np.linalg.norm(u, axis=1).max()
+        assert found.sources[row] == len(ids) + len(far)
+        np.testing.assert_allclose([found.largest[row], found.mean[row]], [missed.max(), missed.mean()], atol=1e-11)
+    assert found.largest[1] < 1e-12 < found.mean[0]
+
+    axis = plot.convergence({"k-d tree": found})
+    largest, mean = axis.lines
+    np.testing.assert_array_equal(largest.get_xdata(), np.sort(found.sources))
+    np.testing.assert_array_equal(largest.get_ydata(), found.largest[np.argsort(found.sources)])
+    np.testing.assert_array_equal(mean.get_ydata(), found.mean[np.argsort(found.sources)])
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["k-d tree, largest", "k-d tree, mean"]
+
+
+def test_errors_with_a_symmetry_plane():
+    plan = planned(half=True)
+    u = 0.1 * np.asarray(plan.points[:40]) * [1, 0]
+    found = plot.surface_errors(plan, u, [jm.AllPoints()])
+    assert found.largest[0] < 1e-12
+    assert found.sources[0] == 40 + len(jm.KDTree(2)(np.asarray(plan.points[40:70])))
+
+
+def test_errors_refuse_what_has_no_answer():
+    plan = planned()
+    with pytest.raises(ValueError, match=r"shape \(3, 2\)"):
+        plot.surface_errors(plan, np.ones((3, 2)), [jm.KDTree(2)])
+    with pytest.raises(ValueError, match="zero"):
+        plot.surface_errors(plan, np.zeros((40, 2)), [jm.KDTree(2)])
+    with pytest.raises(ValueError, match="empty"):
+        plot.surface_errors(plan, np.ones((40, 2)), [])
+    with pytest.raises(ValueError, match="no sources"):
+        plot.surface_errors(planned(jm.DelaunayGraph()), np.ones((40, 2)), [jm.KDTree(2)])
+    with pytest.raises(ValueError, match="empty"):
+        plot.convergence({})
