@@ -160,7 +160,7 @@ def test_a_page_holds_the_surface_before_and_after(tmp_path):
     mesh = bricks(3)
     path = plot.page(tmp_path / "cube.html", mesh, raised(mesh), label="</script>")
     assert [each.name for each in tmp_path.iterdir()] == ["cube.html"]
-    assert path.stat().st_size < 2e6
+    assert path.stat().st_size < 2.5e6
     objects = scene(path)
     surface, edges = objects["surface"], objects["edges"]
     before, after = (array(surface["vertices"][time]) for time in "01")
@@ -250,7 +250,7 @@ def test_a_page_draws_in_a_browser_without_a_network(tmp_path, browser):
     tall, wide, colours = until(lambda tall, wide, colours: tall > 150)
     assert tall > 150
     assert wide > 100
-    assert colours > 100
+    assert colours > 30
     tab.locator("#time").fill("0")  # undeformed
     low, _, few = until(lambda low, *_: low < 0.7 * tall)
     assert 50 < low < 0.7 * tall

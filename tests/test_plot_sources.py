@@ -126,7 +126,7 @@ def test_errors_on_the_surface_are_those_of_scipy():
     plan = planned()
     moving, fixed = np.asarray(plan.points[:40]), np.asarray(plan.points[40:70])
     u = 0.1 * np.stack([np.sin(3 * moving[:, 1]), np.cos(2 * moving[:, 0])], axis=1)
-    trees = [jm.KDTree(2), jm.AllPoints(), jm.KDTree(5)]
+    trees = [jm.AllPoints(), jm.KDTree(2)]
     found = plot.surface_errors(plan, u, trees)
     for row, tree in enumerate(trees):
         ids = tree(moving)
@@ -136,7 +136,7 @@ def test_errors_on_the_surface_are_those_of_scipy():
         missed = np.linalg.norm(field(moving) - u, axis=1) / np.linalg.norm(u, axis=1).max()
         assert found.sources[row] == len(ids) + len(far)
         np.testing.assert_allclose([found.largest[row], found.mean[row]], [missed.max(), missed.mean()], atol=1e-11)
-    assert found.largest[1] < 1e-12 < found.mean[0]
+    assert found.largest[0] < 1e-12 < found.mean[1]
 
     axis = plot.convergence({"k-d tree": found})
     largest, mean = axis.lines

@@ -82,6 +82,8 @@ def _add_deform(commands) -> None:
     )
     deform.add_argument("--job", metavar="FILE", type=pathlib.Path, action=Job, help="read the flags from a TOML file")
     deform.add_argument("--save-job", metavar="FILE", type=pathlib.Path, help="write such a file of this run")
+    what = "draw before and after (.png), in 3-D also a page to turn and deform it (.html)"
+    deform.add_argument("--picture", metavar="FILE", type=pathlib.Path, help=what)
     group = deform.add_argument_group("surface")
     group.add_argument("--moving", metavar="NAME", nargs="+", action=Moving, help="patches that move")
     _add_fixed(group)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 
-from . import _gates
+from . import _gates, _picture
 from ._estimate import estimate
 from ._files import save, write_moved
 from ._gates import Gate, Judged
@@ -86,9 +86,7 @@ def deform(arguments: argparse.Namespace, out: Output) -> int:
         "\n" + "\n\n".join(filter(None, tables)) + "\n", before=numbers(run.before.report), after=numbers(after.report)
     )
     out.say(gates=_gates.facts(run.gates, run.before, after))
-    if arguments.save_job is not None:
-        save(arguments.save_job, text_of(arguments).encode())
-        out.say(f"job      {arguments.save_job}")
+    _write_beside(run, after, out)
     if bad:
         _fail(run, choice, bad, out)
     if bad and not arguments.allow_inverted:
@@ -98,6 +96,21 @@ def deform(arguments: argparse.Namespace, out: Output) -> int:
         write_moved(arguments.output, mesh, mesh.moved(points), after.report)
     out.say(f"wrote {arguments.output} ({out.seconds:.1f} s)", output=str(arguments.output))
     return 1 if bad else 0
+
+
+def _write_beside(run: Run, after: Judged, out: Output) -> None:
+    """The job and the picture, of a bad mesh too."""
+    job, drawn = run.arguments.save_job, run.arguments.picture
+    if job is not None:
+        save(job, text_of(run.arguments).encode())
+        out.say(f"job      {job}")
+    if drawn is not None:
+        try:
+            with out.progress("drawing"):
+                _picture.picture(drawn, run.mesh, run.moving, run.before, after)
+            out.say(f"picture  {drawn}", picture=str(drawn))
+        except (ValueError, OSError) as error:  # the mesh is worth more
+            out.warn(f"no picture: {error}")
 
 
 def _run(arguments: argparse.Namespace, mesh: Mesh, out: Output) -> tuple[Run, Choice]:
@@ -146,6 +159,8 @@ def _check(arguments: argparse.Namespace, mesh: Mesh, names: list[str]) -> None:
     job = arguments.save_job
     if job is not None and (not job.parent.is_dir() or job.resolve() == arguments.output.resolve()):
         raise ValueError(f"--save-job {job}: {'OUT goes there' if job.parent.is_dir() else 'there is no such folder'}.")
+    if arguments.picture is not None:
+        _picture.check(arguments.picture, mesh)
     check_patches(arguments, mesh, names)
     if arguments.steps < 1:
         raise ValueError(f"--steps must be 1 or more, found {arguments.steps}.")

@@ -36,7 +36,8 @@ examples:
         --displacement bent.stl --displacement-from straight.stl
   a half wing on its symmetry plane, twisted and bent along its span y:
     jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
-        --symmetry symmetry --along 0 1 0 --axis 1 0 0 --twist -3 --bend 8
+        --symmetry symmetry --along 0 1 0 --axis 1 0 0 --twist -3 --bend 8 \\
+        --picture bent.html
   a flap and a slat, each about its hinge, judged by checkMesh's limits:
     jaxmorph deform wing.su2 flaps.vtu --fixed wing farfield \\
         --moving flap --rotate 10 --about 0.8 0 0 --axis 0 1 0 \\

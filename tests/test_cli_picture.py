@@ -1,0 +1,82 @@
+"""`jaxmorph deform --picture`."""
+
+import re
+import tomllib
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import numpy as np
+import pytest
+from PIL import Image
+from ring import write_ring
+from test_plot import bricks
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.cli import main
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A ring in the plane, and a block of bricks whose floor and roof are patches."""
+    monkeypatch.chdir(tmp_path)
+    write_ring(tmp_path / "ring.su2")
+    block = bricks(2)
+    sides = {name: np.flatnonzero(block.points[:, 2] == z) for name, z in (("floor", 0), ("roof", 1))}
+    io.write(tmp_path / "block.su2", jm.Mesh(block.points, block.cells, sides))
+    return tmp_path
+
+
+def ring(*more):
+    return main(["deform", "ring.su2", "out.su2", "--moving", "wall", "--fixed", "far", "--method", "dgm", *more])
+
+
+def block(*more):
+    motion = ["--moving", "roof", "--fixed", "floor", "--method", "dgm", "--translate", "0", "0", "0.5"]
+    return main(["deform", "block.su2", "out.su2", *motion, *more])
+
+
+def test_in_the_plane_before_and_after_side_by_side(here, capsys):
+    assert ring("--rotate", "20", "--picture", "ring.png", "--save-job", "job.toml") == 0
+    assert "picture  ring.png\n" in capsys.readouterr().out
+    picture = np.asarray(Image.open("ring.png").convert("RGB")).astype(int)
+    assert picture.shape == (1140, 1920, 3)
+    halves = picture[:900, :960], picture[:900, 960:]
+    body = [196, 202, 211]
+    hollow = [(half == body).all(axis=2).sum() for half in halves]
+    assert min(hollow) > 20_000  # the wall's inside
+    assert hollow[0] == pytest.approx(hollow[1], rel=0.02)
+    dark = [half[(half[..., 0] - half[..., 2]) > 60].sum() for half in halves]  # skewed by the rotation
+    assert dark[1] > 10 * dark[0]
+    assert tomllib.loads((here / "job.toml").read_text())["picture"] == "ring.png"
+
+
+@pytest.mark.slow
+def test_in_space_a_page_or_a_picture(here):
+    assert block("--picture", "block.html") == 0
+    assert b"deformation" in (here / "block.html").read_bytes()
+    assert block("--picture", "block.png") == 0
+    picture = np.asarray(Image.open("block.png").convert("RGB")).astype(int)
+    blue = (picture[..., 2] - picture[..., 0] > 60).sum()
+    orange = (picture[..., 0] - picture[..., 2] > 60).sum()
+    assert min(blue, orange) > 10_000
+
+
+def test_a_bad_mesh_is_drawn_though_not_written(here, capsys):
+    assert ring("--scale", "7", "7", "--picture", "bad.png", "--no-dry-run") == 1
+    assert (here / "bad.png").exists()
+    assert not (here / "out.su2").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("ring.jpg", r"ends in \.png\."), ("ring.html", r"ends in \.png\."), ("no/ring.png", "no such folder")],
+)
+def test_what_cannot_be_drawn_is_told_before_the_work(here, capsys, name, said):
+    assert ring("--rotate", "20", "--picture", name) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.search(said, error)
+    assert not (here / "out.su2").exists()
