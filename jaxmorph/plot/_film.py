@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ._plane import Axes, plt
-from ._space import aim
+from ._space import WINDOW, box, set_view, view_of, whole_view
 from ._style import check_suffix, complete
 
 Picture = UInt8[np.ndarray, "h w 3"]
@@ -61,11 +61,9 @@ def animate(
     if not 0 < rate < np.inf:
         raise ValueError(f"`rate` is in frames a second, not {rate}.")
     write = _gif if path.suffix.lower() == ".gif" else _mp4()
-    reach = np.max([np.abs(points - frames[0]).max(axis=0) for points in frames], axis=0)
-    view, pictures = None, []
-    for points in frames:
-        picture, view = _picture(draw(points), view, reach)
-        pictures.append(picture)
+    drawn = draw(frames[0])
+    view = _view(drawn, draw, frames)
+    pictures = [_picture(drawn, view), *(_picture(draw(points), view) for points in frames[1:])]
     if len({picture.shape for picture in pictures}) > 1:
         raise ValueError("the pictures that `draw` makes differ in size: give each figure the same one.")
     with complete(path) as partial:
@@ -73,34 +71,37 @@ def animate(
     return path
 
 
-def _picture(drawn: Any, view: Any, reach: Float[np.ndarray, " d"]) -> tuple[Picture, Any]:
-    """What was drawn, seen as the picture before it; and how it is seen."""
+def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
+    """How all frames are seen: as the first one is, in space with room for those where nodes are farthest from it."""
+    if isinstance(first, Axes):
+        return first.get_xlim(), first.get_ylim()
+    if not hasattr(first, "screenshot"):
+        raise ValueError(f"`draw` should return the axis or the plotter that it drew on, not {type(first).__name__}.")
+    view, windows = view_of(first), (WINDOW, first.window_size)
+    if not any(np.allclose(view, whole_view(box(first), window)) for window in windows):
+        return view, first.camera.parallel_projection  # `draw` placed the camera
+    away = np.stack([points - frames[0] for points in frames])
+    farthest = {*away.max(axis=1).argmax(axis=0).tolist(), *away.min(axis=1).argmin(axis=0).tolist()} - {0}
+    shown = [mesh.points for mesh in first.meshes]
+    for k in farthest:
+        other = draw(frames[k])
+        shown += [mesh.points for mesh in other.meshes]
+        other.close()
+    return whole_view(np.concatenate(shown), first.window_size), True
+
+
+def _picture(drawn: Any, view: Any) -> Picture:
+    """The pixels of what was drawn, which is closed."""
     if isinstance(drawn, Axes):
-        if view is None:
-            view = drawn.get_xlim(), drawn.get_ylim()
         drawn.set(xlim=view[0], ylim=view[1])
         drawn.figure.canvas.draw()
         pixels = np.asarray(drawn.figure.canvas.buffer_rgba())[..., :3].copy()  # pyright: ignore[reportAttributeAccessIssue]
         plt.close(drawn.get_figure(root=True))
-        return pixels, view
-    if not hasattr(drawn, "screenshot"):
-        raise ValueError(f"`draw` should return the axis or the plotter that it drew on, not {type(drawn).__name__}.")
-    if view is None:
-        view = _camera(drawn)
-        aim(drawn)
-        if np.allclose(view, _camera(drawn)):  # where all pictures here begin: nobody placed it
-            aim(drawn, reach)
-            view = _camera(drawn)
-    drawn.camera_position, drawn.camera.parallel_scale = view[:9].reshape(3, 3).tolist(), view[9]
-    drawn.renderer.reset_camera_clipping_range()
+        return pixels
+    set_view(drawn, *view)
     pixels = np.asarray(drawn.screenshot(return_img=True))[..., :3].copy()
     drawn.close()
-    return pixels, view
-
-
-def _camera(plotter: Any) -> Float[np.ndarray, " 10"]:
-    """Its position, what it looks at, upwards; half the height of what it sees."""
-    return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
+    return pixels
 
 
 def _gif(path: pathlib.Path, pictures: list[Picture], rate: float) -> None:

@@ -1,6 +1,7 @@
 """Pictures in space, with pyvista, off screen."""
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,9 @@ VIEWER = -1.0, -2.5, 1.8
 
 MARGIN = 1.15
 """Height and width of a picture over those of what it shows: the scale and the legend have room beside it."""
+
+WINDOW = 1600, 900
+"""Pixels of a picture."""
 
 
 def surface(
@@ -46,7 +50,7 @@ def before_after_in_space(
     """
     before, after = outside(mesh, None, None, patch), outside(mesh, points, None, patch)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    light = {"ambient": 0.4, "diffuse": 0.7, "show_edges": True, "line_width": 0.5}
+    light = {"ambient": 0.4, "diffuse": 0.7, "show_edges": True, "edge_opacity": 0.5, "line_width": 0.5}
     plotter.add_mesh(before, color=ORANGE, label="undeformed", edge_color=DARK, **light)
     plotter.add_mesh(after, color=BLUE, label="deformed", edge_color=DARK, **light)
     add_legend(plotter, [["undeformed", ORANGE], ["deformed", BLUE]])
@@ -119,7 +123,7 @@ def _draw(part: Any, limits: tuple[float, float] | None, label: str | None, plot
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
     coloured = {"scalars": "values", "cmap": colours, "clim": limits} if has_values else {"color": GREY}
     light = {"ambient": 0.4, "diffuse": 0.7} if lighting else {"lighting": False}  # without: colours as on the scale
-    edges = {"show_edges": True, "edge_color": DARK, "line_width": 0.5}
+    edges = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.5, "line_width": 0.5}
     plotter.add_mesh(part, show_scalar_bar=False, **edges, **light, **coloured)
     if label is not None:
         size = {"height": 0.6, "width": 0.05, "position_x": 0.88, "position_y": 0.2}
@@ -132,23 +136,42 @@ def _draw(part: Any, limits: tuple[float, float] | None, label: str | None, plot
 
 def new_plotter() -> Any:
     with pyvista().vtk_verbosity("off"):  # it complains where there is no display, and draws all the same
-        plotter = pyvista().Plotter(off_screen=True, window_size=(1600, 900))
+        plotter = pyvista().Plotter(off_screen=True, window_size=WINDOW)
     plotter.set_background("white")
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     return plotter
 
 
-def aim(plotter: Any, reach: Float[Any, " 3"] = (0, 0, 0)) -> None:
-    """Turns the camera to all that was drawn, and to what lies `reach` beyond: from `VIEWER`, without perspective."""
-    low, high = np.reshape(plotter.bounds, (3, 2)).T
-    corners = np.array(list(itertools.product(*zip(low - reach, high + reach, strict=True))))
-    towards, across, upwards = view_axes()
-    middle, size = corners.mean(axis=0), np.ptp(corners @ np.stack([across, upwards], axis=1), axis=0)
-    distance = 2 * np.linalg.norm(corners[-1] - corners[0])
-    plotter.camera_position = [tuple(middle + distance * towards), tuple(middle), (0, 0, 1)]
-    width, height = plotter.window_size
-    plotter.camera.parallel_projection = True
-    plotter.camera.parallel_scale = MARGIN / 2 * max(size[1], size[0] * height / width)
+def aim(plotter: Any) -> None:
+    """Turns the camera to all that was drawn."""
+    set_view(plotter, whole_view(box(plotter), plotter.window_size))
+
+
+def box(plotter: Any) -> Float[np.ndarray, "8 3"]:
+    """Corners of the box round all that was drawn."""
+    return np.array(list(itertools.product(*np.reshape(plotter.bounds, (3, 2)))))
+
+
+def whole_view(points: Float[np.ndarray, "k 3"], window: Sequence[int]) -> Float[np.ndarray, " 10"]:
+    """Where the camera is, what it looks at, upwards, half the height that it sees: from `VIEWER`, without perspective, so that
+    all points are in a window of this width and height."""
+    axes = np.stack(view_axes())
+    seen = points @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    middle, (depth, width, height) = (low + high) / 2 @ axes, high - low
+    distance = 2 * (depth + width + height)
+    scale = MARGIN / 2 * max(height, width * window[1] / window[0])
+    return np.array([*(middle + distance * axes[0]), *middle, 0, 0, 1, scale])
+
+
+def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
+    """The same of the camera as it is."""
+    return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
+
+
+def set_view(plotter: Any, view: Float[np.ndarray, " 10"], is_parallel: bool = True) -> None:
+    plotter.camera_position = [tuple(vector) for vector in view[:9].reshape(3, 3).tolist()]
+    plotter.camera.parallel_projection, plotter.camera.parallel_scale = is_parallel, float(view[9])
     plotter.renderer.reset_camera_clipping_range()
 
 
