@@ -246,6 +246,8 @@ def test_cut_shows_the_cells_that_the_plane_meets():
     np.testing.assert_allclose(section.points[:, 0], 0.5)
     np.testing.assert_array_equal(np.unique(section.cell_data["values"]), np.arange(9, 18))
     np.testing.assert_allclose(section.area, 1)
+    position, focus, _ = np.array(list(plotter.camera_position))
+    np.testing.assert_allclose(np.abs(position - focus)[1:], 0, atol=1e-9)  # seen along the normal
     again = plot.surface(mesh, patch="floor", plotter=plotter)
     assert again is plotter
     plotter.close()

@@ -32,7 +32,7 @@ HALF_CUT = (0.36, 0.25)
 ABOVE = (-1, -3, 2.2)
 """Where the viewer of the whole wing is, seen from the wing: above its root."""
 
-HEIGHT = 2000
+HEIGHT = 1400
 """Of a picture in space, in pixels: more than are shown, so that lines are thin."""
 
 MARGIN = 1.04

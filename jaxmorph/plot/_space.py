@@ -50,7 +50,7 @@ def before_after_in_space(
     """
     before, after = outside(mesh, None, None, patch), outside(mesh, points, None, patch)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    light = {"ambient": 0.4, "diffuse": 0.7, "show_edges": True, "edge_opacity": 0.5, "line_width": 0.5}
+    light = {"ambient": 0.4, "diffuse": 0.7, "show_edges": True, "edge_opacity": 0.7, "line_width": 0.5}
     plotter.add_mesh(before, color=ORANGE, label="undeformed", edge_color=DARK, **light)
     plotter.add_mesh(after, color=BLUE, label="deformed", edge_color=DARK, **light)
     add_legend(plotter, [["undeformed", ORANGE], ["deformed", BLUE]])
@@ -69,10 +69,13 @@ def cut(
     label: str | None = None,
     plotter: Any = None,
 ) -> Any:
-    """The cells of a mesh in space where a plane cuts them; everything else as in `surface`."""
+    """The cells of a mesh in space where a plane cuts them, seen along its normal; everything else as in `surface`."""
     normal, origin = (np.asarray(vector, dtype=float).tolist() for vector in (plane.normal, plane.origin))
     section = _grid(mesh, points, values).slice(normal=normal, origin=origin)
-    return _draw(section, limits, label, plotter, lighting=False)
+    drawn = _draw(section, limits, label, plotter, lighting=False)
+    if plotter is None:
+        aim(drawn, np.array(normal) * (-1 if np.dot(normal, VIEWER) < 0 else 1))
+    return drawn
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
@@ -123,7 +126,7 @@ def _draw(part: Any, limits: tuple[float, float] | None, label: str | None, plot
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
     coloured = {"scalars": "values", "cmap": colours, "clim": limits} if has_values else {"color": GREY}
     light = {"ambient": 0.4, "diffuse": 0.7} if lighting else {"lighting": False}  # without: colours as on the scale
-    edges = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.5, "line_width": 0.5}
+    edges = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.7, "line_width": 0.5}
     plotter.add_mesh(part, show_scalar_bar=False, **edges, **light, **coloured)
     if label is not None:
         size = {"height": 0.6, "width": 0.05, "position_x": 0.88, "position_y": 0.2}
@@ -142,9 +145,9 @@ def new_plotter() -> Any:
     return plotter
 
 
-def aim(plotter: Any) -> None:
+def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER) -> None:
     """Turns the camera to all that was drawn."""
-    set_view(plotter, whole_view(box(plotter), plotter.window_size))
+    set_view(plotter, whole_view(box(plotter), plotter.window_size, viewer))
 
 
 def box(plotter: Any) -> Float[np.ndarray, "8 3"]:
@@ -152,16 +155,20 @@ def box(plotter: Any) -> Float[np.ndarray, "8 3"]:
     return np.array(list(itertools.product(*np.reshape(plotter.bounds, (3, 2)))))
 
 
-def whole_view(points: Float[np.ndarray, "k 3"], window: Sequence[int]) -> Float[np.ndarray, " 10"]:
-    """Where the camera is, what it looks at, upwards, half the height that it sees: from `VIEWER`, without perspective, so that
-    all points are in a window of this width and height."""
-    axes = np.stack(view_axes())
+def whole_view(
+    points: Float[np.ndarray, "k 3"], window: Sequence[int], viewer: Sequence[float] | np.ndarray = VIEWER
+) -> Float[np.ndarray, " 10"]:
+    """Where the camera is, what it looks at, upwards, half the height that it sees.
+
+    Without perspective, and so that all points are in a window of this width and height.
+    """
+    axes = np.stack(view_axes(viewer))
     seen = points @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
     middle, (depth, width, height) = (low + high) / 2 @ axes, high - low
     distance = 2 * (depth + width + height)
     scale = MARGIN / 2 * max(height, width * window[1] / window[0])
-    return np.array([*(middle + distance * axes[0]), *middle, 0, 0, 1, scale])
+    return np.array([*(middle + distance * axes[0]), *middle, *axes[2], scale])
 
 
 def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
@@ -175,10 +182,10 @@ def set_view(plotter: Any, view: Float[np.ndarray, " 10"], is_parallel: bool = T
     plotter.renderer.reset_camera_clipping_range()
 
 
-def view_axes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unit vectors towards the viewer, and to the right and upwards in the picture."""
-    towards = np.array(VIEWER) / np.linalg.norm(VIEWER)
-    across = np.cross((0, 0, 1), towards)
+def view_axes(viewer: Sequence[float] | np.ndarray = VIEWER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors towards the viewer, and to the right and upwards in the picture: z, or y for one who looks along z."""
+    towards = np.array(viewer) / np.linalg.norm(viewer)
+    across = np.cross((0, 0, 1) if abs(towards[2]) < 0.99 else (0, 1, 0), towards)
     across /= np.linalg.norm(across)
     return towards, across, np.cross(towards, across)
 
