@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from ring import write_ring
-from test_plot import bricks
+from small import bricks
 
 import jaxmorph as jm
 from jaxmorph import io

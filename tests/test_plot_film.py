@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from PIL import Image
-from test_plot import bricks, mixed
+from small import bricks, mixed
 
 from jaxmorph import plot
 
