@@ -2,9 +2,13 @@
 
 import dataclasses
 import gzip
+import os
 import pathlib
+import shutil
+import subprocess
 
 import numpy as np
+import pytest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,3 +118,42 @@ def _system(case):
 def tree(folder):
     """Every file below a folder with its content."""
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
+
+
+EXAMPLES = pathlib.Path("/usr/share/doc/openfoam-examples/examples")
+"""Where Debian puts OpenFOAM's tutorials."""
+
+ENVIRONMENT = {"WM_PROJECT_DIR": "/usr/share/openfoam"} | os.environ
+
+
+def need_openfoam():
+    """Skips a test where OpenFOAM is missing, and fails it where it should not be: with JAXMORPH_OPENFOAM=required."""
+    if shutil.which("checkMesh") is None or not EXAMPLES.is_dir():
+        message = "OpenFOAM is not installed (apt install openfoam openfoam-examples)"
+        if os.environ.get("JAXMORPH_OPENFOAM") == "required":
+            pytest.fail(message)
+        pytest.skip(message)
+
+
+def run(case, *command):
+    """What one of OpenFOAM's programs prints."""
+    done = subprocess.run(command, cwd=case, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{command}: {done.stdout[-1000:]}{done.stderr[-1000:]}"
+    return done.stdout
+
+
+def verdict(case, *options):
+    """checkMesh's: the checks that fail, without their numbers, or that none does."""
+    marks = ("Failed", "Mesh OK", "***")
+    said = [line.strip() for line in run(case, "checkMesh", *options).splitlines() if any(m in line for m in marks)]
+    assert said
+    return [line.split(",")[0] for line in said]
+
+
+def write_point_vectors(path, values, form=FORMS["ascii"]):
+    """A field of vectors at points, as adjointOptimisationFoam writes its sensitivities."""
+    rest = b"\n;\n\nboundaryField\n{\n    wall { type calculated; value nonuniform List<vector> 1((1 2 3)); }\n}\n"
+    body = b"dimensions [0 0 0 0 0 0 0];\n\ninternalField   nonuniform List<vector> "
+    body += _list(np.asarray(values, float), form, "scalar") + rest
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _file(path.parent, path.name, "pointVectorField", body, form)

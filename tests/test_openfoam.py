@@ -1,10 +1,5 @@
 """OpenFOAM's polyMesh: every form of the files, every shape of cell, and OpenFOAM's and VTK's own view of the result."""
 
-import gzip
-import os
-import shutil
-import subprocess
-
 import foam
 import numpy as np
 import pytest
@@ -302,90 +297,37 @@ def test_from_the_command_line(tmp_path, capsys):
     assert main(["quality", str(tmp_path / "a"), str(tmp_path / "a" / "1")]) == 0
 
 
-FOAM = {"WM_PROJECT_DIR": "/usr/share/openfoam"} | os.environ
-EXAMPLES = "/usr/share/doc/openfoam-examples/examples/incompressible"
-
-
-def check_mesh(case, *options):
-    """OpenFOAM's verdict: the checks that fail, without their numbers."""
-    done = subprocess.run(["checkMesh", *options], cwd=case, env=FOAM, capture_output=True, text=True, check=True)
-    said = [
-        line.strip() for line in done.stdout.splitlines() if any(mark in line for mark in ("Failed", "Mesh OK", "***"))
-    ]
-    return [line.split(",")[0] for line in said]
-
-
-@pytest.mark.skipif(shutil.which("checkMesh") is None, reason="OpenFOAM is not installed")
-@pytest.mark.parametrize(
-    ("name", "moving", "motion"),
-    [
-        ("simpleFoam/airFoil2D", "walls", ["--rotate", "5"]),
-        ("adjointOptimisationFoam/resources/meshes/naca0012", "pressure suction", ["--rotate", "5"]),
-        ("adjointOptimisationFoam/resources/meshes/sbend", "lower", ["--translate", "0", "-0.01"]),
-    ],
-)
-def test_openfoam_finds_its_tutorials_as_good_as_before(tmp_path, name, moving, motion):
-    case = tmp_path / "case"
-    foam.write_case(tmp_path / "settings", *mixed(), PATCHES)
-    source = f"{EXAMPLES}/{name}"
-    shutil.copytree(source, case if name.startswith("simple") else case / "constant")
-    for file in case.rglob("*.gz"):
-        if "polyMesh" not in str(file):
-            file.with_suffix("").write_bytes(gzip.decompress(file.read_bytes()))
-    if not (case / "system").exists():
-        shutil.copytree(tmp_path / "settings" / "system", case / "system")
-    fixed = [patch for patch in io.read(case).patches if patch not in moving.split()]
-    arguments = ["deform", str(case), str(tmp_path / "new"), "--moving", *moving.split(), "--fixed", *fixed, *motion]
-    before = check_mesh(case, "-constant")
-    assert main(arguments) == 0
-    assert main([*arguments[:2], str(case / "0.5"), *arguments[3:]]) == 0
-    assert check_mesh(tmp_path / "new", "-constant") == check_mesh(case, "-time", "0.5") == before
-    if name.startswith("simple"):
-        with (tmp_path / "new" / "system" / "fvSolution").open("a") as file:
-            file.write("solvers { Phi { solver PCG; preconditioner DIC; tolerance 1e-6; relTol 0.01; } }\n")
-            file.write("potentialFlow { nNonOrthogonalCorrectors 2; }\n")
-        done = subprocess.run(
-            ["potentialFoam"], cwd=tmp_path / "new", env=FOAM, capture_output=True, text=True, check=False
-        )
-        assert (done.returncode, done.stdout.split()[-1:]) == (0, ["End"]), done.stdout[-500:]
-
-
-def total_volume(case):
-    done = subprocess.run(["checkMesh", "-constant"], cwd=case, env=FOAM, capture_output=True, text=True, check=True)
-    return float(done.stdout.partition("Total volume = ")[2].split(". ")[0])
-
-
-BLOCK = """FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }
-vertices ((0 0 0)(2 0 0)(2 1.2 0)(0 1 0)(0 0 1)(2 0.1 1)(2 1 1)(0 1 1.3));
-blocks ( hex (0 1 2 3 4 5 6 7) (10 8 6) simpleGrading (1 3 1) );
-edges ();
-boundary ( floor {type wall; faces ((0 1 5 4));} roof {type wall; faces ((3 7 6 2));}
-    sides {type patch; faces ((0 4 7 3)(2 6 5 1)(0 3 2 1)(4 5 6 7));} );
-"""
-
-
-@pytest.mark.skipif(shutil.which("blockMesh") is None, reason="OpenFOAM is not installed")
-@pytest.mark.parametrize(
-    "settings", ["writeFormat ascii;", "writeFormat binary;", "writeFormat ascii; writeCompression on;"]
-)
-def test_polyhedra_made_by_openfoam(tmp_path, settings):
-    """The dual of a block: five kinds of polyhedra, and hexahedra."""
-    foam.write_case(tmp_path / "a", *mixed(), PATCHES)
-    shutil.rmtree(tmp_path / "a" / "constant" / "polyMesh")
-    (tmp_path / "a" / "system" / "blockMeshDict").write_text(BLOCK)
-    with (tmp_path / "a" / "system" / "controlDict").open("a") as file:
-        file.write(f"{settings} writePrecision 15;\n")
-    for command in (["blockMesh"], ["polyDualMesh", "60", "-overwrite"]):
-        subprocess.run(command, cwd=tmp_path / "a", env=FOAM, capture_output=True, check=True)
-    for file in (tmp_path / "a").glob("*.obj"):
-        file.unlink()
-    shutil.rmtree(tmp_path / "a" / "0", ignore_errors=True)
+@pytest.mark.parametrize("form", ["ascii", "ascii-gz", "binary", "binary-big-endian-gz"])
+@pytest.mark.parametrize("plane", [True, False])
+def test_sensitivities_at_points(tmp_path, form, plane):
+    """g . dx over all points of the case is what read_sensitivity gives . dx over the nodes of the mesh."""
+    points, cells, patches = strip(1) if plane else (*mixed(), PATCHES)
+    foam.write_case(tmp_path / "a", points, cells, patches)
     mesh = io.read(tmp_path / "a")
-    report = jm.quality(mesh)
-    assert int(report.inverted) == 0
-    np.testing.assert_allclose(np.asarray(report.volume).sum(), total_volume(tmp_path / "a"), rtol=1e-3)
-    io.write(tmp_path / "same", mesh)
-    assert foam.tree(tmp_path / "same") == foam.tree(tmp_path / "a")
-    arguments = ["deform", str(tmp_path / "a"), str(tmp_path / "b"), "--moving", "floor", "--fixed", "roof", "sides"]
-    assert main([*arguments, "--translate", "0", "-0.02", "0"]) == 0
-    assert check_mesh(tmp_path / "b", "-constant") == check_mesh(tmp_path / "a", "-constant")
+    g = np.random.default_rng(3).normal(size=points.shape)
+    file = tmp_path / "a" / "7" / "pointSensVecas1ESI"
+    foam.write_point_vectors(file, g, foam.FORMS[form])
+    dx = np.random.default_rng(4).normal(size=mesh.points.shape)
+    io.write(tmp_path / "b", mesh.moved(mesh.points + dx))
+    moved = io.read(tmp_path / "b").source.content.points
+    found = io.read_sensitivity(next(file.parent.glob("pointSens*")), mesh)
+    np.testing.assert_allclose(np.vdot(found, dx), np.vdot(g, moved - points), rtol=1e-9)
+
+
+def test_sensitivities_that_are_none(tmp_path):
+    foam.write_case(tmp_path / "a", *mixed(), PATCHES)
+    mesh = io.read(tmp_path / "a")
+    file = tmp_path / "s"
+    foam.write_point_vectors(file, np.ones((11, 3)))
+    with pytest.raises(ValueError, match="12 vectors expected, one for each point of the case, found 11"):
+        io.read_sensitivity(file, mesh)
+    with pytest.raises(ValueError, match="needs a mesh that was read from an OpenFOAM case"):
+        io.read_sensitivity(file, jm.Mesh(mesh.points, mesh.cells))
+    text = file.read_text()
+    for old, new, message in (
+        ("pointVectorField", "volVectorField", "expected, found volVectorField"),
+        ("nonuniform List<vector>", "uniform (0 0 0); //", "found pointVectorField with one value for all points"),
+    ):
+        file.write_text(text.replace(old, new))
+        with pytest.raises(ValueError, match=message):
+            io.read_sensitivity(file, mesh)

@@ -131,7 +131,7 @@ def _add_sensitivity(commands) -> None:
     what = "pull an adjoint solver's dJ/d(volume nodes) back to the moving nodes"
     command = _command(commands, "sensitivity", what, _help.SENSITIVITY, _SENSITIVITY)
     _add_input(command)
-    what = "dJ/d(points) of all nodes: SU2's, rows of node id and dJ/dx, dJ/dy[, dJ/dz], or .npz"
+    what = "dJ/d(points) of all nodes: SU2's, OpenFOAM's, rows of node id and dJ/dx, dJ/dy[, dJ/dz], or .npz"
     command.add_argument("sensitivity", metavar="SENS", type=pathlib.Path, help=what)
     command.add_argument("output", metavar="OUT", type=pathlib.Path, help="where to write it: .csv or .npz")
     _add_surface(command)

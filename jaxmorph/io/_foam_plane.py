@@ -35,6 +35,10 @@ class Layer:
         new[behind] = np.where(moved, plane, old[behind])
         return new
 
+    def added(self, values: np.ndarray) -> np.ndarray:
+        """(n, 2) from (N, 3) at all nodes: those of both planes added, as both move; the transpose of `in_space`."""
+        return (values[self.front] + values[self.back])[:, self.axes]
+
     def ids(self, nodes: np.ndarray) -> np.ndarray:
         """Ids in the plane of those of `nodes` that are in the front."""
         at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)

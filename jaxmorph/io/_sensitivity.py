@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from jaxmorph import Mesh
 
+from ._foam_field import is_foam_file, read_point_vectors
 from ._shape import load_npz
 from ._surface import read_table
 
@@ -20,13 +21,20 @@ def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarr
 
     A table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`] (SU2's volume sensitivities and adjoint
     restarts, .csv or .dat), or one with rows of node id and as many numbers as the mesh has dimensions, in any order; or .npz
-    of `sensitivity` (n, d), with `ids` where its rows are not in the order of the nodes.
+    of `sensitivity` (n, d), with `ids` where its rows are not in the order of the nodes. Or, for a mesh that was read from an
+    OpenFOAM case, a field of vectors at its points (`pointSensVec...` of `adjointOptimisationFoam`, not divided by areas:
+    `includeSurfaceArea true`), which is zero off the walls; of a case in the plane both planes' are added.
 
     Raises `ValueError` for nodes that are missing, foreign or there twice, and for values that are not finite.
     """
     path = pathlib.Path(path)
     n, d = mesh.points.shape
-    ids, values = _arrays(path, n) if path.suffix.lower() == ".npz" else read_table(path, d, NAMES)
+    if path.suffix.lower() == ".npz":
+        ids, values = _arrays(path, n)
+    elif is_foam_file(path):
+        ids, values = np.arange(n), read_point_vectors(path, mesh)
+    else:
+        ids, values = read_table(path, d, NAMES)
     if values.shape != (len(ids), d) or not np.isfinite(values).all():
         raise ValueError(f"{path}: finite values of shape ({len(ids)}, {d}) expected, found shape {values.shape}.")
     foreign = np.setdiff1d(ids, np.arange(n))
