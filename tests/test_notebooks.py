@@ -3,6 +3,7 @@
 import pathlib
 import re
 
+import foam
 import nbclient
 import nbformat
 import pytest
@@ -15,6 +16,7 @@ SMALL = {
     "03_shape_optimisation.ipynb": {"points": 1500, "steps": 15},
     "04_mode_sweep.ipynb": {"points": 6500, "side": 3},
     "05_fsi.ipynb": {"points": 6500, "steps": 40},
+    "06_external_solver.ipynb": {"points": 2000, "cells": 24},
     "07_extend.ipynb": {"points": 2000},
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
@@ -40,11 +42,27 @@ def with_parameters(notebook, values):
     "name", [name if name in FAST else pytest.param(name, marks=pytest.mark.slow) for name in sorted(SMALL)]
 )
 def test_notebook_runs(name):
+    CHECKS[name](said_by(name))
+
+
+def said_by(name):
+    """What the notebook prints on small meshes."""
     notebook = with_parameters(nbformat.read(FOLDER / name, as_version=4), SMALL[name])
     nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
     said = [output for cell in notebook.cells for output in cell.get("outputs", ())]
     assert not [output.text for output in said if output.get("name") == "stderr"]
-    CHECKS[name]("".join(output.get("text", "") for output in said))
+    return "".join(output.get("text", "") for output in said)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_notebook_of_solvers_elsewhere_does_without_openfoam(monkeypatch, tmp_path):
+    """The same notebook where the programs are not found: the first half, and one sentence instead of the second."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    said = said_by("06_external_solver.ipynb")
+    check_chain(said)
+    assert "OpenFOAM, or its examples, are not installed here" in said
+    assert "J = " not in said
 
 
 def check_airfoil(said):
@@ -107,6 +125,32 @@ def check_sweep(said):
     assert all(float(difference) < 1e-11 for difference in differences)
 
 
+def check_chain(said):
+    """The derivatives of a known objective are its differences, in Python and from the command line."""
+    rows = re.findall(r"dJ/d\(\w+\) (\S+), central difference (\S+)", said)
+    assert len(rows) == 2
+    for slope, difference in rows:
+        assert float(slope) == pytest.approx(float(difference), rel=1e-5)
+    assert float(re.search(r"largest difference from pullback (\S+),", said)[1]) < 1e-12
+
+
+def check_external(said):
+    """Where OpenFOAM is, a step of descent gains what the gradient said, within a tenth."""
+    check_chain(said)
+    foam.need_openfoam()
+    assert float(re.search(r"are ([0-9.]+)% apart", said)[1]) < 3
+    volume, surface, difference = map(
+        float, re.search(r"by volume (\S+), by surface (\S+), central difference (\S+)", said).groups()
+    )
+    assert volume == pytest.approx(difference, rel=0.03)
+    assert surface == pytest.approx(difference, rel=0.03)
+    rows = re.findall(r"-([0-9.]+)% +-([0-9.]+)% +([0-9.]+) +(\d+)\n", said)
+    assert [float(row[0]) for row in rows] == [0.5, 1, 2, 4]
+    assert {inverted for *_, inverted in rows} == {"0"}
+    for _, _, share, _ in rows[:3]:
+        assert float(share) == pytest.approx(1, abs=0.1)
+
+
 def check_coupling(said):
     """Work, force and moment are conserved, memory does not grow, the mesh comes back."""
     number = r"(\d\S*)"
@@ -134,6 +178,7 @@ CHECKS = {
     "03_shape_optimisation.ipynb": check_optimisation,
     "04_mode_sweep.ipynb": check_sweep,
     "05_fsi.ipynb": check_coupling,
+    "06_external_solver.ipynb": check_external,
     "07_extend.ipynb": check_extension,
 }
 
