@@ -1,5 +1,7 @@
 """OpenFOAM's polyMesh: every form of the files, every shape of cell, and OpenFOAM's and VTK's own view of the result."""
 
+import json
+
 import foam
 import numpy as np
 import pytest
@@ -144,6 +146,19 @@ def test_polyhedra_are_judged_by_pieces_between_their_own_nodes(tmp_path):
         moved = mesh.points.copy()
         moved[middle, 0] = place
         assert (int(jm.quality(mesh, moved).inverted) > 0) == inverted
+
+
+def test_gates_measure_polyhedra_whole(tmp_path, capsys):
+    """A cube against four bars of 1 x 0.5 x 0.5: line of centres (1, 0.25, 0.25), which passes 0.125 by a face's centre."""
+    foam.write_case(tmp_path / "a", *split(), PATCHES)
+    assert main(["quality", str(tmp_path / "a"), "--preset", "checkmesh", "--json"]) == 0
+    found = {gate["gate"]: gate["after"] for gate in json.loads(capsys.readouterr().out)["gates"]}
+    expected = {
+        "max_non_orthogonality": np.degrees(np.arctan(np.sqrt(2) / 4)),
+        "max_face_skewness": 0.125 / 0.25,
+        "max_face_aspect_ratio": 2.0,
+    }
+    assert found == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("normal", [0, 1, 2])

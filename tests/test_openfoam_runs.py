@@ -110,7 +110,7 @@ boundary ( floor {type wall; faces ((0 1 5 4));} roof {type wall; faces ((3 7 6 
 @pytest.mark.parametrize(
     "settings", ["writeFormat ascii;", "writeFormat binary;", "writeFormat ascii; writeCompression on;"]
 )
-def test_polyhedra_made_by_openfoam(tmp_path, settings):
+def test_polyhedra_made_by_openfoam(tmp_path, capsys, settings):
     """The dual of a block: five kinds of polyhedra, and hexahedra."""
     case = tmp_path / "a"
     foam.write_case(case, *mixed(), PATCHES)
@@ -133,3 +133,5 @@ def test_polyhedra_made_by_openfoam(tmp_path, settings):
     arguments = ["deform", str(case), str(tmp_path / "b"), "--moving", "floor", "--fixed", "roof", "sides"]
     assert main([*arguments, "--translate", "0", "-0.02", "0"]) == 0
     assert foam.verdict(tmp_path / "b", "-constant") == foam.verdict(case, "-constant")
+    assert_measured_alike(case, capsys)
+    assert_measured_alike(tmp_path / "b", capsys)

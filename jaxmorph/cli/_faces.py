@@ -1,13 +1,43 @@
-"""Aspect ratio and skewness as OpenFOAM's checkMesh measures them: from the faces of cells, and skewness without upper bound."""
+"""Aspect ratio and skewness as OpenFOAM's checkMesh measures them: from the faces of cells, and skewness without upper bound.
+
+Cells of a case that are cut into pieces are measured whole, and each piece has the value of its cell.
+"""
+
+import dataclasses
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxmorph import Mesh
 from jaxmorph._host.topology import CORNERS, DIMENSION, FACES
+from jaxmorph.io._openfoam import WholeCells, whole_cells
 
 Vectors = Float[np.ndarray, "t d"]
 FLOOR = 1e-300
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Sides:
+    """Corners of each face of each cell (-1 behind the last), its cell, the same face as its other cell sees it (-1 if none).
+
+    `total` is the number of cells; those of the mesh are `cell` among them.
+    """
+
+    faces: Int[np.ndarray, "t c"]
+    owner: Int[np.ndarray, " t"]
+    behind: Int[np.ndarray, " t"]
+    total: int
+    cell: Int[np.ndarray, " k"]
+
+    def corners(self, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "t c d"]:
+        """Their places; the first again behind the last."""
+        return points[np.where(self.faces < 0, self.faces[:, :1], self.faces)]
+
+    def largest(self, values: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]:
+        """Over the faces of each cell, at least 0."""
+        result = np.zeros(self.total)
+        np.maximum.at(result, self.owner, values)
+        return result[self.cell]
 
 
 def face_skewness(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " k"]:
@@ -19,14 +49,13 @@ def face_skewness(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndar
 
     Raises `ValueError` for surfaces in space.
     """
-    faces, owner, total, corners = _faces_at(mesh, points)
-    centre, area = _centres_and_areas(corners)
-    own = _cell_centres(centre, area, owner, total)[0][owner]
-    other = _behind(faces)
-    inside = other >= 0
+    sides, corners = _sides_at(mesh, points)
+    centre, area = _centres_and_areas(sides, corners)
+    own = _cell_centres(centre, area, sides)[0]
+    arm = centre - own[sides.owner]
+    inside = sides.behind >= 0
     normal = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), FLOOR)
-    arm = centre - own
-    across = np.where(inside[:, None], own[other] - own, normal * _dot(normal, arm)[:, None])
+    across = np.where(inside[:, None], _between(own, sides), normal * _dot(normal, arm)[:, None])
     along = _dot(area, across)
     along = np.where(along == 0, FLOOR, along)
     by = arm - (_dot(area, arm) / along)[:, None] * across
@@ -34,9 +63,20 @@ def face_skewness(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndar
     direction = by / np.maximum(size, FLOOR)[:, None]
     reach = np.abs(np.einsum("td,tcd->tc", direction, corners - centre[:, None])).max(axis=1)
     least = np.where(inside, 0.2, 0.4) * np.linalg.norm(across, axis=1)
-    result = np.zeros(total)
-    np.maximum.at(result, owner, size / np.maximum(np.maximum(reach, least), FLOOR))
-    return result
+    return sides.largest(size / np.maximum(np.maximum(reach, least), FLOOR))
+
+
+def face_non_orthogonality(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " k"]:
+    """For each cell the largest over its inner faces, in degrees; `QualityReport` has the same of cells that are not cut.
+
+    Raises `ValueError` for surfaces in space.
+    """
+    sides, corners = _sides_at(mesh, points)
+    centre, area = _centres_and_areas(sides, corners)
+    between = _between(_cell_centres(centre, area, sides)[0], sides)
+    sizes = np.linalg.norm(area, axis=1) * np.linalg.norm(between, axis=1)
+    cosine = np.clip(_dot(area, between) / np.maximum(sizes, FLOOR), -1, 1)
+    return sides.largest(np.where(sides.behind >= 0, np.degrees(np.arccos(cosine)), 0))
 
 
 def face_aspect_ratio(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " k"]:
@@ -46,32 +86,33 @@ def face_aspect_ratio(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.
 
     Raises `ValueError` for surfaces in space.
     """
-    _, owner, total, corners = _faces_at(mesh, points)
-    centre, area = _centres_and_areas(corners)
-    seen = _summed(np.abs(area), owner, total)
-    counted = np.bincount(owner, minlength=total) > 0
+    sides, corners = _sides_at(mesh, points)
+    centre, area = _centres_and_areas(sides, corners)
+    seen = _summed(np.abs(area), sides.owner, sides.total)
+    counted = np.bincount(sides.owner, minlength=sides.total) > 0
     ratio = seen.max(axis=1) / np.maximum(seen.min(axis=1), FLOOR)
     if area.shape[1] == 3:
-        volume = np.abs(_cell_centres(centre, area, owner, total)[1]) / 3
+        volume = np.abs(_cell_centres(centre, area, sides)[1]) / 3
         ratio = np.maximum(ratio, seen.sum(axis=1) / 6 / np.maximum(volume, FLOOR) ** (2 / 3))
-    return np.where(counted, ratio, 1.0)
+    return np.where(counted, ratio, 1.0)[sides.cell]
 
 
-def _faces_at(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
-    """`_faces`, and the places of their corners."""
+def _sides_at(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> tuple[_Sides, np.ndarray]:
+    """The sides of all cells, and the places of their corners."""
     points = np.asarray(points, float)
-    faces, owner, total = _faces(mesh)
-    if faces.shape[1] != points.shape[1] + (points.shape[1] == 3):
+    whole = whole_cells(mesh)
+    sides = _standard(mesh) if whole is None else _whole(whole)
+    if sides.faces.shape[1] < points.shape[1] + (points.shape[1] == 3):
         raise ValueError("OpenFOAM's measures are for meshes that fill the plane or space, not for surfaces in space.")
-    return faces, owner, total, points[np.where(faces < 0, faces[:, :1], faces)]
+    return sides, sides.corners(points)
 
 
-def _centres_and_areas(corners: Float[np.ndarray, "t c d"]) -> tuple[Vectors, Vectors]:
-    return _edges(corners) if corners.shape[2] == 2 else _polygons(corners)
+def _centres_and_areas(sides: _Sides, corners: Float[np.ndarray, "t c d"]) -> tuple[Vectors, Vectors]:
+    return _edges(corners) if corners.shape[2] == 2 else _polygons(corners, sides.faces >= 0)
 
 
-def _faces(mesh: Mesh) -> tuple[Int[np.ndarray, "t c"], Int[np.ndarray, " t"], int]:
-    """Corners of each face of each cell of the highest dimension (-1 behind those of a triangle), its cell, all cells' number."""
+def _standard(mesh: Mesh) -> _Sides:
+    """Of the cells of the highest dimension."""
     highest = max(DIMENSION[kind] for kind, ids in mesh.cells.items() if len(ids))
     width = 2 if highest == 2 else max(CORNERS["quad"], highest)
     faces, owners, first = [np.zeros((0, width), np.int64)], [np.zeros(0, np.int64)], 0
@@ -83,7 +124,24 @@ def _faces(mesh: Mesh) -> tuple[Int[np.ndarray, "t c"], Int[np.ndarray, " t"], i
                 faces.append(padded)
                 owners.append(first + np.arange(len(ids)))
         first += len(ids)
-    return np.concatenate(faces), np.concatenate(owners), first
+    joined = np.concatenate(faces)
+    return _Sides(joined, np.concatenate(owners), _behind(joined), first, np.arange(first))
+
+
+def _whole(whole: WholeCells) -> _Sides:
+    """Of the cells of a case: its faces as their owners see them, then the inner ones as their neighbours do."""
+    faces = whole.faces
+    count, inner = len(faces.owner), np.flatnonzero(faces.neighbour >= 0)
+    signed = np.concatenate([np.arange(count), ~inner])
+    sizes = np.concatenate([faces.sizes, faces.sizes[inner]])
+    corners = np.full((len(signed), max(4, int(sizes.max()))), -1)
+    for size in np.unique(sizes).tolist():
+        rows = np.flatnonzero(sizes == size)
+        corners[rows, :size] = faces.corners(signed[rows], size)
+    behind = np.full(len(signed), -1)
+    behind[inner], behind[count:] = count + np.arange(len(inner)), inner
+    owner = np.concatenate([faces.owner, faces.neighbour[inner]])
+    return _Sides(corners, owner, behind, int(owner.max()) + 1, whole.cell)
 
 
 def _behind(faces: Int[np.ndarray, "t c"]) -> Int[np.ndarray, " t"]:
@@ -96,14 +154,20 @@ def _behind(faces: Int[np.ndarray, "t c"]) -> Int[np.ndarray, " t"]:
     return behind
 
 
+def _between(centres: Vectors, sides: _Sides) -> Vectors:
+    """From the centre of each face's cell to that of the cell behind it; anything where there is none."""
+    return centres[sides.owner[sides.behind]] - centres[sides.owner]
+
+
 def _edges(corners: Float[np.ndarray, "t 2 2"]) -> tuple[Vectors, Vectors]:
     along = corners[:, 1] - corners[:, 0]
     return corners.mean(axis=1), np.stack([along[:, 1], -along[:, 0]], axis=1)
 
 
-def _polygons(corners: Float[np.ndarray, "t 4 3"]) -> tuple[Vectors, Vectors]:
-    """Centres and area vectors, by triangles about the mean of the corners; a corner that comes twice does no harm."""
-    middle = corners.mean(axis=1, keepdims=True)
+def _polygons(corners: Float[np.ndarray, "t c 3"], is_corner: Bool[np.ndarray, "t c"]) -> tuple[Vectors, Vectors]:
+    """Centres and area vectors, by triangles about the mean of the corners."""
+    share = is_corner[..., None] / is_corner.sum(axis=1)[:, None, None]
+    middle = (share * corners).sum(axis=1, keepdims=True)
     after = np.roll(corners, -1, axis=1)
     areas = np.cross(after - corners, middle - corners) / 2
     weights = np.linalg.norm(areas, axis=2, keepdims=True)
@@ -111,11 +175,9 @@ def _polygons(corners: Float[np.ndarray, "t 4 3"]) -> tuple[Vectors, Vectors]:
     return (weights * (corners + after + middle) / 3).sum(axis=1) / total, areas.sum(axis=1)
 
 
-def _cell_centres(
-    centre: Vectors, area: Vectors, owner: Int[np.ndarray, " t"], total: int
-) -> tuple[Vectors, np.ndarray]:
+def _cell_centres(centre: Vectors, area: Vectors, sides: _Sides) -> tuple[Vectors, np.ndarray]:
     """Centres of mass, by pyramids (triangles in the plane) from the faces to the mean of their centres; volumes times d."""
-    d = centre.shape[1]
+    d, owner, total = centre.shape[1], sides.owner, sides.total
     count = np.maximum(np.bincount(owner, minlength=total), 1)[:, None]
     middle = (_summed(centre, owner, total) / count)[owner]
     volume = _dot(area, centre - middle)[:, None]

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from jaxmorph import Mesh, QualityReport
+from jaxmorph.io._openfoam import whole_cells
 
-from ._faces import face_aspect_ratio, face_skewness
+from ._faces import face_aspect_ratio, face_non_orthogonality, face_skewness
 from ._tables import place
 
 GATES = {
@@ -50,9 +51,15 @@ class Judged:
     def face_aspect_ratio(self) -> np.ndarray:
         return face_aspect_ratio(self.mesh, self.points)
 
+    @functools.cached_property
+    def non_orthogonality(self) -> np.ndarray:
+        """Of the cells that a file has, where the mesh has pieces of them."""
+        is_cut = whole_cells(self.mesh) is not None
+        return face_non_orthogonality(self.mesh, self.points) if is_cut else np.asarray(self.report.non_orthogonality)
+
     def values(self, measure: str) -> np.ndarray:
         """One value for each cell that counts."""
-        found = getattr(self if measure.startswith("face") else self.report, measure)
+        found = getattr(self if hasattr(type(self), measure) else self.report, measure)
         return np.asarray(found)[self.counted]
 
 

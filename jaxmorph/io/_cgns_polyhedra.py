@@ -60,6 +60,6 @@ def polyhedra(
     found, ids = standard_cells(faces)
     blocks = [(kind, corners + first) for kind, corners in found.items()]
     if "polyhedron" in ids:
-        blocks.append(("tetra", tetrahedra(faces, ids["polyhedron"], points) + first))
+        blocks.append(("tetra", tetrahedra(faces, ids["polyhedron"], points)[0] + first))
     outer = [np.flatnonzero((faces.neighbour < 0) & (sizes == size)) for size in np.unique(sizes).tolist()]
     return blocks, [faces.corners(mine, int(sizes[mine[0]])) + first for mine in outer if len(mine)]

@@ -30,13 +30,22 @@ COPIED = ("constant", "system", "0", "0.orig")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class WholeCells:
+    """The faces of a case with polyhedra, and the case's cell that each cell of the mesh is, or is a piece of."""
+
+    faces: Faces
+    cell: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class _Content:
-    """The file of points, its values, the folder of the faces, and the two planes of a case in the plane."""
+    """The file of points, its values, the folder of the faces, the two planes of a case in the plane, and polyhedra."""
 
     file: FoamFile
     points: np.ndarray
     topology: pathlib.Path
     plane: Layer | None
+    whole: WholeCells | None
 
 
 def read(path: pathlib.Path) -> Mesh:
@@ -60,10 +69,13 @@ def read(path: pathlib.Path) -> Mesh:
     _check(topology, boundary, faces)
     empty = [patch for patch in boundary if patch.type == "empty" and patch.count]
     try:
-        mesh, plane = _in_plane(faces, points, boundary, empty) if empty else (_in_space(faces, points, boundary), None)
+        if empty:
+            (mesh, plane), whole = _in_plane(faces, points, boundary, empty), None
+        else:
+            (mesh, whole), plane = _in_space(faces, points, boundary), None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    source = Source(file.path, NAME, _Content(file, points, topology, plane))
+    source = Source(file.path, NAME, _Content(file, points, topology, plane, whole))
     return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
 
 
@@ -144,13 +156,22 @@ def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes]:
     yield file.data[stop:]
 
 
-def _in_space(faces: Faces, points: np.ndarray, boundary: list[Patch]) -> Mesh:
+def _in_space(faces: Faces, points: np.ndarray, boundary: list[Patch]) -> tuple[Mesh, WholeCells | None]:
     cells, ids = standard_cells(faces)
-    if "polyhedron" in ids:
-        pieces = tetrahedra(faces, ids["polyhedron"], points)
+    is_cut = "polyhedron" in ids
+    if is_cut:
+        pieces, owners = tetrahedra(faces, ids.pop("polyhedron"), points)
         cells["tetra"] = np.concatenate([cells["tetra"], pieces]) if "tetra" in cells else pieces
+        ids["tetra"] = np.concatenate([ids["tetra"], owners]) if "tetra" in ids else owners
     nodes = {patch.name: faces.nodes(patch.start, patch.start + patch.count) for patch in boundary}
-    return Mesh(points, cells, nodes)
+    mesh = Mesh(points, cells, nodes)
+    return mesh, WholeCells(faces, np.concatenate([ids[kind] for kind in mesh.cells])) if is_cut else None
+
+
+def whole_cells(mesh: Mesh) -> WholeCells | None:
+    """The polyhedra of a mesh that was read from a case which has some."""
+    source = source_of(mesh, NAME)
+    return None if source is None else source.content.whole
 
 
 def _in_plane(faces: Faces, points: np.ndarray, boundary: list[Patch], empty: list[Patch]) -> tuple[Mesh, Layer]:

@@ -41,19 +41,21 @@ def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return np.einsum("fti,fi->ft", np.cross(arms[:, :-1], arms[:, 1:]), normal).min(axis=1)
 
 
-def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Tetrahedra (t, 4) between one node of each cell (its apex) and the triangles of the faces away from it.
+def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Tetrahedra (t, 4) between one node of each cell (its apex) and the triangles of the faces away from it; the cell of each.
 
     The apex is the first node whose smallest piece is no sliver, else the one whose smallest piece is largest.
     """
     ordered, starts = faces.of_cells()
-    parts = [np.zeros((0, 4), faces.labels.dtype)]
+    parts, owners = [np.zeros((0, 4), faces.labels.dtype)], [np.zeros(0, np.int64)]
     for at in range(0, len(cells), BLOCK):
         mine = cells[at : at + BLOCK]
         rows, cell = spread(starts[mine], starts[mine + 1])
         pieces = _Pieces.around(faces, ordered[rows], cell, points)
-        parts.append(pieces.tetrahedra(pieces.best_apex()))
-    return np.concatenate(parts)
+        corners, cell = pieces.tetrahedra(pieces.best_apex())
+        parts.append(corners)
+        owners.append(mine[cell])
+    return np.concatenate(parts), np.concatenate(owners)
 
 
 def spread(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,10 +119,10 @@ class _Pieces:
         mean = np.bincount(cell, volume, count) / np.maximum(np.bincount(cell, minlength=count), 1)
         return np.where(mean > 0, least / np.where(mean > 0, mean, 1), -np.inf)
 
-    def tetrahedra(self, apex: np.ndarray) -> np.ndarray:
-        """Corners (t, 4) of the pieces below `apex` that are no slivers."""
+    def tetrahedra(self, apex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (t, 4) of the pieces below `apex` that are no slivers, and their cells."""
         volume, away = self.volumes(apex, np.arange(len(self.cell)))
         size = np.where(away, np.abs(volume), 0)
         mean = np.bincount(self.cell, size) / np.maximum(np.bincount(self.cell, away), 1)
         used = away & (size > SLIVER * mean[self.cell])
-        return np.column_stack([self.corners[used], apex[self.cell[used]]])
+        return np.column_stack([self.corners[used], apex[self.cell[used]]]), self.cell[used]
