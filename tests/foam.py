@@ -20,6 +20,8 @@ class Form:
     scalar: int = 64
     order: str = "<"
     packed: bool = False
+    separate: bool = False
+    """Binary faces one by one, as older versions of OpenFOAM write them."""
 
     @property
     def header(self):
@@ -32,6 +34,7 @@ FORMS = {
     "ascii-gz": Form(packed=True),
     "binary": Form(binary=True),
     "binary-64-labels": Form(binary=True, label=64),
+    "binary-separate-faces": Form(binary=True, separate=True),
     "binary-32-scalars": Form(binary=True, scalar=32),
     "binary-big-endian-gz": Form(binary=True, order=">", packed=True),
 }
@@ -66,7 +69,10 @@ def write_case(case, points, cells, patches, form=FORMS["ascii"]):
     _file(folder, "points", "vectorField", _list(np.asarray(points, float), form, "scalar"), form)
     _file(folder, "owner", "labelList", _list(np.array(owner), form, "label"), form)
     _file(folder, "neighbour", "labelList", _list(np.array(neighbour, int), form, "label"), form)
-    if form.binary:
+    if form.separate:
+        body = b"".join(_list(np.array(face), form, "label") for face in faces)
+        _file(folder, "faces", "faceList", f"{len(faces)}\n(".encode() + body + b"\n)", form)
+    elif form.binary:
         starts = np.cumsum([0, *map(len, faces)])
         body = _list(starts, form, "label") + b"\n" + _list(np.concatenate(faces), form, "label")
         _file(folder, "faces", "faceCompactList", body, form)

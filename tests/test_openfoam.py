@@ -223,7 +223,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("name", DAMAGE)
-@pytest.mark.parametrize("form", ["ascii", "binary"])
+@pytest.mark.parametrize("form", ["ascii", "binary", "binary-separate-faces"])
 def test_damaged_files_are_named(tmp_path, name, form):
     foam.write_case(tmp_path / "a", *mixed(), PATCHES, foam.FORMS[form])
     file = tmp_path / "a" / "constant" / "polyMesh" / name

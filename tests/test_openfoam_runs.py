@@ -98,6 +98,13 @@ def test_a_tutorial_in_space(tmp_path, capsys):
     assert_measured_alike(case, capsys)
 
 
+@pytest.mark.parametrize("form", [name for name in foam.FORMS if "big-endian" not in name])
+def test_openfoam_reads_the_forms_that_the_tests_write(tmp_path, form):
+    """So that what jaxmorph reads of them is what OpenFOAM would; it reads no other byte order than its machine's."""
+    foam.write_case(tmp_path / "a", *mixed(), PATCHES, foam.FORMS[form])
+    assert foam.verdict(tmp_path / "a") == ["Mesh OK."]
+
+
 BLOCK = """FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }
 vertices ((0 0 0)(2 0 0)(2 1.2 0)(0 1 0)(0 0 1)(2 0.1 1)(2 1 1)(0 1 1.3));
 blocks ( hex (0 1 2 3 4 5 6 7) (10 8 6) simpleGrading (1 3 1) );

@@ -97,13 +97,28 @@ class FoamFile:
         if not self.is_binary:
             return self._text_faces()
         if "Compact" not in self.header.get("class", ""):
-            raise self.error("a binary faceList is not read; foamFormatConvert writes a faceCompactList")
+            return self._separate_faces()
         starts, end = self.binary(self.list_at(self.end), "label")
         labels, _ = self.binary(self.list_at(end), "label")
         starts = starts.astype(np.int64)
         if not len(starts) or starts[0] or starts[-1] != len(labels) or (np.diff(starts) < 3).any():
             raise self.error(f"the offsets of the faces do not fit their {len(labels)} labels")
         return labels.astype(_narrow(labels)), starts
+
+    def _separate_faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """From a binary list of lists, as older versions write it: each face with its number of labels, one after the other."""
+        found = self.list_at(self.end)
+        at, parts = found.start, [np.zeros(0, self.dtype("label"))]
+        for _ in range(found.count):
+            labels, at = self.binary(self.list_at(at), "label")
+            parts.append(labels)
+        sizes = np.fromiter(map(len, parts), np.int64)
+        if (sizes[1:] < 3).any():
+            raise self.error(
+                f"face {int((sizes[1:] < 3).argmax())} has {int(sizes[1:].min())} labels; it needs 3 at least"
+            )
+        labels = np.concatenate(parts)
+        return labels.astype(_narrow(labels)), np.cumsum(sizes)
 
     def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
         found = self.list_at(self.end)
