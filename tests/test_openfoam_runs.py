@@ -52,7 +52,8 @@ def assert_measured_alike(case, capsys):
     main(["quality", str(case), "--preset", "checkmesh", "--json"])
     found = {gate["gate"]: gate["after"] for gate in json.loads(capsys.readouterr().out)["gates"]}
     for name, pattern in MEASURES.items():
-        assert found[name] == pytest.approx(float(re.findall(pattern, said)[0]), rel=2e-5), name
+        near = 2e-5 if name.startswith("max_face") else 2e-4  # faces that are not plane have another area vector
+        assert found[name] == pytest.approx(float(re.findall(pattern, said)[0]), rel=near), name
 
 
 INCOMPRESSIBLE = {
@@ -95,7 +96,7 @@ def test_a_tutorial_in_space(tmp_path, capsys):
     assert int(jm.quality(mesh, points).inverted) == 0
     io.write(tmp_path / "new", mesh.moved(points))
     assert foam.verdict(tmp_path / "new") == foam.verdict(case) == ["Mesh OK."]
-    assert_measured_alike(case, capsys)
+    assert_measured_alike(tmp_path / "new", capsys)
 
 
 @pytest.mark.parametrize("form", [name for name in foam.FORMS if "big-endian" not in name])
