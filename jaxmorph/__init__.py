@@ -8,7 +8,6 @@ from ._basis import WendlandC2 as WendlandC2
 from ._choose import Choice as Choice
 from ._choose import choose as choose
 from ._distortion import distortion as distortion
-from ._distortion import smooth_skewness as smooth_skewness
 from ._fewest import Steps as Steps
 from ._fewest import fewest_steps as fewest_steps
 from ._host.greedy import Greedy as Greedy
@@ -41,6 +40,8 @@ from ._prepare import prepare as prepare
 from ._quality import quality as quality
 from ._report import QualityReport as QualityReport
 from ._smooth import soft_maximum as soft_maximum
+from ._smooth_quality import SmoothQuality as SmoothQuality
+from ._smooth_quality import smooth_quality as smooth_quality
 from ._steps import march as march
 from ._steps import replay as replay
 from ._symmetry import Plane as Plane

@@ -12,10 +12,8 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 
-import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ._host.topology import DIMENSION, EDGES, FACES, FRAMES
 from ._vector import Vector, angle, cross, divide, dot, mean, norm, stack, total
@@ -38,33 +36,33 @@ _PARALLEL = {
 }
 
 
-def _pick(x: Sequence[Vector], table: tuple[tuple[int, ...], ...]) -> list[Vector]:
+def pick(x: Sequence[Vector], table: tuple[tuple[int, ...], ...]) -> list[Vector]:
     """One vector for each column of a table of corners: every face's first corner, every face's second, ..."""
     return [stack([x[i] for i in column]) for column in zip(*table, strict=True)]
 
 
-def _groups(kind: str) -> list[tuple[tuple[int, ...], ...]]:
+def faces_by_size(kind: str) -> list[tuple[tuple[int, ...], ...]]:
     """The faces of a type, those with as many corners together; a cell of a surface is its own face."""
     faces = FACES[kind] if DIMENSION[kind] == 3 else (tuple(range(len(FACES[kind]))),)
     return [tuple(face for face in faces if len(face) == size) for size in sorted({len(face) for face in faces})]
 
 
 def _edges(x: Sequence[Vector], kind: str) -> Vector:
-    start, end = _pick(x, EDGES[kind])
+    start, end = pick(x, EDGES[kind])
     return end - start
 
 
 def principal_axes(kind: str, x: Sequence[Vector]) -> list[Vector]:
     """Vectors between the middles of opposite sides of a quad or a hexahedron, times 2 and 4."""
-    picked = [_pick(x, pairs) for pairs in _PARALLEL[kind]]
+    picked = [pick(x, pairs) for pairs in _PARALLEL[kind]]
     return [total(end - start) for start, end in picked]
 
 
 def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
     """Area vectors (f, k) of the sides, outward for a right-handed cell; for a cell of two dimensions, of its edges."""
     if DIMENSION[kind] == 3:
-        groups = _groups(kind)
-        areas = [_area_vector(_pick(x, group)) for group in groups]
+        groups = faces_by_size(kind)
+        areas = [area_vector(pick(x, group)) for group in groups]
         joined = Vector([jnp.concatenate(parts) for parts in zip(*(area.components for area in areas), strict=True)])
         faces = [face for group in groups for face in group]
         order = [faces.index(face) for face in FACES[kind]]
@@ -75,7 +73,7 @@ def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
     return cross(along, _normal(kind, x))
 
 
-def _area_vector(corners: Sequence[Vector]) -> Vector:
+def area_vector(corners: Sequence[Vector]) -> Vector:
     """Half the cross product of the diagonals, of two sides for a triangle; one component in the plane."""
     if len(corners) == 3:
         return cross(corners[1] - corners[0], corners[2] - corners[0]) * 0.5
@@ -83,7 +81,7 @@ def _area_vector(corners: Sequence[Vector]) -> Vector:
 
 
 def _area(kind: str, x: Sequence[Vector]) -> Vector:
-    return _area_vector(list(x))
+    return area_vector(list(x))
 
 
 def _normal(kind: str, x: Sequence[Vector]) -> Vector:
@@ -109,14 +107,14 @@ def volume(kind: str, x: Sequence[Vector]) -> Scalar:
         return area[0] if len(area) == 1 else norm(area)
     if kind == "tetra":
         return jacobians(kind, x)[0][0] / 6
-    groups = [_pick(x, group) for group in _groups(kind)]
-    fluxes = [jnp.sum(dot(_area_vector(corners), mean(corners)), axis=0) for corners in groups]
+    groups = [pick(x, group) for group in faces_by_size(kind)]
+    fluxes = [jnp.sum(dot(area_vector(corners), mean(corners)), axis=0) for corners in groups]
     return functools.reduce(jnp.add, fluxes) / 3
 
 
 def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
     """Edges that leave each corner, each (s, k); for a hexahedron also the principal axes at its centre."""
-    corner, *ends = _pick(x, FRAMES[kind])
+    corner, *ends = pick(x, FRAMES[kind])
     edges = [end - corner for end in ends]
     if kind == "hexahedron":
         edges = [_append(edge, axis * 0.25) for edge, axis in zip(edges, principal_axes(kind, x), strict=True)]
@@ -158,13 +156,13 @@ def skewness(kind: str, x: Sequence[Vector], largest: Largest = max_rows) -> Sca
         cosines = jnp.stack([dot(a, b) for a, b in itertools.combinations(axes, 2)])
         return largest(jnp.concatenate([cosines, -cosines]))
     terms = []
-    for group in _groups(kind):
-        size, corners = len(group[0]), _pick(x, group)
+    for group in faces_by_size(kind):
+        size, corners = len(group[0]), pick(x, group)
         sides = [corners[(i + 1) % size] - corner for i, corner in enumerate(corners)]
         angles = jnp.concatenate([angle(side, sides[i - 1] * -1) for i, side in enumerate(sides)])
         terms += _deviations(angles, math.pi * (size - 2) / size)
     if kind == "tetra":
-        first, second = _pick(face_areas(kind, x).unstack(), tuple(itertools.combinations(range(4), 2)))
+        first, second = pick(face_areas(kind, x).unstack(), tuple(itertools.combinations(range(4), 2)))
         terms += _deviations(math.pi - angle(first, second), math.acos(1 / 3))
     return largest(jnp.concatenate(terms))
 
@@ -182,63 +180,28 @@ def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
     """
     if kind == "line":
         return jnp.ones_like(x[0][0])
-    edges = principal_axes(kind, x) if kind == "hexahedron" else _edges(x, kind).unstack()
-    lengths = jnp.stack([norm(edge) for edge in edges])
+    over, under = aspect_terms(kind, x)
+    lengths = norm(over)
     longest = jnp.max(lengths, axis=0)
-    if kind in ("hexahedron", "wedge", "pyramid"):
+    if under is None:
         return divide(longest, jnp.min(lengths, axis=0), math.inf)
-    size = jnp.abs(volume(kind, x))
-    if kind == "tetra":
-        surface = jnp.sum(norm(_area_vector(_pick(x, FACES[kind]))), axis=0)
-        return divide(longest * surface, 6 * math.sqrt(6) * size, math.inf)
-    ideal = 4 * math.sqrt(3) if kind == "triangle" else 4.0
-    return divide(longest * jnp.sum(lengths, axis=0), ideal * size, math.inf)
+    size, surface = under
+    return divide(longest * surface, jnp.abs(size), math.inf)
 
 
-def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
-    """Centre of mass of the triangles or tetrahedra between the sides, their means and the first corner.
+def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, Scalar] | None]:
+    """Edges or axes of which the aspect ratio takes the longest, and the shortest; or else a signed size and a sum of sides.
 
-    OpenFOAM's cell centre, for faces in a plane.
+    The ratio is longest over shortest, or longest times the sum over the size.
     """
-    if kind in ("line", "triangle", "tetra"):
-        return mean(x)
-    if kind == "quad":
-        return _centre_of_quad(x)
-    parts, stacked = [], stack(x)
-    for group in _groups(kind):
-
-        def face(sums, corners):
-            return tuple(a + b for a, b in zip(sums, _moments(stacked, corners), strict=True)), None
-
-        zero = jnp.zeros_like(x[0][0])
-        parts.append(jax.lax.scan(face, (zero,) * 4, np.array(group))[0])
-    whole, *moment = (functools.reduce(jnp.add, part) for part in zip(*parts, strict=True))
-    return Vector(moment) * divide(jnp.full_like(whole, 0.25), whole, 0.0)
-
-
-def _moments(x: Vector, corners: Int[Array, " c"]) -> list[Scalar]:
-    """Six volumes, and 24 first moments, of what lies between one face and the first corner."""
-    around = [x.row(corner) for corner in corners]
-    middle = mean(around)
-    pairs = [(around[i - 1], corner) for i, corner in enumerate(around)]
-    volumes = [dot(cross(a, b), middle) for a, b in pairs]
-    moment = _sum([(a + b + middle) * weight for (a, b), weight in zip(pairs, volumes, strict=True)])
-    return [functools.reduce(jnp.add, volumes), *moment.components]
-
-
-def _centre_of_quad(corners: Sequence[Vector]) -> Vector:
-    """Centre of mass of the triangles between the sides and the mean of the corners, by their projected areas."""
-    middle, normal = mean(corners), _area_vector(corners)
-    spokes = [corner - middle for corner in corners]
-    pairs = [(spokes[i - 1], spoke) for i, spoke in enumerate(spokes)]
-    weights = [dot(cross(a, b), normal) for a, b in pairs]
-    moment = _sum([(a + b) * weight for (a, b), weight in zip(pairs, weights, strict=True)])
-    whole = functools.reduce(jnp.add, weights)
-    return middle + moment * divide(jnp.full_like(whole, 1 / 3), whole, 0.0)
-
-
-def _sum(vectors: list[Vector]) -> Vector:
-    return functools.reduce(Vector.__add__, vectors)
+    edges = stack(principal_axes(kind, x)) if kind == "hexahedron" else _edges(x, kind)
+    if kind in ("hexahedron", "wedge", "pyramid"):
+        return edges, None
+    size = volume(kind, x)
+    if kind == "tetra":
+        return edges, (6 * math.sqrt(6) * size, jnp.sum(norm(area_vector(pick(x, FACES[kind]))), axis=0))
+    ideal = 4 * math.sqrt(3) if kind == "triangle" else 4.0
+    return edges, (ideal * size, jnp.sum(norm(edges), axis=0))
 
 
 def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from . import _cells
 from ._host.topology import CORNERS, DIMENSION, FRAMES
 from ._mesh import Mesh
-from ._smooth import positive_part, soft_maximum
+from ._smooth import positive_part
 from ._vector import Vector, corners, cross, dot
 
 Scalar = Float[Array, "s k"]
@@ -156,20 +156,4 @@ def distortion(
     for kind, ids in kinds.items():
         of = target(kind, corners(reference, ids), ideal)
         parts.append(energy_of_cells(kind, corners(current, ids), of, softness, size))
-    return jnp.concatenate(parts)
-
-
-def smooth_skewness(
-    mesh: Mesh, points: Float[Any, "n d"] | None = None, *, sharpness: float = 50.0
-) -> Float[Array, " k"]:
-    """`quality(mesh, points).skewness` with a soft maximum for its maximum: smooth in `points`, for all cells but lines.
-
-    Below it by log(36) / `sharpness` at most, for a quad log(2) / `sharpness`.
-    """
-    current = jnp.asarray(mesh.points if points is None else points)
-    largest = functools.partial(soft_maximum, sharpness=sharpness, axis=0)
-    parts = []
-    for kind, ids in mesh.cells.items():
-        x = corners(current, ids)
-        parts.append(_cells.skewness(kind, [corner - x[0] for corner in x], largest))
     return jnp.concatenate(parts)

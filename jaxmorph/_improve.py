@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float, Int, Integer
+from jaxtyping import Array, Bool, Float, Int, Integer
 
 from ._distortion import node_scales, solid, target
 from ._host.adjacency import neighbours
@@ -17,7 +17,7 @@ from ._host.newton import pattern
 from ._host.topology import FACES
 from ._mesh import Mesh
 from ._quality import quality
-from ._untangle import Distortion, ProjectedNewton
+from ._untangle import Distortion, HessianSolver, ProjectedNewton
 from ._vector import corners
 
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
@@ -58,7 +58,7 @@ def improve(
     fixed: Integer[Any, " f"] | None = None,
     ideal: bool = False,
     size: float = 0.5,
-    tolerance: float = 0.1,
+    tolerance: float = 0.03,
     max_steps: int = 60,
     progress: Callable[[float, float], None] | None = None,
 ) -> Improvement:
@@ -77,7 +77,7 @@ def improve(
     each step. Sparse systems are solved by SciPy on the host.
 
     Traced in `points`: under `jit`, and differentiable in both modes with respect to the fixed nodes' places, by the implicit
-    function theorem at the minimum (conjugate gradients): as accurate as `residual` is small, so lower `tolerance` for it.
+    function theorem at the minimum: as accurate as `residual` is small, so lower `tolerance` for it.
     Derivatives with respect to the places of inner nodes, where the search starts, are zero. `mesh` is to be closed over,
     not traced. Use float64.
 
@@ -91,16 +91,19 @@ def improve(
     start = jnp.asarray(points)
     _check(mesh, start, fixed, size, max_steps)
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
-    distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size)
+    with jax.ensure_compile_time_eval():  # not folded into the caller's program
+        distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size)
     y, count, stage = jnp.zeros_like(base), 0, distortion
     softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
     for last in (False,) * (STAGES - 1) + (True,):
-        least = SHARPEST if last else -2 * distortion.least(y, held)
+        before, least = softness, SHARPEST if last else -2 * distortion.least(y, held)
         softness = jnp.maximum(jnp.minimum(least, GENTLER * softness), SHARPEST)
-        enough = tolerance if last else max(tolerance, 0.3)
         stage = eqx.tree_at(lambda it: it.softness, distortion, softness.astype(base.dtype))
-        options = (jnp.asarray(enough, base.dtype), max_steps, progress)
-        y, steps = _minimise(stage, jax.lax.stop_gradient(y), base, blocks, options)
+        enough = (1e-3 * tolerance, tolerance) if last else (max(tolerance, 0.3),) * 2
+        wanted = jnp.logical_or(last, softness < before)
+        y, steps = _minimise(
+            stage, jax.lax.stop_gradient(y), base if last else held, blocks, (wanted, enough, max_steps, progress)
+        )
         count += steps
     found = stage.points(y, base)
     value, slope = _slope(stage, y, base)
@@ -112,26 +115,30 @@ def improve(
 
 @eqx.filter_jit
 def _minimise(distortion: Distortion, y, base, blocks, options):
-    tolerance, max_steps, progress = options
+    """One stage, from y; where it is not wanted, y as it is."""
+    wanted, (relative, absolute), max_steps, progress = options
 
     def tell(**said):
         if progress is not None:
             jax.debug.callback(progress, distortion.softness, said["loss_this_step"][1])
 
-    held = jax.lax.stop_gradient(base)
     solver = ProjectedNewton(
-        rtol=tolerance,
-        atol=tolerance,
+        rtol=relative,
+        atol=absolute,
         norm=optx.rms_norm,
         distortion=distortion,
-        base=held,
+        base=jax.lax.stop_gradient(base),
         pattern=blocks,
         verbose=tell,
     )
-    adjoint = optx.ImplicitAdjoint(lx.CG(rtol=1e-9, atol=1e-9))
+    adjoint = optx.ImplicitAdjoint(HessianSolver(distortion, solver.base, blocks))
     tags = frozenset({lx.positive_semidefinite_tag})
-    solution = optx.minimise(distortion, solver, y, base, max_steps=max_steps, adjoint=adjoint, throw=False, tags=tags)
-    return solution.value, solution.stats["num_steps"]
+
+    def found(y):
+        run = optx.minimise(distortion, solver, y, base, max_steps=max_steps, adjoint=adjoint, throw=False, tags=tags)
+        return run.value, run.stats["num_steps"]
+
+    return jax.lax.cond(wanted, found, lambda y: (y, jnp.asarray(0)), y)
 
 
 @eqx.filter_jit
@@ -165,12 +172,21 @@ def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float):
     free = np.zeros(n, dtype=bool)
     free[np.concatenate([ids.ravel() for ids in cells.values()])] = True
     free[held] = False
-    reference = jnp.asarray(mesh.points, dtype)
-    traced = {kind: jnp.asarray(ids) for kind, ids in cells.items()}
-    targets = {kind: target(kind, corners(reference, ids), ideal) for kind, ids in traced.items()}
-    scale = node_scales(traced, targets, n)
-    distortion = Distortion(traced, targets, scale, jnp.asarray(free), jnp.ones((), dtype), float(size))
-    return jax.lax.stop_gradient(distortion), pattern(list(cells.values()), n)
+    distortion = _energy(
+        {kind: jnp.asarray(ids) for kind, ids in cells.items()},
+        jnp.asarray(mesh.points, dtype),
+        jnp.asarray(free),
+        ideal,
+        size,
+    )
+    return jax.lax.stop_gradient(distortion), pattern(list(cells.values()), n, d)
+
+
+@eqx.filter_jit
+def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[Array, " n"], ideal: bool, size: float):
+    targets = {kind: target(kind, corners(reference, ids), ideal) for kind, ids in cells.items()}
+    scale = node_scales(cells, targets, len(reference))
+    return Distortion(cells, targets, scale, free, jnp.ones((), reference.dtype), float(size))
 
 
 def _boundary(mesh: Mesh, cells: dict[str, np.ndarray]) -> np.ndarray:

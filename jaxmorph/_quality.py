@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -11,6 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _cells
+from ._centres import centre_of_mass
 from ._host.adjacency import handedness, neighbours
 from ._host.topology import DIMENSION, FACES
 from ._mesh import Mesh
@@ -48,8 +50,8 @@ def quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> QualityRepor
         current = current.astype(float)
     # what is known when a caller traces is computed there and then, not folded into the caller's program
     with jax.ensure_compile_time_eval():
-        links = _connect(mesh.cells, signs=points is None)
-        standard = None if points is None else _standard(kinds, cells, jnp.asarray(reference, dtype=current.dtype))
+        links = connect(mesh.cells, signs=points is None)
+        standard = None if points is None else standards_of(kinds, cells, jnp.asarray(reference, dtype=current.dtype))
     return _measure(kinds, cells, links, current, standard)
 
 
@@ -61,7 +63,7 @@ class Links(NamedTuple):
     part: Any
 
 
-def _connect(cells: dict[str, Any], signs: bool) -> Links:
+def connect(cells: dict[str, Any], signs: bool) -> Links:
     if any(isinstance(corners, Tracer) for corners in cells.values()):
         return Links(neighbours(cells, jnp)[0], None, None)
     cells = {kind: np.asarray(corners) for kind, corners in cells.items()}
@@ -81,7 +83,7 @@ class Standard(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _standard(kinds: tuple[str, ...], cells: tuple[Array, ...], points: Float[Array, "n d"]) -> list[Standard]:
+def standards_of(kinds: tuple[str, ...], cells: tuple[Array, ...], points: Float[Array, "n d"]) -> list[Standard]:
     standards = []
     for kind, ids in zip(kinds, cells, strict=True):
         x = corners(points, ids)
@@ -119,19 +121,19 @@ def _measure(
         judged = {kind: _judge(*sizes[kind][:2], of[kind]) for kind in kinds}
     columns = [judged[kind] | _shape(kind, placed[kind]) for kind in kinds]
     joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *columns)
-    angles = _non_orthogonality(placed, signs, links.neighbour)
+    angles = non_orthogonality(placed, signs, links.neighbour)
     types = tuple((kind, len(ids)) for kind, ids in zip(kinds, cells, strict=True))
     return QualityReport(**joined, non_orthogonality=angles, types=types, relative=standards is not None)
 
 
-def _relative(x: list[Vector]) -> tuple[list[Vector], Float[Array, " k"]]:
+def relative_corners(x: list[Vector]) -> tuple[list[Vector], Float[Array, " k"]]:
     """Corners relative to the first, and the cell's size, which is not differentiated."""
     relative = [corner - x[0] for corner in x]
     size = _reach(relative)
     return relative, jnp.where(size > 0, size, 1)
 
 
-def _scaled(x: list[Vector], size: Float[Array, " k"]) -> list[Vector]:
+def scaled(x: list[Vector], size: Float[Array, " k"]) -> list[Vector]:
     return [corner * (1 / size) for corner in x]
 
 
@@ -143,15 +145,15 @@ def _reach(x: list[Vector]) -> Float[Array, " k"]:
 def _sizes(kind: str, x: list[Vector]) -> tuple[Array, Array, Array]:
     """Volume (k,), Jacobians (s, k), and what of each Jacobian is round-off of the coordinates."""
     rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * _reach(x)
-    relative, _ = _relative(x)
+    relative, _ = relative_corners(x)
     jacobians, spread = _cells.jacobians(kind, relative)
     return _cells.volume(kind, relative), jacobians, rounding * jax.lax.stop_gradient(spread)
 
 
 def _shape(kind: str, x: list[Vector]) -> dict[str, Array]:
     """The measures without a unit, and the place."""
-    relative, size = _relative(x)
-    shape = _scaled(relative, size)
+    relative, size = relative_corners(x)
+    shape = scaled(relative, size)
     return {
         "skewness": _cells.skewness(kind, shape),
         "aspect_ratio": _cells.aspect_ratio(kind, shape),
@@ -199,13 +201,19 @@ def _judge_alone(volume: Array, jacobians: Array, noise: Array, sign: Array) -> 
     }
 
 
-def _non_orthogonality(corners: dict[str, list[Vector]], signs: dict[str, Array], neighbour: Array) -> Array:
-    """Largest angle over the inner faces of each cell, 0 for a cell without any.
+def largest_inner(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"]) -> Float[Array, " k"]:
+    return jnp.max(jnp.where(is_inner, degrees, 0), axis=0)
+
+
+def non_orthogonality(
+    corners: dict[str, list[Vector]], signs: dict[str, Array], neighbour: Array, largest: Callable = largest_inner
+) -> Array:
+    """Largest angle over the inner faces of each cell, 0 for a cell without any; `largest` may be a smooth stand-in.
 
     Centres are kept relative to the first corner of their cell, so that their differences do not lose digits.
     """
-    shapes = {kind: _relative(x) for kind, x in corners.items()}
-    own = [_cells.centre_of_mass(kind, relative) for kind, (relative, _) in shapes.items()]
+    shapes = {kind: relative_corners(x) for kind, x in corners.items()}
+    own = [centre_of_mass(kind, relative) for kind, (relative, _) in shapes.items()]
     origins, centres = _joined([x[0] for x in corners.values()]), _joined(own)
     angles, first, used = [], 0, 0
     for kind, (relative, size) in shapes.items():
@@ -215,9 +223,9 @@ def _non_orthogonality(corners: dict[str, list[Vector]], signs: dict[str, Array]
             here = jnp.arange(first, first + k)
             ids = jnp.where(behind < 0, here, behind)
             between = (_at(origins, ids) - _at(origins, here)) + (_at(centres, ids) - _at(centres, here))
-            areas = _cells.face_areas(kind, _scaled(relative, size)) * signs[kind]
+            areas = _cells.face_areas(kind, scaled(relative, size)) * signs[kind]
             degrees = _cells.non_orthogonality(areas, between * (1 / size), DIMENSION[kind] < len(areas))
-            angles.append(jnp.max(jnp.where(behind < 0, 0, degrees), axis=0))
+            angles.append(largest(degrees, behind >= 0))
         else:
             angles.append(jnp.zeros_like(size))
         first, used = first + k, used + f * k

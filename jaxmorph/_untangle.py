@@ -12,13 +12,17 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _cells
+from ._convex import blocks
 from ._distortion import Target, energy, energy_of_cells, samples
-from ._host.newton import Pattern, solve
-from ._host.topology import CORNERS
+from ._host.newton import Pattern, solve, solve_exactly
+from ._host.topology import CORNERS, DIMENSION
 from ._vector import Vector, corners
 
-SHIFT = 1e-8
+SHIFT = 1e-12
 """Added to the diagonal of a Hessian in coordinates of order one, which may be singular where cells are inverted."""
+
+NEAR = 1.0
+"""Largest derivative, in the same coordinates, below which the whole Hessian is taken: the last steps converge quadratically."""
 
 
 class Distortion(eqx.Module):
@@ -43,6 +47,10 @@ class Distortion(eqx.Module):
             total += jnp.sum(energy_of_cells(kind, x, of, self.softness, self.size))
         return total
 
+    def shift(self) -> Float[Array, " n"]:
+        """What is added to the diagonal: one for nodes that do not move."""
+        return jnp.where(self.free & (self.scale > 0), SHIFT, 1.0).astype(self.scale.dtype)
+
     def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
         """Smallest determinant of T: negative where a cell is inverted."""
         points, least = self.points(y, base), []
@@ -51,54 +59,46 @@ class Distortion(eqx.Module):
             least.append(jnp.min(jnp.where(of.counts > 0, samples(kind, corners(points, ids), of)[1], 1)))
         return jnp.min(jnp.stack(least))
 
-    def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "pairs d d"]:
-        """Second derivatives for each pair of corners of each cell, the negative ones of each sample left out."""
+    def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
+        """Second derivatives for each pair of corners of each cell, the eigenvalues of each sample at least `floor`."""
         points, parts = self.points(y, base), []
-        moves = self.scale * self.free
+        moves, d = self.scale * self.free, base.shape[1]
+
+        def of_cell(squared, tau):
+            return energy(squared, tau, self.softness, self.size, d)
+
         for kind, ids in self.cells.items():
-            of, d = self.targets[kind], points.shape[1]
-            gradients = _gradients(kind, of)  # (s, c, d, k)
-            stretch = jnp.einsum("kca,scbk->skab", points[ids], gradients)
-            curved = jax.vmap(jax.vmap(jax.hessian(self._of_stretch)))(stretch.reshape(*stretch.shape[:2], d * d))
-            values, vectors = jnp.linalg.eigh(curved)
-            values = jnp.maximum(values, 0) * (of.counts / len(of.counts))[..., None]
-            positive = jnp.einsum("skip,skp,skjp->skij", vectors, values, vectors).reshape(
-                *values.shape[:2], d, d, d, d
-            )
-            half = jnp.einsum("skabef,szfk->skabze", positive, gradients)
-            whole = jnp.einsum("skabze,scbk->kczae", half, gradients)
-            scale = moves[ids]
-            whole = whole * (scale[:, :, None] * scale[:, None, :])[..., None, None]
-            parts.append(whole.reshape(-1, d, d))
-        return jnp.concatenate(parts)
-
-    def _of_stretch(self, stretch: Float[Array, " dd"]) -> Float[Array, ""]:
-        d = round(stretch.size**0.5)
-        matrix = stretch.reshape(d, d)
-        tau = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0] if d == 2 else _determinant(matrix)
-        return energy(jnp.sum(stretch**2) / d, tau, self.softness, self.size, d)
+            of = self.targets[kind]
+            edges = _cells.frames(kind, corners(points, ids))
+            found = blocks(of_cell, _stretch(edges, of), of.inverse, floor) * (of.counts / len(of.counts))
+            share, scale = _shares(kind), moves[ids].T
+            sums = jnp.einsum("sce,szf->czefs", share, share).reshape(scale.shape[0] ** 2, -1)
+            whole = jnp.einsum("pq,abqk->abpk", sums, found.reshape(d, d, -1, found.shape[-1]))
+            parts.append((whole * (scale[:, None] * scale).reshape(-1, scale.shape[1])).reshape(d, d, -1))
+        return jnp.concatenate(parts, axis=2)
 
 
-def _determinant(m: Float[Array, "3 3"]) -> Float[Array, ""]:
-    return jnp.dot(m[0], jnp.cross(m[1], m[2]))
+def _stretch(edges: list[Vector], of: Target) -> list[Vector]:
+    """Columns of T = A W^-1, with the edges as columns of A."""
+    columns = []
+    for b in range(len(edges)):
+        parts = [edge * row[b] for edge, row in zip(edges, of.inverse, strict=True)]
+        columns.append(sum(parts[1:], start=parts[0]))
+    return columns
 
 
-def _gradients(kind: str, of: Target) -> Float[Array, "s c d k"]:
-    """What each corner adds to T: T[a, b] = sum over corners c of x[c, a] gradients[s, c, b, k]."""
+def _shares(kind: str) -> Float[Array, "s c e"]:
+    """What each corner adds to the edges at each sample."""
     one = np.eye(CORNERS[kind])
-    dimension = len(of.inverse)
-    edges = _cells.frames(kind, [Vector([jnp.asarray(row)] * dimension) for row in one])  # linear in the corners
-    parts = [
-        edge[0][:, :, None, None] * jnp.stack(row, axis=1)[:, None] for edge, row in zip(edges, of.inverse, strict=True)
-    ]
-    return sum(parts[1:], start=parts[0])
+    edges = _cells.frames(kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in one])  # linear in the corners
+    return jnp.stack([edge[0] for edge in edges], axis=2)
 
 
 class _Inverse(lx.AbstractLinearOperator):
     """The inverse of a Hessian, applied on the host."""
 
     pattern: Pattern
-    blocks: Float[Array, "pairs d d"]
+    blocks: Float[Array, "d d pairs"]
     shift: Float[Array, " n"]
     structure: Any = eqx.field(static=True)
 
@@ -119,13 +119,46 @@ class _Inverse(lx.AbstractLinearOperator):
         return self.structure
 
 
+class HessianSolver(lx.AbstractLinearSolver):
+    """Solves with the Hessian of the energy at a minimum, on the host: what implicit differentiation asks for.
+
+    Its operator is the derivative of the energy's gradient, as optimistix builds it.
+    """
+
+    distortion: Distortion
+    base: Float[Array, "n d"]
+    pattern: Pattern
+
+    def init(self, operator, options):
+        if not isinstance(operator, lx.JacobianLinearOperator):
+            raise ValueError(
+                f"the Hessian of an energy is a `JacobianLinearOperator`, not a {type(operator).__name__}."
+            )
+        return self.distortion.blocks(jax.lax.stop_gradient(operator.x), self.base, -jnp.inf)
+
+    def compute(self, state, vector, options):
+        structure = jax.ShapeDtypeStruct(vector.shape, vector.dtype)
+        arguments = (*self.pattern, state, self.distortion.shift(), vector)
+        found = jax.pure_callback(solve_exactly, structure, *arguments, vmap_method="sequential")
+        return found, lx.RESULTS.successful, {}
+
+    def transpose(self, state, options):
+        return state, options
+
+    def conj(self, state, options):
+        return state, options
+
+    def assume_full_rank(self):
+        return True
+
+
 @lx.is_symmetric.register(_Inverse)
 def _(operator):
     return True
 
 
 class ProjectedNewton(optx.AbstractQuasiNewton):
-    """Newton's method with a Hessian whose negative curvature is left out sample by sample, so that each step descends.
+    """Newton's method; far from a minimum without the negative curvature of each sample, so that each step descends.
 
     Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
     """
@@ -143,13 +176,13 @@ class ProjectedNewton(optx.AbstractQuasiNewton):
 
     def init_hessian(self, y, f, grad):
         pairs = len(self.pattern.block)
-        return self._information(f, grad, jnp.zeros((pairs, y.shape[1], y.shape[1]), y.dtype)), None
+        return self._information(f, grad, jnp.zeros((y.shape[1], y.shape[1], pairs), y.dtype)), None
 
     def update_hessian(self, y, y_eval, f_info, f_eval_info, hessian_update_state):
-        blocks = self.distortion.blocks(y_eval, self.base)
+        near = jnp.max(jnp.abs(f_eval_info.grad)) < NEAR
+        blocks = self.distortion.blocks(y_eval, self.base, jnp.where(near, -jnp.inf, 0))
         return self._information(f_eval_info.f, f_eval_info.grad, blocks), None
 
     def _information(self, f, grad, blocks):
-        shift = jnp.where(self.distortion.free & (self.distortion.scale > 0), SHIFT, 1.0).astype(grad.dtype)
-        inverse = _Inverse(self.pattern, blocks, shift, jax.ShapeDtypeStruct(grad.shape, grad.dtype))
+        inverse = _Inverse(self.pattern, blocks, self.distortion.shift(), jax.ShapeDtypeStruct(grad.shape, grad.dtype))
         return optx.FunctionInfo.EvalGradHessianInv(f, grad, inverse)

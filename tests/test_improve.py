@@ -104,10 +104,10 @@ def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
     dense = np.asarray(jax.hessian(lambda y: distortion(y, base))(y)).reshape(n * dimension, -1)
     blocks = np.asarray(distortion.blocks(y, base))
     ids = next(iter(mesh.cells.values()))
-    rows = np.repeat(ids, ids.shape[1], axis=1).ravel()
-    columns = np.tile(ids, (1, ids.shape[1])).ravel()
+    rows = np.repeat(ids.T, ids.shape[1], axis=0).ravel()
+    columns = np.tile(ids.T, (ids.shape[1], 1)).ravel()
     whole = np.zeros((n, dimension, n, dimension))
-    np.add.at(whole, (rows, slice(None), columns), blocks)
+    np.add.at(whole, (rows, slice(None), columns), blocks.transpose(2, 0, 1))
     whole = whole.reshape(n * dimension, -1)
     values = np.linalg.eigvalsh(whole - dense)
     assert values.min() > -1e-9  # nothing but negative curvature of samples was left out
@@ -115,7 +115,7 @@ def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
     shift = np.ones(n)
     found = solve(*pairs, blocks, shift, right)
     np.testing.assert_allclose((whole + np.eye(n * dimension)) @ found.ravel(), right.ravel(), atol=1e-9)
-    assert pattern([ids], n).block.max() + 1 == len(pairs.columns)
+    assert pattern([ids], n, dimension).block.max() + 1 == len(pairs.columns)
 
 
 @pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
@@ -185,7 +185,7 @@ def test_derivatives_are_those_of_the_minimum():
     def objective(points):
         return jnp.sum(jnp.sin(3 * jm.improve(mesh, points, tolerance=1e-10).points) * weights)
 
-    step = 1e-5
+    step = 1e-4
     difference = (objective(points + step * tangent) - objective(points - step * tangent)) / (2 * step)
     gradient = jax.grad(objective)(points)
     np.testing.assert_allclose(np.vdot(gradient, tangent), difference, rtol=1e-6)
@@ -274,19 +274,3 @@ def test_soft_maximum_of_equal_values_is_theirs_and_sharpens():
     np.testing.assert_allclose(jm.soft_maximum(values, 1e4, axis=1), [0.5 - np.log(3) / 1e4, 0.7], rtol=1e-12)
     np.testing.assert_allclose(jm.soft_maximum(values, 3.0), np.log(np.mean(np.exp(3 * values))) / 3, rtol=1e-12)
     np.testing.assert_allclose(jax.grad(jm.soft_maximum)(jnp.ones(4)), 0.25)
-
-
-@pytest.mark.parametrize("kind", list(IDEAL))
-def test_smooth_skewness_is_near_verdicts_and_differentiable_at_the_ideal_cell(kind):
-    mesh = cell(kind)
-    points = mesh.points + 0.15 * np.random.default_rng(7).normal(size=mesh.points.shape)
-    exact = float(jm.quality(mesh, points).skewness[0])
-    assert exact - np.log(36) / 500 <= float(jm.smooth_skewness(mesh, points, sharpness=500.0)[0]) <= exact
-    tangent, step = np.random.default_rng(8).normal(size=points.shape), 1e-6
-
-    def objective(points):
-        return jnp.sum(jm.smooth_skewness(mesh, points))
-
-    difference = (objective(mesh.points + step * tangent) - objective(mesh.points - step * tangent)) / (2 * step)
-    gradient = jax.grad(objective)(jnp.asarray(mesh.points))
-    np.testing.assert_allclose(np.vdot(gradient, tangent), difference, rtol=1e-5, atol=1e-7)

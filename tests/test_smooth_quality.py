@@ -1,0 +1,113 @@
+"""Smooth twins of the measures of quality: near the exact ones by the bounds stated, differentiable where those have kinks."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph._distortion import IDEAL
+
+KINDS = [
+    "triangle",
+    "quad",
+    "tetra",
+    *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("pyramid", "wedge", "hexahedron")),
+]
+"""Those in space take seconds to compile."""
+MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio")
+TERMS = 36
+"""The most terms of which any measure takes the largest."""
+
+
+def pair(kind):
+    """Two cells of ideal shape that share their first face or edge, the second mirrored: neighbours, as a mesh has them."""
+    ideal = np.array(IDEAL[kind], dtype=float)
+    axis = 1 if ideal.shape[1] == 2 else 2
+    shared = np.flatnonzero(ideal[:, axis] == 0)
+    second = np.arange(len(ideal)) + len(ideal)
+    second[shared] = shared
+    points = np.concatenate([ideal, ideal * np.where(np.arange(ideal.shape[1]) == axis, -1, 1)])
+    used = np.unique(np.concatenate([np.arange(len(ideal)), second]))
+    place = np.full(len(points), -1)
+    place[used] = np.arange(len(used))
+    return jm.Mesh(points[used], {kind: place[np.stack([np.arange(len(ideal)), second])]})
+
+
+def shaken(mesh, size, seed=0):
+    return mesh.points + size * np.random.default_rng(seed).normal(size=mesh.points.shape)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_they_are_near_the_exact_ones_by_the_bounds_stated(kind):
+    mesh, sharpness = pair(kind), 400.0
+    points = shaken(mesh, 0.08)
+    exact, smooth = jm.quality(mesh, points), jm.smooth_quality(mesh, points, sharpness=sharpness)
+    terms, slack = np.log(TERMS), 1e-9
+    below = exact.skewness - smooth.skewness
+    assert np.all((below >= -slack) & (below <= terms / sharpness))
+    factor = exact.aspect_ratio / smooth.aspect_ratio
+    assert np.all((factor >= 1 - slack) & (factor <= TERMS ** (2 / sharpness)))
+    below = exact.non_orthogonality - smooth.non_orthogonality
+    assert np.all((below >= -slack) & (below <= 90 * (1 + terms) / sharpness))
+    assert np.all(exact.non_orthogonality > 1)
+    above = smooth.jacobian_ratio - exact.jacobian_ratio
+    assert np.all((above >= -slack) & (above <= terms / sharpness))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("size", [0.0, 0.1], ids=["ideal", "shaken"])
+def test_derivatives_are_those_of_differences(kind, size):
+    """At the ideal cell, where every term is as large as the others and the exact measures have their kinks, too."""
+    mesh = pair(kind)
+    points = jnp.asarray(shaken(mesh, size, 1))
+    weights = np.random.default_rng(2).normal(size=(4, 2))
+    tangent, step = np.random.default_rng(3).normal(size=points.shape), 1e-5
+
+    def objective(points):
+        found = jm.smooth_quality(mesh, points)
+        return sum(jnp.vdot(w, getattr(found, name)) for w, name in zip(weights, MEASURES, strict=True))
+
+    difference = (objective(points + step * tangent) - objective(points - step * tangent)) / (2 * step)
+    np.testing.assert_allclose(np.vdot(jax.grad(objective)(points), tangent), difference, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["triangle", "quad", "tetra"])
+def test_inverted_and_flat_cells_are_bad_by_a_finite_number_that_falls_as_they_turn_round(kind):
+    mesh = pair(kind)
+    axis = mesh.points.shape[1] - 1
+    apex = np.flatnonzero(mesh.points[:, axis] > 0.1)
+
+    def aspect(height):
+        points = jnp.asarray(mesh.points).at[apex, axis].set(height * mesh.points[apex, axis])
+        return jm.smooth_quality(mesh, points, softness=1e-3).aspect_ratio[0]
+
+    heights = [1.0, 0.1, 0.0, -0.1, -0.5]
+    values = [float(aspect(height)) for height in heights]
+    assert np.all(np.isfinite(values))
+    assert np.all(np.diff(values) > 0)
+    np.testing.assert_allclose(values[2], 2 / 1e-3, rtol=1e-6)
+    for height in heights[1:]:
+        assert float(jax.grad(aspect)(height)) < 0
+
+
+def test_it_is_a_penalty_under_jit_vmap_and_in_float32():
+    mesh = pair("quad")
+    many = jnp.asarray(np.stack([shaken(mesh, 0.05, seed) for seed in range(3)]))
+    batched = jax.jit(jax.vmap(lambda points: jm.smooth_quality(mesh, points)))(many)
+    alone = [jm.smooth_quality(mesh, points) for points in many]
+    for name in MEASURES:
+        np.testing.assert_allclose(getattr(batched, name), [getattr(one, name) for one in alone], rtol=1e-12)
+    single = jm.smooth_quality(mesh, many[0].astype(jnp.float32))
+    assert single.aspect_ratio.dtype == jnp.float32
+    np.testing.assert_allclose(single.aspect_ratio, alone[0].aspect_ratio, rtol=1e-4)
+
+
+def test_bad_input_is_named():
+    mesh = pair("quad")
+    with pytest.raises(ValueError, match="shape"):
+        jm.smooth_quality(mesh, np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="no cells"):
+        jm.smooth_quality(jm.Mesh(mesh.points))
+    with pytest.raises(ValueError, match="`sharpness` must be positive"):
+        jm.smooth_quality(mesh, sharpness=0.0)
