@@ -21,8 +21,9 @@ from ._methods.nearwall import NearWall
 from ._methods.rbf import RBF
 from ._methods.reconstruction import SurfaceReconstruction
 from ._plan import Plan, deform
-from ._prepare import prepare
+from ._prepare import prepare, surface_of
 from ._quality import quality
+from ._symmetry import Mirror, Plane
 
 COLUMNS = ("leaves", "sources", "radius", "error", "rounding", "inverted", "jacobian")
 
@@ -58,12 +59,14 @@ def choose(
     fixed: Any,
     motions: Float[Any, "s m d"],
     *,
+    symmetry: Plane | Sequence[Plane] = (),
     leaves: Sequence[int] = (8, 32, 128),
     error: float = 0.01,
 ) -> Choice:
     """Host: picks the number of sources and the support radius for a family of motions, by trying.
 
-    `motions` (s, m, d) are displacements of the moving nodes that the mesh is to bear: modes, or samples. For each number of
+    `motions` (s, m, d) are displacements of the moving nodes that the mesh is to bear: modes, or samples; `moving`, `fixed` and
+    `symmetry` are `prepare`'s. For each number of
     `leaves` a thin plate spline and a Wendland C2 function are tried, whose radius optimistix's golden section search finds between
     a fifth of the moving nodes' extent and ten times it: least sum of `error` and `rounding`, see `Choice`. Among those that
     invert fewest cells, miss the surface by no more than `error`, and keep 98 % of the best smallest Jacobian ratio, the one
@@ -82,22 +85,31 @@ def choose(
         )
     if not len(leaves):
         raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
-    points = np.asarray(mesh.points, dtype=float)[np.concatenate([moving, fixed])]
-    surface = Surface(points, np.arange(len(points)), len(moving), np.arange(len(points)))
-    columns = np.zeros((len(points), len(motions) * expected[1]))
-    columns[: len(moving)] = np.moveaxis(motions, 0, 1).reshape(len(moving), -1)
-    columns /= np.abs(columns).max()
+    nodes = np.concatenate([moving, fixed])
+    surface, images, _ = surface_of(np.asarray(mesh.points, dtype=float), nodes, len(moving), symmetry)
+    columns = _columns(motions, len(nodes), images)
     rows, plans, refused = [], [], None
     for count in leaves:
         for with_radius in (False, True):
             rbf, row = _candidate(surface, columns, count, with_radius)
-            plan, refused = _prepared(mesh, moving, fixed, rbf, refused)
+            plan, refused = _prepared(mesh, (moving, fixed, symmetry), rbf, refused)
             rows.append(row | _judged(mesh, plan, motions))
             plans.append(plan)
     if all(plan is None for plan in plans):
         raise refused or ValueError("every candidate was refused.")
     chosen = _best(rows, error)
     return Choice(plans[chosen].method, plans[chosen], tuple(rows), chosen)
+
+
+def _columns(motions: np.ndarray, nodes: int, images: Mirror | None) -> np.ndarray:
+    """Displacements of all rows of the surface, images too, motion after motion; the largest component one."""
+    columns = []
+    for motion in motions:
+        own = np.zeros((nodes, motion.shape[1]))
+        own[: len(motion)] = motion
+        columns.append(own if images is None else np.asarray(images.vectors(images.within(own, images.on_plane))))
+    joined = np.concatenate(columns, axis=1)
+    return joined / np.abs(joined).max()
 
 
 def _candidate(surface: Surface, columns: np.ndarray, count: int, with_radius: bool) -> tuple[RBF, dict[str, Any]]:
@@ -144,11 +156,13 @@ def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Arra
     return jnp.sqrt(jnp.mean(missed**2)), unit * jnp.max(jnp.sum(jnp.abs(field.beta), axis=1))
 
 
-def _prepared(mesh: Mesh, moving, fixed, rbf: RBF, refused: ValueError | None) -> tuple[Plan | None, ValueError | None]:
+def _prepared(mesh: Mesh, boundary, rbf: RBF, refused: ValueError | None) -> tuple[Plan | None, ValueError | None]:
+    moving, fixed, symmetry = boundary
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a condition that the table tells
         try:
-            return prepare(mesh.points, moving, fixed, method=SurfaceReconstruction(rbf, NearWall())), refused
+            method = SurfaceReconstruction(rbf, NearWall())
+            return prepare(mesh.points, moving, fixed, method=method, symmetry=symmetry), refused
         except ValueError as error:
             return None, error
 

@@ -7,13 +7,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ._methods import default_method
 from ._methods.base import AbstractMethod, Surface
 from ._methods.sparse import with_tables
 from ._plan import Plan, SurfaceHalf, VolumeHalf, refit
-from ._symmetry import Plane, check_planes, mirror
+from ._symmetry import Mirror, Plane, check_planes, mirror
 
 
 def prepare(
@@ -37,21 +37,12 @@ def prepare(
     """
     host, ids = _checked(points, moving, fixed)
     method = default_method() if method is None else method
-    planes = [symmetry] if isinstance(symmetry, Plane) else list(symmetry)
     m, nodes = len(ids[0]), np.concatenate(ids)
-    own, images, moves, on_plane = host[nodes], None, m, None
-    everything, rows = own, np.arange(len(nodes))
-    if planes:
-        check_planes(planes, host)
-        on_plane = np.stack([plane.holds(host) for plane in planes], axis=1)
-        images, moves = mirror(planes, on_plane[nodes], m)
-        everything, rows = np.asarray(images.points(jnp.asarray(own))), np.asarray(images.rows)
-    first = _first(rows)
-    surface = Surface(everything, np.where(np.arange(len(rows)) == first, nodes[rows], -1), moves, first)
+    surface, images, on_plane = surface_of(host, nodes, m, symmetry)
     surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, host))
     plan = Plan(
         method=method,
-        surface=SurfaceHalf(jnp.asarray(everything), jnp.asarray(nodes, jnp.int32), images, surface_ids, None),
+        surface=SurfaceHalf(jnp.asarray(surface.points), jnp.asarray(nodes, jnp.int32), images, surface_ids, None),
         volume=VolumeHalf(
             jnp.asarray(host),
             None if on_plane is None else jnp.asarray(on_plane),
@@ -69,6 +60,25 @@ def prepare(
     plan = _with_tables(refit(plan, plan.points))
     method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan
+
+
+def surface_of(
+    points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " b"], moving: int, symmetry: Plane | Sequence[Plane]
+) -> tuple[Surface, Mirror | None, Bool[np.ndarray, "n p"] | None]:
+    """The surface that a method sees, its mirror, and which points lie on which plane; `nodes` are moving, then fixed."""
+    planes = [symmetry] if isinstance(symmetry, Plane) else list(symmetry)
+    everything, rows, images, on_plane = points[nodes], np.arange(len(nodes)), None, None
+    if planes:
+        check_planes(planes, points)
+        on_plane = np.stack([plane.holds(points) for plane in planes], axis=1)
+        images, moving = mirror(planes, on_plane[nodes], moving)
+        everything, rows = np.asarray(images.points(jnp.asarray(everything))), np.asarray(images.rows)
+    first = _first(rows)
+    return (
+        Surface(everything, np.where(np.arange(len(rows)) == first, nodes[rows], -1), moving, first),
+        images,
+        on_plane,
+    )
 
 
 def _with_tables(plan: Plan) -> Plan:

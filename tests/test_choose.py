@@ -76,6 +76,38 @@ def test_the_choice_moves_the_mesh_as_the_table_says(problem, choice):
     assert all(other["error"] > 0.01 or other["inverted"] or other["jacobian"] < 0.98 * best for other in cheaper)
 
 
+def test_a_symmetry_plane_counts_the_image_too():
+    """Half a ring: the errors are those of SciPy's interpolation on the whole one, whose motion is known."""
+    angle, radius = np.meshgrid(np.pi * np.arange(17) / 16, np.geomspace(1, 6, 8))
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 2)
+    points[np.abs(points) < 1e-12] = 0
+    ids = np.arange(len(points)).reshape(8, 17)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    plane = jm.Plane((0, 1), (0, 0))
+
+    def motion(x):
+        return 0.2 * np.stack([x[:, 0] ** 2, x[:, 1] * x[:, 0]], axis=1)
+
+    choice = jm.choose(
+        jm.Mesh(points, {"quad": quads}), ids[0], ids[-1], motion(points[ids[0]])[None], symmetry=plane, leaves=(2,)
+    )
+    row = choice.table[0]
+    reduced = jm.RBF(reduction=jm.KDTree(2, extremes=True))
+    plan = jm.prepare(points, ids[0], ids[-1], method=reduced, symmetry=plane)
+    whole, sources = np.asarray(plan.surface.points), np.asarray(plan.surface.ids)
+    assert len(whole) == 64
+    assert row["sources"] == len(sources) < 64
+    values = np.where(np.linalg.norm(whole, axis=1)[:, None] < 2, motion(whole), 0)
+    values /= np.abs(values).max()
+    interpolant = scipy.interpolate.RBFInterpolator(
+        whole[sources], values[sources], kernel="thin_plate_spline", degree=1
+    )
+    missed = np.sqrt(np.mean((values - interpolant(whole)) ** 2))
+    assert missed > 1e-4
+    np.testing.assert_allclose(row["error"], missed, rtol=1e-6)
+    assert choice.plan.surface.mirror is not None
+
+
 @pytest.mark.parametrize("motions", [np.zeros((1, 3, 2)), np.zeros((3, 2))])
 def test_wrong_motions_are_named(problem, motions):
     with pytest.raises(ValueError, match="motions"):
