@@ -19,12 +19,15 @@ Function = TypeVar("Function", bound=Callable)
 def compiled(function: Function) -> Function:
     """`equinox.filter_jit(function)`, with `WIDE` vectors where it is called directly, with arrays on a CPU.
 
-    Within another transformation it is an ordinary jitted function: JAX takes options for the outermost one only.
+    Within another transformation it is an ordinary jitted function: JAX takes options for the outermost one only. Lists become
+    arrays: as they are, each of their numbers would be a static argument, and other numbers another compilation.
     """
     plain, wide = eqx.filter_jit(function), jax.jit(function, compiler_options=WIDE)
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
+        arguments = tuple(jnp.asarray(each) if isinstance(each, list) else each for each in arguments)
+        keywords = {name: jnp.asarray(each) if isinstance(each, list) else each for name, each in keywords.items()}
         return (wide if _direct(jax.tree.leaves((arguments, keywords))) else plain)(*arguments, **keywords)
 
     return call  # pyright: ignore[reportReturnType]

@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Integer
 
+from . import _exchange, _export
 from ._host.topology import CORNERS, canonical_type
 
 # Arrays here are NumPy's or JAX's alike: a mesh is data, and quality traces through its points.
@@ -72,12 +73,59 @@ class Mesh(eqx.Module):
 
         Raises `ValueError` when the shape of `points` differs.
         """
+        points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
         if tuple(points.shape) != tuple(self.points.shape):
             raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {tuple(self.points.shape)}.")
         moved = object.__new__(Mesh)
         for field in dataclasses.fields(self):
             object.__setattr__(moved, field.name, points if field.name == "points" else getattr(self, field.name))
         return moved
+
+    @staticmethod
+    def from_meshio(mesh: Any) -> "Mesh":
+        """A `meshio.Mesh` as one of ours: its cells of highest dimension, in two coordinates where all z are equal.
+
+        Patches are cell sets of lower dimension, gmsh's physical groups and point arrays `patch:NAME`; else what an array
+        `patch`, `marker`, `boundary` ... of whole numbers tells apart, on the boundary's cells or on points; else the one
+        patch `boundary`. Point ids stay. The result remembers where it came from, for `to_meshio`.
+
+        Raises `ValueError` for types of cells that are not supported (polyhedra, cells with nodes between corners), for
+        points that are not finite, and where there are no cells of an area or a volume.
+        """
+        return Mesh(*_exchange.parts(_exchange.of_meshio(mesh)), source=_exchange.Origin(mesh))
+
+    def to_meshio(
+        self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
+    ) -> Any:
+        """As a `meshio.Mesh`: the one that this mesh came from with other points, all else as it was, or a new one.
+
+        Patches are point arrays `patch:NAME` of zeros and ones. `point_data` (one row a point) and `cell_data` (one row a
+        cell, in the order of `cells`) are added; other cells of the mesh it came from get NaN.
+
+        Raises `ValueError` for arrays of a wrong length, `ImportError` where meshio is missing.
+        """
+        return _export.to_meshio(self, point_data, cell_data)
+
+    @staticmethod
+    def from_pyvista(grid: Any) -> "Mesh":
+        """A `pyvista.UnstructuredGrid`, or any other data set of PyVista made one, as `from_meshio` takes a mesh.
+
+        Raises `ValueError` as that does, and for a `MultiBlock`.
+        """
+        if not hasattr(type(grid), "cells_dict"):
+            if not hasattr(grid, "cast_to_unstructured_grid"):
+                raise ValueError(f"a {type(grid).__name__} is no single grid; one of several blocks has `combine`.")
+            grid = grid.cast_to_unstructured_grid()
+        return Mesh(*_exchange.parts(_exchange.of_pyvista(grid)), source=_exchange.Origin(grid))
+
+    def to_pyvista(
+        self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
+    ) -> Any:
+        """As a `pyvista.UnstructuredGrid`, with patches and arrays as `to_meshio` has them.
+
+        Raises `ValueError` for arrays of a wrong length, `ImportError` where PyVista is missing.
+        """
+        return _export.to_pyvista(self, point_data, cell_data)
 
     def __repr__(self) -> str:
         n, d = self.points.shape

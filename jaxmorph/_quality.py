@@ -42,10 +42,10 @@ def quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> QualityRepor
     """
     if not sum(len(corners) for corners in mesh.cells.values()):
         raise ValueError("the mesh has no cells; its quality is not defined.")
-    if points is not None and tuple(points.shape) != tuple(mesh.points.shape):
-        raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {tuple(mesh.points.shape)}.")
     kinds, cells, reference = tuple(mesh.cells), tuple(mesh.cells.values()), mesh.points
     current = jnp.asarray(reference if points is None else points)
+    if current.shape != tuple(reference.shape):
+        raise ValueError(f"`points` has shape {current.shape}; this mesh has {tuple(reference.shape)}.")
     if not jnp.issubdtype(current.dtype, jnp.floating):
         current = current.astype(float)
     # what is known when a caller traces is computed there and then, not folded into the caller's program

@@ -1,7 +1,14 @@
 """Cell types: their names, corners, edges and faces, numbered as VTK numbers them."""
 
+from collections.abc import Mapping
+
+import numpy as np
+
 CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 """Corners of each type; names are meshio's."""
+
+VTK = {"line": 3, "triangle": 5, "quad": 9, "tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14}
+"""VTK's number of each type, and SU2's."""
 
 DIMENSION = {"line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wedge": 3, "hexahedron": 3}
 
@@ -53,3 +60,25 @@ FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
     ),
 }
 """Corner and the ends of the edges that leave it, right-handed: where the corner Jacobians are taken. One for a simplex."""
+
+_SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
+
+
+def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """The sides that belong to one cell only, by type; with `among`, those all of whose nodes are in it. There are n nodes."""
+    candidate = np.ones(n, bool)
+    if among is not None:
+        candidate[:] = False
+        candidate[among] = True
+    found: dict[int, list[np.ndarray]] = {}
+    for kind, corners in cells.items():
+        for side in FACES.get(kind, ()):
+            faces = np.asarray(corners)[:, side]
+            # both copies of an inner side pass or fail together: counting among the candidates is counting among all
+            found.setdefault(len(side), []).append(faces[candidate[faces].all(axis=1)])
+    return {_SIDE_TYPES[size]: _single(np.concatenate(faces)) for size, faces in sorted(found.items())}
+
+
+def _single(faces: np.ndarray) -> np.ndarray:
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[np.sort(first[count == 1])]

@@ -3,31 +3,7 @@
 import numpy as np
 
 from jaxmorph import Mesh
-from jaxmorph._host.topology import FACES
-
-SURFACE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
-"""The type of a side by the number of its corners."""
-
-
-def boundary_faces(mesh: Mesh, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """The sides that belong to one cell only, by type; with `among`, those all of whose nodes are in it."""
-    n = mesh.points.shape[0]
-    candidate = np.ones(n, bool)
-    if among is not None:
-        candidate[:] = False
-        candidate[among] = True
-    found: dict[int, list[np.ndarray]] = {}
-    for kind, corners in mesh.cells.items():
-        for side in FACES.get(kind, ()):
-            faces = np.asarray(corners)[:, side]
-            # both copies of an inner side pass or fail together: counting among the candidates is counting among all
-            found.setdefault(len(side), []).append(faces[candidate[faces].all(axis=1)])
-    return {SURFACE_TYPES[size]: _single(np.concatenate(faces)) for size, faces in sorted(found.items())}
-
-
-def _single(faces: np.ndarray) -> np.ndarray:
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return faces[np.sort(first[count == 1])]
+from jaxmorph._host.topology import boundary_faces
 
 
 def patch_faces(mesh: Mesh) -> dict[str, dict[str, np.ndarray]]:
@@ -39,7 +15,7 @@ def patch_faces(mesh: Mesh) -> dict[str, dict[str, np.ndarray]]:
     patches = sorted(mesh.patches.items(), key=lambda item: len(item[1]))
     n = mesh.points.shape[0]
     named = np.unique(np.concatenate([np.zeros(0, np.int64), *(np.asarray(nodes) for _, nodes in patches)]))
-    left = boundary_faces(mesh, named)
+    left = boundary_faces(mesh.cells, n, named)
     found: dict[str, dict[str, np.ndarray]] = {}
     for name, nodes in patches:
         inside, held = np.zeros(n, bool), np.zeros(n, bool)

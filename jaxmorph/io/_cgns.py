@@ -12,8 +12,8 @@ import shutil
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._host.topology import boundary_faces
 
-from ._boundary import boundary_faces
 from ._cgns_zone import DIMENSION, TYPES, Zone, children, data, word
 from ._format import Arrays, Source, source_of
 from ._joined import Joined, Zones, join
@@ -116,5 +116,5 @@ def _outer(zone: Zone, points: np.ndarray, blocks: list[tuple[str, np.ndarray]])
     cells: dict[str, list[np.ndarray]] = {}
     for kind, corners in blocks:
         cells.setdefault(kind, []).append(corners - zone.first)
-    alone = Mesh(points, {kind: np.concatenate(parts) for kind, parts in cells.items()})
-    return [corners + zone.first for corners in boundary_faces(alone).values()]
+    alone = {kind: np.concatenate(parts) for kind, parts in cells.items()}
+    return [corners + zone.first for corners in boundary_faces(alone, len(points)).values()]

@@ -16,7 +16,7 @@ from jaxmorph._host.topology import DIMENSION
 
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
-from ._meshio import MeshioMesh, in_space, load, meshio, set_patches, to_mesh
+from ._meshio import load, meshio, to_mesh
 from ._text import replace
 
 NAME = "gmsh"
@@ -33,8 +33,7 @@ class _Content:
 def read(path: pathlib.Path) -> Mesh:
     """`patches` from the physical groups of lower dimension than the mesh; one without a name is `physical_` and its tag."""
     found = load(path, ".msh", meshio.gmsh.read)
-    patches = set_patches(found) | _physical_patches(found)
-    return to_mesh(path, found, patches, Source(path, NAME, _Content(path.read_bytes(), found.points)))
+    return to_mesh(path, found, Source(path, NAME, _Content(path.read_bytes(), found.points)))
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
@@ -46,26 +45,13 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     if source is None:
         meshio.gmsh.write(str(path), _new(mesh), fmt_version="2.2", binary=True)
         return
-    points = in_space(np.asarray(mesh.points, dtype=float)).copy()
-    if mesh.points.shape[1] == 2:
-        points[:, 2] = source.content.points[:, 2]
+    points = np.array(source.content.points, dtype=float)
+    points[:, : mesh.points.shape[1]] = np.asarray(mesh.points)
     with path.open("wb") as file:
         file.writelines(_replaced(source.content.data, points))
 
 
-def _physical_patches(found: MeshioMesh) -> dict[str, np.ndarray]:
-    highest = max(block.dim for block in found.cells)
-    names = {(int(tag), int(dim)): name for name, (tag, dim) in found.field_data.items()}
-    patches: dict[str, list[np.ndarray]] = {}
-    for block, tags in zip(found.cells, found.cell_data.get("gmsh:physical", []), strict=False):
-        for tag in np.unique(tags).tolist() if block.dim < highest else []:
-            if tag > 0:
-                name = names.get((tag, block.dim), f"physical_{tag}")
-                patches.setdefault(name, []).append(np.asarray(block.data)[np.asarray(tags) == tag].ravel())
-    return {name: np.concatenate(nodes) for name, nodes in patches.items()}
-
-
-def _new(mesh: Mesh) -> MeshioMesh:
+def _new(mesh: Mesh) -> meshio.Mesh:
     blocks: list[Any] = [(kind, np.asarray(corners)) for kind, corners in mesh.cells.items()]
     tags = [np.zeros(len(corners), np.int32) for _, corners in blocks]
     groups = {}
@@ -75,9 +61,8 @@ def _new(mesh: Mesh) -> MeshioMesh:
                 groups[name] = np.array([tag, DIMENSION[kind]])
                 blocks.append((kind, corners))
                 tags.append(np.full(len(corners), tag, np.int32))
-    points = in_space(np.asarray(mesh.points, dtype=float))
     cell_data: Any = {"gmsh:physical": tags, "gmsh:geometrical": tags}
-    return MeshioMesh(points, blocks, cell_data=cell_data, field_data=groups)
+    return meshio.Mesh(mesh.to_meshio().points, blocks, cell_data=cell_data, field_data=groups)
 
 
 def _replaced(data: bytes, points: np.ndarray) -> Iterator[bytes]:

@@ -8,7 +8,7 @@ from jaxtyping import Shaped
 
 from jaxmorph import Mesh
 
-from ._format import Arrays, Format, Source, complete
+from ._format import Format, Source, complete
 
 FORMATS = (
     Format("SU2", (".su2",), "_su2", holds_arrays=False),
@@ -75,8 +75,7 @@ def write(
     """
     path = pathlib.Path(path)
     chosen = _checked(path, mesh)
-    arrays = [_rows(dict(point_data or {}), len(mesh.points), "points")]
-    arrays.append(_rows(dict(cell_data or {}), sum(map(len, mesh.cells.values())), "cells"))
+    arrays = dict(point_data or {}), dict(cell_data or {})
     if any(arrays) and not chosen.holds_arrays:
         raise ValueError(
             f"{path}: {chosen.name} files hold no arrays; write .vtu to keep {', '.join([*arrays[0], *arrays[1]])}."
@@ -118,11 +117,3 @@ def _same_file(a: pathlib.Path, b: pathlib.Path) -> bool:
         return os.path.samefile(a, b)
     except OSError:
         return a.resolve() == b.resolve()
-
-
-def _rows(arrays: dict[str, np.ndarray], rows: int, what: str) -> Arrays:
-    arrays = {name: np.asarray(values) for name, values in arrays.items()}
-    for name, values in arrays.items():
-        if values.ndim not in (1, 2) or len(values) != rows:
-            raise ValueError(f"array {name!r} has shape {values.shape}; expected one row for each of {rows} {what}.")
-    return arrays

@@ -10,13 +10,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._host.topology import VTK
 
 from ._format import Arrays, Source, source_of
 from ._su2_new import new_text
 from ._text import Section, blank_comments, replace
 
 NAME = "SU2"
-TYPES = {3: "line", 5: "triangle", 9: "quad", 10: "tetra", 12: "hexahedron", 13: "wedge", 14: "pyramid"}
+TYPES = {number: kind for kind, number in VTK.items()}
 CORNERS = {1: 1, 3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5}
 """SU2's element types are VTK's numbers, corners in VTK's order; 1 is the single node of a SEND_RECEIVE marker."""
 

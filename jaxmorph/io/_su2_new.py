@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._host.topology import VTK
 
 from ._boundary import patch_faces
 
-NUMBERS = {"line": 3, "triangle": 5, "quad": 9, "tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14}
 ROWS = 1 << 16
 """Rows formatted together."""
 
@@ -40,7 +40,7 @@ def new_text(mesh: Mesh) -> Iterator[bytes]:
 
 
 def _elements(kind: str, corners: np.ndarray) -> Iterator[bytes]:
-    row = f"{NUMBERS[kind]} " + " ".join(["%d"] * corners.shape[1]) + "\n"
+    row = f"{VTK[kind]} " + " ".join(["%d"] * corners.shape[1]) + "\n"
     for start in range(0, len(corners), ROWS):
         block = corners[start : start + ROWS]
         yield ((row * len(block)) % tuple(block.ravel().tolist())).encode()

@@ -1,0 +1,97 @@
+"""The whole interface takes JAX's arrays, NumPy's and lists alike, and gives the same numbers."""
+
+import functools
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, motion
+
+import jaxmorph as jm
+
+FORMS = {"numpy": np.asarray, "jax": jnp.asarray, "list": lambda values: np.asarray(values).tolist()}
+
+
+def results(form):
+    """Everything that the calls of a user's day return, for arguments of one form."""
+    one, half = body(2), 0.5
+    points, u = form(one.points), motion(one.points[one.moving])
+    plan = jm.prepare(points, form(one.moving), form(one.fixed), method=jm.DelaunayGraph())
+    path = form(np.stack([half * u, u]))
+    plans, marched = jm.march(plan, path)
+    rows = np.arange(len(one.points) - 1)
+    mesh = jm.Mesh(
+        points, {"triangle": form(np.stack([rows[:-1], rows[1:], rows[:-1] // 2], axis=1)[2:])}, {"a": form(one.moving)}
+    )
+    moved = mesh.moved(form(jm.deform(plan, form(u))))
+    return {
+        "deform": jm.deform(plan, form(u)),
+        "pullback": jm.pullback(plan, form(u), form(one.points)),
+        "refit": jm.refit(plan, form(one.points * 2)).points,
+        "march": marched,
+        "replay": jm.replay(list(plans), path),
+        "moved": moved.points,
+        "patch": mesh.patch("a"),
+        "quality": jm.quality(mesh, form(moved.points)).volume,
+        "distortion": jm.distortion(mesh, form(moved.points)),
+        "soft_maximum": jm.soft_maximum(form(one.points[:, 0]), 5.0),
+        "inspect": jm.inspect(plan, form(u)).offset,
+    }  # fmt: skip
+
+
+reference = functools.cache(lambda: results(np.asarray))
+
+
+@pytest.mark.parametrize("form", ["jax", "list"])
+def test_every_call_takes_every_form(form):
+    for name, values in results(FORMS[form]).items():
+        np.testing.assert_array_equal(np.asarray(values), np.asarray(reference()[name]), err_msg=name)
+
+
+def square(k=4):
+    axis = np.linspace(0, 1, k)
+    points = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    ids = np.arange(k * k).reshape(k, k)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    return points, quads
+
+
+@pytest.mark.slow
+def test_improve_takes_every_form():
+    points, quads = square()
+    tangled = points.copy()
+    tangled[5] += 0.6
+    found = [jm.improve(jm.Mesh(form(points), {"quad": form(quads)}), form(tangled)).points for form in FORMS.values()]
+    assert np.abs(found[0][5] - points[5]).max() < 0.05
+    for other in found[1:]:
+        np.testing.assert_array_equal(other, found[0])
+
+
+def test_lists_are_arrays_before_they_are_compiled():
+    """Other numbers in a list are no other program."""
+    one = body(2)
+    plan, traces = jm.prepare(one.points, one.moving, one.fixed, method=CountsTraces()), CountsTraces.traces
+    for scale in (1.0, 2.0, 3.0):
+        jm.deform(plan, (scale * motion(one.points[one.moving])).tolist())
+    assert len(traces) == 1
+
+
+class CountsTraces(jm.AbstractMethod):
+    """Nothing moves."""
+
+    traces = []  # noqa: RUF012
+
+    def connect(self, surface, points):
+        return None, None
+
+    def fit(self, ids, surface):
+        return None
+
+    def field(self, ids, factors, surface, u):
+        CountsTraces.traces.append(u)
+        return Nothing()
+
+
+class Nothing(jm.AbstractField):
+    def __call__(self, x, ids):
+        return jnp.zeros_like(x)
