@@ -39,6 +39,8 @@ from ._plan import shard as shard
 from ._prepare import prepare as prepare
 from ._quality import quality as quality
 from ._report import QualityReport as QualityReport
+from ._save import load as load
+from ._save import save as save
 from ._smooth import soft_maximum as soft_maximum
 from ._smooth_quality import SmoothQuality as SmoothQuality
 from ._smooth_quality import smooth_quality as smooth_quality

@@ -1,12 +1,9 @@
 """What a file format is, and what a mesh remembers of the file it came from."""
 
-import contextlib
 import dataclasses
 import importlib
-import os
 import pathlib
-import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -69,16 +66,3 @@ def source_of(mesh: Mesh, format_name: str) -> Source | None:
     """The source of a mesh when it was read from a file of that format."""
     source = mesh.source
     return source if isinstance(source, Source) and source.format == format_name else None
-
-
-@contextlib.contextmanager
-def complete(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """A temporary name beside `path`, for a file or a folder, which takes its place at the end; on failure nothing is left."""
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        if partial.is_dir():
-            shutil.rmtree(partial)
-        partial.unlink(missing_ok=True)

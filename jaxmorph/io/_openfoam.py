@@ -15,11 +15,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._host.files import complete
 
 from ._foam_cells import Faces, standard_cells
 from ._foam_file import PARENTHESES, FoamFile, Patch, load, patches
 from ._foam_plane import Layer, layer, plane_cells
-from ._format import Arrays, Source, complete, source_of
+from ._format import Arrays, Source, source_of
 from ._polyhedra import tetrahedra
 from ._text import replace_words
 

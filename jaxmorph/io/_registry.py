@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Shaped
 
 from jaxmorph import Mesh
+from jaxmorph._host.files import complete
 
-from ._format import Format, Source, complete
+from ._format import Format, Source
 
 FORMATS = (
     Format("SU2", (".su2",), "_su2", holds_arrays=False),

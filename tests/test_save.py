@@ -1,0 +1,247 @@
+"""Plans in files: every bit comes back, and nothing in a file is ever run."""
+
+import enum
+import json
+import os
+import pickle
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import EXTENSION, body, few, motion
+
+import jaxmorph as jm
+
+
+class Law(enum.Enum):
+    LINEAR = 1
+    CUBIC = 3
+
+
+class Power(jm.AbstractBasis):
+    """r to the power of a law; every kind of field that a file holds."""
+
+    law: Law = eqx.field(static=True)
+    scale: jax.Array
+    weights: dict
+    notes: tuple = eqx.field(static=True)
+    min_degree = 1
+
+    def __call__(self, r2):
+        return self.scale * (r2 + 1e-12) ** (self.law.value / 2)
+
+
+def power():
+    weights = {"whole": np.arange(3, dtype=np.int16), "pair": [np.float32(0.1), jnp.ones(2, bool)]}
+    return Power(Law.CUBIC, jnp.asarray(0.5), weights, (1, -2.5, float("inf"), None, ("a", True)))
+
+
+def planned(method, symmetry=(), dtype=np.float64):
+    one = body(2)
+    return jm.prepare(one.points.astype(dtype), one.moving, one.fixed, method=method, symmetry=symmetry)
+
+
+METHODS = {
+    "default": (lambda: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.2)), ()),
+    "greedy": (lambda: jm.RBF(jm.WendlandC2(3), jm.Greedy(9, np.ones((2, 31, 2))), jm.AllPoints()), ()),
+    "gauss": (
+        lambda: jm.RBF(jm.Multiquadric(0.1), jm.KDTree(np.int64(4), jm.GaussPoints(), extremes=True), degree=0),
+        (),
+    ),
+    "own basis": (lambda: jm.RBF(power(), jm.AllPoints(), jm.AllPoints()), (Power, Law)),
+    "own method": (EXTENSION.InverseDistance, (EXTENSION.InverseDistance, EXTENSION.InverseDistanceField)),
+}
+
+
+@pytest.mark.parametrize("name", ["default", "greedy", "own basis", "own method"])
+def test_a_loaded_plan_is_the_same_to_the_last_bit(tmp_path, name):
+    make, classes = METHODS[name]
+    plan = planned(make())
+    jm.save(tmp_path / "a.plan", plan)
+    again = jm.load(tmp_path / "a.plan", classes)
+    leaves, structure = jax.tree.flatten(plan)
+    found, same = jax.tree.flatten(again)
+    if (
+        name != "greedy" and name != "own basis"
+    ):  # a Greedy is compared by identity, dictionaries and arrays have no hash
+        assert same == structure
+    assert str(same) == str(structure)
+    for a, b in zip(leaves, found, strict=True):
+        assert (type(a), a.dtype, getattr(a, "weak_type", None)) == (type(b), b.dtype, getattr(b, "weak_type", None))
+        np.testing.assert_array_equal(a, b)
+    u = motion(body(2).points[body(2).moving])
+    np.testing.assert_array_equal(jm.deform(again, u), jm.deform(plan, u))
+    assert os.listdir(tmp_path) == ["a.plan"]
+
+
+def test_every_kind_of_field(tmp_path):
+    jm.save(tmp_path / "a.plan", planned(jm.RBF(power(), jm.AllPoints(), jm.AllPoints())))
+    basis = jm.load(tmp_path / "a.plan", (Power, Law)).method.basis
+    assert basis.law is Law.CUBIC
+    assert basis.notes == power().notes
+    assert basis.weights["whole"].dtype == np.int16
+    assert type(basis.weights["pair"]) is list
+    assert basis.scale.weak_type
+    assert not basis.weights["pair"][1].weak_type
+    jm.save(tmp_path / "a.plan", planned(METHODS["greedy"][0]()))
+    assert type(jm.load(tmp_path / "a.plan").method.reduction.motions) is np.ndarray
+    jm.save(tmp_path / "a.plan", planned(METHODS["gauss"][0]()))
+    reduction = jm.load(tmp_path / "a.plan").method.reduction
+    assert type(reduction.leaves) is np.int64
+    assert reduction.largest_box == np.inf
+
+
+def test_steps_symmetry_and_single_precision(tmp_path):
+    points = np.concatenate([body(2).points, [[-9.0, -9], [-9, 9], [9, -9], [9, 9]]])
+    far = [*range(len(points) - 4, len(points))]
+    plane = jm.Plane([0, 1], [0, -9.0])
+    plan = jm.prepare(points.astype(np.float32), body(2).moving, far, method=jm.DelaunayGraph(), symmetry=plane)
+    u = motion(points[body(2).moving])
+    path = np.stack([0.3 * u, u]).astype(np.float32)
+    plans, end = jm.march(plan, path)
+    jm.save(tmp_path / "one", plan)
+    jm.save(tmp_path / "two", (plans[0], [plans[1], plan]))
+    again, rest = jm.load(tmp_path / "two")
+    assert type(rest) is list
+    assert again.points.dtype == np.float32
+    np.testing.assert_array_equal(jm.replay((again, rest[0]), path), jm.replay(plans, path))
+    np.testing.assert_allclose(jm.replay((again, rest[0]), path), end, atol=1e-5)
+    # what the steps have in common is in the file once, and one array afterwards
+    assert (tmp_path / "two").stat().st_size < 1.7 * (tmp_path / "one").stat().st_size
+    assert again.surface.nodes is rest[0].surface.nodes
+
+
+def test_what_cannot_be_saved_says_where(tmp_path):
+    class Callable(jm.AbstractBasis):
+        phi: object = eqx.field(static=True)
+
+        def __call__(self, r2):
+            return self.phi(r2)
+
+    plan = planned(jm.DelaunayGraph())
+    bad = eqx.tree_at(lambda plan: plan.method, plan, jm.RBF(Callable(np.exp), degree=None))
+    with pytest.raises(ValueError, match=r"plan.method.basis.phi is a ufunc, which a file of plans cannot hold"):
+        jm.save(tmp_path / "a", bad)
+    WendlandC2 = type("WendlandC2", (jm.ThinPlateSpline,), {})
+    with pytest.raises(ValueError, match=r"plan.method.basis is of a class WendlandC2 that is not jaxmorph's"):
+        jm.save(tmp_path / "a", eqx.tree_at(lambda plan: plan.method, plan, jm.RBF(WendlandC2())))
+    with pytest.raises(ValueError, match=r"plan is laid over devices: save the plan that `prepare` returned"):
+        jm.save(tmp_path / "a", jm.shard(plan, jax.devices()[:1]))
+    with pytest.raises(ValueError, match="a DelaunayGraph is not a plan"):
+        jm.save(tmp_path / "a", plan.method)
+    assert os.listdir(tmp_path) == []
+
+
+def altered(path, change):
+    """The file with another description."""
+    with np.load(path) as archive:
+        members = dict(archive)
+    header = json.loads(members["description"].tobytes())
+    change(header)
+    members["description"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    np.savez(path.with_name("b.npz"), **members)
+    return path.with_name("b.npz")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda h: h.update(version=2), "of version 2, this jaxmorph reads up to 1: install a later one"),
+        (lambda h: h.update(format="other"), "not a saved plan; its format is 'other'"),
+        (lambda h: h.pop("tree"), "a damaged plan"),
+        (lambda h: h["tree"].update({"class": "Popen"}), r"a class 'Popen' that is not known; pass yours as load\(path, cl"),
+        (lambda h: h["tree"].update({"class": "os.system"}), "a class 'os.system' that is not known"),
+        (lambda h: h["tree"].update({"class": "AbstractMethod", "fields": {}}), "a damaged plan"),
+        (lambda h: h["tree"]["fields"].pop("moves"), "Plan has the fields method, .* in the file, but carried, .* here"),
+        (lambda h: h["tree"]["fields"].update(volume={"jax": 10**6}), "a damaged plan"),
+        (lambda h: h["tree"]["fields"].update(volume={}), "a damaged plan"),
+        (lambda h: h.update(tree={"tuple": []}), "holds a tuple, not a plan"),
+        (lambda h: h.update(tree=h["tree"]["fields"]["method"]), "holds a DelaunayGraph, not a plan"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_file_is_said(tmp_path, change, message):
+    jm.save(tmp_path / "a.npz", planned(jm.DelaunayGraph()))
+    with pytest.raises(ValueError, match=message):
+        jm.load(altered(tmp_path / "a.npz", change))
+
+
+def test_damaged_files_are_refused(tmp_path):
+    path = tmp_path / "a.npz"
+    jm.save(path, planned(jm.DelaunayGraph()))
+    whole = path.read_bytes()
+    for share in (0, 0.3, 0.9, 0.999):
+        path.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(ValueError, match=r"a\.npz: not a saved plan, or a damaged one"):
+            jm.load(path)
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 1
+    path.write_bytes(flipped)
+    with pytest.raises(ValueError, match=r"a\.npz: not a saved plan, or a damaged one"):
+        jm.load(path)
+    with pytest.raises(FileNotFoundError):
+        jm.load(tmp_path / "none")
+
+
+class Mark:
+    """Leaves a trace when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (self.path,)
+
+
+def test_nothing_in_a_file_is_run(tmp_path):
+    trace = str(tmp_path / "trace")
+    evil = np.empty(1, object)
+    evil[0] = Mark(trace)
+    np.savez(tmp_path / "objects.npz", description=evil)
+    np.save(tmp_path / "object.npy", evil)
+    (tmp_path / "a.pickle").write_bytes(pickle.dumps(Mark(trace)))
+    for name in ("objects.npz", "object.npy", "a.pickle"):
+        with pytest.raises(ValueError, match="not a saved plan"):
+            jm.load(tmp_path / name)
+    assert not os.path.exists(trace)
+    pickle.loads((tmp_path / "a.pickle").read_bytes())
+    assert os.path.exists(trace)  # it does harm where it is let
+
+
+def test_classes_are_checked(tmp_path):
+    jm.save(tmp_path / "a", planned(jm.RBF(power(), jm.AllPoints(), jm.AllPoints())))
+    with pytest.raises(
+        ValueError, match=r"a class 'Power' that is not known; pass yours as load\(path, classes=\(Power,\)\)"
+    ):
+        jm.load(tmp_path / "a")
+    with pytest.raises(ValueError, match="two classes are called RBF"):
+        jm.load(tmp_path / "a", (type("RBF", (jm.RBF,), {}),))
+    with pytest.raises(ValueError, match="is neither"):
+        jm.load(tmp_path / "a", (print,))
+
+
+def test_double_precision_needs_its_mode(tmp_path):
+    jm.save(tmp_path / "a", planned(jm.DelaunayGraph()))
+    code = "import jaxmorph as jm, sys; jm.load(sys.argv[1])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "a")], capture_output=True, text=True, check=False
+    )
+    assert "the plan is in float64, but JAX's x64 mode is off" in done.stderr
+
+
+def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
+    jm.save(tmp_path / "a", planned(jm.DelaunayGraph()))
+    before = (tmp_path / "a").read_bytes()
+
+    def fails(file, **members):
+        file.write(b"half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(np, "savez", fails)
+    with pytest.raises(OSError, match="disk full"):
+        jm.save(tmp_path / "a", planned(jm.DelaunayGraph()))
+    assert (tmp_path / "a").read_bytes() == before
+    assert os.listdir(tmp_path) == ["a"]
