@@ -1,0 +1,59 @@
+"""The core stands alone, and each extra that is missing is named with its remedy."""
+
+import pathlib
+import re
+import subprocess
+import sys
+import tomllib
+
+import jaxmorph
+
+CODE = """
+import sys
+missing = ("meshio", "h5py", "matplotlib", "pyvista", "vtk", "gmsh", "rich", "platformdirs", "openmdao", "openmdao.api")
+sys.modules.update(dict.fromkeys(missing))
+import importlib, pathlib, numpy, jaxmorph
+from jaxmorph import cases, io
+mesh = cases.naca0015(points=300)
+plan = jaxmorph.prepare(mesh.points.astype("f4"), mesh.patch("airfoil"), mesh.patch("farfield"), method=jaxmorph.DelaunayGraph())
+assert numpy.isfinite(plan.points).all()
+io.write("a.su2", mesh)
+assert io.read("a.su2").points.shape == mesh.points.shape
+for name in ("a.vtu", "a.msh", "a.cgns"):
+    pathlib.Path(name).write_text("")
+calls = {
+    "vtu": lambda: io.write("b.vtu", mesh),
+    "msh": lambda: io.read("a.msh"),
+    "cgns": lambda: io.read("a.cgns"),
+    "meshio": mesh.to_meshio,
+    "pyvista": mesh.to_pyvista,
+    "plot": lambda: importlib.import_module("jaxmorph.plot"),
+    "openmdao": lambda: importlib.import_module("jaxmorph.integrations.openmdao"),
+    "wing": cases.agard445,
+}
+for name, call in calls.items():
+    try:
+        call()
+    except ImportError as error:
+        print(name, error)
+"""
+
+
+def test_each_missing_extra_is_named(tmp_path):
+    root = str(pathlib.Path(jaxmorph.__file__).parents[1])
+    code = f"import sys; sys.path.insert(0, {root!r})\n{CODE}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 0, done.stderr
+    remedies = dict(
+        re.match(r"(\w+) .*pip install 'jaxmorph\[(\w+)\]'", line).groups() for line in done.stdout.splitlines()
+    )
+    assert remedies == {
+        "vtu": "io", "msh": "io", "cgns": "io", "meshio": "io", "pyvista": "plot", "plot": "plot",
+        "openmdao": "openmdao", "wing": "cases",
+    }  # fmt: skip
+    project = tomllib.loads((pathlib.Path(root) / "pyproject.toml").read_text())["project"]
+    assert set(remedies.values()) <= set(project["optional-dependencies"])
+
+
+def test_types_ship():
+    assert (pathlib.Path(jaxmorph.__file__).parent / "py.typed").is_file()
