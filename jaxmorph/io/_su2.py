@@ -14,7 +14,7 @@ from jaxmorph._host.topology import VTK
 
 from ._format import Arrays, Source, source_of
 from ._su2_new import new_text
-from ._text import Section, blank_comments, replace
+from ._text import Rows, Section, blank_comments, replace
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -114,17 +114,21 @@ def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:
 
 def _points(keyword: _Keyword, d: int) -> np.ndarray:
     n, section = keyword.number(least=1), keyword.section
-    rows = section.rows(np.float64)
-    _check_count(keyword, n, rows.counts, "points")
-    wrong = np.flatnonzero((rows.counts < d) | (rows.counts > d + 2))
-    if wrong.size:
-        row = int(wrong[0])
-        raise section.error(f"a point of {d} coordinates expected, found {rows.counts[row]} numbers.", row)
-    points = rows.values[rows.first[:, None] + np.arange(d)]
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size:
-        raise section.error(f"point {bad[0]} is not finite: {points[bad[0]].tolist()}.", int(bad[0]))
-    return points
+    parts, row = [], 0
+    for block in section.blocks(np.float64):
+        wrong = np.flatnonzero((block.counts < d) | (block.counts > d + 2))
+        if wrong.size:
+            found = block.counts[wrong[0]]
+            raise section.error(f"a point of {d} coordinates expected, found {found} numbers.", row + int(wrong[0]))
+        points = block.columns(slice(None), 0, d)
+        finite = np.isfinite(points).all(axis=1)
+        if not finite.all():
+            bad = int(np.argmin(finite))
+            raise section.error(f"point {row + bad} is not finite: {points[bad].tolist()}.", row + bad)
+        parts.append(points.copy())
+        row += len(points)
+    _check_count(keyword, n, row, "points")
+    return np.concatenate(parts)
 
 
 def _elements(keyword: _Keyword, n: int) -> dict[str, np.ndarray]:
@@ -153,29 +157,36 @@ def _markers(path: pathlib.Path, keywords: list[_Keyword], n: int) -> dict[str, 
 
 def _table(keyword: _Keyword, section: Section, n: int, what: str) -> dict[int, np.ndarray]:
     """Corners (k, corners) by SU2's number of the type, in order of first appearance."""
-    rows = section.rows(np.int64)
-    _check_count(keyword, keyword.number(), rows.counts, what)
-    first, kinds = rows.first, rows.values[rows.first]
-    tables = {}
-    for kind in dict.fromkeys(kinds[np.sort(np.unique(kinds, return_index=True)[1])].tolist()):
-        mine = np.flatnonzero(kinds == kind)
-        if kind not in CORNERS:
-            known = ", ".join(map(str, CORNERS))
-            raise section.error(f"element type {kind} is not known; SU2's are {known}.", int(mine[0]))
-        corners = CORNERS[kind]
-        wrong = mine[(rows.counts[mine] < 1 + corners) | (rows.counts[mine] > 2 + corners)]
-        if wrong.size:
-            message = f"an element of type {kind} has {corners} nodes, found {rows.counts[wrong[0]]} numbers."
-            raise section.error(message, int(wrong[0]))
-        table = rows.values[first[mine][:, None] + np.arange(1, 1 + corners)]
-        outside = np.flatnonzero(((table < 0) | (table >= n)).any(axis=1))
-        if outside.size:
-            nodes = table[outside[0]].tolist()
-            raise section.error(f"nodes {nodes}, but there are points 0 to {n - 1}.", int(mine[outside[0]]))
-        tables[kind] = table
-    return tables
+    parts: dict[int, list[np.ndarray]] = {}
+    row = 0
+    for block in section.blocks(np.int64):
+        kinds = block.columns(slice(None), 0, 1).ravel()
+        for kind in dict.fromkeys(kinds[np.sort(np.unique(kinds, return_index=True)[1])].tolist()):
+            mine = np.flatnonzero(kinds == kind)
+            corners = _corners(section, block, mine, kind, row)
+            if ((corners < 0) | (corners >= n)).any():
+                outside = int(np.argmax(((corners < 0) | (corners >= n)).any(axis=1)))
+                nodes = corners[outside].tolist()
+                raise section.error(f"nodes {nodes}, but there are points 0 to {n - 1}.", row + int(mine[outside]))
+            parts.setdefault(kind, []).append(corners.astype(np.int32 if n < 2**31 else np.int64))
+        row += len(kinds)
+    _check_count(keyword, keyword.number(), row, what)
+    return {kind: np.concatenate(parts.pop(kind)) for kind in list(parts)}
 
 
-def _check_count(keyword: _Keyword, stated: int, counts: np.ndarray, what: str) -> None:
-    if len(counts) != stated:
-        raise keyword.section.error(f"{keyword.name}= {stated}, but {len(counts)} rows of {what} follow.")
+def _corners(section: Section, block: Rows, mine: np.ndarray, kind: int, row: int) -> np.ndarray:
+    """Corners of the elements of one kind, which are the rows `mine` of a block that begins with that `row`."""
+    if kind not in CORNERS:
+        known = ", ".join(map(str, CORNERS))
+        raise section.error(f"element type {kind} is not known; SU2's are {known}.", row + int(mine[0]))
+    corners = CORNERS[kind]
+    wrong = mine[(block.counts[mine] < 1 + corners) | (block.counts[mine] > 2 + corners)]
+    if wrong.size:
+        message = f"an element of type {kind} has {corners} nodes, found {block.counts[wrong[0]]} numbers."
+        raise section.error(message, row + int(wrong[0]))
+    return block.columns(slice(None) if len(mine) == len(block.counts) else mine, 1, 1 + corners)
+
+
+def _check_count(keyword: _Keyword, stated: int, found: int, what: str) -> None:
+    if found != stated:
+        raise keyword.section.error(f"{keyword.name}= {stated}, but {found} rows of {what} follow.")
