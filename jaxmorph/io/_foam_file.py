@@ -125,15 +125,12 @@ class FoamFile:
         stop = self.data.rfind(b")", found.start)
         words, before, done = [], [np.zeros(0, np.int64)], 0
         for chunk in chunks(self.data, found.start, stop):
-            codes = np.frombuffer(chunk.translate(PARENTHESES), np.uint8)
-            solid = codes > 32
-            first = solid.copy()
-            first[1:] &= ~solid[:-1]
-            opens = np.flatnonzero(np.frombuffer(chunk, np.uint8) == ord("("))
-            before.append(np.searchsorted(np.flatnonzero(first), opens) + done)
-            words.append(parse(codes.tobytes(), np.int64))
-            done += int(np.count_nonzero(first))
-            words[-1] = words[-1].astype(_narrow(words[-1]))
+            plain = chunk.translate(PARENTHESES)
+            labels = parse(plain, np.int64)
+            opens, width = _opens(chunk, plain, labels)
+            before.append(done + opens)
+            words.append(labels.astype(_narrow(labels)))
+            done += width
         values = np.concatenate([np.zeros(0, np.int32), *words])
         words.clear()
         begins = np.concatenate(before)
@@ -157,6 +154,17 @@ class FoamFile:
             values = parse(chunk.translate(PARENTHESES), dtype.type)
             parts.append(values.astype(_narrow(values)) if dtype.kind == "i" else values)
         return np.concatenate(parts) if parts else np.zeros(0, dtype)
+
+
+def _opens(chunk: bytes, plain: bytes, labels: np.ndarray) -> tuple[np.ndarray, int]:
+    """How many words of a chunk stand before each of its parentheses, and how many it has."""
+    faces = chunk.count(b"(")
+    width, rest = divmod(len(labels), max(faces, 1))
+    if faces and not rest and (labels[::width] == width - 1).all():  # nearly always: faces of one size
+        return np.arange(1, len(labels), width), len(labels)
+    solid = np.frombuffer(b" " + plain, np.uint8) > 32
+    first = np.flatnonzero(solid[1:] & ~solid[:-1])
+    return np.searchsorted(first, np.flatnonzero(np.frombuffer(chunk, np.uint8) == ord("("))), len(first)
 
 
 def _narrow(labels: np.ndarray) -> type:
