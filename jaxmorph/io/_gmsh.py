@@ -65,7 +65,7 @@ def _new(mesh: Mesh) -> meshio.Mesh:
     return meshio.Mesh(mesh.to_meshio().points, blocks, cell_data=cell_data, field_data=groups)
 
 
-def _replaced(data: bytes, points: np.ndarray) -> Iterator[bytes]:
+def _replaced(data: bytes, points: np.ndarray) -> Iterator[bytes | memoryview]:
     """The file with other coordinates, in pieces; meshio numbers the points in the order of the file."""
     at = data.index(b"$MeshFormat")
     version, binary, _ = data[at:].split(b"\n", 2)[1].split()
@@ -81,9 +81,7 @@ def _replaced(data: bytes, points: np.ndarray) -> Iterator[bytes]:
         return
     stop = data.index(b"$EndNodes", start)
     rows, column = (4, 1) if version.startswith(b"2") else (3, 0)
-    yield data[:start]
-    yield from replace(data[start:stop], points, lambda counts: counts == rows, column)
-    yield data[stop:]
+    yield from replace(data, slice(start, stop), points, lambda counts: counts == rows, column)
 
 
 @dataclasses.dataclass(frozen=True)

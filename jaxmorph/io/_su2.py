@@ -83,9 +83,8 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         if points.shape != content.shape:
             raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {content.shape}.")
         d = content.shape[1]
-        file.write(content.text[: content.start])
-        file.writelines(replace(content.text[content.start : content.stop], points, lambda counts: counts >= d))
-        file.write(content.text[content.stop :])
+        part = slice(content.start, content.stop)
+        file.writelines(replace(content.text, part, points, lambda counts: counts >= d))
 
 
 def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:

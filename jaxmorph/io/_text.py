@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ._digits import lines, parse
+from ._digits import lines, parse, parse_rows
 from ._splice import spliced
 
 CHUNK = 1 << 20
@@ -64,7 +64,11 @@ class Section:
     def blocks(self, dtype: type) -> Iterator[Rows]:
         """All numbers of the section, some lines at a time. `ValueError` for anything that is not a number of type `dtype`."""
         for chunk in chunks(self.text, self.start, self.stop):
-            counts, values = words_of_lines(chunk), parse(chunk, dtype)
+            values, width = parse_rows(chunk, dtype)
+            if width:
+                yield Rows(values, np.full(len(values) // width, width))
+                continue
+            counts, values = scan(chunk)[2], parse(chunk, dtype)
             if len(values) != counts.sum():
                 raise self._not_a_number(dtype)
             if len(counts):
@@ -116,39 +120,25 @@ def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return starts, ends, counts[counts > 0]
 
 
-def words_of_lines(chunk: bytes) -> np.ndarray:
-    """How many words stand on each line of a chunk that holds any."""
-    codes = np.frombuffer(b" " + chunk, np.uint8)
-    solid = codes > 32
-    starts = np.flatnonzero(solid[1:] & ~solid[:-1])
-    line_ends = np.flatnonzero(codes[1:] == 10)
-    if not chunk.endswith(b"\n"):
-        line_ends = np.append(line_ends, len(chunk))
-    width, rest = divmod(len(starts), max(len(line_ends), 1))
-    if width and not rest:  # nearly always: each line has the same number of words
-        table = starts.reshape(-1, width)
-        if (table[:, -1] < line_ends).all() and (table[1:, 0] > line_ends[:-1]).all():
-            return np.full(len(line_ends), width)
-    counts = np.diff(np.searchsorted(starts, line_ends), prepend=0)
-    return counts[counts > 0]
-
-
 def replace(
-    text: bytes, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
-) -> Iterator[bytes]:
-    """The text with the coordinates of `points` in place of those that it holds, in pieces.
+    text: bytes, part: slice, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
+) -> Iterator[bytes | memoryview]:
+    """The text with the coordinates of `points` in place of those that a part of it holds, in pieces.
 
     `is_row` tells from the number of words on a line whether it holds a point; its coordinates begin with word `column`.
     A coordinate that has not changed keeps its digits; a changed one gets the shortest that read back bit for bit.
     """
     d = points.shape[1]
     done = 0
-    for original, chunk in _both(text):
+    yield memoryview(text)[: part.start]
+    for original in chunks(text, part.start, part.stop):
+        chunk = blank_comments(original)
         starts, ends, counts = scan(chunk)
         first = (np.cumsum(counts) - counts)[is_row(counts)]
         words = (first[:, None] + np.arange(column, column + d)).ravel()
         yield _changed(original, chunk, starts[words], ends[words], words, points[done : done + len(first)].ravel())
         done += len(first)
+    yield memoryview(text)[part.stop :]
 
 
 def replace_words(text: bytes, start: int, stop: int, values: np.ndarray, blanks: bytes) -> Iterator[bytes]:
@@ -170,11 +160,6 @@ def _changed(original: bytes, chunk: bytes, starts: np.ndarray, ends: np.ndarray
     if not len(changed):
         return original
     return spliced(original, starts[changed], ends[changed], lines(new[changed]))
-
-
-def _both(text: bytes) -> Iterator[tuple[bytes, bytes]]:
-    bare = blank_comments(text)
-    return zip(chunks(text, 0, len(text)), chunks(bare, 0, len(bare)), strict=True)
 
 
 def _is(kind: type, word: bytes) -> bool:
