@@ -36,6 +36,8 @@ def parse_rows(text: bytes, dtype: type) -> tuple[np.ndarray, int]:
 
 def parse(text: bytes, dtype: type) -> np.ndarray:
     """The numbers of a text, or those up to the first thing that is none; in double precision, or int64."""
+    if not np.issubdtype(dtype, np.floating):
+        return parse_slowly(text, dtype)
     left = text.translate(None, _DIGITS)
     if left.translate(None, _MARKS + _BLANKS):
         return parse_slowly(text, dtype)
@@ -49,10 +51,22 @@ def _parse(text: bytes, left: bytes, dtype: type, count: int) -> np.ndarray:
         head = b"%%%%MatrixMarket matrix array real general\n%d 1\n" % count
         try:
             values = scipy.io.mmread(io.BytesIO(head + text.translate(_LINES).strip(b"\n")))
-            return np.asarray(values, dtype).ravel()
+            values = np.asarray(values, dtype).ravel()
+            return _signed_zeros(text, values) if b"-" in left else values
         except (ValueError, OverflowError):
             pass
     return parse_slowly(text, dtype)
+
+
+def _signed_zeros(text: bytes, values: np.ndarray) -> np.ndarray:
+    """With the sign of zeros, which the reader loses because it adds what it reads to zeros."""
+    zeros = np.flatnonzero(values == 0)
+    if len(zeros):
+        codes = np.frombuffer(b" " + text, np.uint8)
+        solid = codes > 32
+        first = codes[1:][np.flatnonzero(solid[1:] & ~solid[:-1])[zeros]]
+        values[zeros[first == ord("-")]] = -0.0
+    return values
 
 
 def parse_slowly(text: bytes, dtype: type) -> np.ndarray:

@@ -35,8 +35,12 @@ class Faces:
         """Labels (..., size) of faces of that many corners, outward for the cell: `~f` is face f seen by its neighbour."""
         turned = faces < 0
         start = self.starts[np.where(turned, ~faces, faces)]
-        steps = np.where(turned[..., None], np.arange(size - 1, -1, -1), np.arange(size))
-        return self.labels[start[..., None] + steps]
+        labels = np.ascontiguousarray(self.labels)
+        # a window on the labels for each place at which a face may begin
+        kind = np.dtype((np.void, size * labels.itemsize))
+        windows = np.ndarray(len(labels) - size + 1, kind, labels, strides=(labels.itemsize,))
+        rows = windows[start].view(labels.dtype).reshape(*faces.shape, size)
+        return np.where(turned[..., None], rows[..., ::-1], rows)
 
     def nodes(self, first: int, last: int) -> np.ndarray:
         """The nodes of the faces from `first` up to `last`, as often as they come."""

@@ -2,6 +2,7 @@
 
 import dataclasses
 import gzip
+import itertools
 import pathlib
 import re
 
@@ -123,14 +124,21 @@ class FoamFile:
     def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
         found = self.list_at(self.end)
         stop = self.data.rfind(b")", found.start)
+        tables = list(itertools.takewhile(len, map(_one_size, chunks(self.data, found.start, stop))))
+        if tables and sum(map(len, tables)) == found.count and len({table.shape[1] for table in tables}) == 1:
+            labels = np.concatenate(tables)
+            return labels.ravel(), np.arange(0, labels.size + 1, labels.shape[1])
+        del tables
         words, before, done = [], [np.zeros(0, np.int64)], 0
         for chunk in chunks(self.data, found.start, stop):
             plain = chunk.translate(PARENTHESES)
             labels = parse(plain, np.int64)
-            opens, width = _opens(chunk, plain, labels)
-            before.append(done + opens)
+            solid = np.frombuffer(b" " + plain, np.uint8) > 32
+            first = np.flatnonzero(solid[1:] & ~solid[:-1])
+            opens = np.flatnonzero(np.frombuffer(chunk, np.uint8) == ord("("))
+            before.append(done + np.searchsorted(first, opens))
             words.append(labels.astype(_narrow(labels)))
-            done += width
+            done += len(first)
         values = np.concatenate([np.zeros(0, np.int32), *words])
         words.clear()
         begins = np.concatenate(before)
@@ -156,15 +164,14 @@ class FoamFile:
         return np.concatenate(parts) if parts else np.zeros(0, dtype)
 
 
-def _opens(chunk: bytes, plain: bytes, labels: np.ndarray) -> tuple[np.ndarray, int]:
-    """How many words of a chunk stand before each of its parentheses, and how many it has."""
+def _one_size(chunk: bytes) -> np.ndarray:
+    """Labels (faces, corners) of a piece of text with whole faces, all of one size; empty for any other."""
     faces = chunk.count(b"(")
+    labels = parse(chunk.translate(PARENTHESES), np.int64)
     width, rest = divmod(len(labels), max(faces, 1))
-    if faces and not rest and (labels[::width] == width - 1).all():  # nearly always: faces of one size
-        return np.arange(1, len(labels), width), len(labels)
-    solid = np.frombuffer(b" " + plain, np.uint8) > 32
-    first = np.flatnonzero(solid[1:] & ~solid[:-1])
-    return np.searchsorted(first, np.flatnonzero(np.frombuffer(chunk, np.uint8) == ord("("))), len(first)
+    if rest or width < 4 or chunk.count(b")") != faces or (labels[::width] != width - 1).any():
+        return np.zeros((0, 0), np.int32)
+    return labels.reshape(-1, width)[:, 1:].astype(_narrow(labels))
 
 
 def _narrow(labels: np.ndarray) -> type:
