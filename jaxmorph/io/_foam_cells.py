@@ -61,7 +61,7 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
     """Corner ids (k, corners) and cell ids (k,) by type; the cells of no type are in the second as `polyhedron`."""
     ordered, starts = faces.of_cells()
     counts = np.diff(starts)
-    sizes = faces.sizes[np.where(ordered < 0, ~ordered, ordered)]
+    sizes = np.minimum(faces.sizes, 9).astype(np.int8)[np.where(ordered < 0, ~ordered, ordered)]
     triangles, quads = (np.add.reduceat(sizes == size, starts[:-1], dtype=np.int32) for size in (3, 4))
     left = np.ones(len(counts), bool)
     cells, ids = {}, {}
