@@ -106,7 +106,7 @@ def _add_deform(commands) -> None:
 def _add_modes(commands) -> None:
     modes = _command(commands, "modes", "move a mesh by many shapes or amplitudes at once", _help.MODES, _MODES)
     _add_input(modes)
-    what = "OUT.pvd: .vtu files and a time series of them; else files OUT_0001, OUT_0002, ... of its ending"
+    what = "a time series, OUT.xdmf with OUT.h5, or OUT.pvd of .vtu files; else files OUT_0001, OUT_0002, ... of its ending"
     modes.add_argument("output", metavar="OUT", type=pathlib.Path, help=what)
     _add_surface(modes)
     group = modes.add_argument_group("shapes")

@@ -24,8 +24,12 @@ def write_moved(path: pathlib.Path, mesh: Mesh, moved: Mesh, after: jm.QualityRe
     if not io.check_output(path, mesh):
         io.write(path, moved)
         return
-    names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
-    cell_data = {name: np.asarray(getattr(after, name)) for name in names}
-    cell_data["is_inverted"] = np.asarray(after.is_inverted).astype(np.uint8)
     displacement = np.asarray(moved.points) - np.asarray(mesh.points)
-    io.write(path, moved, point_data={"displacement": displacement}, cell_data=cell_data)
+    io.write(path, moved, point_data={"displacement": displacement}, cell_data=cell_arrays(after))
+
+
+def cell_arrays(report: jm.QualityReport) -> dict[str, np.ndarray]:
+    """The quality of each cell."""
+    names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
+    arrays = {name: np.asarray(getattr(report, name)) for name in names}
+    return arrays | {"is_inverted": np.asarray(report.is_inverted).astype(np.uint8)}

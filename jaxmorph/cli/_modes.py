@@ -1,6 +1,7 @@
 """`jaxmorph modes`: many motions of one mesh through one plan."""
 
 import argparse
+import contextlib
 import dataclasses
 import itertools
 import pathlib
@@ -20,6 +21,7 @@ from ._gates import Judged
 from ._method import check_patches, choose, in_double, prepare
 from ._output import Output
 from ._tables import count, inverted_cells, numbers
+from ._xdmf import Series
 
 BATCH = 8
 """Motions computed together."""
@@ -54,7 +56,8 @@ def modes(arguments: argparse.Namespace, out: Output) -> int:
     out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{'min J/J0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
     before = Judged(mesh, mesh.points, jm.quality(mesh)) if limits else None
-    with out.progress("moving") as stage:
+    xdmf = Series(arguments.output, mesh) if _is_xdmf(arguments) else None
+    with xdmf or contextlib.nullcontext(), out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, shapes, cases):
             report = jm.quality(mesh, points)
             failed = [inverted_cells(report), *_gates.failures(limits, before, Judged(mesh, points, report))]
@@ -62,7 +65,10 @@ def modes(arguments: argparse.Namespace, out: Output) -> int:
             bad += bool(failed)
             _tell(case, arguments.mode[case.mode], report, failed, out)
             if not failed or arguments.allow_inverted:
-                write_moved(case.output, mesh, mesh.moved(points), report)
+                if xdmf:
+                    xdmf.add(case.time, mesh.moved(points), report)
+                else:
+                    write_moved(case.output, mesh, mesh.moved(points), report)
                 good.append(case)
             stage.done(case.number / len(cases))
     return _end(arguments, good, bad, len(cases), out)
@@ -76,10 +82,15 @@ def _cases(arguments: argparse.Namespace) -> list[Case]:
     go_up = len(arguments.mode) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
     suffix = ".vtu" if arguments.output.suffix == ".pvd" else arguments.output.suffix
     name = arguments.output.stem
-    return [
-        Case(k, mode, a, arguments.output.with_name(f"{name}_{k:04d}{suffix}"), a if go_up else float(k))
-        for k, (mode, a) in enumerate(pairs, start=1)
-    ]
+    cases = []
+    for k, (mode, a) in enumerate(pairs, start=1):
+        output = arguments.output if _is_xdmf(arguments) else arguments.output.with_name(f"{name}_{k:04d}{suffix}")
+        cases.append(Case(k, mode, a, output, a if go_up else float(k)))
+    return cases
+
+
+def _is_xdmf(arguments: argparse.Namespace) -> bool:
+    return arguments.output.suffix == ".xdmf"
 
 
 def _check(arguments: argparse.Namespace, mesh: Mesh, cases: list[Case]) -> None:
@@ -87,7 +98,9 @@ def _check(arguments: argparse.Namespace, mesh: Mesh, cases: list[Case]) -> None
     check_patches(arguments, mesh, arguments.moving)
     if not np.isfinite(arguments.amplitude).all():
         raise ValueError("--amplitude needs finite numbers.")
-    for case in cases:
+    if _is_xdmf(arguments) and not arguments.output.parent.is_dir():
+        raise ValueError(f"{arguments.output}: there is no folder {arguments.output.parent}.")
+    for case in cases if not _is_xdmf(arguments) else ():
         io.check_output(case.output, mesh)
 
 
@@ -120,6 +133,9 @@ def _end(arguments: argparse.Namespace, good: list[Case], bad: int, total: int, 
     out.say("")
     if good:
         files = good[0].output if len(good) == 1 else f"{good[0].output} to {good[-1].output.name}"
+        if _is_xdmf(arguments):
+            files = f"{arguments.output} and {arguments.output.with_suffix('.h5').name}"
+            out.facts["output"] = str(arguments.output)
         out.say(f"wrote {files} ({out.seconds:.1f} s)")
     if arguments.output.suffix == ".pvd" and good:
         save(arguments.output, _series(good).encode())

@@ -1,0 +1,87 @@
+"""A time series in XDMF: one file of arrays (.h5), and one that says what they are, which ParaView opens."""
+
+import os
+import pathlib
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+import jaxmorph as jm
+from jaxmorph import Mesh
+
+from ._files import cell_arrays, save
+
+NUMBERS = {
+    "line": (2, 2),
+    "triangle": (4,),
+    "quad": (5,),
+    "tetra": (6,),
+    "pyramid": (7,),
+    "wedge": (8,),
+    "hexahedron": (9,),
+}
+"""XDMF's number of each type; a line's also says how many nodes follow."""
+
+
+class Series:
+    """A context, at whose end both files appear; without any step, or after an error, there are none."""
+
+    def __init__(self, path: pathlib.Path, mesh: Mesh):
+        try:
+            import h5py
+        except ImportError as error:
+            raise ImportError("XDMF files need h5py: pip install 'jaxmorph[io]'") from error
+        self.path, self.arrays = path, path.with_suffix(".h5")
+        self._mesh, self._grids = mesh, []
+        self._partial = path.with_name(f".{path.stem}.{os.getpid()}.partial.h5")
+        self._file: Any = h5py.File(self._partial, "w")
+        kinds = [np.tile(np.array(NUMBERS[kind], np.int32), (len(ids), 1)) for kind, ids in mesh.cells.items()]
+        rows = [
+            np.concatenate([kind, ids], axis=1).ravel() for kind, ids in zip(kinds, mesh.cells.values(), strict=True)
+        ]
+        self._topology = self._item("cells", np.concatenate(rows))
+        self._count = sum(map(len, mesh.cells.values()))
+
+    def __enter__(self) -> "Series":
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        self._file.close()
+        if kind is None and self._grids:
+            self._partial.replace(self.arrays)
+            save(self.path, self._text().encode())
+        self._partial.unlink(missing_ok=True)
+
+    def add(self, time: float, moved: Mesh, report: jm.QualityReport) -> None:
+        """The moved mesh at a time, with its displacement and the quality of each cell."""
+        step = str(len(self._grids))
+        displacement = _in_space(np.asarray(moved.points) - np.asarray(self._mesh.points))
+        attributes = [self._attribute("displacement", f"{step}/displacement", displacement, "Node", "Vector")]
+        for name, values in cell_arrays(report).items():
+            attributes.append(self._attribute(name, f"{step}/{name}", values, "Cell", "Scalar"))
+        points = self._item(f"{step}/points", _in_space(np.asarray(moved.points)))
+        topology = f'<Topology TopologyType="Mixed" NumberOfElements="{self._count}">{self._topology}</Topology>'
+        body = [f'<Time Value="{time!r}"/>', topology, f'<Geometry GeometryType="XYZ">{points}</Geometry>', *attributes]
+        self._grids.append("\n".join([f'<Grid Name="{step}" GridType="Uniform">', *body, "</Grid>"]))
+
+    def _attribute(self, name: str, place: str, values: np.ndarray, centre: str, kind: str) -> str:
+        item = self._item(place, values)
+        return f'<Attribute Name="{name}" AttributeType="{kind}" Center="{centre}">{item}</Attribute>'
+
+    def _item(self, place: str, values: np.ndarray) -> str:
+        self._file.create_dataset(place, data=values)
+        kind = {"f": "Float", "i": "Int", "u": "UChar"}[values.dtype.kind]
+        size = " ".join(map(str, values.shape))
+        where = f"{self.arrays.name}:/{place}"
+        about = f'Format="HDF" NumberType="{kind}" Precision="{values.dtype.itemsize}" Dimensions="{size}"'
+        return f"<DataItem {about}>{quoteattr(where)[1:-1]}</DataItem>"
+
+    def _text(self) -> str:
+        series = '<Grid Name="series" GridType="Collection" CollectionType="Temporal">'
+        head = ['<?xml version="1.0"?>', '<Xdmf Version="3.0">', "<Domain>", series]
+        return "\n".join([*head, *self._grids, "</Grid>", "</Domain>", "</Xdmf>", ""])
+
+
+def _in_space(values: np.ndarray) -> np.ndarray:
+    return np.pad(values.astype(float), ((0, 0), (0, 3 - values.shape[1])))
