@@ -49,7 +49,7 @@ class Faces:
     def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
         """The faces of each cell in a row, `~f` for one whose neighbour it is, and where each cell begins (one more at the end)."""
         inner = np.flatnonzero(self.neighbour >= 0).astype(np.int32)
-        cells = np.concatenate([self.owner, self.neighbour[inner]]).astype(np.int32)
+        cells = np.concatenate([self.owner, self.neighbour[inner]]).astype(np.int32, copy=False)
         ids = np.concatenate([np.arange(len(self.owner), dtype=np.int32), ~inner])
         columns = np.arange(len(cells) + 1, dtype=np.int32)
         shape = (int(cells.max(initial=-1)) + 1, len(cells))
@@ -69,7 +69,7 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
         mine = np.flatnonzero((counts == f) & (triangles == t) & (quads == q))
         if len(mine):
             corners, good = _typed(faces, kind, ordered, sizes, starts[mine])
-            cells[kind], ids[kind] = corners[good], mine[good]
+            cells[kind], ids[kind] = (corners, mine) if good.all() else (corners[good], mine[good])
             left[ids[kind]] = False
     if left.any():
         ids["polyhedron"] = np.flatnonzero(left)
