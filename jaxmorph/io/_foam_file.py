@@ -128,7 +128,7 @@ class FoamFile:
         if tables and sum(map(len, tables)) == found.count and len({table.shape[1] for table in tables}) == 1:
             labels = np.concatenate(tables)
             kind = np.int32 if labels.size < 2**31 - labels.shape[1] else np.int64
-            return labels.ravel(), np.arange(0, labels.size + 1, labels.shape[1], kind)
+            return labels.ravel(), np.arange(0, labels.size + 1, labels.shape[1], dtype=kind)
         del tables
         words, before, done = [], [np.zeros(0, np.int64)], 0
         for chunk in chunks(self.data, found.start, stop):
