@@ -33,14 +33,17 @@ class Faces:
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
         """Labels (..., size) of faces of that many corners, outward for the cell: `~f` is face f seen by its neighbour."""
-        turned = faces < 0
-        start = self.starts[np.where(turned, ~faces, faces)]
+        rows = self.unturned(faces, size)
+        return np.where((faces < 0)[..., None], rows[..., ::-1], rows)
+
+    def unturned(self, faces: np.ndarray, size: int) -> np.ndarray:
+        """`corners`, outward for the owner."""
+        start = self.starts[np.where(faces < 0, ~faces, faces)]
         labels = np.ascontiguousarray(self.labels)
         # a window on the labels for each place at which a face may begin
         kind = np.dtype((np.void, size * labels.itemsize))
         windows = np.ndarray(len(labels) - size + 1, kind, labels, strides=(labels.itemsize,))
-        rows = windows[start].view(labels.dtype).reshape(*faces.shape, size)
-        return np.where(turned[..., None], rows[..., ::-1], rows)
+        return windows[start].view(labels.dtype).reshape(*faces.shape, size)
 
     def nodes(self, first: int, last: int) -> np.ndarray:
         """The nodes of the faces from `first` up to `last`, as often as they come."""
@@ -50,11 +53,12 @@ class Faces:
         """The faces of each cell in a row, `~f` for one whose neighbour it is, and where each cell begins (one more at the end)."""
         inner = np.flatnonzero(self.neighbour >= 0).astype(np.int32)
         cells = np.concatenate([self.owner, self.neighbour[inner]]).astype(np.int32, copy=False)
-        ids = np.concatenate([np.arange(len(self.owner), dtype=np.int32), ~inner])
         columns = np.arange(len(cells) + 1, dtype=np.int32)
         shape = (int(cells.max(initial=-1)) + 1, len(cells))
-        by_cell = sparse.csc_matrix((ids, cells, columns), shape).tocsr()
-        return by_cell.data, by_cell.indptr.astype(np.int64)
+        by_cell = sparse.csc_matrix((np.ones(len(cells), np.int8), cells, columns), shape).tocsr()
+        del cells, columns
+        ids = np.concatenate([np.arange(len(self.owner), dtype=np.int32), ~inner])
+        return ids[by_cell.indices], by_cell.indptr.astype(np.int64)
 
 
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
@@ -97,17 +101,24 @@ def _from_base(faces: Faces, kind: str, mine: np.ndarray) -> tuple[np.ndarray, n
     base = faces.corners(mine[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3
     walls = mine[:, 2:] if kind == "wedge" else mine[:, 1:]
-    # one row for each edge of the walls, so that each operation runs along the cells
-    start = np.ascontiguousarray(np.moveaxis(faces.corners(walls, side), 0, -1))
-    end = np.roll(start, -1, axis=1).reshape(-1, len(mine))
-    start, corners = start.reshape(-1, len(mine)), np.ascontiguousarray(base.T)
-    leaves = np.ones(end.shape, bool)
+    # the cells last, so that each operation runs along them
+    start = np.ascontiguousarray(np.moveaxis(faces.unturned(walls, side), 0, -1))
+    swap = np.where(walls.T < 0, start[:, 1] ^ start[:, -1], 0)
+    start[:, 1] ^= swap
+    start[:, -1] ^= swap
+    corners = np.ascontiguousarray(base.T)
+    is_base = np.zeros(start.shape, bool)
     for corner in corners:
-        leaves &= end != corner
-    tops, good = [], np.ones(len(mine), bool)
+        is_base |= start == corner
+    # a wall has one edge that leaves the base, the face across from the base none
+    leaves = is_base & ~np.roll(is_base, -1, axis=1)
+    count = leaves.sum(axis=1, dtype=np.int8)
+    foot = np.where(count, (leaves * start).sum(axis=1, dtype=base.dtype), -1)
+    head = (leaves * np.roll(start, -1, axis=1)).sum(axis=1, dtype=base.dtype)
+    tops, good = [], (count <= 1).all(axis=0)
     for corner in corners:
-        hit = leaves & (start == corner)
-        tops.append((hit * end).sum(axis=0, dtype=base.dtype))
+        hit = foot == corner
+        tops.append((hit * head).sum(axis=0, dtype=base.dtype))
         good &= hit.sum(axis=0, dtype=np.int8) == 1
     top = np.stack(tops, axis=1)
     if kind in ("tetra", "pyramid"):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import gzip
-import itertools
 import pathlib
 import re
 
@@ -124,12 +123,10 @@ class FoamFile:
     def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
         found = self.list_at(self.end)
         stop = self.data.rfind(b")", found.start)
-        tables = list(itertools.takewhile(len, map(_one_size, chunks(self.data, found.start, stop))))
-        if tables and sum(map(len, tables)) == found.count and len({table.shape[1] for table in tables}) == 1:
-            labels = np.concatenate(tables)
+        labels = self._table(found, stop)
+        if labels is not None:
             kind = np.int32 if labels.size < 2**31 - labels.shape[1] else np.int64
             return labels.ravel(), np.arange(0, labels.size + 1, labels.shape[1], dtype=kind)
-        del tables
         words, before, done = [], [np.zeros(0, np.int64)], 0
         for chunk in chunks(self.data, found.start, stop):
             plain = chunk.translate(PARENTHESES)
@@ -156,6 +153,18 @@ class FoamFile:
         keep = np.ones(len(values), bool)
         keep[begins - 1] = False
         return values[keep], np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
+
+    def _table(self, found: List, stop: int) -> np.ndarray | None:
+        """Labels (faces, corners) of a text whose faces are all of one size; None for any other."""
+        done, labels = 0, np.zeros((0, 0), np.int32)
+        for part in map(_one_size, chunks(self.data, found.start, stop)):
+            if not done and len(part) and found.count * part.shape[1] <= len(self.data):
+                labels = np.empty((found.count, part.shape[1]), part.dtype)
+            if done + len(part) > len(labels) or (part.dtype, part.shape[1]) != (labels.dtype, labels.shape[1]):
+                return None
+            labels[done : done + len(part)] = part
+            done += len(part)
+        return labels if done and done == found.count else None
 
     def _words(self, start: int, stop: int, dtype: np.dtype) -> np.ndarray:
         parts = []

@@ -17,9 +17,10 @@ import numpy as np
 from jaxmorph import Mesh
 from jaxmorph._host.files import complete
 
-from ._foam_cells import Faces, standard_cells
+from ._foam_cells import Faces
 from ._foam_file import PARENTHESES, FoamFile, Patch, load, patches
 from ._foam_plane import Layer, layer, plane_cells
+from ._foam_topology import Topology, topology_of
 from ._format import Arrays, Source, source_of
 from ._polyhedra import tetrahedra
 from ._text import replace_words
@@ -60,20 +61,15 @@ def read(path: pathlib.Path) -> Mesh:
     wedges = [patch.name for patch in boundary if patch.type == "wedge"]
     if wedges:
         raise ValueError(f"{path}: patches of type wedge ({', '.join(wedges)}); axisymmetric cases are not supported.")
-    file = load(here, "points")
-    points = file.numbers("scalar", 3)
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size or not len(points):
-        found = f"point {bad[0]} is not finite: {points[bad[0]].tolist()}" if bad.size else "no points"
-        raise file.error(found)
-    faces = _faces(topology, len(points))
-    _check(topology, boundary, faces)
     empty = [patch for patch in boundary if patch.type == "empty" and patch.count]
+    found = topology_of(topology, boundary, is_plane=bool(empty))
+    file, points = _points(here)
+    found.check(topology, len(points))
     try:
         if empty:
-            (mesh, plane), whole = _in_plane(faces, points, boundary, empty), None
+            (mesh, plane), whole = _in_plane(found, points, boundary, empty), None
         else:
-            (mesh, whole), plane = _in_space(faces, points, boundary), None
+            (mesh, whole), plane = _in_space(found, points), None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     source = Source(file.path, NAME, _Content(file, points, topology, plane, whole))
@@ -157,16 +153,25 @@ def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes]:
     yield file.data[stop:]
 
 
-def _in_space(faces: Faces, points: np.ndarray, boundary: list[Patch]) -> tuple[Mesh, WholeCells | None]:
-    cells, ids = standard_cells(faces)
-    is_cut = "polyhedron" in ids
-    if is_cut:
-        pieces, owners = tetrahedra(faces, ids.pop("polyhedron"), points)
-        cells["tetra"] = np.concatenate([cells["tetra"], pieces]) if "tetra" in cells else pieces
-        ids["tetra"] = np.concatenate([ids["tetra"], owners]) if "tetra" in ids else owners
-    nodes = {patch.name: faces.nodes(patch.start, patch.start + patch.count) for patch in boundary}
-    mesh = Mesh(points, cells, nodes)
-    return mesh, WholeCells(faces, np.concatenate([ids[kind] for kind in mesh.cells])) if is_cut else None
+def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
+    file = load(folder, "points")
+    points = file.numbers("scalar", 3)
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size or not len(points):
+        found = f"point {bad[0]} is not finite: {points[bad[0]].tolist()}" if bad.size else "no points"
+        raise file.error(found)
+    return file, points
+
+
+def _in_space(found: Topology, points: np.ndarray) -> tuple[Mesh, WholeCells | None]:
+    cells, ids, faces = found.cells, found.ids, found.faces
+    if faces is None:
+        return Mesh(points, cells, found.nodes), None
+    pieces, owners = tetrahedra(faces, ids.pop("polyhedron"), points)
+    cells["tetra"] = np.concatenate([cells["tetra"], pieces]) if "tetra" in cells else pieces
+    ids["tetra"] = np.concatenate([ids["tetra"], owners]) if "tetra" in ids else owners
+    mesh = Mesh(points, cells, found.nodes)
+    return mesh, WholeCells(faces, np.concatenate([ids[kind] for kind in mesh.cells]))
 
 
 def whole_cells(mesh: Mesh) -> WholeCells | None:
@@ -175,37 +180,12 @@ def whole_cells(mesh: Mesh) -> WholeCells | None:
     return None if source is None else source.content.whole
 
 
-def _in_plane(faces: Faces, points: np.ndarray, boundary: list[Patch], empty: list[Patch]) -> tuple[Mesh, Layer]:
+def _in_plane(found: Topology, points: np.ndarray, boundary: list[Patch], empty: list[Patch]) -> tuple[Mesh, Layer]:
+    assert found.faces is not None
     ids = np.concatenate([np.arange(patch.start, patch.start + patch.count) for patch in empty])
-    plane = layer(faces, points)
-    nodes = {
-        patch.name: plane.ids(faces.nodes(patch.start, patch.start + patch.count))
-        for patch in boundary
-        if patch.type != "empty"
-    }
-    return Mesh(plane.in_plane(points), plane_cells(faces, points, ids, plane), nodes), plane
-
-
-def _faces(folder: pathlib.Path, n: int) -> Faces:
-    labels, starts = load(folder, "faces").faces()
-    owner, neighbour = (load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour"))
-    if labels.min(initial=0) < 0 or labels.max(initial=0) >= n:
-        bad = int(labels.max()) if labels.max() >= n else int(labels.min())
-        raise ValueError(f"{folder}: a face names node {bad}, but there are points 0 to {n - 1}.")
-    if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):
-        found = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
-        raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {found}.")
-    cells = np.bincount(np.concatenate([owner, neighbour[neighbour >= 0]])) if owner.min() >= 0 else np.zeros(1)
-    if cells.min() < 4:
-        raise ValueError(f"{folder}: cell {int(cells.argmin())} has {int(cells.min())} faces; a cell needs 4 at least.")
-    return Faces(labels, starts, owner, neighbour)
-
-
-def _check(folder: pathlib.Path, boundary: list[Patch], faces: Faces) -> None:
-    for patch in boundary:
-        if patch.count < 0 or patch.start < 0 or patch.start + patch.count > len(faces.owner):
-            ends = f"{patch.start} to {patch.start + patch.count - 1}"
-            raise ValueError(f"{folder / 'boundary'}: patch {patch.name!r} is faces {ends} of {len(faces.owner)}.")
+    plane = layer(found.faces, points)
+    nodes = {patch.name: plane.ids(found.nodes[patch.name]) for patch in boundary if patch.type != "empty"}
+    return Mesh(plane.in_plane(points), plane_cells(found.faces, points, ids, plane), nodes), plane
 
 
 def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
