@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from scipy import sparse
 
-BLOCK = 1 << 15
+BLOCK = 1 << 13
 """Cells looked at together."""
 
 _SHAPES = {"tetra": (4, 4, 0), "pyramid": (5, 4, 1), "wedge": (5, 2, 3), "hexahedron": (6, 0, 6)}
@@ -33,17 +33,26 @@ class Faces:
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
         """Labels (..., size) of faces of that many corners, outward for the cell: `~f` is face f seen by its neighbour."""
-        rows = self.unturned(faces, size)
-        return np.where((faces < 0)[..., None], rows[..., ::-1], rows)
-
-    def unturned(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """`corners`, outward for the owner."""
         start = self.starts[np.where(faces < 0, ~faces, faces)]
         labels = np.ascontiguousarray(self.labels)
         # a window on the labels for each place at which a face may begin
         kind = np.dtype((np.void, size * labels.itemsize))
         windows = np.ndarray(len(labels) - size + 1, kind, labels, strides=(labels.itemsize,))
-        return windows[start].view(labels.dtype).reshape(*faces.shape, size)
+        rows = windows[start].view(labels.dtype).reshape(*faces.shape, size)
+        return np.where((faces < 0)[..., None], rows[..., ::-1], rows)
+
+    def around(self, faces: np.ndarray, size: int) -> np.ndarray:
+        """`corners` of faces (k, m) as (m, size, k), begun anywhere: so each operation runs along the k cells."""
+        faces = np.ascontiguousarray(faces.T)
+        turned = faces < 0
+        start = np.take(self.starts, np.where(turned, ~faces, faces))
+        labels = np.empty((len(faces), size, faces.shape[1]), self.labels.dtype)
+        for k in range(size):
+            labels[:, k] = np.take(self.labels[k:], start)
+        swap = np.where(turned, labels[:, 1] ^ labels[:, -1], 0)
+        labels[:, 1] ^= swap
+        labels[:, -1] ^= swap
+        return labels
 
     def nodes(self, first: int, last: int) -> np.ndarray:
         """The nodes of the faces from `first` up to `last`, as often as they come."""
@@ -101,11 +110,7 @@ def _from_base(faces: Faces, kind: str, mine: np.ndarray) -> tuple[np.ndarray, n
     base = faces.corners(mine[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3
     walls = mine[:, 2:] if kind == "wedge" else mine[:, 1:]
-    # the cells last, so that each operation runs along them
-    start = np.ascontiguousarray(np.moveaxis(faces.unturned(walls, side), 0, -1))
-    swap = np.where(walls.T < 0, start[:, 1] ^ start[:, -1], 0)
-    start[:, 1] ^= swap
-    start[:, -1] ^= swap
+    start = faces.around(walls, side)
     corners = np.ascontiguousarray(base.T)
     is_base = np.zeros(start.shape, bool)
     for corner in corners:
