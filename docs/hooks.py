@@ -5,7 +5,7 @@ A line of a page in double braces is replaced:
     {{ README.md }}                        the document without its title
     {{ README.md / Files }}                a section without its heading; of the first one what stands before the second
     {{ README.md / Measured / How far }}   the paragraph or list item that begins so, with the table or code that follows it
-    {{ help }}                             what `jaxmorph --help` and each `jaxmorph COMMAND --help` print
+    {{ help }}                             what `jaxmorph --help` and each `jaxmorph COMMAND --help-all` (else `--help`) print
     {{ api deform refit }}                 these names of jaxmorph, with signature and docstring
     {{ api io }}                           all public names of jaxmorph.io
 
@@ -156,14 +156,18 @@ def helps() -> str:
 
 
 def helped(*command: str) -> str:
-    """What `--help` prints, at a width that fits a page."""
+    """All that is told of a command, at a width that fits a page: by `--help-all` where `--help` leaves something out."""
     from jaxmorph.cli import main
 
-    said = io.StringIO()
     os.environ |= {"COLUMNS": "84", "NO_COLOR": "1"}
-    with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
-        main([*command, "--help"])
-    return said.getvalue().strip()
+    said = ""
+    for flag in ("--help", "--help-all"):
+        if flag == "--help" or flag in said:
+            page = io.StringIO()
+            with contextlib.redirect_stdout(page), contextlib.suppress(SystemExit):
+                main([*command, flag])
+            said = page.getvalue().strip()
+    return said
 
 
 def api(names: list[str]) -> str:

@@ -2,13 +2,13 @@
 
 import argparse
 import pathlib
-import re
 import textwrap
 from typing import Any
 
 from . import _help
 from ._gates import GATES, PRESETS
 from ._groups import Job, Moving, Part
+from ._parser import Parser
 
 METHODS = ("paper", "rbf", "dgm")
 
@@ -23,17 +23,6 @@ _MODES = """IN OUT --moving NAME ... --fixed NAME ... --mode FILE ...
 
 _SENSITIVITY = """IN SENS OUT --moving NAME ... --fixed NAME ...
            [--symmetry NAME ...] [METHOD ...]"""
-
-
-class Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong with the arguments, and takes -1e-3 for a number."""
-
-    def __init__(self, **settings):
-        super().__init__(**settings, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
-        self._negative_number_matcher = re.compile(r"-\.?\d")
-
-    def error(self, message):
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -65,14 +54,16 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def _command(commands, name: str, summary: str, epilog: str, usage: str) -> argparse.ArgumentParser:
+def _command(commands, name: str, summary: str, epilog: str, usage: str, **short: Any) -> argparse.ArgumentParser:
     description = textwrap.fill(summary[0].upper() + summary[1:] + ".", 80)
     usage = f"jaxmorph {name} {usage}"
-    return commands.add_parser(name, help=summary, description=description, epilog=epilog, usage=usage)
+    return commands.add_parser(name, help=summary, description=description, epilog=epilog, usage=usage, **short)
 
 
 def _add_deform(commands) -> None:
-    deform = _command(commands, "deform", "move patches of a mesh, and the mesh with them", _help.DEFORM, _DEFORM)
+    short = {"everyday": _help.DEFORM_EVERYDAY, "short_epilog": _help.DEFORM_SHORT}
+    what = "move patches of a mesh, and the mesh with them"
+    deform = _command(commands, "deform", what, _help.DEFORM, _DEFORM, **short)
     _add_input(deform)
     deform.add_argument(
         "output",
@@ -92,6 +83,8 @@ def _add_deform(commands) -> None:
     _add_motion(group)
     method = _add_method(deform)
     method.add_argument("--steps", metavar="N", type=int, default=1, help="steps to make the motion in (default 1)")
+    what = "prepare and move N points at a time: less memory, more time, the same mesh to round-off"
+    method.add_argument("--chunk", metavar="N", type=int, help=what)
     _add_gates(deform)
     group = deform.add_argument_group("when cells are bad")
     group.add_argument(
@@ -104,7 +97,9 @@ def _add_deform(commands) -> None:
 
 
 def _add_modes(commands) -> None:
-    modes = _command(commands, "modes", "move a mesh by many shapes or amplitudes at once", _help.MODES, _MODES)
+    short = {"everyday": _help.MODES_EVERYDAY, "short_epilog": _help.MODES_SHORT}
+    what = "move a mesh by many shapes or amplitudes at once"
+    modes = _command(commands, "modes", what, _help.MODES, _MODES, **short)
     _add_input(modes)
     what = "a time series, OUT.xdmf with OUT.h5, or OUT.pvd of .vtu files; else files OUT_0001, OUT_0002, ... of its ending"
     modes.add_argument("output", metavar="OUT", type=pathlib.Path, help=what)
@@ -222,7 +217,7 @@ def _add_motion(group) -> None:
         group.add_argument(f"--{name}", metavar="DEG", type=float, action=Part, help=what)
     group.add_argument("--translate", metavar=("X", "Y"), **numbers, help="vector to translate by")
     group.add_argument(
-        "--about", metavar=("X", "Y"), **numbers, help="point to scale, twist, bend, rotate about; default the origin"
+        "--about", metavar=("X", "Y"), **numbers, help="point to scale, twist, bend, rotate about (the origin)"
     )
     group.add_argument("--axis", metavar=("X", "Y"), **numbers, help="axis of rotation and bending, 3-D only")
     group.add_argument("--along", metavar=("X", "Y"), **numbers, help="line from --about of twisting and bending")

@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import textwrap
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +13,7 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io
 
 from . import _gates, _picture
+from ._chunks import Chunks, chunks, in_mesh
 from ._estimate import estimate
 from ._files import save, write_moved
 from ._gates import Gate, Judged
@@ -39,19 +41,30 @@ class Run:
     motion: Motions
     gates: list[Gate]
     before: Judged
+    chunks: Chunks
 
     @property
     def wall(self) -> Float[np.ndarray, "m d"]:
         return np.asarray(self.mesh.points)[self.moving]
 
     def prepare(self, choice: Choice) -> jm.Plan:
-        return prepare(self.arguments, self.mesh, self.names, choice.method)
+        """The plan of the first chunk."""
+        return prepare(self.arguments, self.mesh, self.names, choice.method, next(iter(self.chunks)))
 
-    def points(self, plan: jm.Plan, steps: int) -> Float[np.ndarray, "n d"]:
-        """The moved points, always in double precision."""
-        path = self.motion.path(self.wall, steps)
-        moved = jm.deform(plan, path[0]) if steps == 1 else jm.march(plan, path)[1]
-        return in_double(self.mesh, plan, moved, path[-1])
+    def points(
+        self, plan: jm.Plan, steps: int, done: Callable[[float], None] = lambda _: None
+    ) -> Float[np.ndarray, "n d"]:
+        """The moved points, always in double precision, from the plan of the first chunk; `done` hears the share that is done."""
+        path, points = self.motion.path(self.wall, steps), np.array(self.mesh.points, dtype=float)
+        for k, nodes in enumerate(self.chunks):
+            if k > 0:
+                done(k / len(self.chunks))
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # said of the first chunk
+                    plan = prepare(self.arguments, self.mesh, self.names, plan.method, nodes)
+            moved = jm.deform(plan, path[0]) if steps == 1 else jm.march(plan, path)[1]
+            points[nodes] = in_double(np.asarray(self.mesh.points)[nodes], plan, moved, path[-1])
+        return points
 
     def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, list[str]]:
         """The quality of the moved mesh, and a sentence for each thing that is wrong with it."""
@@ -76,9 +89,10 @@ def deform(arguments: argparse.Namespace, out: Output) -> int:
         plan = run.prepare(choice)
     with out.progress("inspecting the motion"):
         for warning in jm.inspect(plan, run.motion.path(run.wall, 1)[-1]).warnings:
-            out.warn(warning)
-    with out.progress(f"deforming in {count(arguments.steps, 'step')}", foreseen.deforming):
-        points = run.points(plan, arguments.steps)
+            out.warn(in_mesh(warning, next(iter(run.chunks))))
+    with out.progress(f"deforming in {count(arguments.steps, 'step')}", foreseen.deforming) as stage:
+        points = run.points(plan, arguments.steps, stage.done)
+    del plan  # judging takes as much memory
     with out.progress("judging the cells", foreseen.judging / 2):
         after, bad = run.judge(points)
         tables = [compared(run.before.report, after.report), _gates.table(run.gates, run.before, after)]
@@ -137,7 +151,8 @@ def _run(arguments: argparse.Namespace, mesh: Mesh, out: Output) -> tuple[Run, C
         before = Judged(mesh, mesh.points, jm.quality(mesh))
         for gate in limits:
             gate.extreme(before)  # what cannot be judged is told now
-    return Run(arguments, mesh, names, moving, motion, limits, before), choice
+    parts = chunks(mesh, np.union1d(moving, fixed), arguments.symmetry, arguments.chunk)
+    return Run(arguments, mesh, names, moving, motion, limits, before, parts), choice
 
 
 def _wrapped(out: Output, text: str) -> None:

@@ -1,4 +1,19 @@
-"""The pages of help: what stands below the flags."""
+"""The pages of help: what stands below the flags, and which flags a short page has."""
+
+DEFORM_EVERYDAY = (
+    "file",
+    "output",
+    "picture",
+    "moving",
+    "fixed",
+    "symmetry",
+    "displacement",
+    "rotate",
+    "translate",
+    "about",
+)
+DEFORM_EVERYDAY += ("axis", "sources", "steps")
+MODES_EVERYDAY = ("file", "output", "moving", "fixed", "symmetry", "mode", "amplitude", "sources")
 
 MAIN = """\
 examples:
@@ -49,6 +64,20 @@ examples:
 exit status: 0; 1 when cells are inverted or a gate fails (OUT is then not
 written unless --allow-inverted is given); 2 for bad input"""
 
+DEFORM_SHORT = """\
+Scaling, twisting, bending, mode shapes, free-form boxes, other methods, limits
+of quality, job files, output for machines: jaxmorph deform --help-all
+
+examples:
+  jaxmorph deform airfoil.su2 pitched.su2 --moving airfoil --fixed farfield \\
+      --rotate -15 --about 0.25 0 --steps 3
+  jaxmorph deform airfoil.su2 bumped.su2 --moving airfoil --fixed farfield \\
+      --displacement surface.dat
+  jaxmorph deform wing.su2 up.su2 --moving wing --fixed farfield \\
+      --symmetry symmetry --rotate 2 --axis 0 1 0 --picture up.html
+
+exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input"""
+
 MODES = """\
 Every mode file at every amplitude, through one plan, several at a time. Times
 of a series are the amplitudes where one mode's go up, else the cases' numbers.
@@ -63,6 +92,17 @@ examples:
 
 exit status: 0; 1 when cells are inverted or a gate fails in any of them (it is
 then not written unless --allow-inverted is given); 2 for bad input"""
+
+MODES_SHORT = """\
+Other methods, limits of quality, output for machines: jaxmorph modes --help-all
+
+examples:
+  jaxmorph modes wing.su2 flutter.pvd --moving wing --fixed farfield \\
+      --symmetry symmetry --mode mode1.csv --amplitude -0.2 -0.1 0 0.1 0.2
+  jaxmorph modes airfoil.su2 shapes.su2 --moving airfoil --fixed farfield \\
+      --mode bumps/*.npz --amplitude 0.01
+
+exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input"""
 
 SENSITIVITY = """\
 The transpose of deform, at the mesh as it is, for the same patches and method.

@@ -12,7 +12,7 @@ from ._gates import GATES
 from ._groups import Group
 
 LISTS = ("fixed", "symmetry")
-VALUES = ("method", "sources", "steps", "dtype", "preset", "picture", *GATES)
+VALUES = ("method", "sources", "steps", "chunk", "dtype", "preset", "picture", *GATES)
 SWITCHES = {"allow_inverted": True, "dry_run": False}
 """Those that are either true or false, and the value that has a flag."""
 

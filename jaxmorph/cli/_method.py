@@ -5,8 +5,11 @@ import dataclasses
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
 import jaxmorph as jm
+
+from ._chunks import in_mesh
 
 SEARCHES = 24
 """Reductions tried to find one of about as many sources as asked for."""
@@ -62,23 +65,32 @@ def about(sources: int, wall: np.ndarray) -> jm.AbstractReduction:
 
 
 def prepare(
-    arguments: argparse.Namespace, mesh: jm.Mesh, moving: list[str], method: jm.AbstractMethod | None
+    arguments: argparse.Namespace,
+    mesh: jm.Mesh,
+    moving: list[str],
+    method: jm.AbstractMethod | None,
+    nodes: Int[np.ndarray, " c"] | None = None,
 ) -> jm.Plan:
-    """A patch is plane, or an error names it; so does one for points outside of the hull name the patches left out."""
+    """The plan of the mesh, or of some of its nodes (ascending ids).
+
+    A patch is plane, or an error names it; so does one for points outside of the hull name the patches left out.
+    """
     planes = []
     for name in arguments.symmetry:
         try:
             planes.append(jm.Plane.through(mesh.points, mesh.patch(name)))
         except ValueError as error:
             raise ValueError(f"--symmetry {name}: {error}") from None
-    points = np.asarray(mesh.points).astype(arguments.dtype)
+    nodes = np.arange(len(mesh.points)) if nodes is None else nodes
+    points = np.asarray(mesh.points)[nodes].astype(arguments.dtype, copy=False)
+    moves, stays = (np.searchsorted(nodes, mesh.patch(*names)) for names in (moving, arguments.fixed))
     try:
-        return jm.prepare(points, mesh.patch(*moving), mesh.patch(*arguments.fixed), method=method, symmetry=planes)
-    except ValueError as error:
+        return jm.prepare(points, moves, stays, method=method, symmetry=planes)
+    except ValueError as caught:
+        error = in_mesh(str(caught), nodes)
         left = [name for name in mesh.patches if name not in {*moving, *arguments.fixed, *arguments.symmetry}]
-        if "convex hull" in str(error) and left:
-            raise ValueError(f"{error} Patches that are neither: {', '.join(left)}.") from None
-        raise
+        others = f" Patches that are neither: {', '.join(left)}." if "convex hull" in error and left else ""
+        raise ValueError(f"{error}{others}") from None
 
 
 def check_patches(arguments: argparse.Namespace, mesh: jm.Mesh, moving: list[str]) -> None:
@@ -91,6 +103,8 @@ def check_patches(arguments: argparse.Namespace, mesh: jm.Mesh, moving: list[str
             raise ValueError(f"{option} {' '.join(names)}: there are no nodes in it.")
     for name in arguments.symmetry:
         mesh.patch(name)
+    if getattr(arguments, "chunk", None) is not None and arguments.chunk < 1:
+        raise ValueError(f"--chunk must be 1 or more, found {arguments.chunk}.")
     both = sorted(set(moving) & set(arguments.fixed))
     if both:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
@@ -98,11 +112,13 @@ def check_patches(arguments: argparse.Namespace, mesh: jm.Mesh, moving: list[str
         raise ValueError(f"{arguments.file}: the mesh has no cells.")
 
 
-def in_double(mesh: jm.Mesh, plan: jm.Plan, moved: jax.Array | np.ndarray, u: np.ndarray) -> np.ndarray:
+def in_double(
+    base: Float[np.ndarray, "n d"], plan: jm.Plan, moved: jax.Array | np.ndarray, u: Float[np.ndarray, "m d"]
+) -> Float[np.ndarray, "n d"]:
     """Moved points in double precision: nodes that a plan in single precision leaves alone keep all their digits."""
     if moved.dtype == np.float64:
         return np.asarray(moved)
-    base, nodes = np.asarray(mesh.points), np.asarray(plan.moving)
+    nodes = np.asarray(plan.moving)
     points = base + (np.asarray(moved, float) - np.asarray(plan.points, float))
     if plan.method.exact:
         points[nodes] = base[nodes] + u

@@ -116,7 +116,7 @@ def _moved(
         u[: len(some)] = [case.amplitude * shapes[case.mode] for case in some]
         moved = np.asarray(together(u))
         for k, case in enumerate(some):
-            yield case, in_double(mesh, plan, moved[k], u[k])
+            yield case, in_double(np.asarray(mesh.points), plan, moved[k], u[k])
 
 
 def _tell(case: Case, file: pathlib.Path, report: jm.QualityReport, failed: list[str], out: Output) -> None:

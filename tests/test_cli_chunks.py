@@ -1,0 +1,125 @@
+"""`jaxmorph deform --chunk`: the same mesh as without, some nodes at a time."""
+
+import argparse
+import json
+import re
+import tomllib
+
+import numpy as np
+import pytest
+from ring import write_ring
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.cli import main
+from jaxmorph.cli._chunks import chunks, in_mesh
+from jaxmorph.cli._deform import Run
+from jaxmorph.cli._groups import Group
+from jaxmorph.cli._method import Choice
+from jaxmorph.cli._motion import motions
+
+MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0", "--rotate", "30"]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def sizes(monkeypatch):
+    """How many points each call of `prepare` is given."""
+    prepare, called = jm.prepare, []
+
+    def counted(points, *arguments, **keywords):
+        called.append(len(points))
+        return prepare(points, *arguments, **keywords)
+
+    monkeypatch.setattr(jm, "prepare", counted)
+    return called
+
+
+def run(file, out, *flags):
+    assert main(["deform", file, out, *flags]) == 0
+    return np.asarray(io.read(out).points)
+
+
+@pytest.mark.parametrize("flags", [[], ["--steps", "2"], ["--method", "rbf", "--dtype", "float32"]], ids=" ".join)
+def test_chunks_give_the_mesh_of_the_whole(here, sizes, flags):
+    mesh = write_ring(here / "ring.su2")
+    whole = run("ring.su2", "whole.su2", *MOVE, *flags)
+    parts = run("ring.su2", "parts.su2", *MOVE, *flags, "--chunk", "100")
+    assert sizes == [216, 132, 132]  # 48 nodes of the surface, and halves of 168
+    np.testing.assert_allclose(parts, whole, rtol=0, atol=2e-6 if "float32" in flags else 1e-14)
+    np.testing.assert_array_equal(parts[mesh.patch("wall")], whole[mesh.patch("wall")])
+    np.testing.assert_array_equal(parts[mesh.patch("far")], mesh.points[mesh.patch("far")])
+
+
+def brick():
+    """Points between z = 0 and 1, in any order; x = 0 and y = 0 are planes of symmetry."""
+    axis = np.linspace(0, 1, 6)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = np.random.default_rng(0).permutation(points)
+    return jm.Mesh(
+        points, {}, {f"{'xyz'[a]}{side}": np.flatnonzero(points[:, a] == side) for a in range(3) for side in (0, 1)}
+    )
+
+
+def test_nodes_slide_in_their_planes_in_every_chunk(sizes):
+    """Without the judging of cells, which takes ten times longer to compile."""
+    mesh, patches = brick(), ["z1", "x1", "y1"]
+    bump = {
+        "low": [-1, -1, -1],
+        "high": [1, 1, 1],
+        "points": [3, 3, 3],
+        "moved": [{"at": [1, 1, 1], "by": [0.1, 0.2, 0.3]}],
+    }
+    arguments = argparse.Namespace(symmetry=["x0", "y0"], fixed=patches, dtype="float64")
+    moving, choice = mesh.patch("z0"), Choice(None, "", 0)
+    motion = motions([Group(["z0"], box=json.dumps(bump))], mesh, moving)
+    moved = []
+    for size in (None, 50):
+        parts = chunks(mesh, mesh.patch("z0", *patches), arguments.symmetry, size)
+        run = Run(arguments, mesh, ["z0"], moving, motion, [], None, parts)
+        moved.append(run.points(run.prepare(choice), 1))
+    assert sizes[0] == 216
+    assert len(sizes) == 3
+    assert sizes[1] == sizes[2] < 200
+    np.testing.assert_allclose(moved[1], moved[0], rtol=0, atol=1e-14)
+    for axis, side in enumerate(arguments.symmetry):
+        inner = np.setdiff1d(mesh.patch(side), mesh.patch("z0", *patches))
+        np.testing.assert_array_equal(moved[1][mesh.patch(side), axis], 0)
+        assert np.abs(moved[1] - mesh.points)[inner].max() > 0.003
+
+
+def test_chunks_cover_the_mesh_and_have_one_length(here):
+    mesh = write_ring(here / "ring.su2")
+    surface = np.union1d(mesh.patch("wall"), mesh.patch("far"))
+    for size in (1, 10, 50, 167, 168, 1000, None):
+        parts = list(chunks(mesh, surface, [], size))
+        assert len(parts) == (1 if size is None else -(-168 // size))
+        assert len({len(part) for part in parts}) == 1
+        assert all(np.isin(surface, part).all() for part in parts)
+        np.testing.assert_array_equal(np.unique(np.concatenate(parts)), np.arange(216))
+
+
+def test_a_job_carries_it_and_a_bad_number_is_answered(here, capsys):
+    write_ring(here / "ring.su2")
+    assert main(["deform", "ring.su2", "a.su2", *MOVE, "--chunk", "100", "--save-job", "job.toml"]) == 0
+    assert tomllib.loads((here / "job.toml").read_text())["chunk"] == 100
+    capsys.readouterr()
+    assert main(["deform", "ring.su2", "a.su2", *MOVE, "--chunk", "0"]) == 2
+    assert capsys.readouterr().err == "jaxmorph deform: --chunk must be 1 or more, found 0.\n"
+
+
+def test_errors_name_nodes_of_the_mesh(here, capsys):
+    """A wall alone has no hull that holds the mesh: the worst node of the chunk is named as the mesh numbers it."""
+    mesh = write_ring(here / "ring.su2")
+    moved = np.array(mesh.points)
+    moved[150] = [7, 3]
+    io.write("out.su2", mesh.moved(moved))
+    assert main(["deform", "out.su2", "b.su2", *MOVE, "--chunk", "40"]) == 2
+    assert re.search(r"the worst is node 150 at \(7, 3\)", capsys.readouterr().err)
+    nodes = np.array([3, 5, 8])
+    assert in_mesh("node 1 at (1, 2), nodes 0 and 2, 2 nodes", nodes) == "node 5 at (1, 2), nodes 3 and 8, 2 nodes"
