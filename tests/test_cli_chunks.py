@@ -14,6 +14,7 @@ from jaxmorph import io
 from jaxmorph.cli import main
 from jaxmorph.cli._chunks import chunks, in_mesh
 from jaxmorph.cli._deform import Run
+from jaxmorph.cli._estimate import estimate
 from jaxmorph.cli._groups import Group
 from jaxmorph.cli._method import Choice
 from jaxmorph.cli._motion import motions
@@ -123,3 +124,17 @@ def test_errors_name_nodes_of_the_mesh(here, capsys):
     assert re.search(r"the worst is node 150 at \(7, 3\)", capsys.readouterr().err)
     nodes = np.array([3, 5, 8])
     assert in_mesh("node 1 at (1, 2), nodes 0 and 2, 2 nodes", nodes) == "node 5 at (1, 2), nodes 3 and 8, 2 nodes"
+
+
+def test_the_estimate_is_of_one_chunk():
+    mesh = brick()
+    large = jm.Mesh(np.zeros((100_000, 3)), {}, mesh.patches)
+    whole, parts = (
+        estimate(
+            large, 1000, Choice(None, "", 200), argparse.Namespace(method="paper", dtype="float64", steps=1, chunk=n)
+        )
+        for n in (None, 9000)
+    )
+    assert parts.memory < whole.memory - 1000 * 80_000
+    assert parts.seconds > whole.seconds
+    assert parts.judging == whole.judging

@@ -81,13 +81,19 @@ def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
     reached = np.ones(len(nodes), dtype=bool) if rows.reached is None else np.asarray(rows.reached)
     shares = zip(np.split(nodes, parts), np.split(reached, parts), strict=True)
     tables = [tabulate(share, mask, count) for share, mask in shares]
-    longest = max(len(owner) for _, owner in tables)
+    longest = _rounded(max(len(owner) for _, owner in tables))
     entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
     owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
     weights = np.split(np.asarray(rows.weights), parts)
     gathered = [np.where(at < 0, 0, share.ravel()[at]) for at, share in zip(entries, weights, strict=True)]
     table = Table(*(jnp.asarray(np.concatenate(part)) for part in (entries, owners, gathered)))
     return Interpolation(rows.nodes, rows.weights, rows.reached, table)
+
+
+def _rounded(rows: int) -> int:
+    """A little more, by 3 % at most: alike parts of a mesh then have tables of one shape, and compiled code in common."""
+    step = 2 ** max(0, rows.bit_length() - 6)
+    return -(-rows // step) * step
 
 
 class InterpolatedField(AbstractField):

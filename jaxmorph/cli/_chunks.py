@@ -14,7 +14,8 @@ from jaxmorph import Mesh
 class Chunks:
     """Ascending ids of nodes: those of `always`, and with them `size` of the `others` at a time.
 
-    All chunks are of one length, so that compiled code serves them all: the last one has some nodes of the one before.
+    Of K chunks each takes every K-th node, so that they are alike, and of one length, some nodes being in two of them: compiled
+    code then serves them all.
     """
 
     always: Int[np.ndarray, " b"]
@@ -25,10 +26,10 @@ class Chunks:
         return max(1, -(-len(self.others) // self.size))
 
     def __iter__(self) -> Iterator[Int[np.ndarray, " c"]]:
-        size = -(-len(self.others) // len(self))
+        steps = len(self) * np.arange(-(-len(self.others) // len(self)))
         for k in range(len(self)):
-            start = min(k * size, len(self.others) - size)
-            yield np.sort(np.concatenate([self.always, self.others[start : start + size]]))
+            rows = (k + steps) % max(1, len(self.others))  # the last one may begin anew
+            yield np.sort(np.concatenate([self.always, self.others[rows]]))
 
 
 def chunks(mesh: Mesh, surface: Int[np.ndarray, " b"], symmetry: list[str], size: int | None) -> Chunks:

@@ -83,16 +83,18 @@ def deform(arguments: argparse.Namespace, out: Output) -> int:
         out.say(textwrap.fill(str(foreseen), 80, subsequent_indent=" " * 9))
     if foreseen.is_too_large:
         out.warn(
-            f"{foreseen.memory / 1e9:.2g} GB may not fit into memory; fewer --sources and --dtype float32 need less."
+            f"{foreseen.memory / 1e9:.2g} GB may not fit into memory; fewer --sources, --chunk and --dtype float32 need less."
         )
-    with out.progress("preparing", foreseen.preparing):
+    first = foreseen.preparing / len(run.chunks)
+    with out.progress("preparing", first):
         plan = run.prepare(choice)
     with out.progress("inspecting the motion"):
         for warning in jm.inspect(plan, run.motion.path(run.wall, 1)[-1]).warnings:
             out.warn(in_mesh(warning, next(iter(run.chunks))))
-    with out.progress(f"deforming in {count(arguments.steps, 'step')}", foreseen.deforming) as stage:
+    left = foreseen.preparing - first + foreseen.deforming
+    with out.progress(f"deforming in {count(arguments.steps, 'step')}", left) as stage:
         points = run.points(plan, arguments.steps, stage.done)
-    del plan  # judging takes as much memory
+    del plan  # judging needs the memory
     with out.progress("judging the cells", foreseen.judging / 2):
         after, bad = run.judge(points)
         tables = [compared(run.before.report, after.report), _gates.table(run.gates, run.before, after)]

@@ -56,17 +56,24 @@ class Estimate:
 
 
 def estimate(mesh: Mesh, b: int, choice: Choice, arguments: argparse.Namespace) -> Estimate:
-    """From measurements on one core of a server processor: good for the order of magnitude."""
+    """From measurements on one core of a server processor: good for the order of magnitude.
+
+    With --chunk the plan is that of one chunk, but coordinates stand whole, and what depends on the surface is done for each.
+    """
     n, d = mesh.points.shape
     s = b if arguments.method == "rbf" else choice.sources
+    planned = n if arguments.chunk is None else min(n, b + arguments.chunk)
+    parts = 1 if arguments.chunk is None else max(1, -(-(n - b) // arguments.chunk))
     size = np.dtype(arguments.dtype).itemsize / 8
     quality = sum(len(ids) * CORNERS[kind] * len(FACES[kind]) for kind, ids in mesh.cells.items()) * 15 * d**2
-    memory = START + size * (1000 * n + 24 * s**2) + quality
+    coordinates = 0 if arguments.chunk is None else 8 * 3 * d * n
+    memory = START + coordinates + size * (1000 * planned + 24 * s**2) + quality
     solve = SOURCES * s**3
+    preparing = COMPILING + (0 if arguments.method == "rbf" else (n + (parts - 1) * b) * POINT[d]) + parts * solve
     return Estimate(
         *(n, b, s, memory),
-        preparing=COMPILING + (0 if arguments.method == "rbf" else n * POINT[d]) + solve,
-        deforming=COMPILING + arguments.steps * (n * s * PAIR + solve),
+        preparing=preparing,
+        deforming=COMPILING + arguments.steps * (n * s * PAIR + parts * solve),
         judging=COMPILING + 2 * CELL * sum(len(ids) for ids in mesh.cells.values()),
     )
 
