@@ -83,7 +83,7 @@ def _add_deform(commands) -> None:
     _add_motion(group)
     method = _add_method(deform)
     method.add_argument("--steps", metavar="N", type=int, default=1, help="steps to make the motion in (default 1)")
-    what = "prepare and move N points at a time: less memory, more time, the same mesh to round-off"
+    what = "prepare and move N points at a time: less memory until the cells are judged, some more time, the same mesh"
     method.add_argument("--chunk", metavar="N", type=int, help=what)
     _add_gates(deform)
     group = deform.add_argument_group("when cells are bad")

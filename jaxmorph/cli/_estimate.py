@@ -58,7 +58,7 @@ class Estimate:
 def estimate(mesh: Mesh, b: int, choice: Choice, arguments: argparse.Namespace) -> Estimate:
     """From measurements on one core of a server processor: good for the order of magnitude.
 
-    With --chunk the plan is that of one chunk, but coordinates stand whole, and what depends on the surface is done for each.
+    With --chunk the plan is that of one chunk, but mesh and reports stand whole, and what depends on the surface is done for each.
     """
     n, d = mesh.points.shape
     s = b if arguments.method == "rbf" else choice.sources
@@ -66,8 +66,7 @@ def estimate(mesh: Mesh, b: int, choice: Choice, arguments: argparse.Namespace) 
     parts = 1 if arguments.chunk is None else max(1, -(-(n - b) // arguments.chunk))
     size = np.dtype(arguments.dtype).itemsize / 8
     quality = sum(len(ids) * CORNERS[kind] * len(FACES[kind]) for kind, ids in mesh.cells.items()) * 15 * d**2
-    coordinates = 0 if arguments.chunk is None else 8 * 3 * d * n
-    memory = START + coordinates + size * (1000 * planned + 24 * s**2) + quality
+    memory = START + size * (500 * (n + planned) + 24 * s**2) + quality
     solve = SOURCES * s**3
     preparing = COMPILING + (0 if arguments.method == "rbf" else (n + (parts - 1) * b) * POINT[d]) + parts * solve
     return Estimate(
