@@ -16,6 +16,7 @@ from ._host.adjacency import neighbours
 from ._host.newton import pattern
 from ._host.topology import FACES
 from ._mesh import Mesh
+from ._prepare import node_ids
 from ._quality import quality
 from ._untangle import Distortion, HessianSolver, ProjectedNewton
 from ._vector import corners
@@ -153,11 +154,8 @@ def _check(mesh: Mesh, points, fixed, size: float, max_steps: int) -> None:
         raise ValueError(f"the mesh has no cells that fill {d}-D space (cells: {found}); there is nothing to improve.")
     if tuple(points.shape) != (n, d):
         raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {(n, d)}.")
-    ids = np.asarray([] if fixed is None else fixed)
-    if ids.size and (ids.dtype.kind not in "iu" or ids.min() < 0 or ids.max() >= n):
-        raise ValueError(
-            f"`fixed` must hold node ids from 0 to {n - 1}; found {ids.dtype} from {ids.min()} to {ids.max()}."
-        )
+    if fixed is not None:
+        node_ids(fixed, "fixed", n)
     if not 0 <= size <= 1:
         raise ValueError(f"`size` is {size}; it must be from 0 (shape alone) to 1 (size alone).")
     if max_steps < 1:

@@ -114,7 +114,7 @@ def _checked(points, moving, fixed) -> tuple[np.ndarray, tuple[np.ndarray, np.nd
     finite = np.isfinite(host).all(axis=1)
     if not finite.all():
         raise ValueError(f"{(~finite).sum()} of {len(host)} points are not finite, first node {np.argmin(finite)}.")
-    moving, fixed = (_node_ids(ids, name, len(host)) for ids, name in ((moving, "moving"), (fixed, "fixed")))
+    moving, fixed = (node_ids(ids, name, len(host)) for ids, name in ((moving, "moving"), (fixed, "fixed")))
     unique, counts = np.unique(moving, return_counts=True)
     if len(unique) < len(moving):
         raise ValueError(
@@ -126,7 +126,7 @@ def _checked(points, moving, fixed) -> tuple[np.ndarray, tuple[np.ndarray, np.nd
     return host, (moving, fixed[~np.isin(fixed, moving)])
 
 
-def _node_ids(values, name: str, n: int) -> np.ndarray:
+def node_ids(values, name: str, n: int) -> np.ndarray:
     ids = np.asarray(values)
     if ids.size == 0:
         return np.zeros(0, dtype=np.int64)

@@ -209,7 +209,7 @@ def test_progress_and_choice_of_fixed_nodes():
     ("change", "message"),
     [
         ({"points": np.zeros((3, 2))}, "shape"),
-        ({"fixed": [99]}, "node ids"),
+        ({"fixed": [99]}, "1 ids in `fixed` are not nodes"),
         ({"size": 2.0}, "shape alone"),
         ({"max_steps": 0}, "at least 1"),
         ({"mesh": jm.Mesh(np.zeros((4, 2)), {})}, "nothing to improve"),
