@@ -101,10 +101,8 @@ def improve(
         softness = jnp.maximum(jnp.minimum(least, GENTLER * softness), SHARPEST)
         stage = eqx.tree_at(lambda it: it.softness, distortion, softness.astype(base.dtype))
         enough = (1e-3 * tolerance, tolerance) if last else (max(tolerance, 0.3),) * 2
-        wanted = jnp.logical_or(last, softness < before)
-        y, steps = _minimise(
-            stage, jax.lax.stop_gradient(y), base if last else held, blocks, (wanted, enough, max_steps, progress)
-        )
+        options = (last | (softness < before), jnp.asarray(enough, base.dtype), max_steps, progress)
+        y, steps = _minimise(stage, jax.lax.stop_gradient(y), base if last else held, blocks, options)
         count += steps
     found = stage.points(y, base)
     value, slope = _slope(stage, y, base)
