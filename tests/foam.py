@@ -126,10 +126,11 @@ def tree(folder):
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
-EXAMPLES = pathlib.Path("/usr/share/doc/openfoam-examples/examples")
+SHARE = pathlib.Path(shutil.which("checkMesh") or "bin/none").parent.resolve().parent / "share"
+EXAMPLES = SHARE / "doc" / "openfoam-examples" / "examples"
 """Where Debian puts OpenFOAM's tutorials."""
 
-ENVIRONMENT = {"WM_PROJECT_DIR": "/usr/share/openfoam"} | os.environ
+ENVIRONMENT = {"WM_PROJECT_DIR": str(SHARE / "openfoam")} | os.environ
 
 
 def need_openfoam():
