@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -211,3 +212,19 @@ def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
     """
     degrees = angle(area, between) * (180 / math.pi)
     return jnp.minimum(degrees, 180 - degrees) if surface else degrees
+
+
+def relative_corners(x: list[Vector]) -> tuple[list[Vector], Float[Array, " k"]]:
+    """Corners relative to the first, and the cell's size, which is not differentiated."""
+    relative = [corner - x[0] for corner in x]
+    size = reach(relative)
+    return relative, jnp.where(size > 0, size, 1)
+
+
+def scaled(x: list[Vector], size: Float[Array, " k"]) -> list[Vector]:
+    return [corner * (1 / size) for corner in x]
+
+
+def reach(x: list[Vector]) -> Float[Array, " k"]:
+    components = [jnp.abs(component) for corner in x for component in corner.components]
+    return jax.lax.stop_gradient(functools.reduce(jnp.maximum, components))

@@ -2,7 +2,6 @@
 
 import functools
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -12,10 +11,11 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from . import _cells
-from ._centres import centre_of_mass
+from ._blocks import in_blocks
 from ._host.adjacency import handedness, neighbours
-from ._host.topology import DIMENSION, FACES
+from ._host.topology import DIMENSION
 from ._mesh import Mesh
+from ._non_orthogonality import non_orthogonality
 from ._report import QualityReport
 from ._vector import Vector, corners, mean
 
@@ -84,17 +84,19 @@ class Standard(NamedTuple):
 
 @functools.partial(jax.jit, static_argnums=0)
 def standards_of(kinds: tuple[str, ...], cells: tuple[Array, ...], points: Float[Array, "n d"]) -> list[Standard]:
-    standards = []
-    for kind, ids in zip(kinds, cells, strict=True):
-        x = corners(points, ids)
-        volume, jacobians, noise = _sizes(kind, x)
-        sign = jnp.where(volume < 0, -1, 1)
-        judged = sign * jacobians > noise
-        none = ~jnp.any(judged, axis=0)
-        least = _least(jacobians, sign, judged)
-        flat = math.factorial(DIMENSION[kind]) * jnp.abs(volume) <= jnp.max(noise, axis=0)
-        standards.append(Standard(sign, jnp.where(flat, 1, volume), flat, jnp.where(none, 1, least), judged, none))
-    return standards
+    return [
+        in_blocks(functools.partial(_standard, kind, points), ids.T) for kind, ids in zip(kinds, cells, strict=True)
+    ]
+
+
+def _standard(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"]) -> Standard:
+    volume, jacobians, noise = _sizes(kind, corners(points, ids.T))
+    sign = jnp.where(volume < 0, -1, 1)
+    judged = sign * jacobians > noise
+    none = ~jnp.any(judged, axis=0)
+    least = _least(jacobians, sign, judged)
+    flat = math.factorial(DIMENSION[kind]) * jnp.abs(volume) <= jnp.max(noise, axis=0)
+    return Standard(sign, jnp.where(flat, 1, volume), flat, jnp.where(none, 1, least), judged, none)
 
 
 def _least(jacobians: Float[Array, "s k"], sign: Array, judged: Bool[Array, "s k"]) -> Float[Array, " k"]:
@@ -110,54 +112,50 @@ def _measure(
     points: Float[Array, "n d"],
     standards: list[Standard] | None,
 ) -> QualityReport:
-    placed = {kind: corners(points, ids) for kind, ids in zip(kinds, cells, strict=True)}
-    sizes = {kind: _sizes(kind, x) for kind, x in placed.items()}
+    rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
     if standards is None:
-        signs = _enclosed_signs({kind: volume for kind, (volume, _, _) in sizes.items()}, links)
-        judged = {kind: _judge_alone(*sizes[kind], signs[kind]) for kind in kinds}
+        volumes = {kind: in_blocks(functools.partial(_volume, kind, points), ids) for kind, ids in rows.items()}
+        of: dict[str, Any] = _enclosed_signs(volumes, links)
+        signs = of
     else:
         of = dict(zip(kinds, standards, strict=True))
         signs = {kind: standard.sign for kind, standard in of.items()}
-        judged = {kind: _judge(*sizes[kind][:2], of[kind]) for kind in kinds}
-    columns = [judged[kind] | _shape(kind, placed[kind]) for kind in kinds]
-    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *columns)
-    angles = non_orthogonality(placed, signs, links.neighbour)
+    columns = [in_blocks(functools.partial(_judged, kind, points), ids, of[kind]) for kind, ids in rows.items()]
+    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *columns)
+    joined["centroid"] = joined["centroid"].T
+    angles = non_orthogonality(points, rows, signs, links.neighbour)
     types = tuple((kind, len(ids)) for kind, ids in zip(kinds, cells, strict=True))
     return QualityReport(**joined, non_orthogonality=angles, types=types, relative=standards is not None)
 
 
-def relative_corners(x: list[Vector]) -> tuple[list[Vector], Float[Array, " k"]]:
-    """Corners relative to the first, and the cell's size, which is not differentiated."""
-    relative = [corner - x[0] for corner in x]
-    size = _reach(relative)
-    return relative, jnp.where(size > 0, size, 1)
+def _volume(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"]) -> Float[Array, " k"]:
+    return _sizes(kind, corners(points, ids.T))[0]
 
 
-def scaled(x: list[Vector], size: Float[Array, " k"]) -> list[Vector]:
-    return [corner * (1 / size) for corner in x]
-
-
-def _reach(x: list[Vector]) -> Float[Array, " k"]:
-    components = [jnp.abs(component) for corner in x for component in corner.components]
-    return jax.lax.stop_gradient(functools.reduce(jnp.maximum, components))
+def _judged(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"], of: "Standard | Array") -> dict[str, Array]:
+    """By a standard, or by the sign that each cell should have."""
+    x = corners(points, ids.T)
+    sizes = _sizes(kind, x)
+    found = _judge(*sizes[:2], of) if isinstance(of, Standard) else _judge_alone(*sizes, of)
+    return found | _shape(kind, x)
 
 
 def _sizes(kind: str, x: list[Vector]) -> tuple[Array, Array, Array]:
     """Volume (k,), Jacobians (s, k), and what of each Jacobian is round-off of the coordinates."""
-    rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * _reach(x)
-    relative, _ = relative_corners(x)
+    rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * _cells.reach(x)
+    relative, _ = _cells.relative_corners(x)
     jacobians, spread = _cells.jacobians(kind, relative)
     return _cells.volume(kind, relative), jacobians, rounding * jax.lax.stop_gradient(spread)
 
 
 def _shape(kind: str, x: list[Vector]) -> dict[str, Array]:
     """The measures without a unit, and the place."""
-    relative, size = relative_corners(x)
-    shape = scaled(relative, size)
+    relative, size = _cells.relative_corners(x)
+    shape = _cells.scaled(relative, size)
     return {
         "skewness": _cells.skewness(kind, shape),
         "aspect_ratio": _cells.aspect_ratio(kind, shape),
-        "centroid": jnp.stack(mean(x).components, axis=1),
+        "centroid": jnp.stack(mean(x).components),
     }
 
 
@@ -199,42 +197,3 @@ def _judge_alone(volume: Array, jacobians: Array, noise: Array, sign: Array) -> 
         "is_inverted": ~jnp.all(turned >= -noise, axis=0),
         "is_degenerate": jnp.all(jnp.abs(turned) <= noise, axis=0),
     }
-
-
-def largest_inner(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"]) -> Float[Array, " k"]:
-    return jnp.max(jnp.where(is_inner, degrees, 0), axis=0)
-
-
-def non_orthogonality(
-    corners: dict[str, list[Vector]], signs: dict[str, Array], neighbour: Array, largest: Callable = largest_inner
-) -> Array:
-    """Largest angle over the inner faces of each cell, 0 for a cell without any; `largest` may be a smooth stand-in.
-
-    Centres are kept relative to the first corner of their cell, so that their differences do not lose digits.
-    """
-    shapes = {kind: relative_corners(x) for kind, x in corners.items()}
-    own = [centre_of_mass(kind, relative) for kind, (relative, _) in shapes.items()]
-    origins, centres = _joined([x[0] for x in corners.values()]), _joined(own)
-    angles, first, used = [], 0, 0
-    for kind, (relative, size) in shapes.items():
-        k, f = len(size), len(FACES[kind])
-        if f:
-            behind = neighbour[used : used + f * k].reshape(k, f).T
-            here = jnp.arange(first, first + k)
-            ids = jnp.where(behind < 0, here, behind)
-            between = (_at(origins, ids) - _at(origins, here)) + (_at(centres, ids) - _at(centres, here))
-            areas = _cells.face_areas(kind, scaled(relative, size)) * signs[kind]
-            degrees = _cells.non_orthogonality(areas, between * (1 / size), DIMENSION[kind] < len(areas))
-            angles.append(largest(degrees, behind >= 0))
-        else:
-            angles.append(jnp.zeros_like(size))
-        first, used = first + k, used + f * k
-    return jnp.concatenate(angles)
-
-
-def _joined(parts: list[Vector]) -> Vector:
-    return Vector([jnp.concatenate(components) for components in zip(*(p.components for p in parts), strict=True)])
-
-
-def _at(a: Vector, ids: Array) -> Vector:
-    return Vector([component[ids] for component in a.components])

@@ -6,11 +6,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from . import _cells
+from ._blocks import in_blocks
 from ._mesh import Mesh
-from ._quality import Standard, connect, non_orthogonality, relative_corners, scaled, standards_of
+from ._non_orthogonality import non_orthogonality
+from ._quality import Standard, connect, standards_of
 from ._smooth import positive_part, soft_maximum
 from ._vector import Vector, corners, dot
 
@@ -60,20 +62,25 @@ def smooth_quality(
 
 @functools.partial(jax.jit, static_argnums=0)
 def _measured(kinds, cells, behind, points, standards: list[Standard], options) -> SmoothQuality:
-    sharpness, softness = options
-    placed = {kind: corners(points, ids) for kind, ids in zip(kinds, cells, strict=True)}
+    rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
     of = dict(zip(kinds, standards, strict=True))
-    columns = []
-    for kind, x in placed.items():
-        relative, size = relative_corners(x)
-        shape = scaled(relative, size)
-        skewness = _cells.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
-        aspect = _aspect_ratio(kind, shape, of[kind], sharpness, softness)
-        columns.append((skewness, aspect, _jacobian_ratio(kind, relative, of[kind], sharpness)))
+    columns = [
+        in_blocks(functools.partial(_shapes, kind, points, options), ids, of[kind]) for kind, ids in rows.items()
+    ]
     skewness, aspect, jacobian = (jnp.concatenate(parts) for parts in zip(*columns, strict=True))
     signs = {kind: standard.sign for kind, standard in of.items()}
-    angles = non_orthogonality(placed, signs, behind, functools.partial(_largest_angle, sharpness=sharpness))
+    angles = non_orthogonality(points, rows, signs, behind, functools.partial(_largest_angle, sharpness=options[0]))
     return SmoothQuality(skewness, aspect, angles, jacobian)
+
+
+def _shapes(kind: str, points: Float[Array, "n d"], options, ids: Int[Array, "c k"], of: Standard) -> tuple[Array, ...]:
+    """Skewness, aspect ratio and Jacobian ratio."""
+    sharpness, softness = options
+    relative, size = _cells.relative_corners(corners(points, ids.T))
+    shape = _cells.scaled(relative, size)
+    skewness = _cells.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
+    aspect = _aspect_ratio(kind, shape, of, sharpness, softness)
+    return skewness, aspect, _jacobian_ratio(kind, relative, of, sharpness)
 
 
 def _aspect_ratio(kind: str, x: list[Vector], standard: Standard, sharpness, softness) -> Float[Array, " k"]:

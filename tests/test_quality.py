@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull, Delaunay
 from vtkmodules.vtkFiltersVerdict import vtkMeshQuality
 
 import jaxmorph as jm
+from jaxmorph import _blocks
 from jaxmorph._host.adjacency import handedness, neighbours
 from jaxmorph._host.topology import FACES
 
@@ -441,6 +442,31 @@ def test_jit_vmap_and_meshes_as_arguments():
     np.testing.assert_array_equal(alone.is_inverted, jm.quality(mesh.moved(many[0])).is_inverted)
     points, cells = box((2, 2))
     assert int(jax.jit(jm.quality)(jm.Mesh(points, {"quad": cells[:, ::-1]})).inverted) == 0
+
+
+@pytest.mark.slow
+def test_cells_in_blocks_are_the_same_and_so_are_derivatives(monkeypatch):
+    """20 quads in two blocks, 32 triangles in three and a part; the oracle is all of them together."""
+    points, quads = box((6, 6))
+    cells = {"quad": quads[:20], "triangle": np.concatenate([quads[20:, [0, 1, 2]], quads[20:, [0, 2, 3]]])}
+    mesh = jm.Mesh(points, cells)
+    rng = np.random.default_rng(3)
+    moved, weights = jnp.asarray(points + 0.05 * rng.normal(size=points.shape)), rng.normal(size=(4, 52))
+
+    def objective(points):
+        report, smooth = jm.quality(mesh, points), jm.smooth_quality(mesh, points)
+        values = (report.skewness, report.non_orthogonality, report.jacobian_ratio, smooth.aspect_ratio)
+        return sum(jnp.vdot(w, value) for w, value in zip(weights, values, strict=True))
+
+    def found():
+        return jm.quality(mesh), jm.quality(mesh, moved), jm.smooth_quality(mesh, moved), jax.grad(objective)(moved)
+
+    whole = found()
+    monkeypatch.setattr(_blocks, "BLOCK", 10)
+    jax.clear_caches()
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(found()), strict=True):
+        np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-13)
+    jax.clear_caches()
 
 
 def test_float32_in_float32_out():
