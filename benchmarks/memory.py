@@ -8,9 +8,9 @@ import argparse
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from _cases import displacements, plan_of
 from _measure import about
+from files import box
 
 import jaxmorph as jm
 
@@ -38,16 +38,14 @@ def temporary(function, n: int, s: int) -> float:
 
 def of_quality(side: int) -> tuple[float, float]:
     """Of one measure of side^3 hexahedra, and of its gradient by the points."""
-    ids = np.arange((side + 1) ** 3).reshape([side + 1] * 3)
-    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    cells = np.stack([ids[tuple(slice(c, c + side) for c in corner)].ravel() for corner in corners], axis=1)
-    points = np.stack(np.meshgrid(*[np.linspace(0, 1, side + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    mesh = jm.Mesh(points, {"hexahedron": cells})
+    mesh = box(side + 1)
 
     def measure(points):
         return jm.quality(mesh, points).mean_skewness
 
-    programs = (jax.jit(function).lower(jnp.asarray(points)).compile() for function in (measure, jax.grad(measure)))
+    programs = (
+        jax.jit(function).lower(jnp.asarray(mesh.points)).compile() for function in (measure, jax.grad(measure))
+    )
     value, gradient = (program.memory_analysis().temp_size_in_bytes / 1e6 for program in programs)
     return value, gradient
 

@@ -107,9 +107,7 @@ def _columns(motions: np.ndarray, nodes: int, images: Mirror | None) -> np.ndarr
     for motion in motions:
         own = np.zeros((nodes, motion.shape[1]))
         own[: len(motion)] = motion
-        columns.append(
-            own if images is None else np.asarray(images.vectors(images.within(jnp.asarray(own), images.on_plane)))
-        )
+        columns.append(own if images is None else np.asarray(images.extended(jnp.asarray(own))))
     joined = np.concatenate(columns, axis=1)
     return joined / np.abs(joined).max()
 

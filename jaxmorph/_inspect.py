@@ -67,7 +67,7 @@ def _offset(plan: Plan, own: np.ndarray) -> np.ndarray:
     if not isinstance(plan.method, SurfaceReconstruction):
         return np.zeros_like(own)
     surface, mirror = plan.surface, plan.surface.mirror
-    u = jnp.asarray(own) if mirror is None else mirror.vectors(mirror.within(jnp.asarray(own), mirror.on_plane))
+    u = jnp.asarray(own) if mirror is None else mirror.extended(jnp.asarray(own))
     ids, factors = surface.ids[0], surface.factors[:2]
     field = plan.method.coarse.field(ids, factors[0], surface.points, u)
     offset = np.asarray(u - map_points(field, surface.points, factors[1]))

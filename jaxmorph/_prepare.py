@@ -96,7 +96,7 @@ def _trial(plan: Plan) -> Float[Array, "b d"]:
     u[: plan.moves] = np.cos(2 * arms / (np.abs(arms).max() or 1))
     if mirror is None:
         return jnp.asarray(u)
-    return mirror.vectors(mirror.within(jnp.asarray(u), mirror.on_plane))
+    return mirror.extended(jnp.asarray(u))
 
 
 def _first(rows: np.ndarray) -> np.ndarray:

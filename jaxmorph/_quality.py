@@ -40,19 +40,23 @@ def quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> QualityRepor
 
     Raises `ValueError` for a mesh without cells and when the shape of `points` differs from that of `mesh.points`.
     """
-    if not sum(len(corners) for corners in mesh.cells.values()):
-        raise ValueError("the mesh has no cells; its quality is not defined.")
+    current = places(mesh, points)
     kinds, cells, reference = tuple(mesh.cells), tuple(mesh.cells.values()), mesh.points
-    current = jnp.asarray(reference if points is None else points)
-    if current.shape != tuple(reference.shape):
-        raise ValueError(f"`points` has shape {current.shape}; this mesh has {tuple(reference.shape)}.")
-    if not jnp.issubdtype(current.dtype, jnp.floating):
-        current = current.astype(float)
     # what is known when a caller traces is computed there and then, not folded into the caller's program
     with jax.ensure_compile_time_eval():
         links = connect(mesh.cells, signs=points is None)
         standard = None if points is None else standards_of(kinds, cells, jnp.asarray(reference, dtype=current.dtype))
     return _measure(kinds, cells, links, current, standard)
+
+
+def places(mesh: Mesh, points: Float[Any, "n d"] | None) -> Float[Array, "n d"]:
+    """Where the nodes are to be judged: at `points`, or where the mesh has them."""
+    if not sum(len(corners) for corners in mesh.cells.values()):
+        raise ValueError("the mesh has no cells; its quality is not defined.")
+    current = jnp.asarray(mesh.points if points is None else points)
+    if current.shape != tuple(mesh.points.shape):
+        raise ValueError(f"`points` has shape {current.shape}; this mesh has {tuple(mesh.points.shape)}.")
+    return current if jnp.issubdtype(current.dtype, jnp.floating) else current.astype(float)
 
 
 class Links(NamedTuple):

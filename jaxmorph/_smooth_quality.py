@@ -12,7 +12,7 @@ from . import _cells
 from ._blocks import in_blocks
 from ._mesh import Mesh
 from ._non_orthogonality import non_orthogonality
-from ._quality import Standard, connect, standards_of
+from ._quality import Standard, connect, places, standards_of
 from ._smooth import positive_part, soft_maximum
 from ._vector import Vector, corners, dot
 
@@ -45,11 +45,7 @@ def smooth_quality(
     undeformed mesh, `mesh.points`. Raises `ValueError` for a mesh without cells, for a shape of `points` other than that of
     `mesh.points`, and for a `sharpness` or `softness` that is not positive.
     """
-    if not sum(len(ids) for ids in mesh.cells.values()):
-        raise ValueError("the mesh has no cells; its quality is not defined.")
-    current = jnp.asarray(mesh.points if points is None else points)
-    if tuple(current.shape) != tuple(mesh.points.shape):
-        raise ValueError(f"`points` has shape {tuple(current.shape)}; this mesh has {tuple(mesh.points.shape)}.")
+    current = places(mesh, points)
     for name, value in (("sharpness", sharpness), ("softness", softness)):
         if isinstance(value, int | float) and not value > 0:
             raise ValueError(f"`{name}` must be positive, not {value}.")

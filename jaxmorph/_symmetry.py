@@ -91,6 +91,10 @@ class Mirror(eqx.Module):
         """Displacements of all rows."""
         return self._reflected(own[self.rows], jnp.zeros_like(self.origins))
 
+    def extended(self, own: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Displacements of all rows from any of the own ones: those on a plane stay in it."""
+        return self.vectors(self.within(own, self.on_plane))
+
     def _reflected(self, vectors, origins):
         for k, normal in enumerate(self.normals):
             normal = normal.astype(vectors.dtype)

@@ -94,6 +94,12 @@ def _shares(kind: str) -> Float[Array, "s c e"]:
     return jnp.stack([edge[0] for edge in edges], axis=2)
 
 
+def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """What `solver` of `_host.newton` makes of a Hessian and a right side."""
+    structure = jax.ShapeDtypeStruct(right.shape, right.dtype)
+    return jax.pure_callback(solver, structure, *pattern, blocks, shift, right, vmap_method="sequential")
+
+
 class _Inverse(lx.AbstractLinearOperator):
     """The inverse of a Hessian, applied on the host."""
 
@@ -103,8 +109,7 @@ class _Inverse(lx.AbstractLinearOperator):
     structure: Any = eqx.field(static=True)
 
     def mv(self, vector):
-        arguments = (*self.pattern, self.blocks, self.shift, vector)
-        return jax.pure_callback(solve, self.structure, *arguments, vmap_method="sequential")
+        return _on_host(solve, self.pattern, self.blocks, self.shift, vector)
 
     def as_matrix(self):
         return jax.vmap(self.mv)(jnp.eye(self.in_size()).reshape(-1, *self.structure.shape)).reshape(self.in_size(), -1)
@@ -137,9 +142,7 @@ class HessianSolver(lx.AbstractLinearSolver):
         return self.distortion.blocks(jax.lax.stop_gradient(operator.x), self.base, -jnp.inf)
 
     def compute(self, state, vector, options):
-        structure = jax.ShapeDtypeStruct(vector.shape, vector.dtype)
-        arguments = (*self.pattern, state, self.distortion.shift(), vector)
-        found = jax.pure_callback(solve_exactly, structure, *arguments, vmap_method="sequential")
+        found = _on_host(solve_exactly, self.pattern, state, self.distortion.shift(), vector)
         return found, lx.RESULTS.successful, {}
 
     def transpose(self, state, options):

@@ -1,22 +1,18 @@
 """What the command line writes, completely or not at all."""
 
-import os
 import pathlib
 
 import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
+from jaxmorph._host.files import complete
 
 
 def save(path: pathlib.Path, content: bytes) -> None:
     """Under a temporary name until it is complete; `OSError` where it cannot be."""
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
-    try:
+    with complete(path) as partial:
         partial.write_bytes(content)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def write_moved(path: pathlib.Path, mesh: Mesh, moved: Mesh, after: jm.QualityReport) -> None:

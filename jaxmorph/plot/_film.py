@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from jaxmorph._host.files import complete
+
 from ._plane import Axes, plt
 from ._space import WINDOW, box, set_view, view_of, whole_view
-from ._style import check_suffix, complete
+from ._style import check_suffix
 
 Picture = UInt8[np.ndarray, "h w 3"]
 

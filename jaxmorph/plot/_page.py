@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Float, UInt32
 
 import jaxmorph as jm
+from jaxmorph._host.files import complete
 
 from ._plane import plt
 from ._space import outside, view_axes
-from ._style import COLOURS, DARK, DISPLACEMENT, check_suffix, colour_scale, complete
+from ._style import COLOURS, DARK, DISPLACEMENT, check_suffix, colour_scale
 
 SLIDER = """
 const panel = document.createElement("form");

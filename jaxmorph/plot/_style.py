@@ -1,9 +1,7 @@
 """What all pictures share."""
 
-import contextlib
 import os
 import pathlib
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -45,14 +43,3 @@ def check_suffix(path: str | os.PathLike, *suffixes: str) -> pathlib.Path:
     if not path.parent.is_dir():
         raise ValueError(f"there is no folder {str(path.parent)!r} to write {path.name!r} to.")
     return path
-
-
-@contextlib.contextmanager
-def complete(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """A temporary name beside `path`, which takes its place at the end; on failure nothing is left."""
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
