@@ -10,6 +10,7 @@ from ._choose import choose as choose
 from ._distortion import distortion as distortion
 from ._fewest import Steps as Steps
 from ._fewest import fewest_steps as fewest_steps
+from ._host.errors import MeshError as MeshError
 from ._host.greedy import Greedy as Greedy
 from ._host.reduction import AbstractReduction as AbstractReduction
 from ._host.reduction import AbstractSearchPoints as AbstractSearchPoints

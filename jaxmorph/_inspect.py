@@ -18,15 +18,33 @@ class Inspection:
 
     `offset` is the largest displacement that the correction has to carry (eq. 5; 0 for a method without one), at node
     `offset_node`; `offset_ratio` is the largest ratio of a node's offset to the distance of its nearest mesh node.
-    `contradictions` (k, 2) are pairs of neighbouring surface nodes that are torn apart, the worst first.
-    `warnings` says so in words.
+    `contradictions` (k, 2) are pairs of neighbouring surface nodes that are torn apart, the worst first, and `near` (d,) is where
+    the worst pair lies. `warnings` says so in words.
     """
 
     offset: float
     offset_node: int
     offset_ratio: float
     contradictions: np.ndarray
-    warnings: tuple[str, ...]
+    near: np.ndarray
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence for each thing that no method moves well."""
+        if not len(self.contradictions):
+            return ()
+        first, second = self.contradictions[0]
+        place = ", ".join(f"{x:.4g}" for x in self.near)
+        return (
+            f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the worst "
+            f"nodes {first} and {second} near ({place}). If a boundary slides along the moving one, make it a symmetry plane.",
+        )
+
+    def renumbered(self, ids: np.ndarray) -> "Inspection":
+        """Gives the same of a larger mesh, in which node k is node `ids[k]`."""
+        ids = np.asarray(ids)
+        node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
+        return dataclasses.replace(self, offset_node=node, contradictions=pairs)
 
 
 def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
@@ -50,16 +68,10 @@ def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
     size = np.asarray(scipy.spatial.KDTree(points).query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
     pairs = _torn(points[nodes], own, plan.moves)
-    warnings = ()
-    if len(pairs):
-        first, second = nodes[pairs[0]]
-        place = ", ".join(f"{x:.4g}" for x in points[first])
-        warnings = (
-            f"{len(pairs)} pairs of neighbouring surface nodes are torn apart by more than their distance, the worst nodes "
-            f"{first} and {second} near ({place}). If a boundary slides along the moving one, make it a symmetry plane.",
-        )
+    torn = nodes[pairs].reshape(-1, 2)
+    near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
-    return Inspection(float(offset[worst]), int(nodes[worst]), ratio, nodes[pairs], warnings)
+    return Inspection(float(offset[worst]), int(nodes[worst]), ratio, torn, near)
 
 
 def _offset(plan: Plan, own: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ._host.errors import MeshError
 from ._methods import default_method
 from ._methods.base import AbstractMethod, Surface
 from ._methods.sparse import with_tables
@@ -113,7 +114,9 @@ def _checked(points, moving, fixed) -> tuple[np.ndarray, tuple[np.ndarray, np.nd
         raise ValueError(f"`points` has shape {host.shape}; expected (n, 2) or (n, 3).")
     finite = np.isfinite(host).all(axis=1)
     if not finite.all():
-        raise ValueError(f"{(~finite).sum()} of {len(host)} points are not finite, first node {np.argmin(finite)}.")
+        raise MeshError(
+            f"{(~finite).sum()} of {len(host)} points are not finite, first node {{node}}.", np.flatnonzero(~finite)
+        )
     moving, fixed = (node_ids(ids, name, len(host)) for ids, name in ((moving, "moving"), (fixed, "fixed")))
     unique, counts = np.unique(moving, return_counts=True)
     if len(unique) < len(moving):

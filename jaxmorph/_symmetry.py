@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ._host.errors import MeshError
 from ._host.reduction import roundoff
 
 TOLERANCE = 1e-8
@@ -50,10 +51,11 @@ class Plane(eqx.Module):
             normal, origin[axis] = np.eye(len(normal))[axis], np.median(patch[:, axis])
         deviation = np.abs((patch - origin) @ normal)
         if deviation.max() > _tolerance(points):
-            worst = deviation.argmax()
-            place = ", ".join(f"{x:.6g}" for x in patch[worst])
-            raise ValueError(
-                f"these {len(nodes)} nodes do not lie in one plane: node {nodes[worst]} at ({place}) is {deviation.max():.3g} off."
+            worst_first = np.argsort(-deviation, kind="stable")
+            place = ", ".join(f"{x:.6g}" for x in patch[worst_first[0]])
+            raise MeshError(
+                f"these {len(nodes)} nodes do not lie in one plane: node {{node}} at ({place}) is {deviation.max():.3g} off.",
+                nodes[worst_first],
             )
         return Plane(normal, origin)
 
@@ -131,18 +133,22 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
     name = f"the symmetry plane with normal {plane.normal.tolist()} through {plane.origin.tolist()}"
     if not on.any():
         nearest = np.abs(height).argmin()
-        raise ValueError(
-            f"{name} holds no node of the mesh: the nearest, node {nearest}, is {abs(height[nearest]):.3g} away (tolerance "
-            f"{_tolerance(points):.3g}). `Plane.through(points, nodes)` finds the plane of a patch."
+        raise MeshError(
+            f"{name} holds no node of the mesh: the nearest, node {{node}}, is {abs(height[nearest]):.3g} away (tolerance "
+            f"{_tolerance(points):.3g}). `Plane.through(points, nodes)` finds the plane of a patch.",
+            np.array([nearest]),
         )
     above, below = ~on & (height > 0), ~on & (height < 0)
     beyond = above if above.sum() < below.sum() else below
     if beyond.any():
-        worst = np.where(beyond, np.abs(height), 0).argmax()
+        outside = np.flatnonzero(beyond)
+        outside = outside[np.argsort(-np.abs(height[outside]), kind="stable")]
+        worst = outside[0]
         place = ", ".join(f"{x:.6g}" for x in points[worst])
-        raise ValueError(
-            f"{name} has nodes on both sides: {beyond.sum()} of {len(points)} lie beyond it, the farthest is node {worst} at "
-            f"({place}), {abs(height[worst]):.3g} away. A symmetry plane bounds the mesh: give one half alone, or no plane."
+        raise MeshError(
+            f"{name} has nodes on both sides: {beyond.sum()} of {len(points)} lie beyond it, the farthest is node {{node}} at "
+            f"({place}), {abs(height[worst]):.3g} away. A symmetry plane bounds the mesh: give one half alone, or no plane.",
+            outside,
         )
 
 

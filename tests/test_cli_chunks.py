@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import pickle
 import re
 import tomllib
 
@@ -12,7 +13,7 @@ from ring import write_ring
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.cli import main
-from jaxmorph.cli._chunks import chunks, in_mesh
+from jaxmorph.cli._chunks import chunks
 from jaxmorph.cli._deform import Run
 from jaxmorph.cli._estimate import estimate
 from jaxmorph.cli._groups import Group
@@ -122,8 +123,34 @@ def test_errors_name_nodes_of_the_mesh(here, capsys):
     io.write("out.su2", mesh.moved(moved))
     assert main(["deform", "out.su2", "b.su2", *MOVE, "--chunk", "40"]) == 2
     assert re.search(r"the worst is node 150 at \(7, 3\)", capsys.readouterr().err)
-    nodes = np.array([3, 5, 8])
-    assert in_mesh("node 1 at (1, 2), nodes 0 and 2, 2 nodes", nodes) == "node 5 at (1, 2), nodes 3 and 8, 2 nodes"
+
+
+def test_warnings_name_nodes_of_the_mesh(here, capsys):
+    """Two neighbours of the wall torn apart, where chunks number the far field's nodes otherwise than the mesh does."""
+    mesh = write_ring(here / "ring.su2")
+    order = np.random.default_rng(0).permutation(len(mesh.points))  # old id of each new node
+    new = np.argsort(order)
+    patches = {name: new[ids] for name, ids in mesh.patches.items()}
+    cells = {kind: new[corners] for kind, corners in mesh.cells.items()}
+    io.write("mixed.su2", jm.Mesh(np.asarray(mesh.points)[order], cells, patches))
+    wall = patches["wall"]
+    rows = [f"{node} {0.4 if node == new[3] else 0} 0\n" for node in wall.tolist()]
+    (here / "tear.dat").write_text("".join(rows))
+    motion = ["--displacement", "tear.dat", "--displacement-is", "displacement", "--no-dry-run"]
+    for chunk in ([], ["--chunk", "50"]):
+        main(["deform", "mixed.su2", "b.su2", "--moving", "wall", "--fixed", "far", *motion, *chunk])
+        pair = re.search(r"the worst nodes (\d+) and (\d+) near", capsys.readouterr().err)
+        assert pair
+        assert {new[3]} < {int(node) for node in pair.groups()} <= {new[2], new[3], new[4]}
+
+
+def test_an_error_carries_its_nodes():
+    """Node ids and the sentence agree, in the part of the mesh and in all of it, and through pickle."""
+    error = jm.MeshError("2 nodes are far away, first node {node}.", [2, 0])
+    whole = pickle.loads(pickle.dumps(error.renumbered(np.array([3, 5, 8]))))
+    assert isinstance(whole, ValueError)
+    assert (str(error), str(whole)) == ("2 nodes are far away, first node 2.", "2 nodes are far away, first node 8.")
+    assert whole.nodes.tolist() == [8, 3]
 
 
 def test_the_estimate_is_of_one_chunk():

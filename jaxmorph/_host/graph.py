@@ -11,6 +11,7 @@ import functools
 import numpy as np
 from scipy.spatial import Delaunay, KDTree, QhullError
 
+from .errors import MeshError
 from .reduction import canonical_order, roundoff
 from .simplices import cofactors, cross, smallest_height, smallest_weight
 
@@ -215,10 +216,11 @@ def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> No
     """Raises for points truly outside of the hull; those on it within round-off pass."""
     outside = beyond > 0
     if outside.any():
-        worst = ids[np.argmax(beyond)]
-        place = ", ".join(f"{x:.6g}" for x in points[worst])
-        raise ValueError(
+        worst_first = ids[outside][np.argsort(-beyond[outside], kind="stable")]
+        place = ", ".join(f"{x:.6g}" for x in points[worst_first[0]])
+        raise MeshError(
             f"{outside.sum()} of {len(points)} points lie outside of the convex hull of the moving and fixed nodes; the worst is "
-            f"node {worst} at ({place}), {beyond.max():.3g} beyond it. Add the boundary that was left out (outlet, "
-            "inlet, far field, channel wall) as fixed nodes."
+            f"node {{node}} at ({place}), {beyond.max():.3g} beyond it. Add the boundary that was left out (outlet, "
+            "inlet, far field, channel wall) as fixed nodes.",
+            worst_first,
         )

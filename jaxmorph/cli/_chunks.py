@@ -1,7 +1,6 @@
 """The nodes of a mesh, some at a time: memory is that of the surface and of one chunk, not that of all nodes."""
 
 import dataclasses
-import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -43,12 +42,3 @@ def chunks(mesh: Mesh, surface: Int[np.ndarray, " b"], symmetry: list[str], size
     always = np.unique(np.concatenate([surface, outermost, *(mesh.patch(name)[:1] for name in symmetry)]))
     others = np.setdiff1d(np.arange(len(points)), always, assume_unique=True)
     return Chunks(always, others, size or max(1, len(others)))
-
-
-def in_mesh(said: str, nodes: Int[np.ndarray, " c"]) -> str:
-    """What was said of nodes of a chunk, with their ids in the mesh."""
-
-    def renamed(found: re.Match[str]) -> str:
-        return re.sub(r"\d+", lambda number: str(nodes[int(number[0])]), found[0])
-
-    return re.sub(r"\bnodes? \d+( and \d+)?", renamed, said)

@@ -13,7 +13,7 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io
 
 from . import _gates, _picture
-from ._chunks import Chunks, chunks, in_mesh
+from ._chunks import Chunks, chunks
 from ._estimate import estimate
 from ._files import save, write_moved
 from ._gates import Gate, Judged
@@ -89,8 +89,9 @@ def deform(arguments: argparse.Namespace, out: Output) -> int:
     with out.progress("preparing", first):
         plan = run.prepare(choice)
     with out.progress("inspecting the motion"):
-        for warning in jm.inspect(plan, run.motion.path(run.wall, 1)[-1]).warnings:
-            out.warn(in_mesh(warning, next(iter(run.chunks))))
+        inspection = jm.inspect(plan, run.motion.path(run.wall, 1)[-1]).renumbered(next(iter(run.chunks)))
+        for warning in inspection.warnings:
+            out.warn(warning)
     left = foreseen.preparing - first + foreseen.deforming
     with out.progress(f"deforming in {count(arguments.steps, 'step')}", left) as stage:
         points = run.points(plan, arguments.steps, stage.done)

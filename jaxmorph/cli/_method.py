@@ -9,8 +9,6 @@ from jaxtyping import Float, Int
 
 import jaxmorph as jm
 
-from ._chunks import in_mesh
-
 SEARCHES = 24
 """Reductions tried to find one of about as many sources as asked for."""
 
@@ -73,7 +71,7 @@ def prepare(
 ) -> jm.Plan:
     """The plan of the mesh, or of some of its nodes (ascending ids).
 
-    A patch is plane, or an error names it; so does one for points outside of the hull name the patches left out.
+    An error names the symmetry patch that is not plane, and the patches left out that hold nodes outside of the hull.
     """
     planes = []
     for name in arguments.symmetry:
@@ -86,10 +84,11 @@ def prepare(
     moves, stays = (np.searchsorted(nodes, mesh.patch(*names)) for names in (moving, arguments.fixed))
     try:
         return jm.prepare(points, moves, stays, method=method, symmetry=planes)
-    except ValueError as caught:
-        error = in_mesh(str(caught), nodes)
+    except jm.MeshError as caught:
+        error = caught.renumbered(nodes)
         left = [name for name in mesh.patches if name not in {*moving, *arguments.fixed, *arguments.symmetry}]
-        others = f" Patches that are neither: {', '.join(left)}." if "convex hull" in error and left else ""
+        left = [name for name in left if np.isin(error.nodes, mesh.patch(name)).any()]
+        others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
         raise ValueError(f"{error}{others}") from None
 
 
