@@ -35,7 +35,7 @@ PAGES = {
 }
 """Where a document of the project is found among the pages."""
 
-SUBMODULES = ("io", "plot", "cases")
+SUBMODULES = ("shapes", "io", "plot", "cases")
 
 
 def on_config(config):

@@ -1,5 +1,6 @@
 """Differentiable mesh morphing in JAX: reduced radial basis functions with exact surfaces."""
 
+from . import shapes as shapes
 from ._basis import AbstractBasis as AbstractBasis
 from ._basis import Gaussian as Gaussian
 from ._basis import Multiquadric as Multiquadric

@@ -35,5 +35,5 @@ def test_the_reference_names_all_that_is_public():
         name for name, value in vars(jm).items() if not name.startswith("_") and not isinstance(value, types.ModuleType)
     ]
     assert sorted(named) == sorted(public)
-    for module in ("io", "plot", "cases"):
+    for module in ("shapes", "io", "plot", "cases"):
         assert f"{{{{ api {module} }}}}" in (PAGES / "reference" / f"{module}.md").read_text()

@@ -1,0 +1,92 @@
+"""Checks what comes in: shapes always, values where they are known."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Float, Real
+
+Number = Real[ArrayLike, ""]
+Numbers = Real[ArrayLike, "..."] | Sequence[Any]
+
+
+def is_known(*values: Any) -> bool:
+    """Tells whether values can be read: nothing in them is traced."""
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
+
+
+def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
+    """Turns positions into an array (m, d) of floats.
+
+    **Raises:** `ValueError` for another shape.
+    """
+    x = jnp.asarray(x)
+    if x.ndim != 2 or x.shape[1] not in (2, 3):
+        raise ValueError(f"`{name}` has shape {x.shape}; positions have shape (m, 2) or (m, 3).")
+    return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))
+
+
+def number(name: str, value: Any, like: Array) -> Float[Array, ""]:
+    """Turns one number into an array of the positions' dtype.
+
+    **Raises:** `ValueError` for more than one number, and for one that is not finite.
+    """
+    value = jnp.asarray(value, like.dtype)
+    if value.ndim != 0:
+        raise ValueError(f"`{name}` has shape {value.shape}; it is one number.")
+    if is_known(value) and not np.isfinite(value):
+        raise ValueError(f"`{name}` is {value}; it must be finite.")
+    return value
+
+
+def vector(name: str, values: Any, like: Array) -> Float[Array, " d"]:
+    """Turns d numbers into an array of the positions' dtype.
+
+    **Raises:** `ValueError` for another count, and for values that are not finite.
+    """
+    values, d = jnp.asarray(values, like.dtype), like.shape[1]
+    if values.shape != (d,):
+        raise ValueError(f"`{name}` has shape {values.shape}; positions in {d}-D need ({d},).")
+    if is_known(values) and not np.isfinite(values).all():
+        raise ValueError(f"`{name}` is {np.asarray(values)}; it must be finite.")
+    return values
+
+
+def direction(name: str, values: Any, like: Array) -> Float[Array, " d"]:
+    """Turns d numbers into a vector of length 1.
+
+    **Raises:** `ValueError` for another count, and for a vector without length.
+    """
+    values = vector(name, values, like)
+    if is_known(values) and not np.any(values):
+        raise ValueError(f"`{name}` has length 0; it must be a direction.")
+    return values / jnp.linalg.norm(values)
+
+
+def positive(name: str, value: Any, like: Array) -> Float[Array, ""]:
+    """Turns a length into an array.
+
+    **Raises:** `ValueError` for one that is not above 0.
+    """
+    value = number(name, value, like)
+    if is_known(value) and not value > 0:
+        raise ValueError(f"`{name}` is {value}; it must be above 0.")
+    return value
+
+
+def axis_for(values: Any, like: Array) -> Float[Array, " 3"] | None:
+    """Turns an axis of rotation into a vector of length 1; None in 2-D.
+
+    **Raises:** `ValueError` for an axis in 2-D, and for none in 3-D.
+    """
+    d = like.shape[1]
+    if (values is None) != (d == 2):
+        raise ValueError(
+            "`axis` is for positions in 3-D; leave it out in 2-D."
+            if d == 2
+            else "`axis` is missing: a rotation in 3-D needs (3,) numbers."
+        )
+    return None if values is None else direction("axis", values, like)

@@ -1,0 +1,139 @@
+"""Free-form deformation: a lattice of control points carries what is inside."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from . import _bspline
+from ._door import Numbers, is_known, positions
+from ._lattice import LatticeOperator
+from ._shape import AbstractLinearShape
+
+
+class FreeForm(AbstractLinearShape):
+    """A box of control points; points inside move by the controls' displacements weighted with B-splines, points outside stay.
+
+    With the highest degree the weights are Bernstein polynomials (Sederberg and Parry, Free-form deformation of solid
+    geometric models, SIGGRAPH 1986). The parameters are the displacements (*counts, d) of the control points.
+
+    **Arguments:**
+
+    - `origin`: a corner (d,) of the box.
+    - `axes`: the edges (d, d) that leave it, one in each row; they need not be at right angles.
+    - `counts`: numbers of control points along each edge, 2 or more.
+    - `degree`: of the B-splines, for all directions or one for each; None is the highest, `counts - 1`.
+    - `continuity`: k holds the k + 1 outer layers of control points, so that what stands across the border joins with k
+      continuous derivatives; None holds none, and a wall across the border tears where the border moves.
+
+    **Raises:** `ValueError` for wrong shapes, edges in one plane, counts below 2, degrees outside of 1 to `counts - 1`, and a
+    continuity that leaves no control point free.
+    """
+
+    origin: Float[Array, " d"]
+    axes: Float[Array, "d d"]
+    counts: tuple[int, ...] = eqx.field(static=True)
+    degrees: tuple[int, ...] = eqx.field(static=True)
+    continuity: int | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        origin: Numbers,
+        axes: Numbers,
+        counts: Sequence[int],
+        *,
+        degree: int | Sequence[int] | None = None,
+        continuity: int | None = None,
+    ):
+        origin, axes = jnp.asarray(origin, float), jnp.asarray(axes, float)
+        d = origin.size
+        if origin.shape not in ((2,), (3,)) or axes.shape != (d, d):
+            raise ValueError(f"`origin` has shape {origin.shape} and `axes` {axes.shape}; expected (d,) and (d, d).")
+        if is_known(axes) and not abs(np.linalg.det(axes)) > 1e-12 * np.linalg.norm(axes, axis=1).prod():
+            raise ValueError("the box is flat: its `axes` lie in one plane or one of them has no length.")
+        self.origin, self.axes = origin, axes
+        self.counts, self.degrees = _checked_counts(counts, degree, d)
+        self.continuity = continuity
+        if continuity is not None and (continuity < 0 or 2 * (continuity + 1) >= min(self.counts)):
+            raise ValueError(
+                f"continuity={continuity} holds {continuity + 1} layers: no control of {self.counts} is free."
+            )
+
+    @staticmethod
+    def around(
+        points: Numbers,
+        counts: Sequence[int],
+        *,
+        margin: float = 0.05,
+        degree: int | Sequence[int] | None = None,
+        continuity: int | None = None,
+    ) -> "FreeForm":
+        """Makes the box along the axes that holds all points, with a margin relative to its longest edge.
+
+        **Raises:** `ValueError` as the class does, and for points in one plane without a margin.
+        """
+        points = positions(points, "points")
+        low, high = points.min(axis=0), points.max(axis=0)
+        space = margin * (high - low).max()
+        return FreeForm(low - space, jnp.diag(high - low + 2 * space), counts, degree=degree, continuity=continuity)
+
+    def neutral(self) -> Float[Array, "..."]:
+        """Makes the control displacements that move nothing: zeros (*counts, d)."""
+        return jnp.zeros((*self.counts, len(self.counts)))
+
+    def at(self, x: Numbers) -> LatticeOperator:
+        """Computes the weights of positions (m, d) once, to be applied to many control displacements."""
+        x = positions(x)
+        if x.shape[1] != len(self.counts):
+            raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
+        t = self.coordinates(x)
+        inside = self.holds(t)
+        first, weights = [], []
+        for t_along, count, degree in zip(jnp.clip(t, 0, 1).T, self.counts, self.degrees, strict=True):
+            first.append(_bspline.spans(t_along, count, degree))
+            weights.append(_bspline.values(t_along, first[-1], count, degree))
+        weights[0] = jnp.where(inside[:, None], weights[0], 0)
+        free = None if self.continuity is None else jnp.asarray(_free(self.counts, self.continuity))
+        return LatticeOperator(tuple(weights), tuple(first), free, self.counts)
+
+    def coordinates(self, x: Float[Array, "m d"]) -> Float[Array, "m d"]:
+        """Computes coordinates in the box, each from 0 to 1 inside."""
+        inverse = jnp.linalg.inv(self.axes).astype(x.dtype)
+        return (x - self.origin.astype(x.dtype)[None, :]) @ inverse
+
+    def holds(self, t: Float[Array, "m d"]) -> Bool[Array, " m"]:
+        """Tells which coordinates lie in the box, its border and round-off included."""
+        slack = float(jnp.finfo(t.dtype).eps) ** 0.75
+        return jnp.all((t >= -slack) & (t <= 1 + slack), axis=1)
+
+    def lattice(self, control: Float[Array, "..."] | None = None) -> Float[Array, "..."]:
+        """Computes the positions (*counts, d) of the control points, displaced where `control` is given."""
+        shares = [jnp.linspace(0, 1, count) for count in self.counts]
+        t = jnp.stack(jnp.meshgrid(*shares, indexing="ij"), axis=-1)
+        points = t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
+        return points if control is None else points + control
+
+
+def _checked_counts(counts, degree, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    counts = tuple(int(count) for count in counts)
+    if len(counts) != d or min(counts) < 2:
+        raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers, 2 or more each.")
+    degrees = (degree,) * d if degree is None or isinstance(degree, int) else tuple(degree)
+    if len(degrees) != d:
+        raise ValueError(f"`degree` has {len(degrees)} numbers; a box in {d}-D needs one, or {d}.")
+    degrees = tuple(count - 1 if p is None else int(p) for p, count in zip(degrees, counts, strict=True))
+    if any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
+        raise ValueError(f"degrees {degrees} do not fit counts {counts}: each lies from 1 to count - 1.")
+    return counts, degrees
+
+
+def _free(counts: tuple[int, ...], continuity: int) -> np.ndarray:
+    """Tells which control points are not among the k + 1 outer layers."""
+    free = np.ones(counts, bool)
+    for axis, count in enumerate(counts):
+        layer = np.arange(count)
+        shape = [-1 if other == axis else 1 for other in range(len(counts))]
+        free &= ((layer > continuity) & (layer < count - 1 - continuity)).reshape(shape)
+    return free

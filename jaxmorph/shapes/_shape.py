@@ -1,0 +1,45 @@
+"""What a shape is: a function of positions and parameters."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array, Float, PyTree
+
+from ._door import Numbers, positions
+
+
+class AbstractShape(eqx.Module):
+    """Moves positions by parameters: `shape(x, parameters)`.
+
+    A plain function of the same form serves as well. A class adds `neutral()`, the parameters that move nothing.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, x: Numbers, parameters: PyTree) -> Float[Array, "m d"]:
+        """Moves positions (m, d)."""
+
+    @abc.abstractmethod
+    def neutral(self) -> PyTree:
+        """Makes the parameters that move nothing."""
+
+
+class AbstractOperator(eqx.Module):
+    """Computes displacements (m, d) of fixed positions; linear in the parameters. Its transpose is `jax.linear_transpose`'s."""
+
+    @abc.abstractmethod
+    def __call__(self, parameters: PyTree) -> Float[Array, "m d"]:
+        """Computes the displacements."""
+
+
+class AbstractLinearShape(AbstractShape):
+    """A shape whose displacement is linear in its parameters."""
+
+    @abc.abstractmethod
+    def at(self, x: Numbers) -> AbstractOperator:
+        """Computes the weights of positions once, to be applied to many parameters."""
+
+    def __call__(self, x: Numbers, parameters: Any) -> Float[Array, "m d"]:
+        """Moves positions (m, d): `x + shape.at(x)(parameters)`."""
+        x = positions(x)
+        return x + self.at(x)(parameters)

@@ -1,0 +1,116 @@
+"""Free-form deformation against SciPy's B-splines and Bernstein polynomials."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+from scipy.special import comb
+
+from jaxmorph import shapes
+
+
+def cloud(d, count=60):
+    return np.random.default_rng(d).uniform(-1, 1, size=(count, d))
+
+
+def weights(t, count, degree):
+    """(m, count) functions at t, by SciPy."""
+    if degree == count - 1:
+        k = np.arange(count)
+        return comb(degree, k) * t[:, None] ** k * (1 - t[:, None]) ** (degree - k)
+    knots = np.concatenate([np.zeros(degree), np.linspace(0, 1, count - degree + 1), np.ones(degree)])
+    return BSpline.design_matrix(t, knots, degree).toarray()
+
+
+def expected(x, origin, axes, counts, degrees, control):
+    t = np.linalg.solve(axes.T, (x - origin).T).T
+    inside = ((t >= 0) & (t <= 1)).all(axis=1)
+    factors = [weights(t[inside, a], counts[a], degrees[a]) for a in range(len(counts))]
+    terms = "mi,mj,ijd->md" if len(counts) == 2 else "mi,mj,mk,ijkd->md"
+    moved = x.copy()
+    moved[inside] += np.einsum(terms, *factors, control)
+    return moved, inside
+
+
+BOXES = {
+    "bernstein-2": ([-0.8, -0.7], np.diag([1.6, 1.5]), (4, 3), None),
+    "bspline-2": ([-0.8, -0.7], np.array([[1.6, 0.3], [-0.2, 1.5]]), (7, 5), (3, 2)),
+    "bernstein-3": ([-0.8, -0.7, -0.9], np.diag([1.6, 1.5, 1.7]), (4, 3, 2), None),
+    "bspline-3": ([-0.8, -0.7, -0.9], np.diag([1.6, 1.5, 1.7]) + 0.1, (6, 5, 4), (3, 2, 1)),
+    "mixed-3": ([-0.8, -0.7, -0.9], np.diag([1.6, 1.5, 1.7]), (6, 3, 2), (3, None, None)),
+}
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_values_are_scipys(name):
+    origin, axes, counts, degree = BOXES[name]
+    box = shapes.FreeForm(origin, axes, counts, degree=degree)
+    x, control = cloud(len(counts)), np.random.default_rng(1).normal(size=(*counts, len(counts)))
+    moved, inside = expected(x, np.array(origin), axes, counts, box.degrees, control)
+    assert 5 < inside.sum() < len(x) - 5
+    np.testing.assert_allclose(box(x, control), moved, atol=1e-13)
+    np.testing.assert_array_equal(box(x, control)[~inside], x[~inside])
+    np.testing.assert_array_equal(box(x, box.neutral()), x)
+    np.testing.assert_allclose(box.at(x)(control), moved - x, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_the_transpose_and_derivatives(name):
+    origin, axes, counts, degree = BOXES[name]
+    box, rng = shapes.FreeForm(origin, axes, counts, degree=degree), np.random.default_rng(2)
+    x, d = cloud(len(counts)), len(counts)
+    control, other, cotangent = (rng.normal(size=shape) for shape in ((*counts, d), (*counts, d), x.shape))
+    operator = box.at(x)
+    back = jax.linear_transpose(operator, control)(cotangent)[0]
+    np.testing.assert_allclose(np.vdot(operator(other), cotangent), np.vdot(other, back), rtol=1e-12)
+    np.testing.assert_allclose(jax.grad(lambda c: jnp.vdot(box(x, c), cotangent))(control), back, atol=1e-13)
+    h = 1e-6
+    slope = jax.jvp(lambda x: box(x, control), (x,), (cotangent,))[1]
+    t = np.asarray(box.coordinates(jnp.asarray(x)))
+    smooth = (np.abs(t % 1) > 1e-3).all(axis=1) & (np.abs(t * (np.array(counts) - box.degrees) % 1) > 1e-3).all(axis=1)
+    differences = (box(x + h * cotangent, control) - box(x - h * cotangent, control)) / (2 * h)
+    np.testing.assert_allclose(slope[smooth], differences[smooth], atol=1e-6)
+
+
+def test_a_box_around_points_holds_them_all():
+    for d in (2, 3):
+        box = shapes.FreeForm.around(cloud(d), (3,) * d, margin=0.0)
+        shift = np.ones((*box.counts, d))
+        np.testing.assert_allclose(box(cloud(d), shift), cloud(d) + 1, atol=1e-14)
+        low, high = np.asarray(box.lattice())[(0,) * d], np.asarray(box.lattice())[(-1,) * d]
+        np.testing.assert_allclose([low, high], [cloud(d).min(axis=0), cloud(d).max(axis=0)], atol=1e-14)
+
+
+@pytest.mark.parametrize("k", [0, 1, 2])
+def test_continuity_joins_the_border(k):
+    """Displacement and k derivatives across the border are zero on it."""
+    box = shapes.FreeForm([0.0, 0.0], np.eye(2), (8, 9), degree=(3, 4), continuity=k)
+    control = np.random.default_rng(0).normal(size=(8, 9, 2))
+
+    def across(s):
+        return box.at(jnp.stack([s, 0.3])[None])(control)[0]
+
+    for order in range(k + 1):
+        assert np.abs(across(1e-13)).max() < 1e-10, order
+        across = jax.jacfwd(across)
+    assert np.abs(across(1e-13)).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: shapes.FreeForm([0, 0], np.eye(3), (2, 2)), "expected"),
+        (lambda: shapes.FreeForm([0, 0], [[1, 1], [2, 2]], (2, 2)), "flat"),
+        (lambda: shapes.FreeForm([0, 0], np.eye(2), (1, 2)), "2 or more"),
+        (lambda: shapes.FreeForm([0, 0], np.eye(2), (2, 2, 2)), "2 numbers"),
+        (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4), degree=4), "count - 1"),
+        (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4), continuity=1), "no control"),
+        (lambda: shapes.FreeForm.around(np.zeros((5, 2)), (2, 2)), "flat"),
+        (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4))(cloud(3), np.zeros((4, 4, 2))), "in 2-D"),
+        (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4))(cloud(2), np.zeros((4, 4, 3))), "this lattice needs"),
+    ],
+)
+def test_bad_input_is_refused(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
