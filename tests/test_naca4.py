@@ -127,6 +127,6 @@ def test_section_that_no_ray_leaves():
         cases.naca4("9999")
 
 
-def test_sharp_trailing_edge_is_refused():
-    with pytest.raises(ValueError, match="trailing edge is not blunt"):
-        c_grid(lambda t: cusped(t) - np.column_stack([0 * t, np.sign(t) * 0.0015 * t**2]))
+def test_crossed_trailing_edge_is_refused():
+    with pytest.raises(ValueError, match="trailing edge is crossed"):
+        c_grid(lambda t: cusped(t) - np.column_stack([0 * t, np.sign(t) * 0.0016 * t**2]))

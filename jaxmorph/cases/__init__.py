@@ -1,6 +1,11 @@
-"""Meshes of published cases, generated."""
+"""Generated meshes: published cases, and one for each fault that walls provoke."""
 
 from ._agard445 import agard445 as agard445
 from ._agard445 import agard445_mode as agard445_mode
+from ._blocks import bricks as bricks
+from ._blocks import wing as wing
 from ._naca import naca0015 as naca0015
 from ._naca import naca4 as naca4
+from ._o_grid import sharp_o_grid as sharp_o_grid
+from ._passages import cascade as cascade
+from ._passages import channel as channel

@@ -1,4 +1,4 @@
-"""C-grids of quadrilaterals around any airfoil section with a blunt trailing edge, in closed form."""
+"""C-grids of quadrilaterals around any airfoil section, its trailing edge blunt or sharp, in closed form."""
 
 from collections.abc import Callable
 from typing import NamedTuple, cast
@@ -7,6 +7,8 @@ import numpy as np
 from scipy.optimize import brentq, isotonic_regression
 
 import jaxmorph as jm
+
+from ._structured import quads
 
 # A section of unit chord: t in [-1, 1] -> (k, 2), from the lower trailing edge (-1) round the nose (0) to the upper.
 Section = Callable[[np.ndarray], np.ndarray]
@@ -40,10 +42,11 @@ def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: floa
 
     The cells of the C come first, layer after layer from the wall, in each from the lower wake's exit round the nose to
     the upper wake's; then those behind the base. All are convex and counter-clockwise. Patches: `airfoil`, `farfield`.
+    Behind a sharp trailing edge, both ends of the section at one place, there is no base: the two wakes share their nodes.
 
-    Raises `ValueError` for fewer than 300 points, a first cell that does not fit, a section without a blunt trailing
-    edge (upper point above the lower one), and where the rays leave a cell that is not convex: a nose of 1 % thickness
-    at 9 % camber, or thickness and camber of which no airfoil is made.
+    Raises `ValueError` for fewer than 300 points, a first cell that does not fit, a section whose upper end lies below its
+    lower one, and where the rays leave a cell that is not convex: a nose of 1 % thickness at 9 % camber, or thickness and
+    camber of which no airfoil is made.
     """
     counts = _counts(points)
     largest = 0.9 * RAY_LENGTH / counts.normal
@@ -53,8 +56,9 @@ def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: floa
             f"between {SMALLEST_CELL:g} and {largest:.3g} chords."
         )
     wall, angles = _wall(section, counts)
-    if not wall[-1, 1] - wall[0, 1] > 1e-9:
-        raise ValueError(f"the trailing edge is not blunt: its lower point is {wall[0]}, its upper one {wall[-1]}.")
+    sharp = np.abs(wall[-1] - wall[0]).max() < 1e-12
+    if not (sharp or wall[-1, 1] - wall[0, 1] > 1e-9):
+        raise ValueError(f"the trailing edge is crossed: its lower point is {wall[0]}, its upper one {wall[-1]}.")
     inner, weights = _with_wake(wall, counts)
     angles = np.pad(angles, counts.wake, mode="edge")
     lengths = _ray_lengths(weights, counts.normal, first_cell)
@@ -62,7 +66,7 @@ def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: floa
     # vertical means vertical: the cosine of a rounded pi / 2 is not zero
     directions[: counts.wake + 1], directions[-counts.wake - 1 :] = (0, -1), (0, 1)
     rays = inner + lengths[:, :, None] * directions
-    mesh = _assemble(rays, _wake_strip(inner, counts), counts)
+    mesh = _sharp(rays, counts) if sharp else _assemble(rays, _wake_strip(inner, counts), counts)
     _check_convex(mesh)
     return mesh
 
@@ -146,6 +150,22 @@ def _wake_strip(inner: np.ndarray, counts: Counts) -> np.ndarray:
     return lower + across * (upper - lower)
 
 
+def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
+    """The mesh of the C's nodes alone, those of the upper wake and of the edge being those of the lower."""
+    places = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
+    places[0, -counts.wake - 1 :] = places[0, counts.wake :: -1]
+    kept, ids = np.unique(places, return_inverse=True)
+    ids = ids.reshape(places.shape)
+    return jm.Mesh(
+        points=rays.reshape(-1, 2)[kept],
+        cells={"quad": quads(ids)},
+        patches={
+            "airfoil": ids[0, counts.wake : -counts.wake],
+            "farfield": np.concatenate([ids[-1], ids[:, 0], ids[:, -1]]),
+        },
+    )
+
+
 def _assemble(rays: np.ndarray, strip: np.ndarray, counts: Counts) -> jm.Mesh:
     """The mesh of the C's nodes (normal + 1, rays, 2) and of those between the two wakes."""
     ids = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
@@ -154,16 +174,12 @@ def _assemble(rays: np.ndarray, strip: np.ndarray, counts: Counts) -> jm.Mesh:
     behind = np.vstack([lower, between, upper])
     return jm.Mesh(
         points=np.concatenate([rays.reshape(-1, 2), strip.reshape(-1, 2)]),
-        cells={"quad": np.concatenate([_quads(ids), _quads(behind)])},
+        cells={"quad": np.concatenate([quads(ids), quads(behind)])},
         patches={
             "airfoil": np.concatenate([ids[0, counts.wake : -counts.wake], between[:, 0]]),
             "farfield": np.concatenate([ids[-1], ids[:, 0], ids[:, -1], between[:, -1]]),
         },
     )
-
-
-def _quads(ids: np.ndarray) -> np.ndarray:
-    return np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(-1, 4)
 
 
 def _check_convex(mesh: jm.Mesh) -> None:

@@ -24,7 +24,7 @@ def naca0015(*, points: int = REFERENCE_POINTS) -> jm.Mesh:
     return naca4("0015", points=points, first_cell=1e-5)
 
 
-def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6) -> jm.Mesh:
+def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6, sharp: bool = False) -> jm.Mesh:
     """A C-grid around an airfoil of the NACA 4-digit family, in chords: `cases.naca4("4412")`.
 
     The digits are the camber in percent, its place in tenths and the thickness in percent of the chord; thickness is
@@ -32,7 +32,8 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
     Report 460, 1933). Rays leave the wall as nearly along its normal as lets them turn steadily from one trailing edge
     to the other, so that they never meet before a concave wall. Cells, their order and patches as in `naca0015`.
 
-    `points` are about how many there will be, `first_cell` is the height of those at the wall in chords.
+    `points` are about how many there will be, `first_cell` is the height of the cells at the wall in chords. With `sharp` the
+    thickness ends at zero (its last coefficient is then 0.1036): both sides meet in one node, and there is no base.
 
     Raises `ValueError` for a code that is not of the family, fewer than 300 points, a first cell that does not fit, and
     for sections that straight rays cannot leave without a cell that is not convex: below 4 % thickness with the camber
@@ -45,13 +46,17 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
         raise ValueError(f"`code` is {code!r}: its last two digits say that the section has no thickness.")
     if camber > 0 and place == 0:
         raise ValueError(f"`code` is {code!r}: a cambered section needs a place of its largest camber, 1 to 9 tenths.")
-    return c_grid(functools.partial(_section, camber, place, thickness), points=points, first_cell=first_cell)
+    return c_grid(
+        functools.partial(_section, camber, place, thickness, 0.1036 if sharp else 0.1015),
+        points=points,
+        first_cell=first_cell,
+    )
 
 
-def _section(camber: float, place: float, thickness: float, t: np.ndarray) -> np.ndarray:
+def _section(camber: float, place: float, thickness: float, last: float, t: np.ndarray) -> np.ndarray:
     """The contour, x = t^2 along the chord: t < 0 below, t > 0 above. Report 460, pages 4 and 5."""
     x = t**2
-    half = 5 * thickness * (0.2969 * np.abs(t) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
+    half = 5 * thickness * (0.2969 * np.abs(t) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - last * x**4)
     line, slope = np.zeros_like(x), np.zeros_like(x)
     if camber:
         ahead = x < place

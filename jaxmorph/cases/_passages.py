@@ -1,0 +1,70 @@
+"""Walls close to each other: a blade in the passage of a cascade, and a channel whose walls touch."""
+
+import numpy as np
+
+import jaxmorph as jm
+
+from ._o_grid import Section, rays
+from ._structured import geometric, ids_of, quads, two_sided
+
+LENGTH = 1.7  # of the cascade's passage, in chords
+OUTERMOST = 2.2  # the last ray node's radius about the blade's circle, before it is carried to the passage's boundary
+
+
+def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pitch: float = 1.0) -> jm.Mesh:
+    """An O-grid of quads around a cambered turbine blade of unit chord, in a passage `pitch` chords wide.
+
+    The blade's trailing edge is sharp, at (1, 0); the passage is 1.7 chords long. Its sides run straight and half a pitch
+    from the blade's middle: a blade that turns by 45 degrees comes close to them. `around` cells go round the blade,
+    `layers` from it to the passage's boundary; `first_cell` is the height of those at the blade, in chords. All cells are
+    convex and counter-clockwise. Patches: `blade`, `inlet`, `outlet`, `lower`, `upper`; corners belong to two of them.
+
+    Raises `ValueError` for fewer than 40 cells around or 8 layers, and a pitch not between 1 and 3 chords.
+    """
+    if around < 40 or layers < 8:
+        raise ValueError(f"a cascade needs 40 cells around and 8 layers, not {around} and {layers}.")
+    if not 1 <= pitch <= 3:
+        raise ValueError(f"`pitch` is {pitch}; a passage is 1 to 3 chords wide.")
+    section = Section(0.1, 14.0)
+    near = rays(section, around, layers, first_cell, OUTERMOST) @ np.array([1, 1j])
+    turn = np.arange(around) / around
+    middle, half = section(OUTERMOST, turn).mean(), np.array([LENGTH / 2, pitch / 2])
+    outer = middle + _box(near[-1] - middle, half)
+    share = geometric(layers, first_cell / pitch)[:, None]
+    weight = share**2 * (3 - 2 * share)
+    places = (1 - weight) * near + weight * outer
+    nodes = np.stack([places.real, places.imag], axis=-1)
+    ids = ids_of(layers + 1, around)
+    closed = np.column_stack([ids, ids[:, 0]])[:, ::-1]
+    sides = {"outlet": (0, 1), "inlet": (0, -1), "upper": (1, 1), "lower": (1, -1)}
+    rim, centre = nodes[-1], np.array([middle.real, middle.imag])
+    patches = {"blade": ids[0]}
+    for name, (axis, sign) in sides.items():
+        patches[name] = ids[-1][np.abs(rim[:, axis] - centre[axis] - sign * half[axis]) < 1e-12]
+    return jm.Mesh(nodes.reshape(-1, 2), {"quad": quads(closed)}, patches)
+
+
+def _box(directions: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Complex points of a rectangle's boundary in the given directions; the nearest to each corner is put there."""
+    reach = np.minimum(half[0] / np.abs(directions.real), half[1] / np.abs(directions.imag))
+    points = directions * reach
+    for corner in (complex(x, y) for x in (-half[0], half[0]) for y in (-half[1], half[1])):
+        points[np.abs(points - corner).argmin()] = corner
+    return points
+
+
+def channel(*, columns: int = 60, rows: int = 40, gap: float = 0.2, first_cell: float = 1e-5) -> jm.Mesh:
+    """A straight channel of unit length between two walls, of quads that are finest at both.
+
+    Its four patches `inner` (y = 0), `outer` (y = gap), `inlet` (x = 0) and `outlet` (x = 1) share their corners. `first_cell`
+    is the height of the cells at both walls.
+
+    Raises `ValueError` for fewer than 4 columns or rows.
+    """
+    if columns < 4 or rows < 4:
+        raise ValueError(f"a channel needs 4 columns and rows, not {columns} and {rows}.")
+    x, y = np.linspace(0, 1, columns + 1), gap * two_sided(rows, first_cell / gap)
+    ids = ids_of(rows + 1, columns + 1)
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    patches = {"inner": ids[0], "outer": ids[-1], "inlet": ids[:, 0], "outlet": ids[:, -1]}
+    return jm.Mesh(points, {"quad": quads(ids)}, patches)

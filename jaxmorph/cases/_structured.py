@@ -1,0 +1,42 @@
+"""What structured meshes share: ids in a block, the cells between them, spacings that grow."""
+
+import numpy as np
+from scipy.optimize import brentq
+
+
+def ids_of(*shape: int) -> np.ndarray:
+    """Node ids of a block of the given shape, the last index running fastest."""
+    return np.arange(np.prod(shape)).reshape(shape)
+
+
+def quads(ids: np.ndarray) -> np.ndarray:
+    """(k, 4) the cells between the nodes of a block (rows along y, columns along x), counter-clockwise."""
+    return np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(-1, 4)
+
+
+def hexahedra(ids: np.ndarray) -> np.ndarray:
+    """(k, 8) the cells between the nodes of a block (layers, rows, columns) that run along z, y and x."""
+    floor, lid = ids[:-1], ids[1:]
+    return np.concatenate([np.stack([quads(layer) for layer in part]) for part in (floor, lid)], axis=-1).reshape(-1, 8)
+
+
+def geometric(cells: int, first: float) -> np.ndarray:
+    """[0, 1] divided into `cells` that grow by a constant factor from `first`; evenly where that is 1 / cells and more."""
+    if first * cells >= 1:
+        return np.linspace(0, 1, cells + 1)
+    growth = float(brentq(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0))  # pyright: ignore[reportArgumentType]
+    return np.expm1(growth * np.linspace(0, 1, cells + 1)) / np.expm1(growth)
+
+
+def two_sided(cells: int, first: float) -> np.ndarray:
+    """[0, 1] divided into `cells`, the first and the last of them about `first` high, by a hyperbolic tangent."""
+    if first * cells >= 1:
+        return np.linspace(0, 1, cells + 1)
+
+    def missing(delta):
+        return np.log((1 - np.tanh(delta * (1 - 2 / cells)) / np.tanh(delta)) / 2 / first)
+
+    delta = float(brentq(missing, 1e-6, 18.0))  # pyright: ignore[reportArgumentType]
+    share = 0.5 + 0.5 * np.tanh(np.linspace(-delta, delta, cells + 1)) / np.tanh(delta)
+    share[[0, -1]] = 0, 1
+    return share
