@@ -44,7 +44,7 @@ class Section:
         wall = self._map(1.0, np.linspace(0, 1, 4001))
         self.nose = wall.real.min()
 
-    def __call__(self, radius: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    def __call__(self, radius: np.ndarray | float, turn: np.ndarray) -> np.ndarray:
         """Complex places at `radius` (1 on the wall) and `turn` (0 to 1, counter-clockwise from the edge), in chords."""
         return 1 + self._map(radius, turn) / -self.nose
 
@@ -67,4 +67,4 @@ def rays(section: Section, around: int, layers: int, first_cell: float, outermos
         stations[1:, i] = np.exp(np.interp(np.log(wanted[1:]), np.log(length[1:, i]), np.log(radius[1:, 0] - 1)))
     stations[0] = 0
     nodes = section(1 + stations, turn)
-    return np.stack([nodes.real, nodes.imag], axis=-1)
+    return np.stack([np.real(nodes), np.imag(nodes)], axis=-1)

@@ -33,7 +33,7 @@ def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pi
     share = geometric(layers, first_cell / pitch)[:, None]
     weight = share**2 * (3 - 2 * share)
     places = (1 - weight) * near + weight * outer
-    nodes = np.stack([places.real, places.imag], axis=-1)
+    nodes = np.stack([np.real(places), np.imag(places)], axis=-1)
     ids = ids_of(layers + 1, around)
     closed = np.column_stack([ids, ids[:, 0]])[:, ::-1]
     sides = {"outlet": (0, 1), "inlet": (0, -1), "upper": (1, 1), "lower": (1, -1)}
@@ -46,7 +46,7 @@ def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pi
 
 def _box(directions: np.ndarray, half: np.ndarray) -> np.ndarray:
     """Complex points of a rectangle's boundary in the given directions; the nearest to each corner is put there."""
-    reach = np.minimum(half[0] / np.abs(directions.real), half[1] / np.abs(directions.imag))
+    reach = np.minimum(half[0] / np.abs(np.real(directions)), half[1] / np.abs(np.imag(directions)))
     points = directions * reach
     for corner in (complex(x, y) for x in (-half[0], half[0]) for y in (-half[1], half[1])):
         points[np.abs(points - corner).argmin()] = corner
