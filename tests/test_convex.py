@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmorph._convex import blocks, rotations, symmetric_eigen
-from jaxmorph._distortion import energy
-from jaxmorph._vector import Vector
+from jaxmorph._improve.hessian import blocks, rotations, symmetric_eigen
+from jaxmorph._quality.distortion import energy
+from jaxmorph._quality.vector import Vector
 
 
 def matrices(d, n=40):

@@ -8,10 +8,10 @@ import scipy.optimize
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._distortion import IDEAL, energy, samples, solid, target
-from jaxmorph._host.newton import pattern, solve
-from jaxmorph._improve import _prepared
-from jaxmorph._vector import corners
+from jaxmorph._improve.improve import _prepared
+from jaxmorph._improve.systems import pattern, solve
+from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
+from jaxmorph._quality.vector import corners
 
 
 def grid(n, dimension=2):

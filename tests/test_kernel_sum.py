@@ -10,8 +10,9 @@ import pytest
 from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
-from jaxmorph._methods.base import BLOCK, map_points
-from jaxmorph._product import few_rows_times
+from jaxmorph._kernels.product import few_rows_times
+from jaxmorph._methods.base import BLOCK
+from jaxmorph._methods.blocks import map_points
 
 BASES = {
     "thin-plate": (jm.ThinPlateSpline(), "thin_plate_spline", 1.0, 1),

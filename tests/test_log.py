@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmorph._log import half_x_log_x, log
+from jaxmorph._kernels.log import half_x_log_x, log
 
 
 def everywhere():

@@ -265,7 +265,7 @@ def test_a_failure_leaves_nothing(tmp_path, monkeypatch, target):
     def fail(*_):
         raise OSError("no space left")
 
-    monkeypatch.setattr("jaxmorph.io._openfoam._write_points", fail)
+    monkeypatch.setattr("jaxmorph.io.openfoam.case._write_points", fail)
     with pytest.raises(OSError, match="no space left"):
         io.write(tmp_path / target, mesh)
     assert sorted(tmp_path.rglob("*")) == before

@@ -12,9 +12,9 @@ from scipy.spatial import ConvexHull, Delaunay
 from vtkmodules.vtkFiltersVerdict import vtkMeshQuality
 
 import jaxmorph as jm
-from jaxmorph import _blocks
 from jaxmorph._host.adjacency import handedness, neighbours
 from jaxmorph._host.topology import FACES
+from jaxmorph._quality import blocks
 
 HEXAHEDRON = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
 IDEAL = {
@@ -462,7 +462,7 @@ def test_cells_in_blocks_are_the_same_and_so_are_derivatives(monkeypatch):
         return jm.quality(mesh), jm.quality(mesh, moved), jm.smooth_quality(mesh, moved), jax.grad(objective)(moved)
 
     whole = found()
-    monkeypatch.setattr(_blocks, "BLOCK", 10)
+    monkeypatch.setattr(blocks, "BLOCK", 10)
     jax.clear_caches()
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(found()), strict=True):
         np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-13)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxmorph as jm
-from jaxmorph._distortion import IDEAL
+from jaxmorph._quality.distortion import IDEAL
 
 KINDS = [
     "triangle",

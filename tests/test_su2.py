@@ -7,7 +7,7 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.io import _text
+from jaxmorph.io.text import sections
 
 SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
 
@@ -60,7 +60,7 @@ def written(path: pathlib.Path, text: str) -> pathlib.Path:
 
 @pytest.fixture(params=[1 << 24, 7], ids=["whole", "in pieces"])
 def chunk(request, monkeypatch):
-    monkeypatch.setattr(_text, "CHUNK", request.param)
+    monkeypatch.setattr(sections, "CHUNK", request.param)
 
 
 @pytest.mark.usefixtures("chunk")

@@ -1,19 +1,18 @@
-"""What a method is: the two abstract classes, and the one place where a field is mapped over points."""
+"""The contract of a method: the surface that it sees, and the two abstract classes."""
 
 import abc
 import dataclasses
-from collections.abc import Callable
+from typing import Any, Self
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._host.reduction import AbstractReduction, drop_near
 
 BLOCK = 512
-"""Points per block at most: memory, that for derivatives too, is that of one block, whatever the size of the mesh."""
+"""Points evaluated together: memory, also for derivatives, is that of one block, whatever the size of the mesh."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,6 +64,28 @@ class Located(eqx.Module):
     outside: Int[Array, ""]
 
 
+class AbstractRows(eqx.Module):
+    """Rows of a linear operator, one a point, that may carry a table which makes the transpose as fast as the operator.
+
+    What `AbstractMethod.place` returns may hold such rows. The driver builds and keeps their tables.
+    """
+
+    @abc.abstractmethod
+    def with_table(self, count: int, parts: int) -> Self:
+        """Host: adds a table for rows of many points over `count` surface nodes, which lie in `parts` equal shares.
+
+        Each share's table has positions within the share, and as many rows as the others.
+        """
+
+    @abc.abstractmethod
+    def without_table(self) -> Self:
+        """Drops the table: every leaf then has one row a point."""
+
+    @abc.abstractmethod
+    def with_table_of(self, old: Any) -> Self:
+        """Traced: takes over the table of rows with the same ids, with the weights of these."""
+
+
 class AbstractField(eqx.Module):
     """A displacement field, written for one point."""
 
@@ -77,13 +98,8 @@ class AbstractField(eqx.Module):
         return jax.vmap(self)(points, ids)
 
     @property
-    def local(self) -> bool:
-        """Whether a point costs a handful of numbers, so that all points make one block."""
-        return False
-
-    @property
-    def block(self) -> int:
-        """Points per block, where the field is not `local`."""
+    def block_size(self) -> int | None:
+        """Points evaluated together. None if a point needs so little memory that no blocking is required."""
         return BLOCK
 
 
@@ -126,73 +142,3 @@ class AbstractMethod(eqx.Module):
     def exact(self) -> bool:
         """Whether the field takes the given displacements at the surface's nodes; they are then assigned bit for bit."""
         return True
-
-
-def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
-    """The field at every point, block by block, each block recomputed instead of stored for derivatives."""
-    if field.local:
-        return field.evaluate(points, ids)
-    return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block)
-
-
-def place_points(
-    method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
-) -> PyTree:
-    """`method.place` for every point."""
-    if not jax.tree.leaves(ids):
-        return ids
-    place = jax.checkpoint(jax.vmap(lambda x, ids: method.place(x, ids, factors, surface)))
-    n = len(points)
-    block = min(BLOCK, n)
-    starts = jnp.minimum(
-        jnp.arange(0, n, block), n - block
-    )  # the last block begins within the one before: no other shape
-
-    def of_block(start):
-        return place(*jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, block), (points, ids)))
-
-    def put_together(leaf):
-        rows = leaf.reshape(-1, *leaf.shape[2:])
-        return jnp.concatenate([rows[: n - block], leaf[-1]])
-
-    return jax.tree.map(put_together, jax.lax.map(of_block, starts))
-
-
-def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
-    """`function` of blocks of so many rows, put together again: what it returns for a block has as many rows.
-
-    Each block adds its rows to one array of zeros, in place; the last block may be shorter. Nothing is padded.
-    """
-    n = len(jax.tree.leaves(rows)[0])
-    full = (n - 1) // block * block
-    last = function(jax.tree.map(lambda leaf: leaf[full:], rows))
-    if full == 0:
-        return last
-
-    def add(whole, part, start):
-        return jax.tree.map(lambda a, b: _add_rows(a, b, start), whole, part)
-
-    def step(whole, start_and_part):
-        start, part = start_and_part
-        return add(whole, function(part), start), None
-
-    blocks = jax.tree.map(lambda leaf: leaf[:full].reshape(-1, block, *leaf.shape[1:]), rows)
-    zeros = jax.tree.map(lambda leaf: jnp.zeros((n, *leaf.shape[1:]), leaf.dtype), last)
-    whole, _ = jax.lax.scan(step, zeros, (jnp.arange(0, full, block), blocks))
-    return add(whole, last, jnp.asarray(full))
-
-
-def _add_rows(whole: Array, part: Array, start: Int[Array, ""]) -> Array:
-    """Adds, and does not replace: the transpose of an addition reads, where that of a replacement also copies and clears."""
-    window = jax.lax.ScatterDimensionNumbers(
-        update_window_dims=tuple(range(part.ndim)), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
-    )
-    return jax.lax.scatter_add(
-        whole,
-        start[None],
-        part,
-        window,
-        indices_are_sorted=True,
-        unique_indices=True,
-        mode=jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS,
-    )

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._basis import WendlandC2
 from .._host.neighbours import extreme_of_each, largest_gap, near_walls, nearest_of, walls
-from .base import AbstractField, AbstractMethod, Surface, map_points
+from .base import AbstractField, AbstractMethod, Surface
+from .basis import WendlandC2
+from .blocks import map_points
 from .delaunay import DelaunayGraph
 from .sparse import InterpolatedField, Interpolation
 
@@ -102,8 +103,8 @@ class NearWallField(AbstractField):
     wall: InterpolatedField
 
     @property
-    def local(self) -> bool:
-        return True  # the correction makes its own blocks
+    def block_size(self) -> None:
+        return None  # the correction makes its own blocks
 
     def __call__(self, x, ids):
         if isinstance(ids[1], WallRow):

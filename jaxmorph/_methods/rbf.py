@@ -10,10 +10,10 @@ import scipy.linalg
 import scipy.spatial
 from jaxtyping import Array, Float, Int
 
-from .._basis import AbstractBasis, ThinPlateSpline
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
-from .._product import few_rows_times
+from .._kernels.product import few_rows_times
 from .base import BLOCK, AbstractField, AbstractMethod, Surface
+from .basis import AbstractBasis, ThinPlateSpline
 
 KERNEL_BLOCK = 2**17
 """Elements of the kernel that a block of points makes: 1 MiB in float64, which stays in a core's own cache."""
@@ -205,7 +205,7 @@ class RBFField(AbstractField):
         return jnp.matmul(self.beta, phi, precision="highest") + jnp.matmul(self.alpha, terms, precision="highest")
 
     @property
-    def block(self) -> int:
+    def block_size(self) -> int:
         return min(BLOCK, max(64, KERNEL_BLOCK // len(self.sources) // 64 * 64))
 
     def evaluate(self, points, ids):

@@ -5,7 +5,8 @@ import dataclasses
 import equinox as eqx
 import jax
 
-from .base import AbstractField, AbstractMethod, Surface, map_points, place_points
+from .base import AbstractField, AbstractMethod, Surface
+from .blocks import map_points, place_points
 from .delaunay import DelaunayGraph
 from .rbf import RBF
 
@@ -14,14 +15,11 @@ class SurfaceReconstruction(AbstractMethod):
     """The paper's method: a coarse field everywhere, plus the correction of its offset on the surface (eq. 5).
 
     u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine; the surface is exact when
-    that of `correction` is. `correction_steps` is for `march(..., rebuild=True)` alone, which then carries the offset in so
-    many equal steps with a new graph before each, as the paper does for its wing (section 3.2); within one plan the
-    correction is linear, and steps make no difference.
+    that of `correction` is. The correction is linear, so several steps of it (section 3.2 of the paper) equal one.
     """
 
     coarse: AbstractMethod = eqx.field(default_factory=RBF)
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
-    correction_steps: int = eqx.field(static=True, default=1)
 
     @property
     def exact(self) -> bool:
@@ -68,8 +66,8 @@ class SumField(AbstractField):
     second: AbstractField
 
     @property
-    def local(self) -> bool:
-        return True  # its parts make their own blocks
+    def block_size(self) -> None:
+        return None  # its parts make their own blocks
 
     def __call__(self, x, ids):
         return self.first(x, ids[0]) + self.second(x, ids[1])

@@ -5,6 +5,7 @@ transposes avoid that; being primitives they keep forward and reverse derivative
 """
 
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,7 +17,7 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._host.transpose import tabulate
-from .base import AbstractField, AbstractMethod
+from .base import AbstractField, AbstractMethod, AbstractRows
 
 
 class Table(eqx.Module):
@@ -30,7 +31,7 @@ class Table(eqx.Module):
     weights: Float[Array, "r width"]
 
 
-class Interpolation(eqx.Module):
+class Interpolation(AbstractRows):
     """Points' displacements as weighted sums of those of surface nodes: rows of a sparse operator.
 
     For one point, `nodes` and `weights` are (k,); for many (n, k), with a table of the transpose. Where `reached` is given and
@@ -42,38 +43,18 @@ class Interpolation(eqx.Module):
     reached: Bool[Array, "*n"] | None = None
     table: Table | None = None
 
+    def with_table(self, count: int, parts: int) -> "Interpolation":
+        return _with_table(self, count, parts)
 
-def with_tables(ids: PyTree, count: int, parts: int = 1) -> PyTree:
-    """Host: ids of many points, whose rows lie in `parts` equal shares, with a table for each interpolation among them.
+    def without_table(self) -> "Interpolation":
+        return Interpolation(self.nodes, self.weights, self.reached)
 
-    `count` is the number of surface nodes. Each share's table has positions within the share, and as many rows as the others.
-    """
-    return _map_interpolations(lambda rows: _with_table(rows, count, parts), ids)
-
-
-def without_tables(ids: PyTree) -> PyTree:
-    """The ids of many points without tables: every leaf has one row a point."""
-    return _map_interpolations(lambda rows: Interpolation(rows.nodes, rows.weights, rows.reached), ids)
-
-
-def with_tables_of(old: PyTree, ids: PyTree) -> PyTree:
-    """Ids of many points computed anew, with the tables of the old ones."""
-
-    def renewed(rows: Interpolation, old: Interpolation) -> Interpolation:
+    def with_table_of(self, old: Any) -> "Interpolation":
         table = old.table
         if table is not None:
-            gathered = jnp.where(table.entries < 0, 0, rows.weights.ravel()[table.entries])
+            gathered = jnp.where(table.entries < 0, 0, self.weights.ravel()[table.entries])
             table = Table(table.entries, table.owner, gathered)
-        return Interpolation(rows.nodes, rows.weights, rows.reached, table)
-
-    return _map_interpolations(renewed, ids, old)
-
-
-def _map_interpolations(function, *trees: PyTree) -> PyTree:
-    def is_rows(leaf):
-        return isinstance(leaf, Interpolation)
-
-    return jax.tree.map(lambda *leaves: function(*leaves) if is_rows(leaves[0]) else leaves[0], *trees, is_leaf=is_rows)
+        return Interpolation(self.nodes, self.weights, self.reached, table)
 
 
 def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
@@ -105,8 +86,8 @@ class InterpolatedField(AbstractField):
     u: Float[Array, "b d"]
 
     @property
-    def local(self) -> bool:
-        return True
+    def block_size(self) -> None:
+        return None
 
     def __call__(self, x: Float[Array, " d"], ids: Interpolation | PyTree) -> Float[Array, " d"]:
         at = ids if isinstance(ids, Interpolation) else self.method.place(x, ids, self.factors, self.surface)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxmorph import Mesh
 from jaxmorph._host.topology import CORNERS, DIMENSION, FACES
-from jaxmorph.io._openfoam import WholeCells, whole_cells
+from jaxmorph.io.openfoam.case import WholeCells, whole_cells
 
 Vectors = Float[np.ndarray, "t d"]
 FLOOR = 1e-300

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxmorph import Mesh, QualityReport
-from jaxmorph.io._openfoam import whole_cells
+from jaxmorph.io.openfoam.case import whole_cells
 
 from ._faces import face_aspect_ratio, face_non_orthogonality, face_skewness
 from ._tables import place

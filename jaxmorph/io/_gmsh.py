@@ -17,7 +17,7 @@ from jaxmorph._host.topology import DIMENSION
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
 from ._meshio import load, meshio, to_mesh
-from ._text import replace
+from .text.sections import replace
 
 NAME = "gmsh"
 

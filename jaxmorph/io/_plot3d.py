@@ -16,7 +16,7 @@ from jaxmorph import Mesh
 from ._blocks import SIDES, block_cells, block_ids, block_sides
 from ._format import Arrays, Source, source_of
 from ._joined import Joined, Zones, join
-from ._text import chunks, parse, replace_words
+from .text.sections import chunks, parse, replace_words
 
 NAME = "PLOT3D"
 TEXT = bytes([*b"\t\r\n", *range(32, 127)])

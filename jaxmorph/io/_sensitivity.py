@@ -8,9 +8,9 @@ from jaxtyping import Float
 
 from jaxmorph import Mesh
 
-from ._foam_field import is_foam_file, read_point_vectors
 from ._shape import load_npz
 from ._surface import read_table
+from .openfoam.field import is_foam_file, read_point_vectors
 
 NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 """SU2's names of the columns, in lower case."""

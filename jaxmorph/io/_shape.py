@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import spatial
 
-from ._text import parse, scan
+from .text.sections import parse, scan
 
 BLOCK = 1 << 12
 """Points looked for together."""

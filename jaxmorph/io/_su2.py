@@ -12,14 +12,16 @@ import numpy as np
 from jaxmorph import Mesh
 from jaxmorph._host.topology import VTK
 
+from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
-from ._su2_new import new_text
-from ._text import Rows, Section, blank_comments, replace
+from .text.sections import Rows, Section, blank_comments, replace
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
 CORNERS = {1: 1, 3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5}
 """SU2's element types are VTK's numbers, corners in VTK's order; 1 is the single node of a SEND_RECEIVE marker."""
+ROWS = 1 << 16
+"""Rows of a new file formatted together."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +79,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     points = np.asarray(mesh.points)
     with path.open("wb") as file:
         if source is None:
-            file.writelines(new_text(mesh))
+            file.writelines(_new_text(mesh))
             return
         content: _Content = source.content
         if points.shape != content.shape:
@@ -189,3 +191,36 @@ def _corners(section: Section, block: Rows, mine: np.ndarray, kind: int, row: in
 def _check_count(keyword: _Keyword, stated: int, found: int, what: str) -> None:
     if found != stated:
         raise keyword.section.error(f"{keyword.name}= {stated}, but {found} rows of {what} follow.")
+
+
+def _new_text(mesh: Mesh) -> Iterator[bytes]:
+    """The file in pieces. Patches become markers, with the boundary faces between their nodes as elements.
+
+    `ValueError` for a patch that boundary faces cannot express, or whose name does not fit on the line of a tag.
+    """
+    points = np.asarray(mesh.points)
+    n, d = points.shape
+    for name in mesh.patches:
+        if name != name.strip() or not name or any(mark in name for mark in "%=\r\n"):
+            raise ValueError(f"{name!r} cannot be the tag of an SU2 marker: blank ends, '%', '=' or a line break.")
+    markers = patch_faces(mesh)
+    yield f"NDIME= {d}\nNELEM= {sum(len(corners) for corners in mesh.cells.values())}\n".encode()
+    for kind, corners in mesh.cells.items():
+        yield from _element_rows(kind, np.asarray(corners))
+    yield f"NPOIN= {n}\n".encode()
+    row = " ".join(["%r"] * d) + "\n"
+    for start in range(0, n, ROWS):
+        block = points[start : start + ROWS]
+        yield ((row * len(block)) % tuple(block.ravel().tolist())).encode()
+    yield f"NMARK= {len(markers)}\n".encode()
+    for name, faces in markers.items():
+        yield f"MARKER_TAG= {name}\nMARKER_ELEMS= {sum(map(len, faces.values()))}\n".encode()
+        for kind, corners in faces.items():
+            yield from _element_rows(kind, corners)
+
+
+def _element_rows(kind: str, corners: np.ndarray) -> Iterator[bytes]:
+    row = f"{VTK[kind]} " + " ".join(["%d"] * corners.shape[1]) + "\n"
+    for start in range(0, len(corners), ROWS):
+        block = corners[start : start + ROWS]
+        yield ((row * len(block)) % tuple(block.ravel().tolist())).encode()

@@ -7,7 +7,7 @@ import re
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._text import Section
+from .text.sections import Section
 
 IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
 """What headers call the column of node ids, which is the first one otherwise."""

@@ -1,0 +1,1 @@
+"""Advice before and around a motion: inspections, sources to choose, steps to take."""

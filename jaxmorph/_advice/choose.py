@@ -1,0 +1,187 @@
+"""Sources and support radius, chosen for a family of motions instead of guessed."""
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from .._host.reduction import KDTree
+from .._mesh.mesh import Mesh
+from .._methods.base import AbstractMethod, Surface
+from .._methods.basis import WendlandC2
+from .._methods.nearwall import NearWall
+from .._methods.rbf import RBF
+from .._methods.reconstruction import SurfaceReconstruction
+from .._plan.plan import Plan, deform
+from .._plan.prepare import prepare, surface_of
+from .._plan.symmetry import Mirror, Plane
+from .._quality.quality import quality
+
+COLUMNS = ("leaves", "sources", "radius", "error", "rounding", "inverted", "jacobian")
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """What `choose` found: the `method`, its `plan`, and a table of all that were tried, as text by `str`.
+
+    Each row of `table` has `leaves` of the k-d tree on the moving nodes, `sources` in all, the `radius` of the Wendland C2
+    function (None for a thin plate spline), `error`, the root mean square over surface and motions of what the coarse field
+    misses, relative to the largest displacement, `rounding`, what float64 makes of the system's condition, relative to it too,
+    `inverted` cells in all motions and the smallest `jacobian` ratio in any; NaN where `prepare` refused. `chosen` is its row.
+    """
+
+    method: AbstractMethod
+    plan: Plan
+    table: tuple[dict[str, Any], ...]
+    chosen: int
+
+    def __str__(self) -> str:
+        rows = [COLUMNS, *([_shown(row[name]) for name in COLUMNS] for row in self.table)]
+        marks = [" ", *("*" if i == self.chosen else " " for i in range(len(self.table)))]
+        return "\n".join(mark + "".join(f"{cell:>10}" for cell in row) for mark, row in zip(marks, rows, strict=True))
+
+
+def _shown(value: Any) -> str:
+    return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def choose(
+    mesh: Mesh,
+    moving: Any,
+    fixed: Any,
+    motions: Float[Any, "s m d"],
+    *,
+    symmetry: Plane | Sequence[Plane] = (),
+    leaves: Sequence[int] = (8, 32, 128),
+    error: float = 0.01,
+) -> Choice:
+    """Host: picks the number of sources and the support radius for a family of motions, by trying.
+
+    `motions` (s, m, d) are displacements of the moving nodes that the mesh is to bear: modes, or samples; `moving`, `fixed` and
+    `symmetry` are `prepare`'s. For each number of
+    `leaves` a thin plate spline and a Wendland C2 function are tried, whose radius optimistix's golden section search finds between
+    a fifth of the moving nodes' extent and ten times it: least sum of `error` and `rounding`, see `Choice`. Among those that
+    invert fewest cells, miss the surface by no more than `error`, and keep 98 % of the best smallest Jacobian ratio, the one
+    with fewest sources is chosen; where none is that good, the one with the largest Jacobian ratio.
+
+    Every motion is deformed and judged once for each of the 2 len(`leaves`) candidates.
+
+    Raises `ValueError` when `motions` is not (s, m, d) or is zero, for no `leaves`, and what `prepare` raises where it
+    refuses every candidate.
+    """
+    moving, fixed = np.asarray(moving), np.setdiff1d(np.asarray(fixed, dtype=int), np.asarray(moving))
+    motions, expected = np.asarray(motions, dtype=float), (len(moving), mesh.points.shape[1])
+    if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):
+        raise ValueError(
+            f"`motions` has shape {motions.shape}; expected (s, {expected[0]}, {expected[1]}), not all zero."
+        )
+    if not len(leaves):
+        raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
+    nodes = np.concatenate([moving, fixed])
+    surface, images, _ = surface_of(np.asarray(mesh.points, dtype=float), nodes, len(moving), symmetry)
+    columns = _columns(motions, len(nodes), images)
+    rows, plans, refused = [], [], None
+    for count in leaves:
+        for with_radius in (False, True):
+            rbf, row = _candidate(surface, columns, count, with_radius)
+            plan, refused = _prepared(mesh, (moving, fixed, symmetry), rbf, refused)
+            rows.append(row | _judged(mesh, plan, motions))
+            plans.append(plan)
+    if all(plan is None for plan in plans):
+        raise refused or ValueError("every candidate was refused.")
+    chosen = _best(rows, error)
+    return Choice(plans[chosen].method, plans[chosen], tuple(rows), chosen)
+
+
+def _columns(motions: np.ndarray, nodes: int, images: Mirror | None) -> np.ndarray:
+    """Displacements of all rows of the surface, images too, motion after motion; the largest component one."""
+    columns = []
+    for motion in motions:
+        own = np.zeros((nodes, motion.shape[1]))
+        own[: len(motion)] = motion
+        columns.append(own if images is None else np.asarray(images.extended(jnp.asarray(own))))
+    joined = np.concatenate(columns, axis=1)
+    return joined / np.abs(joined).max()
+
+
+def _candidate(surface: Surface, columns: np.ndarray, count: int, with_radius: bool) -> tuple[RBF, dict[str, Any]]:
+    rbf = RBF(reduction=KDTree(count, extremes=True))
+    ids, points, values = (
+        jnp.asarray(rbf.connect(surface, surface.points)[0]),
+        jnp.asarray(surface.points),
+        jnp.asarray(columns),
+    )
+    radius = None
+    if with_radius:
+        extent = float(np.ptp(surface.points[: surface.moving], axis=0).max())
+        radius = extent * math.exp(float(_log_radius(rbf, ids, points, values, jnp.asarray(extent))))
+        rbf = eqx.tree_at(lambda it: it.basis, rbf, WendlandC2(radius))
+    missed, rounding = _errors(rbf, ids, points, values)
+    return rbf, {
+        "leaves": count,
+        "sources": len(ids),
+        "radius": radius,
+        "error": float(missed),
+        "rounding": float(rounding),
+    }
+
+
+@eqx.filter_jit
+def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
+    """Logarithm of the radius over the extent."""
+
+    def loss(log_radius, _):
+        wide = eqx.tree_at(lambda it: it.basis, rbf, WendlandC2(extent * jnp.exp(log_radius)))
+        return jnp.log(sum(_errors(wide, ids, points, values)))
+
+    bounds = {"lower": math.log(0.2), "upper": math.log(10.0)}
+    start = jnp.zeros((), points.dtype)
+    return optx.minimise(loss, optx.GoldenSearch(0.02, 0.02), start, options=bounds, max_steps=30, throw=False).value
+
+
+@eqx.filter_jit
+def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Root mean square of what is missed on the surface; and the size of the weights times the unit of rounding."""
+    field = rbf.field(ids, rbf.fit(ids, points), points, values)
+    missed = values - jax.lax.map(lambda x: field(x, None), points, batch_size=256)
+    unit = float(jnp.finfo(field.beta.dtype).eps)
+    return jnp.sqrt(jnp.mean(missed**2)), unit * jnp.max(jnp.sum(jnp.abs(field.beta), axis=1))
+
+
+def _prepared(mesh: Mesh, boundary, rbf: RBF, refused: ValueError | None) -> tuple[Plan | None, ValueError | None]:
+    moving, fixed, symmetry = boundary
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a condition that the table tells
+        try:
+            method = SurfaceReconstruction(rbf, NearWall())
+            return prepare(mesh.points, moving, fixed, method=method, symmetry=symmetry), refused
+        except ValueError as error:
+            return None, error
+
+
+def _judged(mesh: Mesh, plan: Plan | None, motions: np.ndarray) -> dict[str, Any]:
+    if plan is None:
+        return {"inverted": math.nan, "jacobian": math.nan}
+    reports = [quality(mesh, deform(plan, jnp.asarray(u, plan.points.dtype))) for u in motions]
+    least = min(float(report.min_jacobian_ratio) for report in reports)
+    return {"inverted": sum(int(report.inverted) for report in reports), "jacobian": least}
+
+
+def _best(rows: list[dict[str, Any]], error: float) -> int:
+    """The row with fewest sources among the good ones."""
+    usable = [i for i, row in enumerate(rows) if not math.isnan(row["jacobian"])]
+    fewest = min(rows[i]["inverted"] for i in usable)
+    sound = [i for i in usable if rows[i]["inverted"] == fewest]
+    best = max(rows[i]["jacobian"] for i in sound)
+    good = [i for i in sound if rows[i]["error"] <= error and rows[i]["jacobian"] >= best - 0.02 * abs(best)]
+    if good:
+        return min(good, key=lambda i: (rows[i]["sources"], -rows[i]["jacobian"]))
+    return max(sound, key=lambda i: rows[i]["jacobian"])

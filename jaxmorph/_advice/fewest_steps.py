@@ -1,0 +1,72 @@
+"""A large motion in the fewest steps that leave no cell inverted."""
+
+import dataclasses
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._mesh.mesh import Mesh
+from .._plan.plan import Plan
+from .._plan.steps import march
+from .._quality.quality import quality
+from .._quality.report import QualityReport
+
+
+@dataclasses.dataclass(frozen=True)
+class Steps:
+    """What `fewest_steps` found.
+
+    `count` steps reach `fraction` of the motion (1 when all of it) on `points` (n, d), with `report` of their quality; `plans`
+    replays them along `path` (count, m, d).
+    """
+
+    count: int
+    fraction: float
+    points: Float[Array, "n d"]
+    report: QualityReport
+    plans: tuple[Plan, ...]
+    path: Float[Array, "k m d"]
+
+
+def fewest_steps(
+    plan: Plan,
+    motion: Callable[[float], Float[Array, "m d"]],
+    mesh: Mesh,
+    *,
+    min_jacobian_ratio: float = 0.05,
+    most: int = 16,
+) -> Steps:
+    """Host: marches a motion in the fewest equal steps that leave no cell inverted.
+
+    `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes: `motion(1)` is all of it. A number of
+    steps is good when no cell of `mesh` is inverted and the smallest corner Jacobian stays above `min_jacobian_ratio` of its
+    initial value. When even `most` steps are not good, the result holds the largest fraction of the motion that they
+    reach, found by bisection to 1/1000, and its `fraction` is below 1.
+
+    Raises `ValueError` when `most` is less than 1 or `plan` and `mesh` differ in their points.
+    """
+    if most < 1:
+        raise ValueError(f"`most` must be at least 1, not {most}.")
+    if tuple(mesh.points.shape) != plan.points.shape:
+        raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
+
+    def tried(count: int, fraction: float = 1.0) -> Steps:
+        path = jnp.stack([jnp.asarray(motion(fraction * (j + 1) / count)) for j in range(count)])
+        plans, points = march(plan, path)
+        return Steps(count, fraction, points, quality(mesh, points), plans, path)
+
+    def margin(steps: Steps) -> float:
+        least = float(steps.report.min_jacobian_ratio) - min_jacobian_ratio
+        return least if int(steps.report.inverted) == 0 else min(least, -min_jacobian_ratio)
+
+    for count in range(1, most + 1):
+        steps = tried(count)
+        if margin(steps) > 0:
+            return steps
+    # a motion may be NumPy's, so the bisection runs on the host instead of in optimistix's traced loop
+    low, high = 0.0, 1.0
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        low, high = (middle, high) if margin(tried(most, middle)) > 0 else (low, middle)
+    return tried(most, low)

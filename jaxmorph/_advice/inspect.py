@@ -1,0 +1,107 @@
+"""What to know about a motion before it is tried."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.spatial
+from jaxtyping import Array, Float
+
+from .._methods.blocks import map_points
+from .._methods.reconstruction import SurfaceReconstruction
+from .._plan.plan import Plan
+
+
+@dataclasses.dataclass(frozen=True)
+class Inspection:
+    """What `inspect` found, lengths in the mesh's units.
+
+    `offset` is the largest displacement that the correction has to carry (eq. 5; 0 for a method without one), at node
+    `offset_node`; `offset_ratio` is the largest ratio of a node's offset to the distance of its nearest mesh node.
+    `contradictions` (k, 2) are pairs of neighbouring surface nodes that are torn apart, the worst first, and `near` (d,) is where
+    the worst pair lies. `warnings` says so in words.
+    """
+
+    offset: float
+    offset_node: int
+    offset_ratio: float
+    contradictions: np.ndarray
+    near: np.ndarray
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence for each thing that no method moves well."""
+        if not len(self.contradictions):
+            return ()
+        first, second = self.contradictions[0]
+        place = ", ".join(f"{x:.4g}" for x in self.near)
+        return (
+            f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the worst "
+            f"nodes {first} and {second} near ({place}). If a boundary slides along the moving one, make it a symmetry plane.",
+        )
+
+    def renumbered(self, ids: np.ndarray) -> "Inspection":
+        """Gives the same of a larger mesh, in which node k is node `ids[k]`."""
+        ids = np.asarray(ids)
+        node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
+        return dataclasses.replace(self, offset_node=node, contradictions=pairs)
+
+
+def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
+    """Host: looks at a displacement (m, d) of the moving nodes without moving the mesh.
+
+    Neighbouring surface nodes are contradictory where one moves, the other is fixed and the displacement is larger than their
+    distance (a wall sliding along a boundary that is held), or where both move and their distance more than
+    doubles. No method moves such a mesh well.
+
+    Raises `ValueError` when the shape of `u` is not (m, d).
+    """
+    points, nodes = np.asarray(plan.points), np.asarray(plan.surface.nodes)
+    u = np.asarray(u)
+    if u.shape != (plan.moves, points.shape[1]):
+        raise ValueError(
+            f"`u` has shape {u.shape}; this plan moves {plan.moves} points in {points.shape[1]} dimensions."
+        )
+    own = np.zeros((len(nodes), points.shape[1]), points.dtype)
+    own[: plan.moves] = u
+    offset = np.linalg.norm(_offset(plan, own), axis=1)
+    size = np.asarray(scipy.spatial.KDTree(points).query(points[nodes], k=2)[0])[:, 1]
+    worst = int(offset.argmax())
+    pairs = _torn(points[nodes], own, plan.moves)
+    torn = nodes[pairs].reshape(-1, 2)
+    near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
+    ratio = float((offset / np.where(size > 0, size, np.inf)).max())
+    return Inspection(float(offset[worst]), int(nodes[worst]), ratio, torn, near)
+
+
+def _offset(plan: Plan, own: np.ndarray) -> np.ndarray:
+    """What the coarse field misses at the surface's own nodes."""
+    if not isinstance(plan.method, SurfaceReconstruction):
+        return np.zeros_like(own)
+    surface, mirror = plan.surface, plan.surface.mirror
+    u = jnp.asarray(own) if mirror is None else mirror.extended(jnp.asarray(own))
+    ids, factors = surface.ids[0], surface.factors[:2]
+    field = plan.method.coarse.field(ids, factors[0], surface.points, u)
+    offset = np.asarray(u - map_points(field, surface.points, factors[1]))
+    if mirror is None:
+        return offset
+    rows, images = np.asarray(mirror.rows), np.asarray(mirror.mirrored).any(axis=1)
+    result = np.zeros_like(own)
+    result[rows[~images]] = offset[~images]
+    return result
+
+
+def _torn(points: np.ndarray, own: np.ndarray, moves: int) -> np.ndarray:
+    """Pairs of neighbouring rows whose displacements contradict each other, the worst first."""
+    count = min(2 * points.shape[1], len(points) - 1)
+    distance, nearest = map(np.asarray, scipy.spatial.KDTree(points).query(points, k=count + 1))
+    first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()
+    distance = distance[:, 1:].ravel()
+    apart = np.linalg.norm((own[first] - own[second]), axis=1)
+    after = np.linalg.norm((points + own)[first] - (points + own)[second], axis=1)
+    mixed = (first < moves) != (second < moves)
+    # nodes that nearly coincide are one place by accident: the two sides of a wake, of an interface, of a sharp edge
+    scale = 1e-9 * np.ptp(points, axis=0).max()
+    excess = np.where(mixed, apart / (distance + scale), (after - distance) / (distance + scale))
+    torn = np.flatnonzero((excess > 1) & (distance > scale) & (first < second))
+    return np.stack([first, second], axis=1)[torn[np.argsort(-excess[torn], kind="stable")]]

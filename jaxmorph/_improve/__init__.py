@@ -1,0 +1,1 @@
+"""Moves inner nodes to where cells are least distorted."""

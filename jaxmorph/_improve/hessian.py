@@ -1,0 +1,174 @@
+"""Second derivatives of an energy of |T|^2 and det T, with or without their negative part.
+
+With T = U Sigma V^T (U and V rotations, the last singular value signed) the derivatives couple only diagonal entries with each
+other and each entry with its mirror image: the twists and flips of Smith, De Goes and Kim, Analytic eigensystems for isotropic
+distortion energies, ACM Trans. Graph. 38, 2019. Eigenvalues are then those of one matrix (d, d) and closed forms.
+"""
+
+import functools
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._quality.vector import Vector, cross, divide, dot, norm
+
+Scalar = Float[Array, "s k"]
+Matrix = list[list[Scalar]]
+SWEEPS = 5
+"""Of Jacobi rotations in space: they converge quadratically, to round-off in four or five. In the plane one rotation is exact."""
+
+
+def symmetric_eigen(matrix: Matrix) -> tuple[list[Scalar], list[Vector]]:
+    """Eigenvalues and eigenvectors of symmetric matrices (d, d) given by their entries, all at once: Jacobi's method."""
+    d = len(matrix)
+    start = tuple(tuple(row) for row in matrix)
+    zero, one = jnp.zeros_like(matrix[0][0]), jnp.ones_like(matrix[0][0])
+    identity = tuple(tuple(one if i == j else zero for j in range(d)) for i in range(d))
+    state = _rotated((start, identity))
+    if d == 3:  # each turn leaves the next pair of rows in front
+        state = jax.lax.fori_loop(1, 3 * SWEEPS, lambda _, state: _rotated(state), state)
+    values, vectors = state
+    return [values[j][j] for j in range(d)], [Vector([row[j] for row in vectors]) for j in range(d)]
+
+
+def _rotated(state):
+    """One rotation, of the first two rows and columns; in space these then move one place on."""
+    (a, v), d = state, len(state[0])
+    c, s = _angle(a[0][0] - a[1][1], 2 * a[0][1])
+    a, v = ([(c * row[0] + s * row[1], c * row[1] - s * row[0], *row[2:]) for row in matrix] for matrix in (a, v))
+    upper, lower = zip(*[(c * x + s * y, c * y - s * x) for x, y in zip(a[0], a[1], strict=True)], strict=True)
+    a = [upper, lower, *a[2:]]
+    if d == 3:
+        a, v = ([(*row[1:], row[0]) for row in matrix] for matrix in ([*a[1:], a[0]], v))
+    return tuple(a), tuple(v)
+
+
+def _angle(difference: Scalar, twice: Scalar) -> tuple[Scalar, Scalar]:
+    """Cosine and sine of the rotation, by 45 degrees at most, that makes the entry outside of the diagonal vanish."""
+    root = jnp.sqrt(difference**2 + twice**2)
+    tangent = divide(twice, jnp.abs(difference) + root, 0.0) * jnp.where(difference < 0, -1, 1)
+    c = 1 / jnp.sqrt(1 + tangent**2)
+    return c, c * tangent
+
+
+def rotations(stretch: list[Vector]) -> tuple[list[Vector], list[Scalar], list[Vector]]:
+    """U, sigma and V of T = U diag(sigma) V^T, T by its columns: U and V are rotations, the last of sigma has the sign of det T."""
+    values, v = symmetric_eigen([[dot(a, b) for b in stretch] for a in stretch])
+    v = _descending(values, v)
+    images = [_image(stretch, column) for column in v]
+    zero = jnp.zeros_like(values[0])
+    first = _unit(images[0], Vector([zero + 1, *[zero] * (len(v) - 1)]), zero)
+    if len(v) == 2:
+        u = [first, Vector((-first[1], first[0]))]
+    else:
+        rest = images[1] - first * dot(first, images[1])
+        noise = 1e3 * float(jnp.finfo(first[0].dtype).eps) * norm(images[0])
+        second = _unit(rest, _across(first), noise)
+        u = [first, second, cross(first, second)]
+    return u, [dot(a, b) for a, b in zip(u, images, strict=True)], v
+
+
+def _descending(values: list[Scalar], vectors: list[Vector]) -> list[Vector]:
+    """Eigenvectors by falling eigenvalue, the last one turned so that they stay right-handed."""
+    order = jnp.argsort(-jnp.stack(values), axis=0)
+    stacked = [jnp.stack(components) for components in zip(*(v.components for v in vectors), strict=True)]
+    picked = [jnp.take_along_axis(component, order, axis=0) for component in stacked]
+    v = [Vector([component[j] for component in picked]) for j in range(len(vectors))]
+    return [v[0], Vector((-v[0][1], v[0][0]))] if len(v) == 2 else [v[0], v[1], cross(v[0], v[1])]
+
+
+def _image(columns: list[Vector], x: Vector) -> Vector:
+    parts = [column * component for column, component in zip(columns, x.components, strict=True)]
+    return sum(parts[1:], start=parts[0])
+
+
+def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:
+    """Direction of a vector, `otherwise` of one that is no longer than `noise`."""
+    length = norm(a)
+    inverse = divide(jnp.ones_like(length), length, 0.0)
+    parts = zip(a.components, otherwise.components, strict=True)
+    return Vector([jnp.where((inverse > 0) & (length > noise), x * inverse, y) for x, y in parts])
+
+
+def _across(a: Vector) -> Vector:
+    """A unit vector at right angles to a unit vector."""
+    flat = jnp.abs(a[2]) < 0.9
+    other = Vector(
+        [jnp.where(flat, -a[1], jnp.zeros_like(a[0])), jnp.where(flat, a[0], -a[2]), jnp.where(flat, 0, a[1])]
+    )
+    return other * (1 / norm(other))
+
+
+def convex(
+    energy: Callable[[Scalar, Scalar], Scalar], sigma: list[Scalar], floor: Any
+) -> tuple[Matrix, Matrix, Matrix]:
+    """Second derivatives by the entries of U^T T V, for an energy(|T|^2 / d, det T), their eigenvalues at least `floor`.
+
+    Three matrices (d, d): of entries (i, i) and (j, j), of (i, j) twice, and of (i, j) and (j, i).
+    """
+    d = len(sigma)
+    curvature = _hessian(lambda s: energy(*_measures(s)), jnp.stack(sigma))
+    values, vectors = symmetric_eigen([[curvature[i, j] for j in range(d)] for i in range(d)])
+    values = [jnp.maximum(value, floor) for value in values]
+    along = [
+        [_added(w * v[i] * v[j] for w, v in zip(values, vectors, strict=True)) for j in range(d)] for i in range(d)
+    ]
+    squared, tau = _measures(sigma)
+    slope, slant = jax.vjp(energy, squared, tau)[1](jnp.ones_like(tau))
+    zero = jnp.zeros_like(tau)
+    twice, mirrored = [[zero] * d for _ in sigma], [[zero] * d for _ in sigma]
+    for i, j in itertools.combinations(range(d), 2):
+        third = slant if d == 2 else slant * sigma[3 - i - j]
+        twist, flip = (jnp.maximum(2 / d * slope + side * third, floor) for side in (1, -1))
+        twice[i][j] = twice[j][i] = (flip + twist) / 2
+        mirrored[i][j] = mirrored[j][i] = (flip - twist) / 2
+    return along, twice, mirrored
+
+
+def _measures(sigma: Sequence[Scalar] | Float[Array, "d s k"]) -> tuple[Scalar, Scalar]:
+    """|T|^2 / d and det T."""
+    return _added(s**2 for s in sigma) / len(sigma), functools.reduce(jnp.multiply, list(sigma))
+
+
+def _added(terms: Iterable[Scalar]) -> Scalar:
+    return functools.reduce(jnp.add, list(terms))
+
+
+def _hessian(function, x: Float[Array, "d s k"]) -> Float[Array, "d d s k"]:
+    """Second derivatives of a function that is applied entry by entry."""
+    ones = jnp.ones_like(x[0])
+
+    def slope(x):
+        return jax.vjp(function, x)[1](ones)[0]
+
+    directions = jnp.eye(len(x), dtype=x.dtype)[:, :, None, None] + jnp.zeros_like(x)
+    return jax.vmap(lambda direction: jax.jvp(slope, (x,), (direction,))[1])(directions)
+
+
+def blocks(
+    energy: Callable[[Scalar, Scalar], Scalar],
+    stretch: list[Vector],
+    inverse: Sequence[Sequence[Scalar]],
+    floor: Any = 0.0,
+) -> Float[Array, "d d d d s k"]:
+    """Second derivatives by each pair of edges, their eigenvalues at least `floor`: axes of the vectors first, then the edges.
+
+    `stretch` holds the columns of T = A W^-1, `inverse` the rows of W^-1: one for each edge, the columns of A.
+    """
+    axes = range(len(stretch))
+    u, sigma, v = rotations(stretch)
+    g = [jnp.stack([sum(row[b] * v[a][b] for b in axes) for row in inverse]) for a in axes]
+    # a barrier: each is computed once, not for every pair that uses it
+    once = jax.lax.optimization_barrier
+    g, u, (along, twice, mirrored) = once((g, [column.components for column in u], convex(energy, sigma, floor)))
+    pair = [[g[a][:, None] * g[b] for b in axes] for a in axes]
+    inner = [[along[a][e] * pair[a][e] + mirrored[a][e] * pair[e][a] for e in axes] for a in axes]
+    for a, b in itertools.permutations(axes, 2):
+        inner[a][a] += twice[a][b] * pair[b][b]
+    inner = once(inner)
+    half = once([[sum(u[a][i] * inner[a][e] for a in axes) for e in axes] for i in axes])
+    return jnp.stack([jnp.stack([sum(row[e] * u[e][j] for e in axes) for j in axes]) for row in half])

@@ -1,0 +1,193 @@
+"""Newton's method for the distortion of a mesh: optimistix's line search, with Hessians made positive cell by cell."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from .._host.topology import CORNERS, DIMENSION
+from .._quality import measures
+from .._quality.distortion import Target, energy, energy_of_cells, samples
+from .._quality.vector import Vector, corners
+from .hessian import blocks
+from .systems import Pattern, solve, solve_exactly
+
+SHIFT = 1e-12
+"""Added to the diagonal of a Hessian in coordinates of order one, which may be singular where cells are inverted."""
+
+NEAR = 1.0
+"""Largest derivative, in the same coordinates, below which the whole Hessian is taken: the last steps converge quadratically."""
+
+
+class Distortion(eqx.Module):
+    """The energy of a mesh over the free nodes' places y (n, d), in units of `scale` from where they started."""
+
+    cells: dict[str, Int[Array, "k c"]]
+    targets: dict[str, Target]
+    scale: Float[Array, " n"]
+    free: Bool[Array, " n"]
+    softness: Float[Array, ""]
+    size: float = eqx.field(static=True)
+
+    def points(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d"]:
+        """Fixed nodes where `base` has them, bit for bit."""
+        start = jax.lax.stop_gradient(base)
+        return jnp.where(self.free[:, None], start + self.scale[:, None] * y, base)
+
+    def __call__(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
+        points, total = self.points(y, base), jnp.zeros((), y.dtype)
+        for kind, ids in self.cells.items():
+            x, of = corners(points, ids), self.targets[kind]
+            total += jnp.sum(energy_of_cells(kind, x, of, self.softness, self.size))
+        return total
+
+    def shift(self) -> Float[Array, " n"]:
+        """What is added to the diagonal: one for nodes that do not move."""
+        return jnp.where(self.free & (self.scale > 0), SHIFT, 1.0).astype(self.scale.dtype)
+
+    def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
+        """Smallest determinant of T: negative where a cell is inverted."""
+        points, least = self.points(y, base), []
+        for kind, ids in self.cells.items():
+            of = self.targets[kind]
+            least.append(jnp.min(jnp.where(of.counts > 0, samples(kind, corners(points, ids), of)[1], 1)))
+        return jnp.min(jnp.stack(least))
+
+    def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
+        """Second derivatives for each pair of corners of each cell, the eigenvalues of each sample at least `floor`."""
+        points, parts = self.points(y, base), []
+        moves, d = self.scale * self.free, base.shape[1]
+
+        def of_cell(squared, tau):
+            return energy(squared, tau, self.softness, self.size, d)
+
+        for kind, ids in self.cells.items():
+            of = self.targets[kind]
+            edges = measures.frames(kind, corners(points, ids))
+            found = blocks(of_cell, _stretch(edges, of), of.inverse, floor) * (of.counts / len(of.counts))
+            share, scale = _shares(kind), moves[ids].T
+            sums = jnp.einsum("sce,szf->czefs", share, share).reshape(scale.shape[0] ** 2, -1)
+            whole = jnp.einsum("pq,abqk->abpk", sums, found.reshape(d, d, -1, found.shape[-1]))
+            parts.append((whole * (scale[:, None] * scale).reshape(-1, scale.shape[1])).reshape(d, d, -1))
+        return jnp.concatenate(parts, axis=2)
+
+
+def _stretch(edges: list[Vector], of: Target) -> list[Vector]:
+    """Columns of T = A W^-1, with the edges as columns of A."""
+    columns = []
+    for b in range(len(edges)):
+        parts = [edge * row[b] for edge, row in zip(edges, of.inverse, strict=True)]
+        columns.append(sum(parts[1:], start=parts[0]))
+    return columns
+
+
+def _shares(kind: str) -> Float[Array, "s c e"]:
+    """What each corner adds to the edges at each sample."""
+    one = np.eye(CORNERS[kind])
+    edges = measures.frames(
+        kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in one]
+    )  # linear in the corners
+    return jnp.stack([edge[0] for edge in edges], axis=2)
+
+
+def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """What `solver` of `_host.newton` makes of a Hessian and a right side."""
+    structure = jax.ShapeDtypeStruct(right.shape, right.dtype)
+    return jax.pure_callback(solver, structure, *pattern, blocks, shift, right, vmap_method="sequential")
+
+
+class _Inverse(lx.AbstractLinearOperator):
+    """The inverse of a Hessian, applied on the host."""
+
+    pattern: Pattern
+    blocks: Float[Array, "d d pairs"]
+    shift: Float[Array, " n"]
+    structure: Any = eqx.field(static=True)
+
+    def mv(self, vector):
+        return _on_host(solve, self.pattern, self.blocks, self.shift, vector)
+
+    def as_matrix(self):
+        return jax.vmap(self.mv)(jnp.eye(self.in_size()).reshape(-1, *self.structure.shape)).reshape(self.in_size(), -1)
+
+    def transpose(self):
+        return self
+
+    def in_structure(self):
+        return self.structure
+
+    def out_structure(self):
+        return self.structure
+
+
+class HessianSolver(lx.AbstractLinearSolver):
+    """Solves with the Hessian of the energy at a minimum, on the host: what implicit differentiation asks for.
+
+    Its operator is the derivative of the energy's gradient, as optimistix builds it.
+    """
+
+    distortion: Distortion
+    base: Float[Array, "n d"]
+    pattern: Pattern
+
+    def init(self, operator, options):
+        if not isinstance(operator, lx.JacobianLinearOperator):
+            raise ValueError(
+                f"the Hessian of an energy is a `JacobianLinearOperator`, not a {type(operator).__name__}."
+            )
+        return self.distortion.blocks(jax.lax.stop_gradient(operator.x), self.base, -jnp.inf)
+
+    def compute(self, state, vector, options):
+        found = _on_host(solve_exactly, self.pattern, state, self.distortion.shift(), vector)
+        return found, lx.RESULTS.successful, {}
+
+    def transpose(self, state, options):
+        return state, options
+
+    def conj(self, state, options):
+        return state, options
+
+    def assume_full_rank(self):
+        return True
+
+
+@lx.is_symmetric.register(_Inverse)
+def _(operator):
+    return True
+
+
+class ProjectedNewton(optx.AbstractQuasiNewton):
+    """Newton's method; far from a minimum without the negative curvature of each sample, so that each step descends.
+
+    Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
+    """
+
+    rtol: Any
+    atol: Any
+    norm: Callable
+    distortion: Distortion
+    base: Float[Array, "n d"]
+    pattern: Pattern
+    verbose: Callable
+    use_inverse: bool = True
+    descent: optx.AbstractDescent = optx.NewtonDescent()
+    search: optx.AbstractSearch = optx.BacktrackingArmijo(slope=1e-4)
+
+    def init_hessian(self, y, f, grad):
+        pairs = len(self.pattern.block)
+        return self._information(f, grad, jnp.zeros((y.shape[1], y.shape[1], pairs), y.dtype)), None
+
+    def update_hessian(self, y, y_eval, f_info, f_eval_info, hessian_update_state):
+        near = jnp.max(jnp.abs(f_eval_info.grad)) < NEAR
+        blocks = self.distortion.blocks(y_eval, self.base, jnp.where(near, -jnp.inf, 0))
+        return self._information(f_eval_info.f, f_eval_info.grad, blocks), None
+
+    def _information(self, f, grad, blocks):
+        inverse = _Inverse(self.pattern, blocks, self.distortion.shift(), jax.ShapeDtypeStruct(grad.shape, grad.dtype))
+        return optx.FunctionInfo.EvalGradHessianInv(f, grad, inverse)

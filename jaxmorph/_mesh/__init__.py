@@ -1,0 +1,1 @@
+"""The mesh: points, cells, patches, polyhedra, and exchange with meshio and PyVista."""

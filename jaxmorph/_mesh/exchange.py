@@ -1,0 +1,178 @@
+"""Meshes of meshio and PyVista as ours, and back: their cells, patches and arrays."""
+
+import dataclasses
+import importlib
+import urllib.parse
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._host.topology import CORNERS, DIMENSION, VTK, boundary_faces
+
+PREFIX = "patch:"
+"""Point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere."""
+
+MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", "cellentityids", "medit:ref")
+"""Arrays, by their names in lower case, whose numbers tell the patches apart."""
+
+Arrays = Mapping[str, Any]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Origin:
+    """The mesh of another library that a mesh came from; compared by identity, as a static field of a pytree must be."""
+
+    content: Any
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Grid:
+    """What a mesh of another library holds: `blocks` of cells of one type; `cell_data` has one array for each block."""
+
+    points: np.ndarray
+    blocks: list[tuple[str, np.ndarray]]
+    point_data: Arrays
+    cell_data: Mapping[str, list[np.ndarray]]
+    cell_sets: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    field_data: Arrays = dataclasses.field(default_factory=dict)
+
+    @property
+    def levels(self) -> list[int]:
+        """The dimension of each block."""
+        return [DIMENSION.get(kind, 0) for kind, _ in self.blocks]
+
+
+def of_meshio(found: Any) -> Grid:
+    """`ValueError` for cell types that are not supported."""
+    _refuse_unknown(block.type for block in found.cells if len(block.data))
+    blocks = [(block.type, np.asarray(block.data)) for block in found.cells]
+    return Grid(np.asarray(found.points), blocks, found.point_data, found.cell_data, found.cell_sets, found.field_data)
+
+
+def of_pyvista(grid: Any) -> Grid:
+    """`ValueError` for cell types that are not supported."""
+    numbers = np.asarray(grid.celltypes)
+    kinds = {number: kind for kind, number in VTK.items()} | {1: "vertex"}
+    pyvista = imported("pyvista", "plot")
+    _refuse_unknown(kinds.get(n) or pyvista.CellType(n).name.lower() for n in np.unique(numbers).tolist() if n)
+    blocks = [(kinds[number], np.asarray(corners)) for number, corners in grid.cells_dict.items()]
+    of_each = [numbers == number for number in grid.cells_dict]
+    cell_data = {name: [np.asarray(values)[mine] for mine in of_each] for name, values in grid.cell_data.items()}
+    return Grid(np.asarray(grid.points), blocks, dict(grid.point_data), cell_data)
+
+
+def _refuse_unknown(kinds) -> None:
+    unknown = dict.fromkeys(kind for kind in kinds if kind not in CORNERS and kind != "vertex")
+    if unknown:
+        known = ", ".join(CORNERS)
+        raise ValueError(f"cells of type {', '.join(unknown)} are not supported; those that are: {known}.")
+
+
+def imported(name: str, extra: str) -> Any:
+    """An optional package; `ImportError` with the remedy where it is missing."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ImportError(f"this needs {name}: pip install 'jaxmorph[{extra}]'") from error
+
+
+class Parts(NamedTuple):
+    """Points (n, d), corner ids by type, and node ids by patch."""
+
+    points: Any
+    cells: Mapping[str, Any]
+    patches: Mapping[str, Any]
+
+
+def parts(grid: Grid) -> Parts:
+    """Points, cells and patches: the cells of highest dimension; no z where all are in one plane z = constant.
+
+    Patches are named sets of cells of lower dimension, gmsh's physical groups, and point arrays `patch:NAME`; else what the
+    numbers of an array of `MARKERS` tell apart; else the nodes of faces that belong to one cell only are `boundary`.
+    """
+    cells = _cells(grid)
+    points = grid.points.astype(float)
+    if DIMENSION[next(iter(cells))] == 2 and points.shape[1] == 3 and np.ptp(points[:, 2]) == 0:
+        points = points[:, :2]
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        raise ValueError(f"point {bad} is not finite: {points[bad].tolist()}.")
+    patches = _sets(grid) | _physical(grid)
+    for name, values in grid.point_data.items():
+        if name.startswith(PREFIX) and np.ndim(values) == 1:
+            patches[urllib.parse.unquote(name.removeprefix(PREFIX))] = np.flatnonzero(values)
+    patches = patches or _marked(grid)
+    if not patches:
+        outer = boundary_faces(cells, len(points))
+        patches = {"boundary": np.concatenate([corners.ravel() for corners in outer.values()])}
+    return Parts(np.ascontiguousarray(points), cells, patches)
+
+
+def _cells(grid: Grid) -> dict[str, np.ndarray]:
+    blocks: dict[str, list[np.ndarray]] = {}
+    for kind, corners in grid.blocks:
+        if len(corners) and kind != "vertex":
+            blocks.setdefault(kind, []).append(corners)
+    highest = max((DIMENSION[kind] for kind in blocks), default=0)
+    if highest < 2:
+        raise ValueError(f"no cells of an area or a volume, only {', '.join(blocks) or 'single nodes'}.")
+    return {kind: np.concatenate(found) for kind, found in blocks.items() if DIMENSION[kind] == highest}
+
+
+def _sets(grid: Grid) -> dict[str, np.ndarray]:
+    """Patches from named sets of cells (not those of full dimension, which are regions of the volume)."""
+    levels, patches = grid.levels, {}
+    for name, members in grid.cell_sets.items():
+        for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):
+            if inside is not None and np.size(inside) and level < max(levels) and not name.startswith("gmsh:"):
+                patches.setdefault(name, []).append(corners[np.asarray(inside, dtype=np.int64)].ravel())
+    return _joined(patches)
+
+
+def _physical(grid: Grid) -> dict[str, np.ndarray]:
+    """Patches from gmsh's physical groups; one without a name is `physical_` and its tag."""
+    levels, patches = grid.levels, {}
+    names = {(int(info[0]), int(info[1])): name for name, info in grid.field_data.items() if np.size(info) == 2}
+    for (_, corners), level, tags in zip(grid.blocks, levels, grid.cell_data.get("gmsh:physical", []), strict=False):
+        for tag in np.unique(tags).tolist() if level < max(levels) else []:
+            if tag > 0:
+                name = names.get((int(tag), level), f"physical_{int(tag)}")
+                patches.setdefault(name, []).append(corners[np.asarray(tags) == tag].ravel())
+    return _joined(patches)
+
+
+def _marked(grid: Grid) -> dict[str, np.ndarray]:
+    """Patches by the numbers of the first array of `MARKERS`, on the cells of lower dimension or on the points (0: inside)."""
+    levels = grid.levels
+    for name in sorted(filter(_is_marker, grid.cell_data), key=_rank):
+        patches: dict[str, list[np.ndarray]] = {}
+        for (_, corners), level, values in zip(grid.blocks, levels, grid.cell_data[name], strict=True):
+            if 0 < level < max(levels) and _are_whole(values):
+                for number in np.unique(values).tolist():
+                    patches.setdefault(f"{name}_{int(number)}", []).append(corners[values == number].ravel())
+        if patches:
+            return _joined(patches)
+    for name in sorted(filter(_is_marker, grid.point_data), key=_rank):
+        values = np.asarray(grid.point_data[name])
+        if _are_whole(values) and values.any():
+            return {f"{name}_{int(v)}": np.flatnonzero(values == v) for v in np.unique(values[values != 0]).tolist()}
+    return {}
+
+
+def _joined(patches: dict[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate(nodes) for name, nodes in patches.items()}
+
+
+def _is_marker(name: str) -> bool:
+    return name.lower() in MARKERS
+
+
+def _rank(name: str) -> int:
+    return MARKERS.index(name.lower())
+
+
+def _are_whole(values: Any) -> bool:
+    """Whole numbers, one each; as floats too, with NaN nowhere."""
+    return np.ndim(values) == 1 and bool((values == np.floor(values)).all())

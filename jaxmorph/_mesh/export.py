@@ -1,0 +1,98 @@
+"""A mesh as one of meshio or PyVista: the one it came from with other points, or a new one."""
+
+import urllib.parse
+from typing import Any
+
+import numpy as np
+
+from .._host.topology import VTK
+from .exchange import PREFIX, Arrays, Parts, imported
+
+
+def to_meshio(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
+    meshio = imported("meshio", "io")
+    of_points, of_cells = _checked(mesh, point_data, cell_data)
+    old = _origin(source, meshio.Mesh)
+    points = _points(mesh, None if old is None else old.points)
+    if old is None:
+        new = meshio.Mesh(points, [(kind, np.asarray(corners)) for kind, corners in mesh.cells.items()])
+    else:
+        sets = {name: dict(getattr(old, name)) for name in ("point_sets", "cell_sets", "field_data")}
+        new = meshio.Mesh(points, old.cells, dict(old.point_data), dict(old.cell_data), **sets)
+    new.point_data.update(of_points)
+    kinds = np.repeat([block.type for block in new.cells], [len(block.data) for block in new.cells])
+    ends = np.cumsum([len(block.data) for block in new.cells])[:-1]
+    new.cell_data.update({name: np.split(values, ends) for name, values in _dealt(mesh, of_cells, kinds).items()})
+    return new
+
+
+def to_pyvista(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
+    pyvista = imported("pyvista", "plot")
+    of_points, of_cells = _checked(mesh, point_data, cell_data)
+    old = _origin(source, pyvista.UnstructuredGrid)
+    points = _points(mesh, None if old is None else np.asarray(old.points))
+    if old is None:
+        new = pyvista.UnstructuredGrid({VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
+    else:
+        new = old.copy()
+        new.points = points
+    names = {number: kind for kind, number in VTK.items()}
+    kinds = np.array([names.get(number, "") for number in np.asarray(new.celltypes).tolist()], dtype="<U10")
+    for name, values in of_points.items():
+        new.point_data[name] = values
+    for name, values in _dealt(mesh, of_cells, kinds).items():
+        new.cell_data[name] = values
+    return new
+
+
+def _origin(source: Any, kind: type) -> Any:
+    """Finds the mesh of that kind behind the source of a mesh, directly or by way of a file."""
+    while hasattr(source, "content"):
+        source = source.content
+    return source if isinstance(source, kind) else None
+
+
+def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
+    """In space, in double precision; a plane lies where it was, else at z = 0."""
+    points = np.zeros((len(mesh.points), 3))
+    if mesh.points.shape[1] == 2 and old is not None and old.shape[1] == 3:
+        points[:, 2] = old[:, 2]
+    points[:, : mesh.points.shape[1]] = np.asarray(mesh.points)
+    return points
+
+
+def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
+    """Arrays with one row for each point, or each cell, vectors of the plane with a third component 0; patches among them."""
+    cells = sum(map(len, mesh.cells.values()))
+    both = []
+    for arrays, rows, what in ((point_data, len(mesh.points), "points"), (cell_data, cells, "cells")):
+        both.append({name: np.asarray(values) for name, values in (arrays or {}).items()})
+        for name, values in both[-1].items():
+            if values.ndim not in (1, 2) or len(values) != rows:
+                message = f"array {name!r} has shape {values.shape}; expected one row for each of {rows} {what}."
+                raise ValueError(message)
+            if values.ndim == 2 and values.shape[1] == 2:
+                both[-1][name] = np.column_stack([values, np.zeros(rows, values.dtype)])
+    for name, nodes in mesh.patches.items():
+        inside = np.zeros(len(mesh.points), np.uint8)
+        inside[np.asarray(nodes)] = 1
+        both[0][f"{PREFIX}{urllib.parse.quote(name)}"] = inside
+    return both[0], both[1]
+
+
+def _dealt(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.ndarray]:
+    """Arrays in the order of `mesh.cells` for cells of the types `kinds`; a cell of another type gets NaN."""
+    if not arrays:
+        return {}
+    place = np.full(len(kinds), -1)
+    first = 0
+    for kind, corners in mesh.cells.items():
+        mine = np.flatnonzero(kinds == kind)
+        place[mine] = first + np.arange(len(mine))
+        first += len(corners)
+    dealt = {}
+    for name, values in arrays.items():
+        if (place < 0).any():
+            values = np.concatenate([values, np.full((1, *values.shape[1:]), np.nan)])
+        dealt[name] = values[place]
+    return dealt

@@ -1,0 +1,147 @@
+"""The mesh: points, cells, and patches of boundary nodes."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Integer
+
+from .._host.topology import CORNERS, canonical_type
+from . import exchange, export
+
+# Arrays here are NumPy's or JAX's alike: a mesh is data, and quality traces through its points.
+ArrayLike = Any
+
+
+class Mesh(eqx.Module):
+    """Points, the cells between them, and named patches of boundary nodes.
+
+    `points` is (n, d) with d = 2 or 3, in the units of the file. `cells` maps a cell type to its corner ids (k, corners),
+    numbered as VTK numbers them; the types are `triangle`, `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron` (`tri`,
+    `tet`, `prism` and `hex` are understood too); types stand in alphabetical order, whatever order they came in, so that arrays
+    per cell mean the same under `jit`. `patches` maps a name to the ids of its nodes, without repetition.
+    `source` is what `jaxmorph.io.write` needs to give the file back as it was.
+
+    Raises `ValueError` for an unknown cell type, for corner or patch ids outside of `points`, and for wrong shapes.
+    """
+
+    points: Float[ArrayLike, "n d"]
+    cells: dict[str, Integer[ArrayLike, "k corners"]]
+    patches: dict[str, Integer[ArrayLike, " p"]]
+    source: Any = eqx.field(static=True, default=None)
+
+    def __init__(self, points, cells=None, patches=None, source=None):
+        self.points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
+        given = {kind: canonical_type(kind) for kind in cells or {}}
+        twice = sorted(kind for kind, name in given.items() if list(given.values()).count(name) > 1)
+        if twice:
+            raise ValueError(f"cells of one type are given under several names ({', '.join(twice)}): join them.")
+        cells = {given[kind]: _ids(corners) for kind, corners in dict(cells or {}).items()}
+        self.cells = {kind: cells[kind] for kind in sorted(cells)}  # as JAX sorts the keys of a dict
+        self.patches = {name: np.unique(_ids(nodes)) for name, nodes in dict(patches or {}).items()}
+        self.source = source
+        self._check()
+
+    def _check(self) -> None:
+        if self.points.ndim != 2 or self.points.shape[1] not in (2, 3):
+            raise ValueError(f"`points` has shape {self.points.shape}; expected (n, 2) or (n, 3).")
+        n = self.points.shape[0]
+        for kind, corners in self.cells.items():
+            if corners.ndim != 2 or corners.shape[1] != CORNERS[kind]:
+                raise ValueError(f"cells of type {kind!r} have shape {corners.shape}; expected (k, {CORNERS[kind]}).")
+        for name, ids in (self.cells | self.patches).items():
+            if ids.size and (ids.min() < 0 or ids.max() >= n):
+                bad = int(ids.max()) if ids.max() >= n else int(ids.min())
+                raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
+
+    def patch(self, *names: str) -> np.ndarray:
+        """Ids of the nodes of one patch, or of several together, each node once, ascending.
+
+        Raises `ValueError`, with the names there are, for one that is not among them.
+        """
+        for name in names:
+            if name not in self.patches:
+                known = ", ".join(map(repr, self.patches)) or "none"
+                raise ValueError(f"no patch is called {name!r}; this mesh has: {known}.")
+        if not names:
+            return np.zeros(0, dtype=np.int64)
+        return np.unique(np.concatenate([np.asarray(self.patches[name]) for name in names]))
+
+    def moved(self, points: Float[ArrayLike, "n d"]) -> "Mesh":
+        """The same mesh with other coordinates; this one stays as it is.
+
+        Raises `ValueError` when the shape of `points` differs.
+        """
+        points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
+        if tuple(points.shape) != tuple(self.points.shape):
+            raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {tuple(self.points.shape)}.")
+        moved = object.__new__(Mesh)
+        for field in dataclasses.fields(self):
+            object.__setattr__(moved, field.name, points if field.name == "points" else getattr(self, field.name))
+        return moved
+
+    @staticmethod
+    def from_meshio(mesh: Any) -> "Mesh":
+        """A `meshio.Mesh` as one of ours: its cells of highest dimension, in two coordinates where all z are equal.
+
+        Patches are cell sets of lower dimension, gmsh's physical groups and point arrays `patch:NAME`; else what an array
+        `patch`, `marker`, `boundary` ... of whole numbers tells apart, on the boundary's cells or on points; else the one
+        patch `boundary`. Point ids stay. The result remembers where it came from, for `to_meshio`.
+
+        Raises `ValueError` for types of cells that are not supported (polyhedra, cells with nodes between corners), for
+        points that are not finite, and where there are no cells of an area or a volume.
+        """
+        return Mesh(*exchange.parts(exchange.of_meshio(mesh)), source=exchange.Origin(mesh))
+
+    def to_meshio(
+        self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
+    ) -> Any:
+        """As a `meshio.Mesh`: the one that this mesh came from with other points, all else as it was, or a new one.
+
+        Patches are point arrays `patch:NAME` of zeros and ones. `point_data` (one row a point) and `cell_data` (one row a
+        cell, in the order of `cells`) are added; other cells of the mesh it came from get NaN.
+
+        Raises `ValueError` for arrays of a wrong length, `ImportError` where meshio is missing.
+        """
+        return export.to_meshio(self._parts, self.source, point_data, cell_data)
+
+    @staticmethod
+    def from_pyvista(grid: Any) -> "Mesh":
+        """A `pyvista.UnstructuredGrid`, or any other data set of PyVista made one, as `from_meshio` takes a mesh.
+
+        Raises `ValueError` as that does, and for a `MultiBlock`.
+        """
+        if not hasattr(type(grid), "cells_dict"):
+            if not hasattr(grid, "cast_to_unstructured_grid"):
+                raise ValueError(f"a {type(grid).__name__} is no single grid; one of several blocks has `combine`.")
+            grid = grid.cast_to_unstructured_grid()
+        return Mesh(*exchange.parts(exchange.of_pyvista(grid)), source=exchange.Origin(grid))
+
+    def to_pyvista(
+        self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
+    ) -> Any:
+        """As a `pyvista.UnstructuredGrid`, with patches and arrays as `to_meshio` has them.
+
+        Raises `ValueError` for arrays of a wrong length, `ImportError` where PyVista is missing.
+        """
+        return export.to_pyvista(self._parts, self.source, point_data, cell_data)
+
+    @property
+    def _parts(self) -> exchange.Parts:
+        return exchange.Parts(self.points, self.cells, self.patches)
+
+    def __repr__(self) -> str:
+        n, d = self.points.shape
+        cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in self.cells.items()) or "no cells"
+        patches = ", ".join(f"{name} ({len(nodes)})" for name, nodes in self.patches.items()) or "none"
+        return f"Mesh({n} points in {d}-D; {cells}; patches: {patches})"
+
+
+def _ids(values) -> np.ndarray:
+    ids = np.asarray(values)
+    if ids.size == 0:
+        return ids.astype(np.int64)
+    if ids.dtype.kind not in "iu":
+        raise ValueError(f"ids must be integers, not {ids.dtype}.")
+    return ids

@@ -1,0 +1,104 @@
+"""Radial bases. Each takes the squared distance, so that no root has to be differentiated at a source."""
+
+import abc
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from .._kernels.log import half_x_log_x
+
+
+def _length(value: Any) -> Float[Array, ""]:
+    """A floating point array; what is concrete must be finite and positive, what is traced passes."""
+    value = jnp.asarray(value)
+    if not jnp.issubdtype(value.dtype, jnp.floating):
+        value = value.astype(float)
+    if not isinstance(value, Tracer) and not bool(jnp.all(jnp.isfinite(value) & (value > 0))):
+        raise ValueError(
+            f"the radius of a basis must be positive and finite, not {value}; it is a length in the mesh's units."
+        )
+    return value
+
+
+class AbstractBasis(eqx.Module):
+    """A radial function phi, called with the squared distance r2 (any shape, the mesh's units squared).
+
+    A basis of your own needs `__call__` alone. Two class attributes say when the interpolation is well posed and how it
+    scales; their defaults suit every positive definite function with a radius:
+
+    - `min_degree`: the lowest degree of the polynomial with which the interpolation matrix is regular (None: no polynomial
+      needed). For a conditionally positive definite function of order k it is k - 1.
+    - `scale_free`: phi of a scaled distance differs from a multiple of phi by a polynomial which `min_degree` takes up;
+      the distances are then taken in units of the sources' extent, which conditions the matrix.
+    """
+
+    min_degree: ClassVar[int | None] = None
+    scale_free: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def __call__(self, r2: Float[Array, "..."]) -> Float[Array, "..."]:
+        """phi, elementwise. It must be finite, derivatives included, at r2 = 0."""
+
+
+class ThinPlateSpline(AbstractBasis):
+    """phi(r) = r^2 log r (Duchon 1977), global and without a parameter; needs a linear polynomial."""
+
+    min_degree: ClassVar[int | None] = 1
+    scale_free: ClassVar[bool] = True
+
+    def __call__(self, r2):
+        return half_x_log_x(r2)
+
+
+class WendlandC2(AbstractBasis):
+    """phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R = `support_radius`, 0 beyond (Wendland 1995); R in the mesh's units."""
+
+    support_radius: Float[Array, ""] = eqx.field(converter=_length)
+
+    def __call__(self, r2):
+        return _wendland_c2(r2, self.support_radius.astype(r2.dtype))
+
+
+class Gaussian(AbstractBasis):
+    """phi(r) = exp(-r^2 / R^2) with R = `radius` in the mesh's units. A wide one makes the matrix ill-conditioned."""
+
+    radius: Float[Array, ""] = eqx.field(converter=_length)
+
+    def __call__(self, r2):
+        return jnp.exp(r2 * (-1 / self.radius.astype(r2.dtype) ** 2))
+
+
+class Multiquadric(AbstractBasis):
+    """phi(r) = sqrt(1 + r^2 / R^2) (Hardy 1971) with R = `radius` in the mesh's units; needs a constant polynomial."""
+
+    min_degree: ClassVar[int | None] = 0
+    radius: Float[Array, ""] = eqx.field(converter=_length)
+
+    def __call__(self, r2):
+        return jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
+
+
+def _relative_radius(r2, support_radius):
+    """r / R, but never less than round-off: its derivative would be infinite at 0."""
+    return jnp.sqrt(r2 * (1 / support_radius**2) + float(jnp.finfo(r2.dtype).eps) ** 2)
+
+
+@jax.custom_jvp
+def _wendland_c2(r2, support_radius):
+    xi = _relative_radius(r2, support_radius)
+    inner = 1 - xi
+    return jnp.where(xi >= 1, 0, (inner * inner) * (inner * inner) * (4 * xi + 1))
+
+
+@_wendland_c2.defjvp
+def _wendland_c2_jvp(primals, tangents):
+    # d phi / d r2 = -10 (1 - xi)^3 / R^2 is regular at r = 0, where the chain rule through the root is not
+    r2, support_radius = primals
+    r2_dot, radius_dot = tangents
+    xi = _relative_radius(r2, support_radius)
+    slope = jnp.where(xi >= 1, 0, -10 * (1 - xi) ** 3 / support_radius**2)
+    return _wendland_c2(r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)

@@ -1,0 +1,102 @@
+"""Mapping over points: fields and places of a method, block by block."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PyTree
+
+from .base import BLOCK, AbstractField, AbstractMethod, AbstractRows
+
+
+def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
+    """The field at every point, block by block, each block recomputed instead of stored for derivatives."""
+    if field.block_size is None:
+        return field.evaluate(points, ids)
+    return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size)
+
+
+def place_points(
+    method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
+) -> PyTree:
+    """`method.place` for every point."""
+    if not jax.tree.leaves(ids):
+        return ids
+    place = jax.checkpoint(jax.vmap(lambda x, ids: method.place(x, ids, factors, surface)))
+    n = len(points)
+    block = min(BLOCK, n)
+    starts = jnp.minimum(
+        jnp.arange(0, n, block), n - block
+    )  # the last block begins within the one before: no other shape
+
+    def of_block(start):
+        return place(*jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, block), (points, ids)))
+
+    def put_together(leaf):
+        rows = leaf.reshape(-1, *leaf.shape[2:])
+        return jnp.concatenate([rows[: n - block], leaf[-1]])
+
+    return jax.tree.map(put_together, jax.lax.map(of_block, starts))
+
+
+def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
+    """`function` of blocks of so many rows, put together again: what it returns for a block has as many rows.
+
+    Each block adds its rows to one array of zeros, in place; the last block may be shorter. Nothing is padded.
+    """
+    n = len(jax.tree.leaves(rows)[0])
+    full = (n - 1) // block * block
+    last = function(jax.tree.map(lambda leaf: leaf[full:], rows))
+    if full == 0:
+        return last
+
+    def add(whole, part, start):
+        return jax.tree.map(lambda a, b: _add_rows(a, b, start), whole, part)
+
+    def step(whole, start_and_part):
+        start, part = start_and_part
+        return add(whole, function(part), start), None
+
+    blocks = jax.tree.map(lambda leaf: leaf[:full].reshape(-1, block, *leaf.shape[1:]), rows)
+    zeros = jax.tree.map(lambda leaf: jnp.zeros((n, *leaf.shape[1:]), leaf.dtype), last)
+    whole, _ = jax.lax.scan(step, zeros, (jnp.arange(0, full, block), blocks))
+    return add(whole, last, jnp.asarray(full))
+
+
+def _add_rows(whole: Array, part: Array, start: Int[Array, ""]) -> Array:
+    """Adds, and does not replace: the transpose of an addition reads, where that of a replacement also copies and clears."""
+    window = jax.lax.ScatterDimensionNumbers(
+        update_window_dims=tuple(range(part.ndim)), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
+    )
+    return jax.lax.scatter_add(
+        whole,
+        start[None],
+        part,
+        window,
+        indices_are_sorted=True,
+        unique_indices=True,
+        mode=jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS,
+    )
+
+
+def is_rows(leaf: object) -> bool:
+    return isinstance(leaf, AbstractRows)
+
+
+def with_tables(placed: PyTree, count: int, parts: int = 1) -> PyTree:
+    """Host: gives each operator in `placed` a table of its transpose; there are `count` surface nodes, `parts` devices."""
+    return _map_rows_of(lambda rows: rows.with_table(count, parts), placed)
+
+
+def without_tables(placed: PyTree) -> PyTree:
+    """Drops the tables, so that every leaf has one row a point."""
+    return _map_rows_of(lambda rows: rows.without_table(), placed)
+
+
+def with_tables_of(old: PyTree, placed: PyTree) -> PyTree:
+    """Traced: `placed`, computed anew for the same ids, with the tables of the `old` ones."""
+    return _map_rows_of(lambda rows, before: rows.with_table_of(before), placed, old)
+
+
+def _map_rows_of(function: Callable, *trees: PyTree) -> PyTree:
+    return jax.tree.map(lambda *leaves: function(*leaves) if is_rows(leaves[0]) else leaves[0], *trees, is_leaf=is_rows)

@@ -1,0 +1,1 @@
+"""The driver: prepares a plan on the host, and moves points, blocks, steps and devices in traced code."""

@@ -1,0 +1,39 @@
+"""The classes that a file may name: this package's own, and those that a caller adds."""
+
+import dataclasses
+import enum
+import sys
+from collections.abc import Iterator, Sequence
+
+import equinox as eqx
+
+from .._host.reduction import AbstractReduction, AbstractSearchPoints
+
+ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
+
+
+def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
+    """By name. `ValueError` for an added one that is no dataclass or enum, or has the name of another.
+
+    This package's are the subclasses, in the modules that are loaded, of what its plans are made of.
+    """
+    package = __name__.partition(".")[0]
+    found: dict[str, type] = {}
+    for root in ROOTS:
+        for kind in _below(root):
+            is_own = kind.__module__.partition(".")[0] == package
+            if is_own and getattr(sys.modules.get(kind.__module__), kind.__name__, None) is kind:
+                found[kind.__name__] = kind
+    for kind in added:
+        if not isinstance(kind, type) or not (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)):
+            raise ValueError(f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is neither.")
+        if found.get(kind.__name__, kind) is not kind:
+            raise ValueError(f"two classes are called {kind.__name__}: {found[kind.__name__]!r} and {kind!r}.")
+        found[kind.__name__] = kind
+    return found
+
+
+def _below(kind: type) -> Iterator[type]:
+    for subclass in kind.__subclasses__():
+        yield subclass
+        yield from _below(subclass)

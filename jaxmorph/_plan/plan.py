@@ -1,0 +1,217 @@
+"""The driver: a plan moves a mesh in traced code."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
+
+from .._methods.base import AbstractMethod, Located
+from .._methods.blocks import is_rows, map_points, place_points, with_tables, with_tables_of, without_tables
+from .compile import compiled
+from .devices import Layout, over_points, pad_rows, rows_here
+from .symmetry import Mirror
+
+
+class SurfaceHalf(eqx.Module):
+    """What every device holds whole: the surface (b rows: moving, then fixed, each with its images) and the solve."""
+
+    points: Float[Array, "b d"]
+    nodes: Int[Array, " o"]
+    mirror: Mirror | None
+    ids: PyTree
+    factors: PyTree
+
+
+class VolumeHalf(eqx.Module):
+    """What is laid over devices: each leaf has one row per point of the mesh, but for tables of transposes."""
+
+    points: Float[Array, "n d"]
+    on_plane: Bool[Array, "n p"] | None
+    ids: PyTree
+    placed: PyTree
+
+
+class Plan(eqx.Module):
+    """Everything that `deform` needs to know about a mesh: an immutable pytree of arrays.
+
+    Made by `prepare`, which says what may move. It survives `jax.tree` round trips, pickling and
+    `equinox.tree_serialise_leaves`, and may be passed through `jit`, `vmap` and `grad` like any array.
+    """
+
+    method: AbstractMethod
+    surface: SurfaceHalf
+    volume: VolumeHalf
+    moves: int = eqx.field(static=True)
+    carried: bool = eqx.field(static=True, default=False)
+    layout: Layout | None = eqx.field(static=True, default=None)
+
+    @property
+    def points(self) -> Float[Array, "n d"]:
+        """The base coordinates: those that a zero displacement gives back."""
+        return self.volume.points if self.layout is None else self.volume.points[: self.layout.count]
+
+    @property
+    def moving(self) -> Int[Array, " m"]:
+        """Node ids of the moving nodes; row i of a displacement moves node `moving[i]`."""
+        return self.surface.nodes[: self.moves]
+
+    @property
+    def fixed(self) -> Int[Array, " f"]:
+        """Node ids of the fixed nodes, those that also move left out."""
+        return self.surface.nodes[self.moves :]
+
+    def __repr__(self) -> str:
+        """Of whatever the leaves are: arrays, stacked or traced ones, shapes, or nothing."""
+        points, nodes = self.volume.points, self.surface.nodes
+        parts = [f"{self.moves} moving"]
+        if hasattr(points, "shape") and hasattr(nodes, "shape"):
+            n, d = points.shape[-2:] if self.layout is None else (self.layout.count, points.shape[-1])
+            parts = [f"{n} points in {d}-D", *parts, f"{nodes.shape[-1] - self.moves} fixed", f"{points.dtype}"]
+        for located in jax.tree.leaves(self.surface.ids, is_leaf=_is_located):
+            counts = (located.repaired, located.outside) if _is_located(located) else ()
+            if counts and all(eqx.is_array(count) and not isinstance(count, Tracer) for count in counts):
+                repaired, outside = (int(count.sum()) for count in counts)
+                parts.append(f"{repaired} repaired in location, {outside} outside by round-off")
+        return f"Plan({', '.join(parts)}, {self.method})"
+
+
+def _is_located(leaf: Any) -> bool:
+    return isinstance(leaf, Located)
+
+
+@eqx.filter_jit
+def refit(plan: Plan, points: Float[ArrayLike, "n d"]) -> Plan:
+    """The same plan on other base coordinates (n, d): ids are kept, floats computed anew. Traced and differentiable.
+
+    For another mesh of the same family; the steps of one motion are those of `march`, for points that a large motion has
+    carried out of their simplices extrapolate.
+
+    Raises `ValueError` when the shape of `points` differs from the plan's.
+    """
+    plan = _fitted(plan, points)
+
+    def place(shared, rows: VolumeHalf) -> PyTree:
+        placed = place_points(plan.method, rows.points, rows.ids, *shared)
+        return placed if rows.placed is None else with_tables_of(rows.placed, placed)
+
+    placed = over_points(plan.layout, place, (plan.surface.factors, plan.surface.points), plan.volume)
+    return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
+
+
+@eqx.filter_jit
+def carry(plan: Plan, points: Float[ArrayLike, "n d"]) -> Plan:
+    """The plan on the mesh that one of its own steps left: the solve is made anew, each point keeps its place in the graph."""
+    return _fitted(plan, points, carried=True)
+
+
+def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
+    points = jnp.asarray(points, plan.volume.points.dtype)
+    if points.shape != plan.points.shape:
+        raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
+    old, volume = plan.surface, plan.volume
+    surface = points[old.nodes]
+    if old.mirror is not None:
+        surface = old.mirror.points(surface)
+    if plan.layout is not None:
+        points = pad_rows(points, plan.layout)
+    return Plan(
+        method=plan.method,
+        surface=SurfaceHalf(surface, old.nodes, old.mirror, old.ids, plan.method.fit(old.ids, surface)),
+        volume=VolumeHalf(points, volume.on_plane, volume.ids, volume.placed),
+        moves=plan.moves,
+        carried=carried,
+        layout=plan.layout,
+    )
+
+
+@compiled
+def deform(plan: Plan, u: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
+    """The mesh's points, moved: row i of `u` (m, d) displaces node `plan.moving[i]`, fixed nodes stay.
+
+    Both hold exactly for a method that is `exact`; a reduced `RBF` alone follows both approximately, and moves fixed nodes.
+
+    One step, linear in `u`, in the mesh's own node order and units. Traced: `jit`, `grad`, `jvp`, `vmap` and `scan` apply.
+    Judge the result with `quality`: nothing here knows about cells.
+
+    Raises `ValueError` when the shape of `u` is not (m, d).
+    """
+    m, d = plan.moves, plan.points.shape[1]
+    u = jnp.asarray(u)
+    if u.shape != (m, d):
+        raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.")
+    own = jnp.zeros((len(plan.surface.nodes), d), plan.points.dtype).at[:m].set(u.astype(plan.points.dtype))
+    return deform_surface(plan, own)
+
+
+def deform_surface(plan: Plan, own: Float[Array, "o d"]) -> Float[Array, "n d"]:
+    """`deform` with a displacement for the fixed nodes too, whose rows follow those of the moving ones."""
+    surface = plan.surface
+    u = own
+    if surface.mirror is not None:
+        own = surface.mirror.within(own, surface.mirror.on_plane)
+        u = surface.mirror.vectors(own)
+    field = plan.method.field(surface.ids, surface.factors, surface.points, u)
+    shared = field, own, surface.nodes, surface.mirror
+    moved = over_points(plan.layout, _moved(plan.layout, plan.method.exact), shared, plan.volume)
+    return moved if plan.layout is None else moved[: plan.layout.count]
+
+
+def _moved(layout: Layout | None, exact: bool) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
+    def move(shared, volume):
+        field, own, nodes, mirror = shared
+        displacement = map_points(field, volume.points, volume.placed)
+        if mirror is not None:
+            displacement = mirror.within(displacement, volume.on_plane)
+        moved = volume.points + displacement
+        if exact:
+            at = rows_here(layout, nodes, len(moved))
+            moved = moved.at[at].set(volume.points[at] + own, mode="drop", unique_indices=True)
+        return moved
+
+    return move
+
+
+@compiled
+def pullback(plan: Plan, u: Float[ArrayLike, "m d"], cotangent: Float[ArrayLike, "n d"]) -> Float[Array, "m d"]:
+    """Sensitivities with respect to all points (n, d), pulled back to the moving ones: (m, d).
+
+    The transpose of `deform`, for an adjoint solver that gives dJ/d(points); often called warpDeriv. `deform` is linear in `u`,
+    which says only where the derivative is taken and does not change it.
+
+    Raises `ValueError` when the shape of `u` is not (m, d) or that of `cotangent` not (n, d).
+    """
+    cotangent = jnp.asarray(cotangent, plan.points.dtype)
+    if cotangent.shape != plan.points.shape:
+        raise ValueError(f"`cotangent` has shape {cotangent.shape}; this plan's points have {plan.points.shape}.")
+    _, transpose = jax.vjp(lambda u: deform(plan, u), jnp.asarray(u, plan.points.dtype))
+    return transpose(cotangent)[0]
+
+
+def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
+    """Lays the volume's points over devices; `deform` and all else are called as before, with equal results.
+
+    Each device holds an equal share of the points (the last one padded where n is not a multiple) and the surface whole; a
+    gradient with respect to `u` costs one all-reduce. The devices may belong to several processes (`jax.distributed`),
+    each of which calls this with the same plan.
+
+    Raises `ValueError` when there are no devices, or the plan is laid over devices already.
+    """
+    if plan.layout is not None:
+        raise ValueError("this plan is laid over devices already: shard the plan that `prepare` returned.")
+    layout = Layout.over(devices, len(plan.volume.points))
+    volume = jax.tree.map(lambda leaf: pad_rows(leaf, layout), without_tables(plan.volume))
+    placed = with_tables(volume.placed, len(plan.surface.points), layout.mesh.size)
+    volume = eqx.tree_at(
+        lambda volume: volume.placed,
+        volume,
+        placed,
+        is_leaf=lambda leaf: leaf is None or is_rows(leaf),
+    )
+    volume = layout.divided(volume)
+    return Plan(
+        layout.replicated(plan.method), layout.replicated(plan.surface), volume, plan.moves, plan.carried, layout
+    )

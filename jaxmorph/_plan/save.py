@@ -1,0 +1,209 @@
+"""Plans in files: arrays beside a description of the tree that holds them, read back without running anything.
+
+A file is a NumPy archive (.npz) of plain arrays and of one of bytes, the description in JSON. It names classes; loading
+looks these names up among the classes of this package and those that the caller gives, fills in their fields, and runs
+none of their code.
+"""
+
+import dataclasses
+import enum
+import hashlib
+import json
+import math
+import os
+import pathlib
+import zipfile
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._host.files import complete
+from .known import known_classes
+from .plan import Plan
+
+FORMAT, VERSION = "jaxmorph plan", 1
+_HEADER = "description"
+_DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, TypeError, IndexError, EOFError, AttributeError, RecursionError)
+
+Steps = Plan | Sequence[Plan | tuple[Plan, ...]]
+
+
+def save(path: str | os.PathLike[str], plan: Steps) -> None:
+    """Writes a plan, or the plans of several steps that `march` returned, to a file that `load` reads.
+
+    Every array keeps its bits, so the loaded plan's `deform` gives the same. Besides arrays, fields may hold None, booleans,
+    numbers, strings, members of an `enum`, tuples, lists, dictionaries by string, and objects of dataclasses (`equinox.Module`s
+    among them). The file appears when it is complete, under a temporary name until then, and replaces one of that name.
+
+    Raises `ValueError`, with the place in the plan, for anything else (functions, say), for a class of one's own called like one
+    of jaxmorph's, and for a plan laid over devices: save the one that `prepare` returned, and `shard` what is loaded.
+    """
+    path = pathlib.Path(path)
+    if not _is_plans(plan):
+        raise ValueError(f"a {type(plan).__name__} is not a plan, nor the plans of several steps.")
+    writer = _Writer()
+    header = {"format": FORMAT, "version": VERSION, "tree": writer.node(plan, "plan")}
+    members: dict[str, Any] = {_HEADER: np.frombuffer(json.dumps(header, allow_nan=False).encode(), np.uint8)}
+    members |= {str(i): array for i, array in enumerate(writer.arrays)}
+    with complete(path) as partial, partial.open("wb") as file:
+        np.savez(file, **members)
+
+
+def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
+    """The plan, or the tuple of plans, that `save` wrote.
+
+    `classes` are those of your own that the plan may hold: a basis, a method and its factors, a reduction. The file cannot name
+    any but these and jaxmorph's, so one from elsewhere does no harm. Arrays go to JAX's default device.
+
+    Raises `ValueError` for a file that is no plan, is damaged or cut short, was written by a later version, or holds a class that
+    is not known or has other fields here; and for float64 while JAX's x64 mode is off. `OSError` for one that cannot be opened.
+    """
+    path = pathlib.Path(path)
+    with path.open("rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                header = json.loads(archive[_HEADER].tobytes())
+                arrays = [archive[str(i)] for i in range(len(archive.files) - 1)]
+            found = header["format"], int(header["version"])
+        except _DAMAGED as error:
+            detail = " ".join(str(error).split())[:120]
+            raise ValueError(
+                f"{path}: not a saved plan, or a damaged one ({type(error).__name__}: {detail})."
+            ) from error
+    if found[0] != FORMAT:
+        raise ValueError(f"{path}: not a saved plan; its format is {found[0]!r}.")
+    if found[1] > VERSION:
+        raise ValueError(f"{path}: of version {found[1]}, this jaxmorph reads up to {VERSION}: install a later one.")
+    try:
+        plan = _Reader(arrays, known_classes(classes)).node(header["tree"])
+    except _Refused as error:
+        raise ValueError(f"{path}: {error}") from error
+    except _DAMAGED as error:
+        raise ValueError(f"{path}: a damaged plan ({type(error).__name__}: {error}).") from error
+    if not _is_plans(plan):
+        raise ValueError(f"{path}: holds a {type(plan).__name__}, not a plan.")
+    return plan
+
+
+def _is_plans(plan: Any) -> bool:
+    if isinstance(plan, tuple | list):
+        return len(plan) > 0 and all(map(_is_plans, plan))
+    return isinstance(plan, Plan)
+
+
+class _Refused(ValueError):
+    """A message for the user, to which the name of the file is added."""
+
+
+@dataclasses.dataclass
+class _Writer:
+    """Describes a tree; `arrays` are those it found, equal ones once: the steps of a march have most in common."""
+
+    arrays: list[np.ndarray] = dataclasses.field(default_factory=list)
+    places: dict[Any, int] = dataclasses.field(default_factory=dict)
+
+    def node(self, value: Any, where: str) -> Any:
+        if value is None or type(value) in (bool, int, str) or (type(value) is float and math.isfinite(value)):
+            return value
+        if type(value) is float:
+            return {"float": repr(value)}
+        if isinstance(value, jax.Array | np.ndarray | np.generic):
+            return self._array(value, where)
+        if isinstance(value, tuple | list) and type(value) in (tuple, list):
+            return {type(value).__name__: [self.node(each, f"{where}[{i}]") for i, each in enumerate(value)]}
+        if type(value) is dict and all(type(key) is str for key in value):
+            return {"dict": {key: self.node(each, f"{where}[{key!r}]") for key, each in value.items()}}
+        if isinstance(value, enum.Enum):
+            return {"enum": self._name(type(value), where), "member": value.name}
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            if isinstance(value, Plan) and value.layout is not None:
+                raise ValueError(
+                    f"{where} is laid over devices: save the plan that `prepare` returned, and `shard` what is loaded."
+                )
+            fields = {each.name: getattr(value, each.name) for each in dataclasses.fields(value)}
+            described = {name: self.node(each, f"{where}.{name}") for name, each in fields.items()}
+            return {"class": self._name(type(value), where), "fields": described}
+        kind = type(value).__name__
+        raise ValueError(
+            f"{where} is a {kind}, which a file of plans cannot hold; `pickle` may do, among those you trust."
+        )
+
+    def _array(self, value: Any, where: str) -> dict[str, Any]:
+        array = np.ascontiguousarray(np.asarray(value)).reshape(np.shape(value))
+        if array.dtype.kind not in "biufc" or array.dtype.isbuiltin != 1:
+            raise ValueError(f"{where} holds {array.dtype}; a file of plans holds booleans and ordinary numbers.")
+        key = (array.dtype.str, array.shape, hashlib.blake2b(array.tobytes()).digest())
+        place = self.places.setdefault(key, len(self.arrays))
+        if place == len(self.arrays):
+            self.arrays.append(array)
+        kind = "jax" if isinstance(value, jax.Array) else "numpy" if isinstance(value, np.ndarray) else "scalar"
+        weak = {"weak": True} if getattr(value, "weak_type", False) else {}
+        return {kind: place} | weak
+
+    def _name(self, kind: type, where: str) -> str:
+        if known_classes().get(kind.__name__, kind) is not kind:
+            raise ValueError(f"{where} is of a class {kind.__name__} that is not jaxmorph's: give it another name.")
+        return kind.__name__
+
+
+@dataclasses.dataclass
+class _Reader:
+    """Builds the tree again from its description."""
+
+    arrays: list[np.ndarray]
+    classes: dict[str, type]
+    built: dict[tuple[int, str], Any] = dataclasses.field(default_factory=dict)
+
+    def node(self, node: Any) -> Any:
+        if not isinstance(node, dict):
+            return node
+        kind = next(iter(node), None)
+        content = node[kind]
+        if kind == "float":
+            return float(content)
+        if kind in ("jax", "numpy", "scalar"):
+            key = (content, kind)
+            if key not in self.built:
+                self.built[key] = self._array(self.arrays[content], kind, "weak" in node)
+            return self.built[key]
+        if kind in ("tuple", "list"):
+            return (tuple if kind == "tuple" else list)(map(self.node, content))
+        if kind == "dict":
+            return {name: self.node(each) for name, each in content.items()}
+        if kind == "enum":
+            return self._class(content, enum.Enum)[node["member"]]
+        return self._object(node["class"], node["fields"])
+
+    def _array(self, array: np.ndarray, kind: str, weak: bool) -> Any:
+        if kind != "jax":
+            return array if kind == "numpy" else array[()]
+        if jax.dtypes.canonicalize_dtype(array.dtype) != array.dtype:
+            raise _Refused(
+                f"the plan is in {array.dtype}, but JAX's x64 mode is off. Call "
+                'jax.config.update("jax_enable_x64", True) first.'
+            )
+        exact = jnp.asarray(array)
+        made = jnp.asarray(array.item()) if weak and array.ndim == 0 else exact
+        return made if made.dtype == exact.dtype else exact
+
+    def _object(self, name: str, fields: dict[str, Any]) -> Any:
+        kind = self._class(name, object)
+        expected = {each.name for each in dataclasses.fields(kind)}
+        if expected != fields.keys():
+            raise _Refused(
+                f"{name} has the fields {', '.join(fields)} in the file, but {', '.join(sorted(expected))} here: it was written "
+                "with another version of that class."
+            )
+        made = object.__new__(kind)
+        for field, value in fields.items():
+            object.__setattr__(made, field, self.node(value))
+        return made
+
+    def _class(self, name: str, base: type) -> Any:
+        kind = self.classes.get(name)
+        if kind is None or not issubclass(kind, base):
+            raise _Refused(f"a class {name!r} that is not known; pass yours as load(path, classes=({name},)).")
+        return kind

@@ -1,0 +1,82 @@
+"""Several steps: a path of surface displacements, followed on the host and replayed in traced code."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from .plan import Plan, carry, deform_surface, refit
+from .prepare import prepare
+from .symmetry import Plane
+
+
+def march(
+    plan: Plan, path: Float[ArrayLike, "k m d"], *, rebuild: bool = False
+) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
+    """Follows a path of total surface displacements, each step refitted on the mesh that the last one left.
+
+    The radial basis functions are solved for anew at each step; a Delaunay graph goes on standing on the undeformed mesh.
+
+    `path` (k, m, d): `path[j]` displaces the moving nodes from the plan's base coordinates to where step j ends, so a
+    rotation is a path of rotated positions, not a straight line. Returns one plan a step, for `replay`, and the points
+    (n, d) at the end.
+
+    With `rebuild=True` the ids (sources, graph) are found again before each step, as the paper does. The result then
+    jumps wherever the graph of the moved surface changes, by as much as a step: a line search or a finite difference
+    meets cliffs.
+
+    Raises `ValueError` when `path` is not (k, m, d), and whatever `prepare` raises.
+    """
+    points, plans = plan.points, []
+    for j, target in enumerate(_targets(plan, path)):
+        step = plan if j == 0 else _anew(plan, points) if rebuild else carry(plan, points)
+        points = _advance(step, target)
+        plans.append(step)
+    return tuple(plans), points
+
+
+def replay(plans: Sequence[Plan], path: Float[ArrayLike, "k m d"]) -> Float[Array, "n d"]:
+    """The steps of a `march` once more, with the ids that it recorded: traced, differentiable, equal to its points.
+
+    Differentiable with respect to `path` (k, m, d), and to the base coordinates through `refit(plans[0], points)`.
+
+    Raises `ValueError` when `path` does not have one entry a plan, each (m, d).
+    """
+    if not plans:
+        raise ValueError("`plans` is empty: pass those that `march` returned.")
+    targets = _targets(plans[0], path)
+    if len(targets) != len(plans):
+        raise ValueError(
+            f"`path` has {len(targets)} steps, but there are {len(plans)} plans; pass the path that was marched."
+        )
+    current, points = plans[0], plans[0].points
+    for plan, target in zip(plans, targets, strict=True):
+        current = carry(current, points) if plan.carried else refit(plan, points) if current is not plan else plan
+        points = _advance(current, target)
+    return points
+
+
+def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
+    """Where the surface's own rows are to be at the end of each step."""
+    path = jnp.asarray(path, plan.points.dtype)
+    m, d = plan.moves, plan.points.shape[1]
+    if path.ndim != 3 or path.shape[1:] != (m, d):
+        raise ValueError(
+            f"`path` has shape {path.shape}; expected (steps, {m}, {d}): the total displacement at each step's end."
+        )
+    base = plan.points[plan.surface.nodes]
+    return jnp.broadcast_to(base, (len(path), *base.shape)).at[:, :m].add(path)
+
+
+@eqx.filter_jit
+def _advance(plan: Plan, target: Float[Array, "o d"]) -> Float[Array, "n d"]:
+    """Moves all of the surface to the target, fixed nodes too where a method moved them."""
+    return deform_surface(plan, target - plan.points[plan.surface.nodes])
+
+
+def _anew(plan: Plan, points) -> Plan:
+    mirror = plan.surface.mirror
+    planes = [] if mirror is None else [Plane(*plane) for plane in zip(mirror.normals, mirror.origins, strict=True)]
+    return prepare(np.asarray(points), plan.moving, plan.fixed, method=plan.method, symmetry=planes)

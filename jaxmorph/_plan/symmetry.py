@@ -1,0 +1,170 @@
+"""Symmetry planes: the surface is mirrored before a method sees it, and nodes on a plane stay in it."""
+
+import itertools
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._host.errors import MeshError
+from .._host.reduction import roundoff
+
+TOLERANCE = 1e-8
+"""Distance from a plane, relative to the mesh's extent, within which a node lies on it."""
+
+
+class Plane(eqx.Module):
+    """A symmetry plane through `origin` with `normal`, both (d,); nodes on it move in it, and only in it.
+
+    Nodes within 1e-8 of the mesh's extent lie on it, or within the round-off of float32 coordinates; all others are on one
+    side. `Plane.through` finds a patch's plane.
+    """
+
+    normal: np.ndarray
+    origin: np.ndarray
+
+    def __init__(self, normal, origin):
+        normal, origin = np.asarray(normal, dtype=float), np.asarray(origin, dtype=float)
+        length = np.linalg.norm(normal)
+        if normal.shape != origin.shape or normal.ndim != 1 or not length > 0:
+            raise ValueError(
+                f"a plane needs a normal that is not zero and an origin of the same length, got {normal}, {origin}."
+            )
+        self.normal, self.origin = normal / length, origin
+
+    @staticmethod
+    def through(points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"]) -> "Plane":
+        """The plane in which the `nodes` of a mesh lie.
+
+        Raises `ValueError` with the deviation and the worst node where they do not lie in one plane.
+        """
+        points, nodes = np.asarray(points), np.asarray(nodes)
+        patch = points[nodes].astype(float)
+        if len(patch) < points.shape[1]:
+            raise ValueError(f"{len(patch)} nodes do not determine a plane in {points.shape[1]} dimensions.")
+        origin = patch.mean(axis=0)
+        normal = np.linalg.svd(patch - origin, full_matrices=False)[2][-1]
+        axis = np.abs(normal).argmax()
+        if np.abs(np.delete(normal, axis)).max() < 1e-7:  # the usual case: keep the coordinate bit for bit
+            normal, origin[axis] = np.eye(len(normal))[axis], np.median(patch[:, axis])
+        deviation = np.abs((patch - origin) @ normal)
+        if deviation.max() > _tolerance(points):
+            worst_first = np.argsort(-deviation, kind="stable")
+            place = ", ".join(f"{x:.6g}" for x in patch[worst_first[0]])
+            raise MeshError(
+                f"these {len(nodes)} nodes do not lie in one plane: node {{node}} at ({place}) is {deviation.max():.3g} off.",
+                nodes[worst_first],
+            )
+        return Plane(normal, origin)
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """(n,) whether each point lies on the plane."""
+        return np.abs(self.height(points)) <= _tolerance(points)
+
+    def height(self, points: np.ndarray) -> np.ndarray:
+        """(n,) distance of each point from the plane, positive on the side of its normal."""
+        return (points - self.origin) @ self.normal
+
+
+def _tolerance(points: np.ndarray) -> float:
+    return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
+
+
+class Mirror(eqx.Module):
+    """Extends the own rows of a surface by their images in the planes.
+
+    Extended row i is the image of own row `rows[i]` in the planes k for which `mirrored[i, k]`; own row j lies on the planes
+    for which `on_plane[j, k]`.
+    """
+
+    normals: Float[Array, "p d"]
+    origins: Float[Array, "p d"]
+    rows: Int[Array, " b"]
+    mirrored: Bool[Array, "b p"]
+    on_plane: Bool[Array, "o p"]
+
+    def points(self, own: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Coordinates of all rows."""
+        return self._reflected(own[self.rows], self.origins)
+
+    def vectors(self, own: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Displacements of all rows."""
+        return self._reflected(own[self.rows], jnp.zeros_like(self.origins))
+
+    def extended(self, own: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Displacements of all rows from any of the own ones: those on a plane stay in it."""
+        return self.vectors(self.within(own, self.on_plane))
+
+    def _reflected(self, vectors, origins):
+        for k, normal in enumerate(self.normals):
+            normal = normal.astype(vectors.dtype)
+            image = vectors - 2 * ((vectors - origins[k].astype(vectors.dtype)) @ normal)[:, None] * normal
+            vectors = jnp.where(self.mirrored[:, k, None], image, vectors)
+        return vectors
+
+    def within(self, u: Float[Array, "n d"], on_plane: Bool[Array, "n p"]) -> Float[Array, "n d"]:
+        """Displacements without their component normal to the planes on which the nodes lie."""
+        for k, normal in enumerate(self.normals):
+            normal = normal.astype(u.dtype)
+            u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal, u)
+        return u
+
+
+def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
+    """Raises `ValueError` for planes of another dimension, not at right angles, or that do not bound the mesh."""
+    dimension = points.shape[1]
+    for plane in planes:
+        if len(plane.normal) != dimension:
+            raise ValueError(
+                f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has {dimension} dimensions."
+            )
+    normals = np.stack([plane.normal for plane in planes])
+    if np.abs(normals @ normals.T - np.eye(len(planes))).max() > 1e-9:
+        raise ValueError("several symmetry planes must be at right angles to each other.")
+    for plane in planes:
+        _check_bounds(plane, points)
+
+
+def _check_bounds(plane: Plane, points: np.ndarray) -> None:
+    height = plane.height(points)
+    on = plane.holds(points)
+    name = f"the symmetry plane with normal {plane.normal.tolist()} through {plane.origin.tolist()}"
+    if not on.any():
+        nearest = np.abs(height).argmin()
+        raise MeshError(
+            f"{name} holds no node of the mesh: the nearest, node {{node}}, is {abs(height[nearest]):.3g} away (tolerance "
+            f"{_tolerance(points):.3g}). `Plane.through(points, nodes)` finds the plane of a patch.",
+            np.array([nearest]),
+        )
+    above, below = ~on & (height > 0), ~on & (height < 0)
+    beyond = above if above.sum() < below.sum() else below
+    if beyond.any():
+        outside = np.flatnonzero(beyond)
+        outside = outside[np.argsort(-np.abs(height[outside]), kind="stable")]
+        worst = outside[0]
+        place = ", ".join(f"{x:.6g}" for x in points[worst])
+        raise MeshError(
+            f"{name} has nodes on both sides: {beyond.sum()} of {len(points)} lie beyond it, the farthest is node {{node}} at "
+            f"({place}), {abs(height[worst]):.3g} away. A symmetry plane bounds the mesh: give one half alone, or no plane.",
+            outside,
+        )
+
+
+def mirror(planes: Sequence[Plane], on_plane: np.ndarray, moving: int) -> tuple[Mirror, int]:
+    """Images of the own rows, the first `moving` of them moving; also how many rows move, images included.
+
+    `on_plane` (o, p) says which own rows lie on which plane: they have no image in it.
+    """
+    own = np.arange(len(on_plane))
+    rows, flags, extended = [], [], 0
+    for part in (own[:moving], own[moving:]):
+        for flag in itertools.product((False, True), repeat=len(planes)):
+            images = part[~(on_plane[part] & np.array(flag)).any(axis=1)]
+            rows.append(images)
+            flags.append(np.broadcast_to(flag, (len(images), len(planes))))
+        extended = extended or sum(map(len, rows))
+    normals, origins = np.stack([plane.normal for plane in planes]), np.stack([plane.origin for plane in planes])
+    parts = (normals, origins, np.concatenate(rows).astype(np.int32), np.concatenate(flags), on_plane)
+    return Mirror(*map(jnp.asarray, parts)), extended

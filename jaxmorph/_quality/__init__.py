@@ -1,0 +1,1 @@
+"""Measures of cells, relative to the undeformed mesh."""

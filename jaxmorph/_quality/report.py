@@ -1,0 +1,191 @@
+"""What `quality` reports."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Int
+
+from .._host.topology import DIMENSION
+
+MEASURES = (
+    *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
+    *("jacobian", "volume_ratio", "jacobian_ratio"),
+)
+_SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio")
+
+
+class QualityReport(eqx.Module):
+    """Quality of each cell: arrays with one entry a cell, the cells in the order of `mesh.cells`, one type after another.
+
+    The cells are k in number. Lengths have the unit of the points, volumes its square or cube.
+
+    - `volume`: signed volume (trilinear cells); in the plane the signed area, also as `area`; for a surface in space the
+      area, without sign. Positive for cells numbered as VTK numbers them.
+    - `skewness`: 0 ideal, 1 degenerate. Quad and hexahedron: Verdict's `skew`, the largest |cos| of the angle between
+      principal axes. Triangle, tetrahedron, pyramid, wedge: Verdict's `equiangle_skew`.
+    - `aspect_ratio`: 1 ideal, inf for a flat cell. Triangle, quad, tetrahedron: Verdict's `aspect_ratio`; hexahedron its
+      `max_edge_ratio`; pyramid and wedge longest over shortest edge.
+    - `jacobian`: the smallest Jacobian at the corners (and at the centre of a hexahedron), Verdict's `jacobian`, with
+      the sign turned for cells that are left-handed on the undeformed mesh: negative where a cell is not convex. For a
+      simplex twice its area or six times its volume; at a pyramid the four corners of the base.
+    - `non_orthogonality`: degrees, OpenFOAM's: the largest angle, over the inner faces of a cell, between the face's area
+      vector and the line from one cell's centre to the other's. 0 for a cell without neighbours.
+    - `volume_ratio`: volume over undeformed volume, for a simplex det F of its deformation. 1 where that was zero.
+    - `jacobian_ratio`: smallest corner Jacobian over its initial value, at the corners that had the sign of their cell on the
+      undeformed mesh. 1 where none had.
+    - `is_inverted`: either ratio is not positive; NaN coordinates count as inverted. Without `points`, see `quality`.
+    - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh: the cell is not judged.
+      In float32 the round-off of the coordinates hides the sign of the thinnest cells at a wall.
+    - `centroid`: mean of the corners (k, d): where the cell is.
+
+    Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers over the cells of the
+    highest dimension alone; boundary elements have entries but do not count. Means are weighted by area or volume,
+    sum(skewness * area) / area. `str(report)`, `worst` and `raise_if_inverted` speak on the host.
+    """
+
+    volume: Float[Array, " k"]
+    skewness: Float[Array, " k"]
+    aspect_ratio: Float[Array, " k"]
+    jacobian: Float[Array, " k"]
+    non_orthogonality: Float[Array, " k"]
+    volume_ratio: Float[Array, " k"]
+    jacobian_ratio: Float[Array, " k"]
+    is_inverted: Bool[Array, " k"]
+    is_degenerate: Bool[Array, " k"]
+    centroid: Float[Array, "k d"]
+    types: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    relative: bool = eqx.field(static=True, default=True)
+
+    @property
+    def area(self) -> Float[Array, " k"]:
+        """`volume`, by the name it has in the plane."""
+        return self.volume
+
+    @property
+    def inverted(self) -> Int[Array, ""]:
+        """How many cells are inverted."""
+        return jnp.sum(self._counted(self.is_inverted), axis=-1)
+
+    @property
+    def degenerate(self) -> Int[Array, ""]:
+        """How many cells had no sign from the start and are not judged."""
+        return jnp.sum(self._counted(self.is_degenerate), axis=-1)
+
+    def mean(self, name: str, *, weighted: bool = True) -> Float[Array, ""]:
+        """Mean of the measure called `name`, weighted by area or volume, or of the cells as such."""
+        values = self._counted(getattr(self, name))
+        if not weighted:
+            return jnp.mean(values, axis=-1)
+        weight = jnp.abs(self._counted(self.volume))
+        total = jnp.sum(weight, axis=-1)
+        return jnp.sum(jnp.where(weight > 0, values * weight, 0), axis=-1) / jnp.where(total > 0, total, 1)
+
+    def max(self, name: str) -> Float[Array, ""]:
+        """Largest value of the measure called `name`."""
+        return jnp.max(self._counted(getattr(self, name)), axis=-1)
+
+    def min(self, name: str) -> Float[Array, ""]:
+        """Smallest value of the measure called `name`."""
+        return jnp.min(self._counted(getattr(self, name)), axis=-1)
+
+    @property
+    def mean_skewness(self) -> Float[Array, ""]:
+        return self.mean("skewness")
+
+    @property
+    def max_skewness(self) -> Float[Array, ""]:
+        return self.max("skewness")
+
+    @property
+    def mean_aspect_ratio(self) -> Float[Array, ""]:
+        return self.mean("aspect_ratio")
+
+    @property
+    def max_aspect_ratio(self) -> Float[Array, ""]:
+        return self.max("aspect_ratio")
+
+    @property
+    def mean_non_orthogonality(self) -> Float[Array, ""]:
+        return self.mean("non_orthogonality")
+
+    @property
+    def max_non_orthogonality(self) -> Float[Array, ""]:
+        return self.max("non_orthogonality")
+
+    @property
+    def min_volume(self) -> Float[Array, ""]:
+        return self.min("volume")
+
+    @property
+    def min_jacobian(self) -> Float[Array, ""]:
+        return self.min("jacobian")
+
+    @property
+    def min_volume_ratio(self) -> Float[Array, ""]:
+        return self.min("volume_ratio")
+
+    @property
+    def min_jacobian_ratio(self) -> Float[Array, ""]:
+        return self.min("jacobian_ratio")
+
+    def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray:
+        """Host: ids of the `k` worst cells, the worst first; `report.centroid[ids]` is where they are.
+
+        By the measure called `by`; by default inverted cells come first, then the most skewed ones.
+        Raises `ValueError` for a measure that is not known.
+        """
+        if by is not None and by not in MEASURES:
+            raise ValueError(f"no measure is called {by!r}; there are {', '.join(MEASURES)}.")
+        score = np.asarray(getattr(self, by or "skewness"), dtype=float)
+        badness = -score if by in _SMALL_IS_BAD else score
+        badness = np.where(np.isnan(badness), np.inf, badness)
+        first = np.zeros(len(badness), dtype=bool) if by else np.asarray(self.is_inverted)
+        ids = np.flatnonzero(self._mask())
+        return ids[np.lexsort((-badness[ids], ~first[ids]))[:k]]
+
+    def raise_if_inverted(self) -> None:
+        """Host: `ValueError` that says how many cells are inverted and where the first one is; else nothing.
+
+        Not inside `jit`: there `report.inverted` is a value like any other.
+        """
+        bad = np.flatnonzero(np.asarray(self.is_inverted) & self._mask())
+        if len(bad):
+            total = int(self._mask().sum())
+            are = "cell is" if len(bad) == 1 else "cells are"
+            raise ValueError(
+                f"{len(bad)} of {total} {are} inverted, first cell {bad[0]} near {self._place(bad[0])}. "
+                "Try more sources or more steps."
+            )
+
+    def __str__(self) -> str:
+        if isinstance(self.volume, Tracer) or self.volume.ndim > 1:
+            return repr(self)
+        counted = ", ".join(f"{count} {kind}" for kind, count in self._top())
+        lines = [f"{counted}: {int(self.inverted)} inverted, {int(self.degenerate)} degenerate from the start"]
+        lines.append(f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near")
+        for name in MEASURES if self.relative else MEASURES[:-2]:
+            cell = self.worst(1, by=name)[0]
+            numbers = "".join(f"{float(f(name)):>10.3g}" for f in (self.min, self.mean, self.max))
+            lines.append(f"{name:<17}{numbers}  {cell:<8}{self._place(cell)}")
+        return "\n".join(lines)
+
+    def _place(self, cell: int) -> str:
+        place = np.asarray(self.centroid[cell], dtype=float)
+        place = np.where(np.abs(place) < 1e-4 * np.abs(place).max(), 0.0, place)
+        return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
+
+    def _top(self) -> list[tuple[str, int]]:
+        highest = max(DIMENSION[kind] for kind, count in self.types if count)
+        return [(kind, count) for kind, count in self.types if DIMENSION[kind] == highest]
+
+    def _mask(self) -> np.ndarray:
+        top = {kind for kind, _ in self._top()}
+        return np.concatenate([np.full(count, kind in top) for kind, count in self.types])
+
+    def _counted(self, values: Any) -> Any:
+        """The entries of the cells that count, in the last axis."""
+        mask = self._mask()
+        return values if mask.all() else values[..., np.flatnonzero(mask)]

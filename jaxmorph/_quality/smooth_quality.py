@@ -1,0 +1,114 @@
+"""Measures of cells without kinks, for objectives and constraints that are differentiated."""
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._mesh.mesh import Mesh
+from . import measures
+from .blocks import in_blocks
+from .non_orthogonality import non_orthogonality
+from .quality import Standard, connect, places, standards_of
+from .smooth import positive_part, soft_maximum
+from .vector import Vector, corners, dot
+
+
+class SmoothQuality(eqx.Module):
+    """What `smooth_quality` finds: arrays (k,), in the order and the units of `QualityReport`."""
+
+    skewness: Float[Array, " k"]
+    aspect_ratio: Float[Array, " k"]
+    non_orthogonality: Float[Array, " k"]
+    jacobian_ratio: Float[Array, " k"]
+
+
+def smooth_quality(
+    mesh: Mesh, points: Float[Any, "n d"] | None = None, *, sharpness: float = 50.0, softness: float = 1e-6
+) -> SmoothQuality:
+    """Smooth twins of those measures of `quality` that have kinks. `volume` and `volume_ratio` have none, `distortion` neither.
+
+    Where `quality` takes the largest of m terms of a cell, soft maxima take its place (the smallest: soft minima), so with the
+    derivative spread over the terms near the largest; the values approach those of `quality` as `sharpness` grows:
+
+    - `skewness` is less by log(m) / `sharpness` at most, m up to 36; a quad has m = 2.
+    - `aspect_ratio` is less by a factor of m^(2 / `sharpness`) at most, m up to 12. Finite on cells that are flat, 2 /
+      `softness`, and where triangles, quads and tetrahedra are inverted: larger still the further they are, so that its derivative
+      turns them round. Choose `softness` far below the inverse of the aspect ratios that matter.
+    - `non_orthogonality` is less by 90 (1 + log m) / `sharpness` degrees at most; smooth at 0 degrees too.
+    - `jacobian_ratio` is more by log(m) / `sharpness` at most.
+
+    Traced in `points`: `jit`, `grad` and `vmap` work, with finite derivatives on inverted cells. Everything is relative to the
+    undeformed mesh, `mesh.points`. Raises `ValueError` for a mesh without cells, for a shape of `points` other than that of
+    `mesh.points`, and for a `sharpness` or `softness` that is not positive.
+    """
+    current = places(mesh, points)
+    for name, value in (("sharpness", sharpness), ("softness", softness)):
+        if isinstance(value, int | float) and not value > 0:
+            raise ValueError(f"`{name}` must be positive, not {value}.")
+    kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
+    with jax.ensure_compile_time_eval():
+        behind = connect(mesh.cells, signs=False).neighbour
+        standards = standards_of(kinds, cells, jnp.asarray(mesh.points, dtype=current.dtype))
+    return _measured(kinds, cells, behind, current, standards, (sharpness, softness))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _measured(kinds, cells, behind, points, standards: list[Standard], options) -> SmoothQuality:
+    rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
+    of = dict(zip(kinds, standards, strict=True))
+    columns = [
+        in_blocks(functools.partial(_shapes, kind, points, options), ids, of[kind]) for kind, ids in rows.items()
+    ]
+    skewness, aspect, jacobian = (jnp.concatenate(parts) for parts in zip(*columns, strict=True))
+    signs = {kind: standard.sign for kind, standard in of.items()}
+    angles = non_orthogonality(points, rows, signs, behind, functools.partial(_largest_angle, sharpness=options[0]))
+    return SmoothQuality(skewness, aspect, angles, jacobian)
+
+
+def _shapes(kind: str, points: Float[Array, "n d"], options, ids: Int[Array, "c k"], of: Standard) -> tuple[Array, ...]:
+    """Skewness, aspect ratio and Jacobian ratio."""
+    sharpness, softness = options
+    relative, size = measures.relative_corners(corners(points, ids.T))
+    shape = measures.scaled(relative, size)
+    skewness = measures.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
+    aspect = _aspect_ratio(kind, shape, of, sharpness, softness)
+    return skewness, aspect, _jacobian_ratio(kind, relative, of, sharpness)
+
+
+def _aspect_ratio(kind: str, x: list[Vector], standard: Standard, sharpness, softness) -> Float[Array, " k"]:
+    if kind == "line":
+        return jnp.ones_like(x[0][0])
+    edges, under = measures.aspect_terms(kind, x)
+    logarithms = jnp.log(dot(edges, edges) + 1e-30) / 2
+    longest = soft_maximum(logarithms, sharpness, axis=0)
+    if under is None:
+        inverse = jnp.exp(-soft_maximum(-logarithms, sharpness, axis=0) - longest)
+    else:
+        size, sides = under
+        none = sides <= 0
+        inverse = jnp.where(none, 0, standard.sign * size / jnp.where(none, 1, jnp.exp(longest) * sides))
+    return 1 / positive_part(inverse, softness)
+
+
+def _jacobian_ratio(kind: str, relative: list[Vector], standard: Standard, sharpness) -> Float[Array, " k"]:
+    ratios = standard.sign * measures.jacobians(kind, relative)[0] / standard.jacobian
+    least = -_soft_maximum_where(-ratios, standard.is_judged, sharpness)
+    return jnp.where(standard.is_degenerate, 1, least)
+
+
+def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], sharpness) -> Float[Array, " k"]:
+    unit = 90 / sharpness
+    rounded = jnp.sqrt(degrees**2 + unit**2) - unit
+    return jnp.where(jnp.any(is_inner, axis=0), _soft_maximum_where(rounded, is_inner, 1 / unit), 0)
+
+
+def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> Float[Array, " k"]:
+    """The soft maximum of those that count; 0 where none does."""
+    number = jnp.sum(counts, axis=0)
+    weights = jnp.where(number > 0, counts, True).astype(values.dtype)
+    largest = jax.scipy.special.logsumexp(sharpness * values, b=weights, axis=0)
+    return jnp.where(number > 0, (largest - jnp.log(jnp.maximum(number, 1))) / sharpness, 0)

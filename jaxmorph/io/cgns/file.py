@@ -1,0 +1,120 @@
+"""CGNS in HDF5, structured and unstructured zones: a copy of the file with other coordinates, all else untouched."""
+
+try:
+    import h5py
+except ImportError as error:
+    raise ImportError("CGNS files need h5py: pip install 'jaxmorph[io]'") from error
+
+import dataclasses
+import pathlib
+import shutil
+
+import numpy as np
+
+from jaxmorph import Mesh
+from jaxmorph._host.topology import boundary_faces
+
+from .._format import Arrays, Source, source_of
+from .._joined import Joined, Zones, join
+from .zone import DIMENSION, TYPES, Zone, children, data, word
+
+NAME = "CGNS"
+LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Content:
+    """The way back to the nodes of the file, and what tells that the file is still the same."""
+
+    joined: Joined
+    stamp: tuple[int, int]
+
+
+def read(path: pathlib.Path) -> Mesh:
+    """All zones of the file's one base; nodes where two zones meet are one. `patches` are the boundary conditions, by family.
+
+    Outer faces without a condition are the patch `unnamed`, `boundary` in a file without any.
+    """
+    path.open("rb").close()
+    try:
+        with h5py.File(path, "r") as file:
+            zones = _zones(path, file)
+    except (OSError, KeyError, IndexError) as error:
+        detail = " ".join(str(error).split())[:120]
+        raise ValueError(
+            f"{path}: not a CGNS file in HDF5, or a damaged one ({detail}); adf2hdf converts older ones."
+        ) from error
+    try:
+        mesh, joined = join(zones)
+        content = _Content(joined, _stamp(path))
+        return Mesh(mesh.points, mesh.cells, mesh.patches, source=Source(path, NAME, content))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    """A copy of the file that the mesh was read from. `ValueError` for any other mesh, or when that file has changed."""
+    source = source_of(mesh, NAME)
+    if source is None:
+        raise ValueError("only a mesh that was read from a CGNS file can be written to one; write .vtu or .su2.")
+    content: _Content = source.content
+    if _stamp(source.path) != content.stamp:
+        raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
+    shutil.copyfile(source.path, path)
+    points = content.joined.in_file(np.asarray(mesh.points))
+    if np.array_equal(points, content.joined.points):
+        return
+    with h5py.File(path, "r+") as file:
+        for zone in _open(path, file)[0]:
+            rows = slice(zone.first, zone.first + zone.count)
+            for axis, values in enumerate(zone.coordinates()):
+                if not np.array_equal(points[rows, axis], content.joined.points[rows, axis]):
+                    values[...] = points[rows, axis].reshape(values.shape)
+
+
+def _stamp(path: pathlib.Path) -> tuple[int, int]:
+    found = path.stat()
+    return found.st_size, found.st_mtime_ns
+
+
+def _open(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
+    """The zones of the base, and the dimension of its cells."""
+    bases = [base for _, base in children(file, "CGNSBase_t")]
+    if len(bases) != 1:
+        raise ValueError(f"{path}: {len(bases)} CGNS bases in this file; one is read.")
+    zones, first = [], 0
+    for name, group in children(bases[0], "Zone_t"):
+        kind = [word(child) for _, child in children(group, "ZoneType_t")]
+        is_structured = kind[:1] == ["Structured"]
+        sizes = np.atleast_2d(data(group))[0]
+        shape = tuple(int(size) for size in (sizes if is_structured else sizes[:1]))
+        zones.append(Zone(path, name, group, shape, is_structured, first))
+        first += zones[-1].count
+    if not zones:
+        raise ValueError(f"{path}: no zones in this file.")
+    return zones, int(data(bases[0])[0])
+
+
+def _zones(path: pathlib.Path, file: h5py.File) -> Zones:
+    zones, dimension = _open(path, file)
+    points, cells, patches, faces = [], [], {}, []
+    for zone in zones:
+        points.append(np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float))
+        blocks, sides, elements = zone.cells(points[-1])
+        mine = [(kind, corners) for kind, corners in blocks if LEVEL[kind] == dimension and len(corners)]
+        if not mine:
+            raise zone.error(f"no cells of {dimension} dimensions")
+        cells += mine
+        for name, nodes in zone.patches(elements):
+            patches.setdefault(name, []).append(nodes)
+        faces += sides or _outer(zone, points[-1], mine)
+    return Zones(np.concatenate(points), cells, patches, faces)
+
+
+def _outer(zone: Zone, points: np.ndarray, blocks: list[tuple[str, np.ndarray]]) -> list[np.ndarray]:
+    """Outer faces of an unstructured zone."""
+    cells: dict[str, list[np.ndarray]] = {}
+    for kind, corners in blocks:
+        cells.setdefault(kind, []).append(corners - zone.first)
+    alone = {kind: np.concatenate(parts) for kind, parts in cells.items()}
+    return [corners + zone.first for corners in boundary_faces(alone, len(points)).values()]

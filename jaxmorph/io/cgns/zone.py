@@ -1,0 +1,184 @@
+"""Zones of a CGNS file: cells, boundary conditions (cgns.github.io, SIDS and the HDF5 file mapping)."""
+
+import dataclasses
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from .._blocks import block_cells, block_ids, block_sides
+from .polyhedra import Ragged, polyhedra
+
+TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
+CORNERS = {2: 1, 3: 2, 5: 3, 7: 4, 10: 4, 12: 5, 14: 6, 17: 8}
+MIXED, NGON, NFACE = 20, 22, 23
+DIMENSION = {2: 0, 3: 1, 5: 2, 7: 2, 10: 3, 12: 3, 14: 3, 17: 3}
+NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
+
+
+def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
+    """The nodes of a CGNS label below another one, in the order of the file."""
+    for name in group:
+        child = group[name]
+        if hasattr(child, "keys") and text(child.attrs.get("label", b"")) == label:
+            yield name, child
+
+
+def text(value: Any) -> str:
+    return bytes(value).split(b"\0")[0].decode(errors="replace").strip() if not isinstance(value, str) else value
+
+
+def data(group: Any) -> np.ndarray:
+    """The array of a node."""
+    return group[" data"][()]
+
+
+def word(group: Any) -> str:
+    """The characters of a node."""
+    return text(data(group).tobytes())
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Zone:
+    """A zone: its node in the file, the sizes of its vertices (one number if unstructured), and its first node's id."""
+
+    path: pathlib.Path
+    name: str
+    group: Any
+    shape: tuple[int, ...]
+    is_structured: bool
+    first: int
+
+    @property
+    def count(self) -> int:
+        return int(np.prod(self.shape))
+
+    def error(self, message: str) -> ValueError:
+        return ValueError(f"{self.path}, zone {self.name}: {message}.")
+
+    def coordinates(self) -> list[Any]:
+        """The data sets of x, y[, z]. `ValueError` for other coordinates, rind planes, and those of another file."""
+        grids = dict(children(self.group, "GridCoordinates_t"))
+        if not grids:
+            raise self.error("no GridCoordinates")
+        grid = grids.get("GridCoordinates", next(iter(grids.values())))
+        names = dict(children(grid, "DataArray_t"))
+        wanted = [name for name in ("CoordinateX", "CoordinateY", "CoordinateZ") if name in names]
+        if len(wanted) < 2 or any(data(rind).any() for _, rind in children(grid, "Rind_t")):
+            raise self.error(f"Cartesian coordinates without rind planes expected, found {', '.join(names) or 'none'}")
+        sets = [names[name][" data"] for name in wanted]
+        for values in sets:
+            if pathlib.Path(values.file.filename).resolve() != self.path.resolve():
+                raise self.error(f"the coordinates are a link to {values.file.filename}; read and move that file")
+            if values.size != self.count:
+                raise self.error(f"{values.size} coordinates for {self.count} vertices")
+        return sets
+
+    def cells(self, points: np.ndarray) -> tuple[list[tuple[str, np.ndarray]], list[np.ndarray], dict[int, Any]]:
+        """Cells and boundary elements by type; outer faces where they are known; vertices of elements by their first number."""
+        if self.is_structured:
+            ids = block_ids(self.shape, self.first)
+            if ids.ndim < 2:
+                raise self.error(f"a block of {' x '.join(map(str, self.shape))} vertices has no cells")
+            return [block_cells(ids)], block_sides(ids), {}
+        blocks, elements, polygons, volumes = [], {}, {}, []
+        for name, section in children(self.group, "Elements_t"):
+            parts = dict(section.items())
+            kind, start = int(data(section)[0]), int(data(parts["ElementRange"])[0])
+            connectivity = data(parts["ElementConnectivity"]).astype(np.int64)
+            if kind in (NGON, NFACE):
+                if "ElementStartOffset" not in parts:
+                    raise self.error(
+                        f"section {name} has no ElementStartOffset; cgnsupdate brings the file to version 4"
+                    )
+                rows = Ragged(connectivity, data(parts["ElementStartOffset"]).astype(np.int64))
+                if kind == NFACE:
+                    volumes.append(rows)
+                    continue
+                self._check(name, connectivity)
+                polygons[start] = Ragged(connectivity - 1, rows.starts)
+                elements[start] = Ragged(connectivity - 1 + self.first, rows.starts)
+                continue
+            for begin, number, corners in self._section(name, kind, connectivity, start):
+                self._check(name, corners)
+                elements[begin] = corners - 1 + self.first
+                blocks.append((TYPES[number], elements[begin]))
+        if not volumes or not polygons:
+            return blocks, [], elements
+        try:
+            more, sides = polyhedra(polygons, volumes, points, self.first)
+        except ValueError as error:
+            raise self.error(str(error)) from error
+        return blocks + more, sides, elements
+
+    def _check(self, name: str, vertices: np.ndarray) -> None:
+        if vertices.size and (vertices.min() < 1 or vertices.max() > self.count):
+            raise self.error(f"section {name} names vertices beyond 1 to {self.count}")
+
+    def _section(self, name: str, kind: int, values: np.ndarray, start: int):
+        """Elements of one type after another: number of the first, type, vertices."""
+        if kind != MIXED:
+            if kind not in CORNERS:
+                raise self.error(
+                    f"section {name} has elements of type {kind}; linear elements and polyhedra are read, not curved ones"
+                )
+            yield start, kind, values.reshape(-1, CORNERS[kind])
+            return
+        at = 0
+        while at < len(values):
+            number = int(values[at])
+            if number not in CORNERS:
+                raise self.error(f"section {name} has elements of type {number} among MIXED ones")
+            width = 1 + CORNERS[number]
+            rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
+            other = np.flatnonzero(rows[:, 0] != number)
+            count = int(other[0]) if other.size else len(rows)
+            yield start, number, rows[:count, 1:]
+            at, start = at + count * width, start + count
+
+    def patches(self, elements: dict[int, Any]) -> Iterator[tuple[str, np.ndarray]]:
+        """Name (that of its family, if it has one) and nodes of each boundary condition."""
+        for _, zone_bc in children(self.group, "ZoneBC_t"):
+            for name, condition in children(zone_bc, "BC_t"):
+                family = [word(child) for _, child in children(condition, "FamilyName_t")]
+                parts = dict(condition.items())
+                places = [part for part in ("PointRange", "PointList", "ElementRange", "ElementList") if part in parts]
+                if not places:
+                    raise self.error(f"boundary condition {name} says neither a range nor a list of points")
+                place = word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
+                place = "FaceCenter" if places[0].startswith("Element") else place
+                chosen = np.atleast_2d(data(parts[places[0]])).astype(np.int64)
+                nodes = self._nodes(name, place, chosen, places[0].endswith("Range"), elements)
+                yield (family[0] if family else name), nodes
+
+    def _nodes(self, name: str, place: str, chosen: np.ndarray, is_range: bool, elements) -> np.ndarray:
+        if self.is_structured:
+            low, high = chosen.min(axis=0) - 1, chosen.max(axis=0) - 1
+            if not is_range and place != "Vertex":
+                raise self.error(f"boundary condition {name}: a list of faces of a structured zone is not read")
+            if place != "Vertex":
+                constant = NORMAL.get(place, int(np.argmax((low == high) & (np.array(self.shape) > 1))))
+                high = high + (np.arange(len(high)) != constant)
+            if (low < 0).any() or (high >= self.shape).any():
+                raise self.error(f"boundary condition {name} goes beyond {' x '.join(map(str, self.shape))} vertices")
+            ids = self.first + np.arange(self.count).reshape(self.shape, order="F")
+            if is_range:
+                return ids[tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))].ravel()
+            return ids[tuple(chosen.T - 1)]
+        chosen = chosen.ravel()
+        numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range and chosen.size else chosen
+        if place == "Vertex":
+            if numbers.size and (numbers.min() < 1 or numbers.max() > self.count):
+                raise self.error(f"boundary condition {name} names vertices beyond 1 to {self.count}")
+            return numbers - 1 + self.first
+        nodes, found = [np.zeros(0, np.int64)], 0
+        for begin, corners in elements.items():
+            mine = numbers[(numbers >= begin) & (numbers < begin + len(corners))] - begin
+            found += len(mine)
+            nodes.append(corners[mine].ravel())
+        if found < len(numbers):
+            raise self.error(
+                f"boundary condition {name}: {len(numbers) - found} of its {len(numbers)} elements are not there"
+            )
+        return np.concatenate(nodes)

@@ -1,0 +1,229 @@
+"""OpenFOAM's cases: `constant/polyMesh`, ascii or binary, plain or compressed (doc.openfoam.com, mesh description).
+
+Only `points` is written: into a time folder of the case, or into a copy of the case. The case itself stays as it is.
+"""
+
+import contextlib
+import dataclasses
+import gzip
+import os
+import pathlib
+import re
+import shutil
+from collections.abc import Iterator
+
+import numpy as np
+
+from jaxmorph import Mesh
+from jaxmorph._host.files import complete
+from jaxmorph._mesh.faces import Faces
+from jaxmorph._mesh.polyhedra import tetrahedra
+
+from .._format import Arrays, Source, source_of
+from ..text.sections import replace_words
+from .file import PARENTHESES, FoamFile, Patch, load, patches
+from .plane import Layer, layer, plane_cells
+from .topology import Topology, topology_of
+
+NAME = "OpenFOAM"
+TOPOLOGY = ("faces", "owner", "neighbour", "boundary")
+COPIED = ("constant", "system", "0", "0.orig")
+"""What of a case a new one gets."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WholeCells:
+    """The faces of a case with polyhedra, and the case's cell that each cell of the mesh is, or is a piece of."""
+
+    faces: Faces
+    cell: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Content:
+    """The file of points, its values, the folder of the faces, the two planes of a case in the plane, and polyhedra."""
+
+    file: FoamFile
+    points: np.ndarray
+    topology: pathlib.Path
+    plane: Layer | None
+    whole: WholeCells | None
+
+
+def read(path: pathlib.Path) -> Mesh:
+    """The mesh of a case, of one of its time folders, or of a folder polyMesh; nodes in the order of the file.
+
+    `patches` are those of `boundary`. Cells with more or other faces than the standard types are cut into tetrahedra between
+    their own nodes. Of a case with `empty` patches the plane in front is the mesh, in two coordinates.
+    """
+    here, topology = _folders(path)
+    boundary = patches(load(topology, "boundary"))
+    wedges = [patch.name for patch in boundary if patch.type == "wedge"]
+    if wedges:
+        raise ValueError(f"{path}: patches of type wedge ({', '.join(wedges)}); axisymmetric cases are not supported.")
+    empty = [patch for patch in boundary if patch.type == "empty" and patch.count]
+    found = topology_of(topology, boundary, is_plane=bool(empty))
+    file, points = _points(here)
+    found.check(topology, len(points))
+    try:
+        if empty:
+            (mesh, plane), whole = _in_plane(found, points, boundary, empty), None
+        else:
+            (mesh, whole), plane = _in_space(found, points), None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    source = Source(file.path, NAME, _Content(file, points, topology, plane, whole))
+    return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
+
+
+def check(path: pathlib.Path, mesh: Mesh) -> None:
+    """`ValueError` for what `write` cannot do, before any work."""
+    source = source_of(mesh, NAME)
+    if source is None:
+        raise ValueError(f"{path}: only a mesh that was read from an OpenFOAM case can be written to one.")
+    case = _case_of(source.content.topology)
+    if _is_time(path):
+        if case is None or not path.parent.is_dir() or not os.path.samefile(path.parent, case):
+            raise ValueError(f"{path}: a time folder must be one of the case that the mesh was read from, {case}.")
+    elif case is None:
+        raise ValueError(f"{path}: {source.path.parent} is in no case with a folder constant; nothing to copy.")
+    elif path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise ValueError(f"{path}: exists; name a new folder, or a time folder of the case such as {case / '1'}.")
+    elif case.resolve() in path.resolve().parents:
+        raise ValueError(f"{path}: a new case cannot be inside of the one that the mesh was read from.")
+    if _is_time(path) and any(_is_file(path / "polyMesh" / name, source.path) for name in ("points", "points.gz")):
+        raise ValueError(f"{path}: the mesh was read from this folder; write to another one.")
+
+
+def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    """`points` in a time folder of the case, or a new case: `constant`, `system`, `0` and `0.orig` with other points."""
+    source = source_of(mesh, NAME)
+    assert source is not None
+    content: _Content = source.content
+    if _is_time(path):
+        folder = path / "polyMesh"
+        made = [each for each in (path, folder) if not each.exists()]
+        with _removed_on_failure(made):
+            folder.mkdir(parents=True, exist_ok=True)
+            with complete(folder / content.file.path.name) as partial:
+                _write_points(partial, content, np.asarray(mesh.points))
+            other = {"points": "points.gz", "points.gz": "points"}[content.file.path.name]
+            (folder / other).unlink(missing_ok=True)
+        return
+    case = _case_of(content.topology)
+    assert case is not None
+    with complete(path) as partial:
+        partial.mkdir()
+        for name in COPIED:
+            if (case / name).is_dir():
+                shutil.copytree(case / name, partial / name)
+        where = content.topology.resolve().relative_to(case)
+        folder = partial / (where if where.parts[0] == "constant" else pathlib.Path("constant", "polyMesh"))
+        shutil.copytree(content.topology, folder, dirs_exist_ok=True)
+        for name in ("points", "points.gz"):
+            (folder / name).unlink(missing_ok=True)
+        _write_points(folder / content.file.path.name, content, np.asarray(mesh.points))
+
+
+def _write_points(path: pathlib.Path, content: _Content, points: np.ndarray) -> None:
+    if content.plane is not None:
+        points = content.plane.in_space(content.points, points)
+    file = content.file
+    if np.array_equal(points, content.points):
+        path.write_bytes(file.raw)
+        return
+    with gzip.open(path, "wb", compresslevel=6) if path.suffix == ".gz" else path.open("wb") as out:
+        out.writelines(_replaced(file, points))
+
+
+def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes]:
+    """The file with other coordinates, in pieces."""
+    found = file.list_at(file.end)
+    if found.uniform:
+        raise file.error("a list with one value for all points cannot hold moved ones")
+    if file.is_binary:
+        values = points.astype(file.dtype("scalar"))
+        yield file.data[: found.start]
+        yield values.tobytes()
+        yield file.data[found.start + values.nbytes :]
+        return
+    stop = file.data.rfind(b")", found.start)
+    yield file.data[: found.start]
+    yield from replace_words(file.data, found.start, stop, points.ravel(), PARENTHESES)
+    yield file.data[stop:]
+
+
+def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
+    file = load(folder, "points")
+    points = file.numbers("scalar", 3)
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size or not len(points):
+        found = f"point {bad[0]} is not finite: {points[bad[0]].tolist()}" if bad.size else "no points"
+        raise file.error(found)
+    return file, points
+
+
+def _in_space(found: Topology, points: np.ndarray) -> tuple[Mesh, WholeCells | None]:
+    cells, ids, faces = found.cells, found.ids, found.faces
+    if faces is None:
+        return Mesh(points, cells, found.nodes), None
+    pieces, owners = tetrahedra(faces, ids.pop("polyhedron"), points)
+    cells["tetra"] = np.concatenate([cells["tetra"], pieces]) if "tetra" in cells else pieces
+    ids["tetra"] = np.concatenate([ids["tetra"], owners]) if "tetra" in ids else owners
+    mesh = Mesh(points, cells, found.nodes)
+    return mesh, WholeCells(faces, np.concatenate([ids[kind] for kind in mesh.cells]))
+
+
+def whole_cells(mesh: Mesh) -> WholeCells | None:
+    """The polyhedra of a mesh that was read from a case which has some."""
+    source = source_of(mesh, NAME)
+    return None if source is None else source.content.whole
+
+
+def _in_plane(found: Topology, points: np.ndarray, boundary: list[Patch], empty: list[Patch]) -> tuple[Mesh, Layer]:
+    assert found.faces is not None
+    ids = np.concatenate([np.arange(patch.start, patch.start + patch.count) for patch in empty])
+    plane = layer(found.faces, points)
+    nodes = {patch.name: plane.ids(found.nodes[patch.name]) for patch in boundary if patch.type != "empty"}
+    return Mesh(plane.in_plane(points), plane_cells(found.faces, points, ids, plane), nodes), plane
+
+
+def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
+    """The folder of the points and that of the faces: for a time folder often the latter is the case's."""
+    if path.name == "polyMesh":
+        here = path
+    elif (path / "constant" / "polyMesh").is_dir():
+        here = path / "constant" / "polyMesh"
+    elif (path / "polyMesh").is_dir():
+        here = path / "polyMesh"
+    else:
+        raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.")
+    if any((here / name).is_file() for name in ("faces", "faces.gz")):
+        return here, here
+    return here, here.parent.parent / "constant" / "polyMesh"
+
+
+def _case_of(topology: pathlib.Path) -> pathlib.Path | None:
+    """The folder that holds `constant`, or the time folder, that a polyMesh is in."""
+    above = topology.resolve().parents
+    named = [folder.parent for folder in above if folder.name == "constant"]
+    return named[0] if named else next((folder.parent for folder in above if _is_time(folder)), None)
+
+
+def _is_time(path: pathlib.Path) -> bool:
+    return re.fullmatch(r"\d+(\.\d*)?(e[+-]?\d+)?", path.name) is not None
+
+
+def _is_file(a: pathlib.Path, b: pathlib.Path) -> bool:
+    return a.exists() and os.path.samefile(a, b)
+
+
+@contextlib.contextmanager
+def _removed_on_failure(folders: list[pathlib.Path]) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        for folder in reversed(folders):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise

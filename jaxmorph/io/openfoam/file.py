@@ -1,0 +1,236 @@
+"""OpenFOAM's files: header, lists of numbers and of faces, ascii or binary, plain or compressed."""
+
+import dataclasses
+import gzip
+import pathlib
+import re
+
+import numpy as np
+
+from ..text.sections import chunks, parse
+
+_SPACE = re.compile(rb"(?:\s+|//[^\n]*|/\*.*?\*/)*", re.DOTALL)
+_HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
+_ENTRY = re.compile(r"(\w+)\s+(\"[^\"]*\"|[^;]*);")
+_COUNT = re.compile(rb"(\d*)\s*([({]?)")
+PARENTHESES = bytes.maketrans(b"()", b"  ")
+"""Makes the text of a list one of numbers between blanks."""
+
+
+@dataclasses.dataclass(frozen=True)
+class List:
+    """Where a list stands in a file: `count` elements (-1: not said) from `start`; `uniform` holds one for all."""
+
+    count: int
+    start: int
+    uniform: bool
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FoamFile:
+    """One file of a mesh: `raw` as it is on disk, `data` unpacked, its header, and where that ends."""
+
+    path: pathlib.Path
+    raw: bytes
+    data: bytes
+    header: dict[str, str]
+    end: int
+
+    @property
+    def is_binary(self) -> bool:
+        return self.header.get("format", "ascii") == "binary"
+
+    def dtype(self, what: str) -> np.dtype:
+        """Type of a binary `label` or `scalar`: width and byte order from the header's `arch`, else 32 and 64, little-endian."""
+        arch = self.header.get("arch", "")
+        found = re.search(rf"{what}=(\d+)", arch)
+        width = int(found[1]) if found else {"label": 32, "scalar": 64}[what]
+        if width not in (32, 64):
+            raise self.error(f"{what}s of {width} bits are not known; arch is {arch!r}")
+        return np.dtype(f"{'>' if 'MSB' in arch else '<'}{'i' if what == 'label' else 'f'}{width // 8}")
+
+    def error(self, message: str) -> ValueError:
+        return ValueError(f"{self.path}: {message}.")
+
+    def list_at(self, at: int) -> List:
+        """The list that begins after `at` and the blanks and comments that follow."""
+        at = _end_of_space(self.data, at)
+        found = _COUNT.match(self.data, at)
+        if found is None or not found[0]:
+            raise self.error(f"a list expected, found {self.data[at : at + 20]!r}")
+        count = int(found[1]) if found[1] else -1
+        return List(count if found[2] else 0, found.end(), found[2] == b"{")
+
+    def numbers(self, what: str, width: int = 1) -> np.ndarray:
+        """The file's list of `label`s or `scalar`s, `width` in each element: (count, width), int32 or float64."""
+        found = self.list_at(self.end)
+        kind = np.dtype(np.int64 if what == "label" else np.float64)
+        if self.is_binary:
+            values = self.binary(found, what, width)[0].reshape(-1, width)
+            return values.astype(kind if what == "scalar" else _narrow(values))
+        if not found.start or found.count == 0:
+            return np.zeros((0, width), kind)
+        stop = self.data.find(b"}", found.start) if found.uniform else self.data.rfind(b")", found.start)
+        values = self._words(found.start, stop, kind).reshape(-1)
+        if found.uniform and len(values) == width:
+            values = np.tile(values, found.count)
+        if len(values) % width or found.count not in (-1, len(values) // width):
+            raise self.error(f"{found.count} elements of {width} {what}s expected, found {len(values)} numbers")
+        return values.reshape(-1, width)
+
+    def binary(self, found: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
+        """The numbers of a binary list, not copied, and where it ends."""
+        dtype = self.dtype(what)
+        count = found.count * width
+        stored = width if found.uniform else count
+        end = found.start + stored * dtype.itemsize
+        if found.count == 0:
+            return np.zeros(0, dtype), found.start
+        if found.count < 0 or end >= len(self.data) or self.data[end : end + 1] not in (b")", b"}"):
+            message = f"{found.count} elements of {width} {what}s of {dtype.itemsize} bytes do not fit the file"
+            raise self.error(f"{message}; it is cut short, or its header's arch ({self.header.get('arch')}) is wrong")
+        values = np.frombuffer(self.data, dtype, stored, found.start)
+        return (np.tile(values, found.count) if found.uniform else values), end + 1
+
+    def faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Labels of all faces in a row, and where each face begins among them (one more at the end)."""
+        if not self.is_binary:
+            return self._text_faces()
+        if "Compact" not in self.header.get("class", ""):
+            return self._separate_faces()
+        starts, end = self.binary(self.list_at(self.end), "label")
+        labels, _ = self.binary(self.list_at(end), "label")
+        starts = starts.astype(np.int64)
+        if not len(starts) or starts[0] or starts[-1] != len(labels) or (np.diff(starts) < 3).any():
+            raise self.error(f"the offsets of the faces do not fit their {len(labels)} labels")
+        return labels.astype(_narrow(labels)), starts
+
+    def _separate_faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """From a binary list of lists, as older versions write it: each face with its number of labels, one after the other."""
+        found = self.list_at(self.end)
+        at, parts = found.start, [np.zeros(0, self.dtype("label"))]
+        for _ in range(found.count):
+            labels, at = self.binary(self.list_at(at), "label")
+            parts.append(labels)
+        sizes = np.fromiter(map(len, parts), np.int64)
+        if (sizes[1:] < 3).any():
+            raise self.error(
+                f"face {int((sizes[1:] < 3).argmax())} has {int(sizes[1:].min())} labels; it needs 3 at least"
+            )
+        labels = np.concatenate(parts)
+        return labels.astype(_narrow(labels)), np.cumsum(sizes)
+
+    def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
+        found = self.list_at(self.end)
+        stop = self.data.rfind(b")", found.start)
+        labels = self._table(found, stop)
+        if labels is not None:
+            kind = np.int32 if labels.size < 2**31 - labels.shape[1] else np.int64
+            return labels.ravel(), np.arange(0, labels.size + 1, labels.shape[1], dtype=kind)
+        words, before, done = [], [np.zeros(0, np.int64)], 0
+        for chunk in chunks(self.data, found.start, stop):
+            plain = chunk.translate(PARENTHESES)
+            labels = parse(plain, np.int64)
+            solid = np.frombuffer(b" " + plain, np.uint8) > 32
+            first = np.flatnonzero(solid[1:] & ~solid[:-1])
+            opens = np.flatnonzero(np.frombuffer(chunk, np.uint8) == ord("("))
+            before.append(done + np.searchsorted(first, opens))
+            words.append(labels.astype(_narrow(labels)))
+            done += len(first)
+        values = np.concatenate([np.zeros(0, np.int32), *words])
+        words.clear()
+        begins = np.concatenate(before)
+        sizes = np.diff(begins, append=done + 1) - 1
+        fits = (
+            len(values) == done
+            and (begins > 0).all()
+            and len(begins) == (found.count if found.count >= 0 else len(begins))
+        )
+        if not fits or (values[begins - 1] != sizes).any() or (sizes < 3).any():
+            raise self.error(
+                f"{found.count} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other numbers of labels"
+            )
+        keep = np.ones(len(values), bool)
+        keep[begins - 1] = False
+        return values[keep], np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
+
+    def _table(self, found: List, stop: int) -> np.ndarray | None:
+        """Labels (faces, corners) of a text whose faces are all of one size; None for any other."""
+        done, labels = 0, np.zeros((0, 0), np.int32)
+        for part in map(_one_size, chunks(self.data, found.start, stop)):
+            if not done and len(part) and found.count * part.shape[1] <= len(self.data):
+                labels = np.empty((found.count, part.shape[1]), part.dtype)
+            if done + len(part) > len(labels) or (part.dtype, part.shape[1]) != (labels.dtype, labels.shape[1]):
+                return None
+            labels[done : done + len(part)] = part
+            done += len(part)
+        return labels if done and done == found.count else None
+
+    def _words(self, start: int, stop: int, dtype: np.dtype) -> np.ndarray:
+        parts = []
+        for chunk in chunks(self.data, start, stop):
+            values = parse(chunk.translate(PARENTHESES), dtype.type)
+            parts.append(values.astype(_narrow(values)) if dtype.kind == "i" else values)
+        return np.concatenate(parts) if parts else np.zeros(0, dtype)
+
+
+def _one_size(chunk: bytes) -> np.ndarray:
+    """Labels (faces, corners) of a piece of text with whole faces, all of one size; empty for any other."""
+    faces = chunk.count(b"(")
+    labels = parse(chunk.translate(PARENTHESES), np.int64)
+    width, rest = divmod(len(labels), max(faces, 1))
+    if rest or width < 4 or chunk.count(b")") != faces or (labels[::width] != width - 1).any():
+        return np.zeros((0, 0), np.int32)
+    return labels.reshape(-1, width)[:, 1:].astype(_narrow(labels))
+
+
+def _narrow(labels: np.ndarray) -> type:
+    return np.int32 if not len(labels) or labels.max() < 2**31 else np.int64
+
+
+def _end_of_space(data: bytes, at: int) -> int:
+    found = _SPACE.match(data, at)
+    return at if found is None else found.end()
+
+
+def load(folder: pathlib.Path, name: str) -> FoamFile:
+    """The file of that name in a folder, plain or with the ending .gz.
+
+    `FileNotFoundError` where there is neither, `ValueError` for a file without OpenFOAM's header.
+    """
+    path = folder / name
+    if not path.is_file() and path.with_name(f"{name}.gz").is_file():
+        path = path.with_name(f"{name}.gz")
+    raw = path.read_bytes()
+    try:
+        data = gzip.decompress(raw) if path.suffix == ".gz" else raw
+    except (OSError, EOFError) as error:
+        raise ValueError(f"{path}: a damaged gzip file ({error}).") from error
+    found = _HEADER.search(data, 0, 1 << 14)
+    if found is None:
+        raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
+    header = {key: value.strip().strip('"') for key, value in _ENTRY.findall(found[1].decode(errors="replace"))}
+    return FoamFile(path, raw, data, header, found.end())
+
+
+@dataclasses.dataclass(frozen=True)
+class Patch:
+    """An entry of `boundary`: its faces are those from `start`, `count` in number."""
+
+    name: str
+    type: str
+    start: int
+    count: int
+
+
+def patches(file: FoamFile) -> list[Patch]:
+    """The patches of a file `boundary`; `ValueError` for an entry without type, nFaces or startFace."""
+    text = re.sub(r"//[^\n]*|/\*.*?\*/", " ", file.data[file.end :].decode(errors="replace"), flags=re.DOTALL)
+    found = []
+    for name, body in re.findall(r"(\"[^\"]*\"|[^\s(){};\"]+)\s*\{((?:[^{}]|\{[^{}]*\})*)\}", text):
+        entries = {key: value.strip() for key, value in _ENTRY.findall(body)}
+        try:
+            found.append(Patch(name.strip('"'), entries["type"], int(entries["startFace"]), int(entries["nFaces"])))
+        except (KeyError, ValueError) as error:
+            raise file.error(f"patch {name} has no good type, nFaces and startFace ({error})") from error
+    return found

@@ -1,0 +1,1 @@
+"""Large text files: sections, numbers, and edits in place."""

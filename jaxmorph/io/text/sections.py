@@ -1,0 +1,170 @@
+"""Rows of numbers in a text file: read in bulk, and replaced where they stand.
+
+Everything goes through `scan`, which finds the numbers (runs of non-blank bytes) of many lines at once with NumPy.
+"""
+
+import dataclasses
+import pathlib
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from .digits import lines, parse, parse_rows
+from .splice import spliced
+
+CHUNK = 1 << 20
+"""Bytes looked at together: what is made of them stays in a core's own cache."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """The numbers of the lines that hold any: `values` of all in a row, `counts` of them on each line."""
+
+    values: np.ndarray
+    counts: np.ndarray
+
+    @property
+    def first(self) -> np.ndarray:
+        """Where each row begins in `values`."""
+        return np.cumsum(self.counts) - self.counts
+
+    def columns(self, rows: np.ndarray | slice, start: int, stop: int) -> np.ndarray:
+        """The numbers from `start` up to `stop` of some rows, which have as many."""
+        width = int(self.counts[0])
+        if len(self.values) == width * len(self.counts) and (self.counts == width).all():
+            return self.values.reshape(-1, width)[rows, start:stop]
+        return self.values[self.first[rows][:, None] + np.arange(start, stop)]
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """The bytes from `start` to `stop` of a file's text; knows how to say where something stands in it."""
+
+    path: pathlib.Path
+    text: bytes
+    start: int
+    stop: int
+
+    def error(self, message: str, row: int | None = None) -> ValueError:
+        """A `ValueError` naming the file and the line: of the row with that number, or the one before the section."""
+        return ValueError(f"{self.path}, line {self._line(row)}: {message}")
+
+    def _line(self, row: int | None) -> int:
+        line = self.text.count(b"\n", 0, self.start)
+        if row is None:
+            return max(line, 1)
+        for number, content in enumerate(self.text[self.start : self.stop].split(b"\n"), start=line + 1):
+            row -= bool(content.strip())
+            if row < 0:
+                return number
+        return line
+
+    def blocks(self, dtype: type) -> Iterator[Rows]:
+        """All numbers of the section, some lines at a time. `ValueError` for anything that is not a number of type `dtype`."""
+        for chunk in chunks(self.text, self.start, self.stop):
+            values, width = parse_rows(chunk, dtype)
+            if width:
+                yield Rows(values, np.full(len(values) // width, width))
+                continue
+            counts, values = scan(chunk)[2], parse(chunk, dtype)
+            if len(values) != counts.sum():
+                raise self._not_a_number(dtype)
+            if len(counts):
+                yield Rows(values, counts)
+
+    def rows(self, dtype: type) -> Rows:
+        """`blocks`, together."""
+        values, counts = [np.zeros(0, dtype)], [np.zeros(0, np.int64)]
+        for block in self.blocks(dtype):
+            values.append(block.values)
+            counts.append(block.counts)
+        return Rows(np.concatenate(values), np.concatenate(counts))
+
+    def _not_a_number(self, dtype: type) -> ValueError:
+        kind = int if np.issubdtype(dtype, np.integer) else float
+        lines = [line for line in self.text[self.start : self.stop].split(b"\n") if line.strip()]
+        for row, line in enumerate(lines):
+            for word in line.split():
+                if len(parse(word, dtype)) != 1 or not _is(kind, word):
+                    expected = "an integer" if kind is int else "a number"
+                    return self.error(f"found {word[:40].decode(errors='replace')!r} in place of {expected}.", row)
+        return self.error("the rows that follow hold something that is not a number.")
+
+
+def blank_comments(text: bytes) -> bytes:
+    """The text with every `%` comment overwritten by spaces: what remains stands where it stood."""
+    if b"%" not in text:
+        return text
+    return re.sub(rb"%[^\r\n]*", lambda found: b" " * len(found[0]), text)
+
+
+def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
+    """The text from `start` to `stop` in pieces of whole lines, about `CHUNK` bytes each."""
+    while start < stop:
+        end = text.find(b"\n", min(start + CHUNK, stop - 1), stop) + 1 or stop
+        yield text[start:end]
+        start = end
+
+
+def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the words of a chunk begin and end, and how many stand on each line that holds any."""
+    codes = np.frombuffer(chunk, np.uint8)
+    blank = np.ones(len(codes) + 2, bool)
+    np.less_equal(codes, 32, out=blank[1:-1])
+    change = np.flatnonzero(blank[1:] != blank[:-1])
+    starts, ends = change[0::2], change[1::2]
+    line_ends = np.append(np.flatnonzero(codes == 10), len(codes))
+    counts = np.diff(np.searchsorted(starts, line_ends), prepend=0)
+    return starts, ends, counts[counts > 0]
+
+
+def replace(
+    text: bytes, part: slice, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
+) -> Iterator[bytes | memoryview]:
+    """The text with the coordinates of `points` in place of those that a part of it holds, in pieces.
+
+    `is_row` tells from the number of words on a line whether it holds a point; its coordinates begin with word `column`.
+    A coordinate that has not changed keeps its digits; a changed one gets the shortest that read back bit for bit.
+    """
+    d = points.shape[1]
+    done = 0
+    yield memoryview(text)[: part.start]
+    for original in chunks(text, part.start, part.stop):
+        chunk = blank_comments(original)
+        starts, ends, counts = scan(chunk)
+        first = (np.cumsum(counts) - counts)[is_row(counts)]
+        words = (first[:, None] + np.arange(column, column + d)).ravel()
+        yield _changed(original, chunk, starts[words], ends[words], words, points[done : done + len(first)].ravel())
+        done += len(first)
+    yield memoryview(text)[part.stop :]
+
+
+def replace_words(text: bytes, start: int, stop: int, values: np.ndarray, blanks: bytes) -> Iterator[bytes]:
+    """The text from `start` to `stop` with `values` in place of all the numbers that it holds, as `replace` does.
+
+    `blanks` is the table (of `bytes.translate`) that turns what stands between the numbers into blanks.
+    """
+    done = 0
+    for original in chunks(text, start, stop):
+        chunk = original.translate(blanks)
+        starts, ends, _ = scan(chunk)
+        yield _changed(original, chunk, starts, ends, slice(None), values[done : done + len(starts)])
+        done += len(starts)
+
+
+def _changed(original: bytes, chunk: bytes, starts: np.ndarray, ends: np.ndarray, words: Any, new: np.ndarray) -> bytes:
+    """A chunk with `new` in place of those of its words that stand between `starts` and `ends`, where it differs."""
+    changed = np.flatnonzero(new != parse(chunk, np.float64)[words].astype(new.dtype))
+    if not len(changed):
+        return original
+    return spliced(original, starts[changed], ends[changed], lines(new[changed]))
+
+
+def _is(kind: type, word: bytes) -> bool:
+    try:
+        kind(word)
+    except ValueError:
+        return False
+    return True
