@@ -40,6 +40,10 @@ def few(leaves=2):
     return jm.RBF(reduction=jm.KDTree(leaves), fixed_reduction=jm.KDTree(2))
 
 
+def farthest(count=8):
+    return jm.RBF(reduction=jm.FarthestPoints(count, extremes=True), fixed_reduction=jm.FarthestPoints(count))
+
+
 def of_the_notebook():
     """What `notebooks/07_extend.ipynb` defines, as it stands there."""
     path = pathlib.Path(__file__).parents[1] / "notebooks" / "07_extend.ipynb"
@@ -57,6 +61,7 @@ EXTENSION = of_the_notebook()
 CASES = [
     Case("default", lambda length: jm.SurfaceReconstruction(), turns=False, dimensions=(2,)),
     Case("few-sources", lambda length: jm.SurfaceReconstruction(few()), turns=False),
+    Case("farthest", lambda length: jm.SurfaceReconstruction(farthest()), turns=False, dimensions=(2,)),
     Case("near-wall", lambda length: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3 * length)), turns=False),
     Case("near-wall-alone", lambda length: jm.NearWall(), affine=False, turns=False, dimensions=(2,)),
     Case("delaunay", lambda length: jm.DelaunayGraph()),

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from .farthest import farthest
 from .reduction import AbstractReduction, canonical_order, least_distance
 
 
@@ -13,9 +14,9 @@ class Greedy(AbstractReduction):
 
     With `motions` (k, m, d), displacements of the m points typical of what is to come (modes, say), each source is put where
     a thin plate spline through those before misses them by most, as Rendall and Allen do (J. Comput. Phys. 228, 2009); it ends
-    early when it misses none by more than `tolerance` times the largest displacement. Without motions each source is the point
-    farthest from those before: even cover, whatever the motion. No two are closer than `separation` times the diagonal of all
-    points. Costs the host sources^3 operations; a k-d tree costs none to speak of.
+    early when it misses none by more than `tolerance` times the largest displacement. Without motions it chooses as
+    `FarthestPoints` does. No two are closer than `separation` times the diagonal of all points. Costs the host sources^3
+    operations.
 
     Raises `ValueError` for fewer than one source, and when called with another number of points than the motions have.
     """
@@ -45,7 +46,7 @@ class Greedy(AbstractReduction):
         order = canonical_order(points)
         ordered, closest = points[order], self.closest(points)
         if self.motions is None:
-            return np.sort(order[_spread(ordered, self.sources, closest)])
+            return np.sort(order[farthest(ordered, self.sources, closest)])
         motions = np.asarray(self.motions, dtype=float)
         if motions.shape[1:] != points.shape:
             raise ValueError(
@@ -58,21 +59,11 @@ class Greedy(AbstractReduction):
         return least_distance(points, self.separation)
 
 
-def _spread(points: np.ndarray, count: int, closest: float) -> np.ndarray:
-    """Each point the farthest from those before; the first is the farthest from the middle."""
-    chosen = [int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmax())]
-    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < count and distance.max() > closest:
-        chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(chosen)
-
-
 def _by_error(points: np.ndarray, values: np.ndarray, count: int, closest: float, tolerance: float) -> np.ndarray:
     """Points where the interpolation of `values` (m, k d) misses by most, an eighth more in each round."""
     unit = (points - points.mean(axis=0)) / (np.ptp(points, axis=0).max() or 1.0)
     tail = np.concatenate([np.ones((len(unit), 1)), unit], axis=1)
-    chosen = _spread(points, min(count, points.shape[1] + 1), closest)
+    chosen = farthest(points, min(count, points.shape[1] + 1), closest)
     kernel = _kernel(unit, unit[chosen])
     distance = np.min([np.linalg.norm(points - points[i], axis=1) for i in chosen], axis=0)
     largest = np.abs(values).max()

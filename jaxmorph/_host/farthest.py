@@ -1,0 +1,76 @@
+"""Farthest points: sources spread evenly over a surface, one after the other (Gonzalez 1985)."""
+
+import dataclasses
+
+import numpy as np
+
+from .reduction import AbstractReduction, canonical_order, extreme_points, least_distance
+
+
+@dataclasses.dataclass(frozen=True)
+class FarthestPoints(AbstractReduction):
+    """Chooses `count` points, each the farthest from those before.
+
+    The first is the farthest from the middle. No point of the surface is then farther from the nearest source than twice
+    what any choice of as many sources allows (Gonzalez, Theoretical Computer Science 38, 1985), whatever the density of
+    the mesh. No two sources are closer than `separation` times the diagonal of all points; there are fewer than `count`
+    where that, or the mesh, leaves no more. `extremes=True` begins with the points at which the bounding box is touched, as
+    in `KDTree`: a blunt trailing edge, a wing's tip.
+
+    The result depends on the set of points, not on their order. It costs n times `count` operations.
+
+    Raises `ValueError` for a count below one and a separation that is not from 0 to 1.
+    """
+
+    count: int
+    _: dataclasses.KW_ONLY
+    separation: float = 1e-3
+    extremes: bool = False
+
+    def __post_init__(self):
+        if self.count < 1:
+            raise ValueError(f"`count` must be at least 1, not {self.count}.")
+        if not 0 <= self.separation < 1:
+            raise ValueError(
+                f"`separation` is relative to the extent of the points, from 0 to 1; not {self.separation}."
+            )
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        points = np.asarray(points, dtype=float)
+        if len(points) == 0:
+            return np.zeros(0, dtype=np.int64)
+        order = canonical_order(points)
+        ordered = points[order]
+        first = extreme_points(ordered) if self.extremes else None
+        return np.sort(order[farthest(ordered, self.count, self.closest(points), first)])
+
+    def closest(self, points: np.ndarray) -> float:
+        return least_distance(points, self.separation)
+
+
+def farthest(points: np.ndarray, count: int, closest: float, first: np.ndarray | None = None) -> np.ndarray:
+    """Ids of `count` points, each the farthest from those before, as long as one is `closest` away; the `first` ones come first."""
+    columns = np.ascontiguousarray(points.T)
+    distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
+    chosen = []
+    outermost = ((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax(keepdims=True)
+    for node in (outermost if first is None else first).tolist():
+        if distance[node] > closest**2 and len(chosen) < count:
+            chosen.append(node)
+            _lower(distance, columns, node, work)
+    while len(chosen) < count and distance.max() > closest**2:
+        chosen.append(int(distance.argmax()))
+        _lower(distance, columns, chosen[-1], work)
+    return np.array(chosen)
+
+
+def _lower(distance: np.ndarray, columns: np.ndarray, node: int, work: np.ndarray) -> None:
+    """Squared distances from the nearest chosen node, with one more chosen; in place, so that all stays in the cache."""
+    total, term = work
+    np.subtract(columns[0], columns[0, node], out=total)
+    np.multiply(total, total, out=total)
+    for column in columns[1:]:
+        np.subtract(column, column[node], out=term)
+        np.multiply(term, term, out=term)
+        np.add(total, term, out=total)
+    np.minimum(distance, total, out=distance)
