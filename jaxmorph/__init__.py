@@ -1,5 +1,7 @@
 """Differentiable mesh morphing in JAX: reduced radial basis functions with exact surfaces."""
 
+from importlib.metadata import version as _version
+
 from . import shapes as shapes
 from ._advice.choose import Choice as Choice
 from ._advice.choose import choose as choose
@@ -51,4 +53,4 @@ from ._quality.smooth import soft_maximum as soft_maximum
 from ._quality.smooth_quality import SmoothQuality as SmoothQuality
 from ._quality.smooth_quality import smooth_quality as smooth_quality
 
-__version__ = "0.1.0"
+__version__ = _version("jaxmorph")
