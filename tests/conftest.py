@@ -1,11 +1,29 @@
-"""Every test runs in float64; those about float32 ask for it themselves."""
+"""What every test stands on: float64, broadcasts that are written out, compiled code that is shared and dropped file by file."""
 
+import os
 import resource
+import sys
+import tempfile
 
+import equinox as eqx
 import jax
 import pytest
 
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # one folder of compiled code for the workers and for the processes that tests start; with a limit to its size JAX locks it
+    FOLDER = tempfile.TemporaryDirectory(prefix="jaxmorph-compiled-")
+    CACHE = {
+        "jax_compilation_cache_dir": FOLDER.name,
+        "jax_compilation_cache_max_size": 2**32,
+        "jax_persistent_cache_min_compile_time_secs": 0.3,
+    }
+    for option, value in CACHE.items():
+        os.environ[option.upper()] = str(value)
+        jax.config.update(option, value)
+
 jax.config.update("jax_enable_x64", True)
+MEMORY = {}
+"""Largest resident memory of each worker, bytes."""
 
 
 @pytest.fixture(autouse=True)
@@ -14,3 +32,26 @@ def stack_limit():
     limit = resource.getrlimit(resource.RLIMIT_STACK)
     yield
     resource.setrlimit(resource.RLIMIT_STACK, limit)
+
+
+def pytest_runtest_teardown(item, nextitem):
+    if nextitem is None or nextitem.path != item.path:
+        eqx.clear_caches()
+
+
+def pytest_sessionfinish(session):
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["memory"] = largest
+    else:
+        MEMORY["this process"] = largest
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    MEMORY[node.gateway.id] = getattr(node, "workeroutput", {}).get("memory", 0)
+
+
+def pytest_terminal_summary(terminalreporter):
+    each = ", ".join(f"{name} {memory / 1e9:.2f} GB" for name, memory in sorted(MEMORY.items()))
+    terminalreporter.write_line(f"memory: {each}")
