@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from _measure import about
-from limits import pitch, turned
+from limits import pitch
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -30,7 +30,7 @@ def flap(base: np.ndarray, degrees: float) -> np.ndarray:
     rise = np.clip(np.minimum(eta - 0.4, 0.8 - eta) / 0.1, 0, 1)
     angle = np.where(base[:, 0] > hinge, degrees * rise**2 * (3 - 2 * rise), 0)
     about_hinge = np.stack([base[:, 0] - hinge, base[:, 2]], axis=1)
-    moved = turned(about_hinge, np.zeros(2), angle)
+    moved = jm.shapes.rotate(about_hinge, -np.deg2rad(angle), np.zeros(2)) - about_hinge
     return np.stack([moved[:, 0], np.zeros(len(base)), moved[:, 1]], axis=1)
 
 

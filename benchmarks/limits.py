@@ -22,22 +22,15 @@ METHODS = {
 }
 
 
-def pitch(base: np.ndarray, degrees: float) -> np.ndarray:
+def pitch(base: np.ndarray, degrees: float) -> jax.Array:
     """Nose up about the quarter chord."""
-    return turned(base, np.array([0.25, 0.0]), degrees * np.ones(len(base)))
+    return jm.shapes.rotate(base, -np.deg2rad(degrees), [0.25, 0.0]) - base
 
 
-def flap(base: np.ndarray, degrees: float) -> np.ndarray:
+def flap(base: np.ndarray, degrees: float) -> jax.Array:
     """Downwards behind 70 % of the chord, blended over a tenth of it before the hinge."""
     share = np.clip((base[:, 0] - 0.65) / 0.1, 0, 1)
-    return turned(base, np.array([0.7, 0.0]), degrees * share**2 * (3 - 2 * share))
-
-
-def turned(base: np.ndarray, about: np.ndarray, degrees: np.ndarray) -> np.ndarray:
-    angle = -np.deg2rad(degrees)
-    x, y = (base - about).T
-    moved = np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], axis=1)
-    return moved + about - base
+    return jm.shapes.rotate(base, -np.deg2rad(degrees) * share**2 * (3 - 2 * share), [0.7, 0.0]) - base
 
 
 def limit(plan: jm.Plan, mesh: jm.Mesh, motion, most: float, steps: int) -> float:

@@ -26,10 +26,10 @@ METHODS = {
 
 def problems():
     airfoil, wing = cases.naca0015(), cases.agard445(points=16_000)
-    arms = airfoil.points[airfoil.patch("airfoil")] - [0.25, 0]
-    angle = np.deg2rad(-15)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) - np.eye(2)
-    yield "airfoil, 15 degrees", airfoil, "airfoil", arms @ turn.T
+    wall = airfoil.points[airfoil.patch("airfoil")]
+    with jax.enable_x64(True):
+        pitched = np.asarray(jm.shapes.rotate(wall, np.deg2rad(-15), [0.25, 0.0])) - wall
+    yield "airfoil, 15 degrees", airfoil, "airfoil", pitched
     yield "wing, mode 1 by 0.25", wing, "wing", cases.agard445_mode(wing.points[wing.patch("wing")], 1, 0.25)
 
 

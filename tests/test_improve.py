@@ -222,9 +222,8 @@ def test_wrong_input_is_named(change, message):
 
 
 def rotated(mesh, degrees):
-    base, angle = mesh.points[mesh.patch("airfoil")], -np.deg2rad(degrees)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return (base - [0.25, 0]) @ turn.T + [0.25, 0] - base
+    base = mesh.points[mesh.patch("airfoil")]
+    return jm.shapes.rotate(base, -np.deg2rad(degrees), [0.25, 0]) - base
 
 
 @pytest.mark.slow

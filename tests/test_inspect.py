@@ -17,9 +17,7 @@ def rotation(mesh, degrees):
     base = mesh.points[mesh.patch("airfoil")]
 
     def motion(t):
-        angle = -np.deg2rad(degrees * t)
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        return (base - [0.25, 0]) @ turn.T + [0.25, 0] - base
+        return np.asarray(jm.shapes.rotate(base, -np.deg2rad(degrees * t), [0.25, 0])) - base
 
     return motion
 

@@ -287,8 +287,7 @@ def test_cells_that_were_bad_from_the_start_are_not_inverted():
     }
     mesh = jm.Mesh(points, {"quad": list(quads.values())})
     assert int(jm.quality(mesh, points).inverted) == 0
-    turn = np.array([[np.cos(1), np.sin(1)], [-np.sin(1), np.cos(1)]])
-    report = jm.quality(mesh, (points + np.array([1e3, 7])) @ turn)
+    report = jm.quality(mesh, jm.shapes.rotate(points + np.array([1e3, 7]), 1.0, [0, 0]))
     assert dict(zip(quads, report.is_inverted.tolist(), strict=True)) == dict.fromkeys(quads, False)
     np.testing.assert_allclose(report.jacobian_ratio, 1, rtol=1e-9)
     assert report.is_degenerate.tolist() == [False, False, False, True, False]

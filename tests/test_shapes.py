@@ -72,6 +72,12 @@ def test_rotation_is_scipys():
     np.testing.assert_allclose(shapes.rotate(cloud(2), 0.7, [0.0, 0.0]), in_plane, atol=1e-14)
 
 
+def test_each_position_may_turn_by_its_own_angle():
+    x, angles = cloud(2), np.linspace(-1, 1, 40)
+    expected = np.concatenate([shapes.rotate(x[i : i + 1], angle, ABOUT[2]) for i, angle in enumerate(angles)])
+    np.testing.assert_allclose(shapes.rotate(x, angles, ABOUT[2]), expected, atol=1e-15)
+
+
 def test_scaling_by_one_number_and_by_several():
     np.testing.assert_allclose(shapes.scale(cloud(2), 3, [0, 0]), 3 * cloud(2), rtol=1e-15)
     np.testing.assert_allclose(shapes.scale(cloud(2), [1, 2], [0, 1]), cloud(2) * [1, 2] - [0, 1], atol=1e-14)

@@ -17,14 +17,9 @@ STEPS = 2
 def turned(mesh, steps=STEPS, angle=0.5):
     """A path of rotations of the moving nodes, with some bending: totals, so not on a straight line."""
     wall = mesh.points[mesh.moving]
-    d = wall.shape[1]
-    path = []
-    for part in np.arange(1, steps + 1) / steps:
-        c, s = np.cos(angle * part), np.sin(angle * part)
-        matrix = np.eye(d)
-        matrix[:2, :2] = [[c, -s], [s, c]]
-        path.append(wall @ matrix.T - wall + part * motion(wall))
-    return np.stack(path)
+    centre, axis = np.zeros(wall.shape[1]), None if wall.shape[1] == 2 else [0, 0, 1]
+    shares = np.arange(1, steps + 1) / steps
+    return np.stack([jm.shapes.rotate(wall, angle * s, centre, axis) - wall + s * motion(wall) for s in shares])
 
 
 METHODS = {

@@ -9,13 +9,13 @@ from jaxtyping import Array, Float
 from ._door import Number, Numbers, axis_for, number, positions, vector
 
 
-def rotate(x: Numbers, angle: Number, about: Numbers, axis: Numbers | None = None) -> Float[Array, "m d"]:
+def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | None = None) -> Float[Array, "m d"]:
     """Rotates positions about a point in 2-D, about an axis through a point in 3-D.
 
     **Arguments:**
 
     - `x`: positions (m, d).
-    - `angle`: radians, counter-clockwise as seen against `axis`; 0 is neutral.
+    - `angle`: radians, counter-clockwise as seen against `axis`, for all positions or one for each (m,); 0 is neutral.
     - `about`: a point (d,) that stays.
     - `axis`: direction (3,) of any length; only in 3-D.
 
@@ -24,7 +24,9 @@ def rotate(x: Numbers, angle: Number, about: Numbers, axis: Numbers | None = Non
     **Raises:** `ValueError` for wrong shapes, an axis in 2-D, none in 3-D, or one without length.
     """
     x = positions(x)
-    return x + turn(x - vector("about", about, x)[None, :], number("angle", angle, x), axis_for(axis, x))
+    angle = jnp.asarray(angle, x.dtype)
+    angle = angle[:, None] if angle.shape == x.shape[:1] else number("angle", angle, x)
+    return x + turn(x - vector("about", about, x)[None, :], angle, axis_for(axis, x))
 
 
 def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
