@@ -47,7 +47,7 @@ def test_mesh_draws_each_cell_in_its_colour():
 def test_mesh_at_other_points_in_a_window_of_a_given_axis():
     mesh, given = mixed(), plt.subplots()[1]
     axis = plot.mesh(
-        mesh, mesh.points + np.array([10, 0]), values=[4, 1, 2], window=((10.1, 10.9), (0.2, 0.5)), axis=given
+        mesh, mesh.points + np.array([10, 0]), values=[4, 1, 2], window=((10.1, 10.9), (0.2, 0.5)), ax=given
     )
     assert axis is given
     assert axis.get_xlim() == (10.1, 10.9)
@@ -55,7 +55,7 @@ def test_mesh_at_other_points_in_a_window_of_a_given_axis():
 
 
 def test_lines_are_thin_where_cells_are(airfoil):
-    widths = plot.mesh(airfoil).collections[0].get_linewidths()
+    widths = plot.mesh(airfoil, window=plot.whole(airfoil.points)).collections[0].get_linewidths()
     corners = airfoil.points[airfoil.cells["quad"]]
     height = np.linalg.norm(corners[:, 3] - corners[:, 0], axis=1)
     assert widths[height.argmin()] == min(widths) < 0.1
@@ -96,9 +96,70 @@ def test_mesh_refuses_before_it_draws(options, said):
     assert not plt.get_fignums()
 
 
+def test_pictures_show_the_bodies_and_some_room(airfoil):
+    """Unless a window is given; a mesh without inner patches is shown whole."""
+    wall = airfoil.points[airfoil.patch("airfoil")]
+    plan = jm.prepare(airfoil.points, airfoil.patch("airfoil"), airfoil.patch("farfield"))
+    lifted = airfoil.points + np.array([0, 0.5])
+    for ax, top in (
+        (plot.mesh(airfoil), wall[:, 1].max()),
+        (plot.graph(plan), wall[:, 1].max()),
+        (plot.before_after(airfoil, lifted), wall[:, 1].max() + 0.5),
+    ):
+        (left, right), (bottom, high) = ax.get_xlim(), ax.get_ylim()
+        assert -1 < left < wall[:, 0].min()
+        assert wall[:, 0].max() < right < 2
+        assert -1 < bottom < wall[:, 1].min()
+        assert top < high < top + 1
+    ax = plot.mesh(mixed())
+    assert (ax.get_xlim(), ax.get_ylim()) == plot.whole(mixed().points)
+
+
+@pytest.mark.parametrize("label", [None, "skewness"])
+def test_values_bring_a_bar_unless_told_otherwise(label):
+    (bar,) = plot.mesh(mixed(), values=[0.0, 1.0, 0.5], label=label).child_axes
+    assert bar.get_ylabel() == (label or "")
+    assert not plot.mesh(mixed(), values=[0.0, 1.0, 0.5], label=label, bar=False).child_axes
+    for bar in (True, False):
+        plotter = plot.surface(bricks(), values=np.arange(27.0), label=label, bar=bar)
+        assert len(plotter.scalar_bars) == bar
+        plotter.close()
+
+
+def test_a_bar_in_3d_stands_beside_the_cells():
+    plotter = plot.cut(bricks(), plane=jm.Plane((0, 1.0, 0), (0, 0.5, 0)), values=np.arange(27.0), label="V/V0")
+    picture = plotter.screenshot(return_img=True).astype(int)
+    plotter.close()
+    filled = np.flatnonzero((picture.min(axis=2) < 250).any(axis=0))
+    gaps = filled[1:][np.diff(filled) > 20]  # columns of pixels left white between cells and bar
+    assert len(gaps) >= 1
+    assert filled[0] > 0
+    wide = jm.Mesh(bricks().points * [3, 1, 1], bricks().cells, {})
+    plotter = plot.cut(wide, plane=jm.Plane((0, 1.0, 0), (0, 0.5, 0)), values=np.arange(27.0))
+    picture = plotter.screenshot(return_img=True).astype(int)
+    plotter.close()
+    filled = np.flatnonzero((picture.min(axis=2) < 250).any(axis=0))
+    assert len(filled[1:][np.diff(filled) > 20]) >= 1
+
+
+def test_colours_in_3d_are_those_of_the_bar():
+    """One value everywhere gives one colour, whichever way a face looks."""
+    plotter = plot.surface(bricks(), values=np.full(27, 0.5), limits=(0, 1), bar=False)
+    for actor in plotter.actors.values():
+        actor.prop.show_edges = False
+    picture = plotter.screenshot(return_img=True)
+    plotter.close()
+    colours, counts = np.unique(picture.reshape(-1, 3), axis=0, return_counts=True)
+    colour, background = colours[np.argsort(counts)[-2:]]
+    if (colour == 255).all():
+        colour, background = background, colour
+    np.testing.assert_allclose(colour / 255, plt.get_cmap(plot.COLOURS)(0.5)[:3], atol=0.01)
+    assert np.sort(counts)[-2:].sum() > 0.98 * counts.sum()
+
+
 def test_before_and_after_in_two_colours(airfoil):
     moved = airfoil.points * [1, 2]
-    axis = plot.before_after(airfoil, moved)
+    axis = plot.before_after(airfoil, moved, window=plot.whole(moved))
     before, after = axis.collections
     np.testing.assert_array_equal(outlines(before)[0][:4], airfoil.points[airfoil.cells["quad"][0]])
     np.testing.assert_array_equal(outlines(after)[0][:4], moved[airfoil.cells["quad"][0]])
@@ -127,7 +188,7 @@ def test_graph_has_the_edges_of_a_triangulation():
     hull = ConvexHull(points).vertices
     plan = jm.prepare(points, [k for k in range(30) if k not in hull], list(hull), method=jm.DelaunayGraph())
     nodes = np.concatenate([plan.moving, plan.fixed])
-    axis = plot.graph(plan, interior=True)
+    axis = plot.graph(plan, interior=True, window=plot.whole(plan.points))
     (edges,) = axis.collections
     assert len(edges.get_segments()) == 3 * len(nodes) - 3 - len(hull)  # Euler
     assert len(axis.lines[0].get_xdata()) == len(points) - len(nodes)
@@ -189,10 +250,10 @@ def test_surface_of_a_patch_of_a_moved_mesh():
     plotter.close()
 
 
-def test_before_and_after_in_space():
+def test_before_and_after_in_3d():
     mesh = bricks()
     moved = mesh.points * [1, 1, 2]
-    plotter = plot.before_after_in_space(mesh, moved)
+    plotter = plot.before_after_3d(mesh, moved)
     before, after = plotter.meshes
     assert before.n_cells == after.n_cells == 6 * 9
     np.testing.assert_allclose(np.array(before.bounds), [0, 1] * 3)
@@ -200,12 +261,24 @@ def test_before_and_after_in_space():
     plotter.close()
 
 
+def test_one_state_is_seen_through_the_other():
+    """A body that grows hides what it was, and one that shrinks what became of it, unless both let light through."""
+    mesh = bricks()
+    for factor in (2, 0.5):
+        plotter = plot.before_after_3d(mesh, 0.5 + factor * (mesh.points - 0.5))
+        picture = plotter.screenshot(return_img=True).astype(int)
+        plotter.close()
+        height, width = picture.shape[:2]
+        middle, outer = picture[height // 2, width // 2], picture[height // 2, int(0.36 * width)]
+        assert np.abs(middle - outer).max() > 20
+
+
 def test_space_refuses_what_it_cannot_draw():
     mesh = bricks()
     with pytest.raises(ValueError, match="no patch is called 'roof'"):
         plot.surface(mesh, patch="roof")
     with pytest.raises(ValueError, match=r"shape \(3, 3\)"):
-        plot.before_after_in_space(mesh, np.zeros((3, 3)))
+        plot.before_after_3d(mesh, np.zeros((3, 3)))
     with pytest.raises(ValueError, match="no `values`"):
         plot.surface(mesh, label="skewness")
     one_node = jm.Mesh(mesh.points, mesh.cells, {"corner": [0]})
@@ -213,7 +286,7 @@ def test_space_refuses_what_it_cannot_draw():
         plot.surface(one_node, patch="corner")
 
 
-def test_a_label_brings_a_bar_in_space():
+def test_a_label_brings_a_bar_in_3d():
     plotter = plot.surface(bricks(), values=np.arange(27.0), limits=(26, 0), label="J/J0")
     assert "J/J0\n" in plotter.scalar_bars
     assert plotter.mapper.scalar_range == (0, 26)

@@ -109,7 +109,7 @@ def test_mp4_holds_the_frames(tmp_path):
     mesh = mixed()
 
     def draw(points):
-        return plot.mesh(mesh, points, window=WINDOW, axis=plt.subplots(figsize=(2.01, 1), dpi=100)[1])
+        return plot.mesh(mesh, points, window=WINDOW, ax=plt.subplots(figsize=(2.01, 1), dpi=100)[1])
 
     path = plot.animate(tmp_path / "m.mp4", draw, plot.swing(mesh.points, raised(mesh), frames=5))
     read = [program, "-loglevel", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "gray", "-"]
@@ -196,7 +196,7 @@ def test_pages_are_refused_before_anything_is_written(tmp_path):
     mesh = bricks(2)
     with pytest.raises(ValueError, match=r"\.html"):
         plot.page(tmp_path / "cube.htl", mesh, mesh.points)
-    with pytest.raises(ValueError, match="in space"):
+    with pytest.raises(ValueError, match="3-D meshes"):
         plot.page(tmp_path / "cube.html", mixed(), mixed().points)
     with pytest.raises(ValueError, match="8 cells"):
         plot.page(tmp_path / "cube.html", mesh, mesh.points, values=np.zeros(3))

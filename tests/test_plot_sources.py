@@ -58,12 +58,12 @@ def test_a_plan_shows_its_own_sources():
     points = np.asarray(plan.points)
     parts = [(points[:40], jm.KDTree(4)), (points[40:70], jm.KDTree(2))]
     expected = np.concatenate([points[reduction(points)] for points, reduction in parts])
-    axis = plot.sources(plan, search_points=True)
+    axis = plot.sources(plan, fixed=True, search_points=True)
     np.testing.assert_array_equal(np.sort(drawn(axis, "sources"), axis=0), np.sort(expected, axis=0))
     np.testing.assert_array_equal(drawn(axis, "nodes"), plan.points[:70])
     assert "6 leaves" in [line.get_label() for line in axis.lines]
     assert len(drawn(axis, "search points")) == 6 * 4
-    looked, of_wall = drawn(axis, "search points")[:16], drawn(plot.sources(plan, fixed=False), "sources")
+    looked, of_wall = drawn(axis, "search points")[:16], drawn(plot.sources(plan), "sources")
     distance = cKDTree(points[:40]).query(looked)[0]  # the node closest to each place is a source
     np.testing.assert_allclose(cKDTree(of_wall).query(looked)[0], distance, atol=1e-12)
     assert len(of_wall) <= 16
@@ -71,7 +71,7 @@ def test_a_plan_shows_its_own_sources():
 
 def test_sources_of_a_plan_with_a_symmetry_plane_are_its_own_nodes():
     plan = planned(half=True)
-    shown = drawn(plot.sources(plan), "sources")
+    shown = drawn(plot.sources(plan, fixed=True), "sources")
     distance, nodes = cKDTree(plan.points[:70]).query(shown)
     assert distance.max() == 0
     assert len(np.unique(nodes)) == len(shown)
@@ -81,13 +81,13 @@ def test_sources_of_a_plan_with_a_symmetry_plane_are_its_own_nodes():
 
 def test_window_and_given_axis():
     given = plt.subplots()[1]
-    assert plot.sources(planned(), window=((-2, 2), (-1, 1)), axis=given) is given
+    assert plot.sources(planned(), window=((-2, 2), (-1, 1)), ax=given) is given
     assert given.get_xlim() == (-2, 2)
 
 
 def test_boxes_in_space_are_wires_round_the_points():
     points, tree = ball(), jm.KDTree(8)
-    plotter = plot.sources_in_space(points, tree, search_points=True)
+    plotter = plot.sources_3d(points, tree, search_points=True)
     nodes, chosen, wires, searched = plotter.meshes
     np.testing.assert_allclose(nodes.points, points, atol=1e-6)
     np.testing.assert_allclose(chosen.points, points[tree(points)], atol=1e-6)
@@ -101,7 +101,7 @@ def test_boxes_in_space_are_wires_round_the_points():
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     np.testing.assert_allclose(lengths.sum(), 4 * (high - low).sum(), rtol=1e-4)
     assert (np.count_nonzero(ends[:, 1] != ends[:, 0], axis=1) == 1).all()
-    assert plot.sources_in_space(points, jm.KDTree(2), plotter=plotter) is plotter
+    assert plot.sources_3d(points, jm.KDTree(2), plotter=plotter) is plotter
     plotter.close()
 
 
@@ -113,12 +113,12 @@ def test_refused_before_anything_is_drawn():
         plot.sources(plan, jm.KDTree(3))
     with pytest.raises(ValueError, match="need the `reduction`"):
         plot.sources(plan.points)
-    with pytest.raises(ValueError, match="sources_in_space"):
+    with pytest.raises(ValueError, match="sources_3d"):
         plot.sources(ball(), jm.KDTree(3))
     with pytest.raises(ValueError, match=r"plot\.sources"):
-        plot.sources_in_space(plan)
-    with pytest.raises(ValueError, match="in space"):
-        plot.sources_in_space(plan.points, jm.KDTree(3))
+        plot.sources_3d(plan)
+    with pytest.raises(ValueError, match="in 3-D"):
+        plot.sources_3d(plan.points, jm.KDTree(3))
     assert not plt.get_fignums()
 
 
@@ -144,6 +144,11 @@ def test_errors_on_the_surface_are_those_of_scipy():
     np.testing.assert_array_equal(largest.get_ydata(), found.largest[np.argsort(found.sources)])
     np.testing.assert_array_equal(mean.get_ydata(), found.mean[np.argsort(found.sources)])
     assert [text.get_text() for text in axis.get_legend().get_texts()] == ["k-d tree, largest", "k-d tree, mean"]
+    axis.figure.canvas.draw()
+    ticks = {label.get_text() for label in axis.get_xticklabels()}
+    assert ticks == {str(number) for number in found.sources}
+    (bottom, top), ticks = axis.get_ylim(), axis.get_yticks()
+    assert ((ticks >= bottom) & (ticks <= top)).sum() >= 2
 
 
 def test_errors_with_a_symmetry_plane():

@@ -36,7 +36,7 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"]) ->
         for column, outcome in zip(axes.T, outcomes, strict=True):
             skewness = np.asarray(outcome.reports[-1].skewness)
             for axis, window in zip(column, (AIRFOIL, TRAILING_EDGE), strict=True):
-                plot.mesh(mesh, outcome.points, values=skewness, limits=(0, LARGEST), window=window, axis=axis)
+                plot.mesh(mesh, outcome.points, values=skewness, limits=(0, LARGEST), window=window, bar=False, ax=axis)
                 axis.tick_params(labelsize=11)
                 axis.locator_params(nbins=6)
             column[0].set_title(f"{outcome.study.title}: largest skewness {outcome.skewness[-1][1]:.2f}")

@@ -52,7 +52,7 @@ def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome:
         axes = figure.subplots(1, len(views))
         for axis, (title, points, report) in zip(axes, views, strict=True):
             values = np.asarray(report.aspect_ratio)
-            plotter = plot.surface(mesh, points, values=values, limits=ASPECT_RATIO, patch="wing")
+            plotter = plot.surface(mesh, points, values=values, limits=ASPECT_RATIO, bar=False, patch="wing")
             _show(axis, plotter, camera, half, title)
         _bar(figure, axes, ASPECT_RATIO, "aspect ratio of the cells on the wing")
         figure.savefig(path)
@@ -71,7 +71,7 @@ def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"], motion
             titles = outcome.study.name, f"smallest V/V0 of all cells {float(report.min_volume_ratio):.2f}"
             camera = _across(mesh, outcome.points)
             for axis, shown, (limits, _), title in zip(column, values, kinds, titles, strict=True):
-                plotter = plot.cut(mesh, outcome.points, plane=plane, values=shown, limits=limits)
+                plotter = plot.cut(mesh, outcome.points, plane=plane, values=shown, limits=limits, bar=False)
                 _show(axis, plotter, camera, HALF_CUT, title)
         for row, (limits, label) in zip(axes, kinds, strict=True):
             _bar(figure, row, limits, label)

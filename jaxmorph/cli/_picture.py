@@ -40,7 +40,7 @@ def picture(path: pathlib.Path, mesh: Mesh, moving: np.ndarray, before: Judged, 
         return
     import matplotlib.image
 
-    plotter, file = plot.before_after_in_space(only, after.points, patch="moving"), io.BytesIO()
+    plotter, file = plot.before_after_3d(only, after.points, patch="moving"), io.BytesIO()
     matplotlib.image.imsave(file, plotter.screenshot(return_img=True), format="png")
     plotter.close()
     save(path, file.getvalue())
@@ -58,7 +58,7 @@ def _in_plane(mesh: Mesh, moving: np.ndarray, before: Judged, after: Judged) -> 
     largest = max(float(judged.report.max_skewness) for judged in (before, after))
     for axis, judged, title in zip(axes, (before, after), ("undeformed", "deformed"), strict=True):
         colours: dict[str, Any] = {"values": judged.report.skewness, "limits": (0, largest or 1)}
-        plot.mesh(mesh, judged.points, **colours, window=window, axis=axis)
+        plot.mesh(mesh, judged.points, **colours, window=window, bar=False, ax=axis)
         axis.set_title(f"{title}: largest skewness {float(judged.report.max_skewness):.3g}", fontsize=15)
     figure.colorbar(axes[0].collections[0], ax=axes, location="bottom", aspect=50, pad=0.02).set_label(
         "skewness", fontsize=13

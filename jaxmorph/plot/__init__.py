@@ -1,7 +1,7 @@
-"""Pictures of meshes: in the plane with matplotlib, in space with pyvista, off screen.
+"""Draws meshes: in 2-D with matplotlib, in 3-D with pyvista, off screen.
 
-Plots in the plane take an axis (a new one where none is given) and give it back; those in space do so with a plotter. `animate`
-makes a film of either, `page` an interactive page of a surface in space.
+Plots in 2-D take `ax`, matplotlib's axes (new ones where none are given), and return them. Plots in 3-D take and return pyvista's
+plotter. `animate` makes a film of either, `page` an interactive page of a surface in 3-D.
 """
 
 from ._curves import SurfaceErrors as SurfaceErrors
@@ -15,9 +15,10 @@ from ._plane import Window as Window
 from ._plane import before_after as before_after
 from ._plane import graph as graph
 from ._plane import mesh as mesh
+from ._plane import whole as whole
 from ._sources import sources as sources
-from ._sources import sources_in_space as sources_in_space
-from ._space import before_after_in_space as before_after_in_space
+from ._sources import sources_3d as sources_3d
+from ._space import before_after_3d as before_after_3d
 from ._space import cut as cut
 from ._space import surface as surface
 from ._style import BLUE as BLUE

@@ -1,4 +1,4 @@
-"""Numbers as curves: histograms of quality, and the error on the surface against the number of sources."""
+"""Draws numbers as curves: histograms of quality, and the error on the surface against the number of sources."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -10,37 +10,39 @@ from jaxtyping import Float, Int
 import jaxmorph as jm
 from jaxmorph._host.topology import DIMENSION
 
-from ._plane import Axes, ScalarFormatter, given_or_new
+from ._plane import Axes, given_or_new
 from ._sources import of_plan, radial_basis_functions
 from ._style import BLUE, DARK, GREEN, GREY, ORANGE
 
 MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "jacobian", "volume_ratio", "jacobian_ratio")
 
 
-def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", axis: Axes | None = None) -> Axes:
-    """How many cells have which value of a measure, for several reports by name: `{"before": ..., "after": ...}`.
+def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", ax: Axes | None = None) -> Axes:
+    """Draws how many cells have which value of a measure, for several reports by name: `{"before": ..., "after": ...}`.
 
     `measure` is the name of one of the report's arrays. Counts are on a logarithmic scale: the worst cells are few. Cells of
     the boundary do not count, nor do infinite values.
 
-    Raises `ValueError` for a measure that is not known, and where there is no report.
+    **Returns:** the axes `ax`, or new ones.
+
+    **Raises:** `ValueError` for a measure that is not known, and where there is no report.
     """
     if measure not in MEASURES:
         raise ValueError(f"no measure is called {measure!r}; there are {', '.join(MEASURES)}.")
     if not reports:
         raise ValueError("`reports` is empty: give at least one, such as {'undeformed': jm.quality(mesh)}.")
     finite = {name: _of_cells(report, measure) for name, report in reports.items()}
-    axis = given_or_new(axis)
+    ax = given_or_new(ax)
     bins = np.histogram_bin_edges(np.concatenate(list(finite.values())), bins=60)
     colours = (GREY, BLUE, ORANGE, GREEN, DARK)
     for k, (name, of_cells) in enumerate(finite.items()):
         style = {"histtype": "bar", "alpha": 0.5} if k == 0 else {"histtype": "step", "linewidth": 1.8}
-        axis.hist(of_cells, bins=list(bins), label=name, color=colours[k % len(colours)], log=True, **style)
-    axis.set_ylim(bottom=0.5)  # below a single cell
-    axis.set_xlabel(measure.replace("_", " "))
-    axis.set_ylabel("cells")
-    axis.legend()
-    return axis
+        ax.hist(of_cells, bins=list(bins), label=name, color=colours[k % len(colours)], log=True, **style)
+    ax.set_ylim(bottom=0.5)  # below a single cell
+    ax.set_xlabel(measure.replace("_", " "))
+    ax.set_ylabel("cells")
+    ax.legend()
+    return ax
 
 
 def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]:
@@ -53,10 +55,10 @@ def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceErrors:
-    """What reduced radial basis functions miss on a moving surface, one entry a reduction: `surface_errors` finds it.
+    """Holds what reduced radial basis functions miss on a moving surface, one entry for each reduction: see `surface_errors`.
 
-    `sources` is their number in all, moving and fixed; `largest` and `mean` are of the distances of moving nodes from where
-    they should be, relative to the largest displacement.
+    `sources` counts moving and fixed sources. `largest` and `mean` are the distances of moving nodes from where they should be,
+    relative to the largest displacement.
     """
 
     sources: Int[np.ndarray, " r"]
@@ -65,12 +67,13 @@ class SurfaceErrors:
 
 
 def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.AbstractReduction]) -> SurfaceErrors:
-    """Host: how far the plan's radial basis functions alone, without a correction, miss a displacement `u` (m, d).
+    """Measures, on the host, how far a plan's radial basis functions miss a displacement `u` (m, d) without a correction.
 
-    The basis, polynomial and reduction of the fixed nodes are the plan's; the moving nodes are reduced by each of
-    `reductions` in turn, such as `[jm.KDTree(leaves) for leaves in (1, 4, 16, 64)]`. One dense solve each, and no volume mesh.
+    The basis, the polynomial and the reduction of the fixed nodes are the plan's. The moving nodes are reduced by each of
+    `reductions` in turn, such as `[jm.KDTree(leaves) for leaves in (1, 4, 16, 64)]`. Each costs one dense solve and needs no volume
+    mesh.
 
-    Raises `ValueError` for a plan without radial basis functions, when the shape of `u` is not (m, d) or `u` is zero, for no
+    **Raises:** `ValueError` for a plan without radial basis functions, when the shape of `u` is not (m, d) or `u` is zero, for no
     `reductions`, and what `prepare` raises for one of them.
     """
     rbf, _ = radial_basis_functions(plan)
@@ -100,26 +103,40 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
     return SurfaceErrors(number, largest / size, mean / size)
 
 
-def convergence(errors: Mapping[str, SurfaceErrors], *, axis: Axes | None = None) -> Axes:
-    """The error on the surface against the number of sources, for several families of reductions by name: `{"k-d tree": ...}`.
+def convergence(errors: Mapping[str, SurfaceErrors], *, ax: Axes | None = None) -> Axes:
+    """Draws the error on the surface against the number of sources, for families of reductions by name: `{"k-d tree": ...}`.
 
-    What `surface_errors` found: the largest error as a line, the mean dashed, both on logarithmic scales.
+    Takes what `surface_errors` returns: the largest error is a line, the mean is dashed, both on logarithmic scales.
 
-    Raises `ValueError` where there is nothing to draw.
+    **Returns:** the axes `ax`, or new ones.
+
+    **Raises:** `ValueError` where there is nothing to draw.
     """
     if not errors:
         raise ValueError("`errors` is empty: give at least one, such as {'k-d tree': plot.surface_errors(...)}.")
-    axis = given_or_new(axis)
+    ax = given_or_new(ax)
     colours, markers = (BLUE, ORANGE, GREEN, DARK, GREY), "osD^v"
     for k, (name, found) in enumerate(errors.items()):
         order, style = np.argsort(found.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
-        axis.loglog(found.sources[order], found.largest[order], "-", label=f"{name}, largest", **style)
-        axis.loglog(found.sources[order], found.mean[order], "--", label=f"{name}, mean", fillstyle="none", **style)
-    axis.set_xscale("log", base=2)
-    axis.xaxis.set_major_formatter(ScalarFormatter())
-    axis.set_xlabel("sources")
-    axis.set_ylabel("error on the surface /\nlargest displacement")
-    axis.grid(color="#dddddd")
-    axis.set_axisbelow(True)
-    axis.legend()
-    return axis
+        ax.loglog(found.sources[order], found.largest[order], "-", label=f"{name}, largest", **style)
+        ax.loglog(found.sources[order], found.mean[order], "--", label=f"{name}, mean", fillstyle="none", **style)
+    ticks = _apart(np.concatenate([found.sources for found in errors.values()]))
+    ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
+    ax.set_xticks([], minor=True)
+    low, high = np.log10(ax.get_ylim())
+    ax.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))  # whole decades: a tick at each
+    ax.set_xlabel("sources")
+    ax.set_ylabel("error on the surface /\nlargest displacement")
+    ax.grid(color="#dddddd")
+    ax.set_axisbelow(True)
+    ax.legend()
+    return ax
+
+
+def _apart(numbers: Int[np.ndarray, " k"]) -> list[int]:
+    """Returns numbers of sources far enough apart on a logarithmic scale that their labels do not touch, the smallest first."""
+    kept: list[int] = []
+    for number in np.unique(numbers).tolist():
+        if not kept or number >= 1.2 * kept[-1]:
+            kept.append(number)
+    return kept

@@ -13,16 +13,16 @@ from jaxtyping import Float, UInt8
 from jaxmorph._host.files import complete
 
 from ._plane import Axes, plt
-from ._space import WINDOW, box, set_view, view_of, whole_view
+from ._space import WINDOW, box, kept, set_view, view_of, whole_view
 from ._style import check_suffix
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
 
 def swing(points: Float[Any, "n d"], extreme: Float[Any, "n d"], *, frames: int = 24) -> Float[np.ndarray, "f n d"]:
-    """One period of a mode: nodes go to `extreme` and as far to the other side, in straight lines, as a sine of time.
+    """Computes one period of a mode: nodes go to `extreme` and as far to the other side, in straight lines, as a sine of time.
 
-    What `deform` gives is linear in the displacement, so that these are the meshes of the mode at each amplitude.
+    `deform` is linear in the displacement, so these are the meshes of the mode at each amplitude.
 
     Raises `ValueError` where the shapes differ, and for fewer than 2 frames.
     """
@@ -42,11 +42,11 @@ def animate(
     *,
     rate: float = 12,
 ) -> pathlib.Path:
-    """A film: one picture for each of `frames`, the points of a mesh at successive times, as `swing` or `march` give them.
+    """Makes a film: one picture for each of `frames`, the points of a mesh at successive times, as `swing` or `march` give them.
 
-    `draw` makes the picture and returns its axis or its plotter, as all pictures here do:
+    `draw` makes the picture and returns its axes or its plotter, as all pictures here do:
     `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"), plot.swing(mesh.points, extreme))`.
-    All frames are seen as the first one is; in space with room for the others unless `draw` places the camera. The size is that of
+    All frames are seen as the first one is; in 3-D with room for the others unless `draw` places the camera. The size is that of
     the figure or of the plotter's window; `rate` is in frames a second.
 
     A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the system's or imageio-ffmpeg's. Returns the path of
@@ -74,13 +74,13 @@ def animate(
 
 
 def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
-    """How all frames are seen: as the first one is, in space with room for those where nodes are farthest from it."""
+    """Chooses how all frames are seen: as the first one is, in 3-D with room for those where nodes are farthest from it."""
     if isinstance(first, Axes):
         return first.get_xlim(), first.get_ylim()
     if not hasattr(first, "screenshot"):
-        raise ValueError(f"`draw` should return the axis or the plotter that it drew on, not {type(first).__name__}.")
+        raise ValueError(f"`draw` should return the axes or the plotter that it drew on, not {type(first).__name__}.")
     view, windows = view_of(first), (WINDOW, first.window_size)
-    if not any(np.allclose(view, whole_view(box(first), window)) for window in windows):
+    if not any(np.allclose(view, whole_view(box(first), window, kept=kept(first))) for window in windows):
         return view, first.camera.parallel_projection  # `draw` placed the camera
     away = np.stack([points - frames[0] for points in frames])
     farthest = {*away.max(axis=1).argmax(axis=0).tolist(), *away.min(axis=1).argmin(axis=0).tolist()} - {0}
@@ -89,11 +89,11 @@ def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
         other = draw(frames[k])
         shown += [mesh.points for mesh in other.meshes]
         other.close()
-    return whole_view(np.concatenate(shown), first.window_size), True
+    return whole_view(np.concatenate(shown), first.window_size, kept=kept(first)), True
 
 
 def _picture(drawn: Any, view: Any) -> Picture:
-    """The pixels of what was drawn, which is closed."""
+    """Returns the pixels of what was drawn, and closes it."""
     if isinstance(drawn, Axes):
         drawn.set(xlim=view[0], ylim=view[1])
         drawn.figure.canvas.draw()
@@ -107,7 +107,7 @@ def _picture(drawn: Any, view: Any) -> Picture:
 
 
 def _gif(path: pathlib.Path, pictures: list[Picture], rate: float) -> None:
-    """All frames in one palette, so that what does not move does not flicker."""
+    """Writes a GIF with one palette for all frames, so that what does not move does not flicker."""
     from PIL import Image  # comes with matplotlib
 
     some = np.concatenate(pictures[:: max(1, len(pictures) // 6)])
@@ -118,7 +118,7 @@ def _gif(path: pathlib.Path, pictures: list[Picture], rate: float) -> None:
 
 
 def _mp4() -> Callable[[pathlib.Path, list[Picture], float], None]:
-    """By ffmpeg: the system's, or the one that imageio-ffmpeg brings."""
+    """Finds ffmpeg, the system's or the one that imageio-ffmpeg brings, and returns the writer of an MP4."""
     program = shutil.which("ffmpeg")
     if program is None:
         try:

@@ -1,4 +1,4 @@
-"""A page with a surface in space that one can turn, zoom and deform, by k3d."""
+"""Makes a page with a surface in 3-D that one can turn, zoom and deform, by k3d."""
 
 import dataclasses
 import importlib
@@ -44,7 +44,7 @@ def page(
     label: str | None = None,
     patch: str | None = None,
 ) -> pathlib.Path:
-    """An interactive page (.html) of the outside of a mesh in space, or of one patch, with a slider from undeformed to deformed.
+    """Makes an interactive page (.html) of the outside of a 3-D mesh, or of one patch, with a slider from undeformed to deformed.
 
     Any browser with WebGL opens it from disk, without a network: all it needs is in the one file, 1.2 MB more than the surface
     takes. The mouse turns, moves and zooms. Coloured by the length of each node's displacement, in the mesh's units; or by
@@ -94,7 +94,7 @@ def page(
 
 @dataclasses.dataclass(frozen=True)
 class _Surface:
-    """What is drawn, in single precision round the middle: corners before and after, triangles, sides of the faces, colours."""
+    """Holds what is drawn, in single precision round the middle: corners before and after, triangles, edges, colours."""
 
     before: Float[np.ndarray, "p 3"]
     after: Float[np.ndarray, "p 3"]
@@ -125,7 +125,7 @@ class _Surface:
         )
 
     def camera(self) -> list[float]:
-        """Where it is, what it looks at, upwards: far enough away to see both ends of the motion."""
+        """Returns its position, what it looks at, upwards: far enough away to see both ends of the motion."""
         corners = np.concatenate([self.before, self.after])
         middle, size = (corners.min(axis=0) + corners.max(axis=0)) / 2, np.linalg.norm(np.ptp(corners, axis=0))
         distance = size / 2 / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))
@@ -133,13 +133,13 @@ class _Surface:
 
     @property
     def range(self) -> tuple[float, float]:
-        """From the smallest to the largest value, or from no displacement to the largest."""
+        """Returns the smallest and the largest value, or zero and the largest displacement."""
         shown = self.length if self.values is None else self.values[np.isfinite(self.values)]
         low, high = 0.0 if self.values is None else float(shown.min()), float(shown.max())
         return low, high if high > low else low + 1
 
 
 def _colour_map(name: str) -> list[float]:
-    """As k3d has it: place, red, green and blue of each of 64 colours."""
+    """Returns a colour map as k3d takes it: place, red, green and blue of each of 64 colours."""
     places = np.linspace(0, 1, 64)
     return np.column_stack([places, plt.get_cmap(name)(places)[:, :3]]).ravel().tolist()

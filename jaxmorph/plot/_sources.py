@@ -1,4 +1,4 @@
-"""Which nodes of a surface carry the radial basis functions, and where the k-d tree's leaves are (figure 1 of the paper)."""
+"""Draws the nodes of a surface that carry the radial basis functions, and the leaves of the k-d tree (figure 1 of the paper)."""
 
 import dataclasses
 import itertools
@@ -18,56 +18,62 @@ def sources(
     surface: jm.Plan | Float[Any, "m 2"],
     reduction: jm.AbstractReduction | None = None,
     *,
-    fixed: bool = True,
+    fixed: bool = False,
     search_points: bool = False,
     window: Window | None = None,
-    axis: Axes | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
-    """What a reduction chooses among the nodes of a boundary; for a `KDTree` with its leaves' boxes (figure 1 of the paper).
+    """Draws the sources among the nodes of a boundary, with the leaves' boxes of a `KDTree` (figure 1 of the paper).
 
-    `surface` is a plan, whose own sources and boxes are shown, those of the fixed nodes too unless `fixed=False`; or points
-    (m, 2) with the `reduction` to show. `search_points=True` marks the places in each box that a source was looked for at.
-    `window` as in `mesh`.
+    **Arguments:**
 
-    Raises `ValueError` for points in space, for a plan whose method has no radial basis functions, for points without a
+    - `surface`: a plan, whose own sources and boxes are shown; or points (m, 2).
+    - `reduction`: chooses the sources among points; not for a plan, which has its own.
+    - `fixed`: whether the sources and boxes of a plan's fixed nodes are shown too. They may be far away.
+    - `search_points`: whether to mark the places in each box at which a source was looked for.
+    - `window`: ((left, right), (bottom, top)); all that is drawn by default.
+    - `ax`: matplotlib's axes; new ones by default.
+
+    **Returns:** the axes.
+
+    **Raises:** `ValueError` for points in 3-D, for a plan whose method has no radial basis functions, for points without a
     `reduction` and for a plan with one.
     """
     found = _found(surface, reduction, fixed, dimension=2)
-    axis = given_or_new(axis)
+    ax = given_or_new(ax)
     if found.leaves:
         outline = found.boxes[:, [0, 1, 1, 0, 0], 0], found.boxes[:, [0, 0, 1, 1, 0], 1]
-        axis.plot(*(side.T for side in outline), color=GREEN, linewidth=1.2)
-        axis.plot([], [], color=GREEN, label=f"{found.leaves} leaves")
-    axis.plot(*found.nodes.T, ".", color=GREY, markersize=5, label=f"{len(found.nodes)} nodes", zorder=2)
-    axis.plot(*found.sources.T, "o", color=ORANGE, markersize=7, label=f"{len(found.sources)} sources", zorder=3)
+        ax.plot(*(side.T for side in outline), color=GREEN, linewidth=1.2)
+        ax.plot([], [], color=GREEN, label=f"{found.leaves} leaves")
+    ax.plot(*found.nodes.T, ".", color=GREY, markersize=5, label=f"{len(found.nodes)} nodes", zorder=2)
+    ax.plot(*found.sources.T, "o", color=ORANGE, markersize=7, label=f"{len(found.sources)} sources", zorder=3)
     if search_points and found.leaves:
         style = {"color": BLUE, "markersize": 7, "markeredgewidth": 1.5, "zorder": 4}
-        axis.plot(*found.searched.T, "+", label=f"{len(found.searched)} search points", **style)
-    axis.margins(0.05, 0.1)
+        ax.plot(*found.searched.T, "+", label=f"{len(found.searched)} search points", **style)
+    ax.margins(0.05, 0.1)
     if window is None:
-        axis.set_aspect("equal")
+        ax.set_aspect("equal")
     else:
-        show(axis, found.nodes, window)
-    axis.legend(
-        loc="lower center", bbox_to_anchor=(0.5, 1.02), ncols=4 if len(axis.figure.axes) == 1 else 3, frameon=False
-    )
-    return axis
+        show(ax, window)
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.02), ncols=4 if len(ax.figure.axes) == 1 else 3, frameon=False)
+    return ax
 
 
-def sources_in_space(
+def sources_3d(
     surface: jm.Plan | Float[Any, "m 3"],
     reduction: jm.AbstractReduction | None = None,
     *,
-    fixed: bool = True,
+    fixed: bool = False,
     search_points: bool = False,
     plotter: Any = None,
 ) -> Any:
-    """`sources` for a surface in space: nodes as dark points, sources as orange spheres, each box by its twelve edges.
+    """Draws the sources of a surface in 3-D: nodes as dark points, sources as orange spheres, each box by its twelve edges.
 
-    Takes a pyvista plotter (a new one, off screen, where none is given) and gives it back: one from `surface` shows the sources on
-    the body. Far from it lie those of the far field, which `fixed=False` leaves out.
+    Arguments as in `sources`, with pyvista's `plotter` in place of `ax`. A plotter from `surface` shows the sources on the body.
 
-    Raises `ValueError` as `sources` does, with points in the plane for those in space.
+    **Returns:** the plotter, or a new one, off screen.
+
+    **Raises:** `ValueError` as `sources` does, for points in 2-D.
     """
     found = _found(surface, reduction, fixed, dimension=3)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
@@ -89,7 +95,7 @@ def sources_in_space(
 
 @dataclasses.dataclass(frozen=True)
 class _Found:
-    """What is drawn: coordinates of nodes and sources, the lower and upper corner of each leaf's box, search points."""
+    """Holds what is drawn: coordinates of nodes and sources, the lower and upper corner of each leaf's box, search points."""
 
     nodes: Float[np.ndarray, "n d"]
     sources: Float[np.ndarray, "s d"]
@@ -149,10 +155,10 @@ def of_plan(plan: jm.Plan, fixed: bool = True) -> tuple[list[tuple[np.ndarray, j
 
 def _checked(points: Any, dimension: int) -> np.ndarray:
     if dimension == 2:
-        return flat(points, "plot.sources_in_space")
+        return flat(points, "plot.sources_3d")
     points = np.asarray(points, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"this is for points in space, not of shape {points.shape}; see `plot.sources`.")
+        raise ValueError(f"this is for points in 3-D, not of shape {points.shape}; see `plot.sources`.")
     return points
 
 

@@ -1,4 +1,4 @@
-"""Pictures in space, with pyvista, off screen."""
+"""Pictures in 3-D, with pyvista, off screen."""
 
 import itertools
 from collections.abc import Sequence
@@ -12,10 +12,16 @@ import jaxmorph as jm
 from ._style import BLUE, DARK, GREY, ORANGE, check_values, colour_scale
 
 VIEWER = -1.0, -2.5, 1.8
-"""Where one looks from: x to the right, y away, z up."""
+"""The direction towards the viewer: x to the right, y away, z up."""
 
 MARGIN = 1.15
-"""Height and width of a picture over those of what it shows: the scale and the legend have room beside it."""
+"""Height and width of a picture over those of what it shows."""
+
+BAR = 0.16
+"""Share of the width, at the right, that is kept for a colour bar."""
+
+SEEN_THROUGH = 0.55
+"""Opacity of surfaces that are drawn over each other."""
 
 WINDOW = 1600, 900
 """Pixels of a picture."""
@@ -28,31 +34,35 @@ def surface(
     values: Float[Any, " k"] | None = None,
     limits: tuple[float, float] | None = None,
     label: str | None = None,
+    bar: bool = True,
     patch: str | None = None,
     plotter: Any = None,
 ) -> Any:
-    """The outside of a mesh in space, or one patch of it, each face coloured by the value of its cell.
+    """Draws the outside of a 3-D mesh, or one patch of it, each face coloured by the value of its cell.
 
-    `points`, `values`, `limits` and `label` as in `mesh`. Returns the pyvista plotter (a new one, off screen, where none is
-    given): `plotter.screenshot(path)` writes the picture.
+    `points`, `values`, `limits`, `label` and `bar` as in `mesh`. A surface without values is lit. With values it is not, so that
+    its colours are those of the bar.
 
-    Raises `ValueError` as `mesh` does, for a mesh in the plane, for a `patch` that is not known, and where there is no face.
+    **Returns:** the plotter, or a new one, off screen: `plotter.screenshot(path)` writes the picture.
+
+    **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, for a `patch` that is not known, and where there is no face.
     """
-    return _draw(outside(mesh, points, values, patch), limits, label, plotter, lighting=True)
+    return _draw(outside(mesh, points, values, patch), limits, label, bar, plotter)
 
 
-def before_after_in_space(
-    mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None
-) -> Any:
-    """The undeformed outside of a mesh in space, or of one patch, in orange, and the deformed one in blue (figure 7a of the paper).
+def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None) -> Any:
+    """Draws the undeformed outside of a 3-D mesh, or of a patch, in orange, and the deformed one in blue (figure 7a of the paper).
 
-    Everything else as in `surface`.
+    Both are translucent, so that each is seen through the other. Everything else as in `surface`.
     """
     before, after = outside(mesh, None, None, patch), outside(mesh, points, None, patch)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    light = {"ambient": 0.4, "diffuse": 0.7, "show_edges": True, "edge_opacity": 0.7, "line_width": 0.5}
-    plotter.add_mesh(before, color=ORANGE, label="undeformed", edge_color=DARK, **light)
-    plotter.add_mesh(after, color=BLUE, label="deformed", edge_color=DARK, **light)
+    light = {"ambient": 0.4, "diffuse": 0.7, "show_edges": True, "edge_opacity": 0.5, "line_width": 0.5}
+    plotter.add_mesh(before, color=ORANGE, opacity=SEEN_THROUGH, label="undeformed", edge_color=DARK, **light)
+    plotter.add_mesh(after, color=BLUE, opacity=SEEN_THROUGH, label="deformed", edge_color=DARK, **light)
+    plotter.disable_anti_aliasing()  # with samples for each pixel, VTK draws nothing of what it peels
+    plotter.enable_depth_peeling(number_of_peels=8)
+    plotter.enable_anti_aliasing("ssaa")
     add_legend(plotter, [["undeformed", ORANGE], ["deformed", BLUE]])
     if new:
         aim(plotter)
@@ -67,21 +77,22 @@ def cut(
     values: Float[Any, " k"] | None = None,
     limits: tuple[float, float] | None = None,
     label: str | None = None,
+    bar: bool = True,
     plotter: Any = None,
 ) -> Any:
-    """The cells of a mesh in space where a plane cuts them, seen along its normal; everything else as in `surface`."""
+    """Draws the cells of a 3-D mesh where a plane cuts them, seen along its normal; everything else as in `surface`."""
     normal, origin = (np.asarray(vector, dtype=float).tolist() for vector in (plane.normal, plane.origin))
     section = _grid(mesh, points, values).slice(normal=normal, origin=origin)
-    drawn = _draw(section, limits, label, plotter, lighting=False)
+    drawn = _draw(section, limits, label, bar, plotter, lighting=False)
     if plotter is None:
         aim(drawn, np.array(normal) * (-1 if np.dot(normal, VIEWER) < 0 else 1))
     return drawn
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Faces that bound the cells, or those with all nodes in a patch, as pyvista has them; `node` is the id of each point.
+    """Returns the faces that bound the cells, or those with all nodes in a patch, for pyvista; `node` is the id of each point.
 
-    By VTK's own filter: pyvista has called it by several names. `ValueError` where there are none.
+    VTK's own filter does it: pyvista has called it by several names. `ValueError` where there are none.
     """
     from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
 
@@ -104,9 +115,9 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
 
 
 def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
-    """The mesh as pyvista has it."""
+    """Turns the mesh into pyvista's."""
     if mesh.points.shape[1] != 3:
-        raise ValueError(f"this is for cells in space, not {mesh}; see `plot.mesh` and `plot.before_after`.")
+        raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
     points = np.asarray(mesh.points if points is None else mesh.moved(np.asarray(points)).points, dtype=float)
     types = {"tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14, "triangle": 5, "quad": 9, "line": 3}
     grid = pyvista().UnstructuredGrid({types[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
@@ -116,7 +127,8 @@ def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     return grid
 
 
-def _draw(part: Any, limits: tuple[float, float] | None, label: str | None, plotter: Any, *, lighting: bool) -> Any:
+def _draw(part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *, lighting: bool = True) -> Any:
+    """Draws faces, with colours and a bar where they have values."""
     if part.n_cells == 0:
         raise ValueError("there is nothing to draw: the plane cuts no cell.")
     has_values = "values" in part.cell_data
@@ -125,13 +137,14 @@ def _draw(part: Any, limits: tuple[float, float] | None, label: str | None, plot
     colours, limits = colour_scale(limits)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
     coloured = {"scalars": "values", "cmap": colours, "clim": limits} if has_values else {"color": GREY}
-    light = {"ambient": 0.4, "diffuse": 0.7} if lighting else {"lighting": False}  # without: colours as on the scale
+    is_lit = lighting and not has_values  # light would change the colours, and the bar not
+    light = {"ambient": 0.4, "diffuse": 0.7} if is_lit else {"lighting": False}
     edges = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.7, "line_width": 0.5}
     plotter.add_mesh(part, show_scalar_bar=False, **edges, **light, **coloured)
-    if label is not None:
+    if has_values and bar:
         size = {"height": 0.6, "width": 0.05, "position_x": 0.88, "position_y": 0.2}
         font = {"font_family": "arial", "title_font_size": 30, "label_font_size": 26, "fmt": "%.3g", "color": DARK}
-        plotter.add_scalar_bar(f"{label}\n", vertical=True, **font, **size)
+        plotter.add_scalar_bar(f"{label or ''}\n", vertical=True, **font, **size)
     if new:
         aim(plotter)
     return plotter
@@ -146,33 +159,43 @@ def new_plotter() -> Any:
 
 
 def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER) -> None:
-    """Turns the camera to all that was drawn."""
-    set_view(plotter, whole_view(box(plotter), plotter.window_size, viewer))
+    """Turns the camera to all that was drawn, beside the colour bar."""
+    set_view(plotter, whole_view(box(plotter), plotter.window_size, viewer, kept(plotter)))
+
+
+def kept(plotter: Any) -> float:
+    """Returns the share of a picture's width that its colour bar takes."""
+    return BAR if len(plotter.scalar_bars) else 0.0
 
 
 def box(plotter: Any) -> Float[np.ndarray, "8 3"]:
-    """Corners of the box round all that was drawn."""
+    """Returns the corners of the box round all that was drawn."""
     return np.array(list(itertools.product(*np.reshape(plotter.bounds, (3, 2)))))
 
 
 def whole_view(
-    points: Float[np.ndarray, "k 3"], window: Sequence[int], viewer: Sequence[float] | np.ndarray = VIEWER
+    points: Float[np.ndarray, "k 3"],
+    window: Sequence[int],
+    viewer: Sequence[float] | np.ndarray = VIEWER,
+    kept: float = 0,
 ) -> Float[np.ndarray, " 10"]:
-    """Where the camera is, what it looks at, upwards, half the height that it sees.
+    """Places a camera: its position, what it looks at, upwards, half the height that it sees.
 
-    Without perspective, and so that all points are in a window of this width and height.
+    It has no perspective. All points are in a window of this width and height, left of a share `kept` of the width.
     """
     axes = np.stack(view_axes(viewer))
     seen = points @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
     middle, (depth, width, height) = (low + high) / 2 @ axes, high - low
     distance = 2 * (depth + width + height)
-    scale = MARGIN / 2 * max(height, width * window[1] / window[0])
+    aspect = window[0] / window[1]
+    scale = MARGIN / 2 * max(height, width / (1 - kept) / aspect)
+    middle = middle + kept * scale * aspect * axes[1]
     return np.array([*(middle + distance * axes[0]), *middle, *axes[2], scale])
 
 
 def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
-    """The same of the camera as it is."""
+    """Returns the same of the camera as it is."""
     return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
 
 
@@ -183,7 +206,7 @@ def set_view(plotter: Any, view: Float[np.ndarray, " 10"], is_parallel: bool = T
 
 
 def view_axes(viewer: Sequence[float] | np.ndarray = VIEWER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unit vectors towards the viewer, and to the right and upwards in the picture: z, or y for one who looks along z."""
+    """Returns unit vectors towards the viewer, to the right, and upwards in the picture: z, or y for one who looks along z."""
     towards = np.array(viewer) / np.linalg.norm(viewer)
     across = np.cross((0, 0, 1) if abs(towards[2]) < 0.99 else (0, 1, 0), towards)
     across /= np.linalg.norm(across)
@@ -191,16 +214,16 @@ def view_axes(viewer: Sequence[float] | np.ndarray = VIEWER) -> tuple[np.ndarray
 
 
 def add_legend(plotter: Any, entries: list[list[str]]) -> None:
-    """Names, each in its colour, in the upper right corner."""
+    """Writes names, each in its colour, in the upper right corner."""
     for k, (name, colour) in enumerate(entries):
         place = {"position": (0.8, 0.94 - 0.05 * k), "viewport": True, "name": f"legend {k}"}
         plotter.add_text(name, font_size=16, color=colour, **place)
 
 
 def pyvista() -> Any:
-    """The package, or what to install."""
+    """Imports the package; the `ImportError` names what to install."""
     try:
         import pyvista
     except ImportError as error:
-        raise ImportError("pictures in space need pyvista: pip install 'jaxmorph[plot]'") from error
+        raise ImportError("pictures in 3-D need pyvista: pip install 'jaxmorph[plot]'") from error
     return pyvista

@@ -1,4 +1,4 @@
-"""What all pictures share."""
+"""Colours, limits and file names that all pictures share."""
 
 import os
 import pathlib
