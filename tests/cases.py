@@ -64,6 +64,9 @@ CASES = [
     Case("farthest", lambda length: jm.SurfaceReconstruction(farthest()), turns=False, dimensions=(2,)),
     Case("near-wall", lambda length: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3 * length)), turns=False),
     Case("near-wall-alone", lambda length: jm.NearWall(), affine=False, turns=False, dimensions=(2,)),
+    Case("multiscale", lambda length: jm.SurfaceReconstruction(few(), jm.Multiscale()), turns=False),
+    Case("multiscale-whole", lambda length: jm.Multiscale.whole(2 * length, 0.2), affine=False, translates=False),
+    Case("multiscale-alone", lambda length: jm.Multiscale(), affine=False, translates=False, dimensions=(2,)),
     Case("delaunay", lambda length: jm.DelaunayGraph()),
     Case(
         "delaunay-coarse",

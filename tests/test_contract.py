@@ -24,7 +24,7 @@ def over(names):
 
 every_method = over(NAMES)
 every_piece = over(
-    [pair for pair in NAMES if pair[0] in ("few-sources", "near-wall", "delaunay", "wendland-none", "reduced")][::2]
+    [pair for pair in NAMES if pair[0] in ("few-sources", "near-wall", "multiscale", "delaunay", "wendland-none", "reduced")][::2]
 )
 
 

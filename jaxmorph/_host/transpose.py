@@ -9,16 +9,16 @@ WIDTH = 16
 def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Which entries belong to each of `count` columns, in rows of `WIDTH`.
 
-    `nodes` (n, k) is the column of each entry; only rows `used` (n,) have any. Returns `entries` (r, WIDTH), positions in the
+    `nodes` (n, k) is the column of each entry; only rows `used` (n,), or entries `used` (n, k), count. Returns `entries` (r, WIDTH), positions in the
     flattened (n, k), -1 where there is none, and `owner` (r,), the column of each row of the table, ascending.
     """
-    rows = np.flatnonzero(used)
     k = nodes.shape[1]
     if len(nodes) * k >= 2**31:
         raise ValueError(f"{len(nodes)} points are too many for one device; lay the plan over several with `shard`.")
-    columns = nodes[rows].ravel()
+    entries = np.flatnonzero(np.broadcast_to(used.reshape(len(nodes), -1), nodes.shape)).astype(np.int32)
+    columns = nodes.ravel()[entries]
     order = np.argsort(columns, kind="stable")
-    entries = (rows.astype(np.int32)[:, None] * np.int32(k) + np.arange(k, dtype=np.int32)).ravel()[order]
+    entries = entries[order]
     sizes = np.bincount(columns, minlength=count)
     lengths = -(-sizes // WIDTH)
     owner = np.repeat(np.arange(count, dtype=np.int32), lengths)

@@ -35,12 +35,12 @@ class Interpolation(AbstractRows):
     """Points' displacements as weighted sums of those of surface nodes: rows of a sparse operator.
 
     For one point, `nodes` and `weights` are (k,); for many (n, k), with a table of the transpose. Where `reached` is given and
-    False, the row is empty for good, whatever the coordinates.
+    False, the row, or the entry, is empty for good, whatever the coordinates.
     """
 
     nodes: Int[Array, "*n k"]
     weights: Float[Array, "*n k"]
-    reached: Bool[Array, "*n"] | None = None
+    reached: Bool[Array, "..."] | None = None
     table: Table | None = None
 
     def with_table(self, count: int, parts: int) -> "Interpolation":

@@ -1,0 +1,140 @@
+"""A correction without a graph: functions of compact support, from the largest scale to the smallest."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._basis import WendlandC2
+from .._host.hierarchy import Share, farthest_first, overlaps, padded, sweeps
+from .base import AbstractMethod, Surface
+from .rbf import RBF
+from .reconstruction import SurfaceReconstruction
+from .sparse import InterpolatedField, Interpolation
+
+
+class Multiscale(AbstractMethod):
+    """Multiscale interpolation: each node of the surface has a Wendland C2 function of a radius of its own.
+
+    The nodes come one after the other, each the farthest from those before it; its distance to the nearest of those is the
+    radius of its function. So a function vanishes at every node before its own. The system is triangular and sparse, and its
+    solution a forward substitution (Kedward, Allen and Rendall, J. Comput. Phys. 345, 2017, the second stage). The field is
+    exact at the surface's nodes, has continuous derivatives, and is zero beyond the radii. Points may lie anywhere: there is
+    no graph, and no hull.
+
+    As a correction, the sources of the coarse field come before all other nodes. Alone, the first function reaches across the
+    whole surface, and not even a translation is reproduced; `Multiscale.whole` makes the method with its first stage.
+    """
+
+    @staticmethod
+    def whole(radius, fraction: float = 0.05) -> SurfaceReconstruction:
+        """The method with both of its stages: a dense system for some of the nodes, this correction for all others.
+
+        `radius` is that of the Wendland C2 functions of the first stage, a length in the mesh's units, of the order of the
+        body's size or beyond. `fraction` is the share of the nodes that stands in it, spread evenly over the surface.
+
+        Raises `ValueError` for a radius that is not positive, and a fraction that is not between 0 and 1.
+        """
+        base = RBF(WendlandC2(radius), reduction=Share(fraction), fixed_reduction=Share(fraction), degree=None)
+        return SurfaceReconstruction(base, Multiscale())
+
+    def connect(self, surface: Surface, points):
+        nodes = surface.points.astype(float)
+        order, nearest = farthest_first(nodes, surface.matched, surface.images)
+        radius = np.linalg.norm(nodes - nodes[nearest], axis=1)
+        rank = np.zeros(len(nodes), dtype=np.int64)
+        rank[order] = np.arange(len(order))
+        row, column = overlaps(nodes, order, radius, nodes)
+        below = (radius[row] > 0) & (rank[row] > rank[column])
+        row, column = row[below].astype(np.int32), column[below].astype(np.int32)
+        forward, backward = (Sweep(*sweep) for sweep in sweeps(row, column, len(nodes)))
+        ids = Hierarchy(nearest.astype(np.int32), row, column, forward, backward)
+        return ids, Reach(*padded(*overlaps(nodes, order, radius, points.astype(float)), len(points)))
+
+    def fit(self, ids: "Hierarchy", surface):
+        squared = _squared(surface - surface[ids.nearest])
+        entries = _wendland(_squared(surface[ids.row] - surface[ids.column]), squared[ids.column])
+        return MultiscaleFactors(squared, entries)
+
+    def place(self, x, ids: "Reach", factors: "MultiscaleFactors", surface):
+        weights = _wendland(_squared(surface[ids.nodes] - x), factors.squared[ids.nodes])
+        return Interpolation(ids.nodes, jnp.where(ids.reached, weights, 0), ids.reached)
+
+    def field(self, ids: "Hierarchy", factors: "MultiscaleFactors", surface, u):
+        has_function = ids.nearest != jnp.arange(len(ids.nearest))
+        coefficients = _solve(ids, factors.entries, jnp.where(has_function[:, None], u, 0))
+        return InterpolatedField(self, factors, surface, coefficients)
+
+
+class Sweep(eqx.Module):
+    """In which order the equations are solved; see `jaxmorph._host.hierarchy.sweeps`."""
+
+    entries: Int[Array, "s r w"]
+    owner: Int[Array, "s r"]
+
+
+class Hierarchy(eqx.Module):
+    """For each node the nearest before it, or itself where it has no function; and what reaches whom: entries (row, column)."""
+
+    nearest: Int[Array, " b"]
+    row: Int[Array, " e"]
+    column: Int[Array, " e"]
+    forward: Sweep
+    backward: Sweep
+
+
+class Reach(eqx.Module):
+    """The nodes whose functions reach a point, the widest first; where not `reached`, there is none."""
+
+    nodes: Int[Array, " k"]
+    reached: Bool[Array, " k"]
+
+
+class MultiscaleFactors(eqx.Module):
+    """Squared radii of the functions, and the entries of the triangular matrix below its diagonal of ones."""
+
+    squared: Float[Array, " b"]
+    entries: Float[Array, " e"]
+
+
+def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b d"]) -> Float[Array, "b d"]:
+    """Coefficients of the functions: a forward substitution, whose derivative and transpose are such sweeps too."""
+
+    def product(c):
+        reached = entries[:, None] * c[ids.column]
+        return c + jax.ops.segment_sum(reached, ids.row, len(c), indices_are_sorted=True)
+
+    def forward(_, values):
+        return _swept(ids.forward, ids.column, entries, values)
+
+    def backward(_, values):
+        return _swept(ids.backward, ids.row, entries, values)
+
+    return jax.lax.custom_linear_solve(product, values, forward, backward)
+
+
+def _swept(
+    sweep: Sweep, source: Int[Array, " e"], entries: Float[Array, " e"], values: Float[Array, "b d"]
+) -> Float[Array, "b d"]:
+    """Each step takes from its owners what nodes known by then contribute to them."""
+    used = sweep.entries >= 0
+    weights = jnp.where(used, entries[sweep.entries], 0)
+    nodes = jnp.where(used, source[sweep.entries], 0)
+
+    def step(c, rows):
+        nodes, weights, owner = rows
+        known = sum(weights[:, k, None] * c[nodes[:, k]] for k in range(nodes.shape[1]))
+        return c.at[owner].add(-known), None
+
+    return jax.lax.scan(step, values, (nodes, weights, sweep.owner))[0]
+
+
+def _wendland(squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The basis at a distance relative to the radius; there is no function, and no entry, where that is zero."""
+    positive = squared_radius > 0
+    return WendlandC2(1.0)(squared_distance / jnp.where(positive, squared_radius, 1))
+
+
+def _squared(vectors: Float[Array, "*n d"]) -> Float[Array, "*n"]:
+    return jnp.sum(vectors**2, axis=-1)
