@@ -11,6 +11,9 @@ from .reduction import AbstractReduction, canonical_order, roundoff
 BATCH = 256
 """Nodes that are looked at together for being the next ones."""
 
+ROUND_OFF = 1e-9
+"""Relative to a distance: those of mirror images are equal within it."""
+
 WIDTH = 8
 """Entries in a row of a sweep's table."""
 
@@ -42,7 +45,11 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
         radius[picked], distance[picked] = distance[picked], 0
         around = tree.query_ball_point(ordered[picked], radius[picked])
         near, node = _joined(around), np.repeat(picked, [len(ids) for ids in around])
-        _approach(distance, nearest, near, node, np.linalg.norm(ordered[near] - ordered[node], axis=1))
+        apart = np.linalg.norm(ordered[near] - ordered[node], axis=1)
+        inside = apart < radius[node] * (
+            1 - ROUND_OFF
+        )  # those outside of it come before this node, or are not nearer to it
+        _approach(distance, nearest, near[inside], node[inside], apart[inside])
     nearest[radius == 0] = np.flatnonzero(radius == 0)
     order = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
     return rank[order], rank[nearest[place]]
@@ -102,7 +109,7 @@ def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
 def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.ndarray:
     """Those of the batch on whose distance no node that comes before them has an effect."""
     apart = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
-    return batch[apart.min(axis=1) >= distance[batch] * (1 - 1e-9)]
+    return batch[apart.min(axis=1) >= distance[batch] * (1 - ROUND_OFF)]
 
 
 def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, apart: np.ndarray) -> None:

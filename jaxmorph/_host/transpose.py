@@ -9,8 +9,9 @@ WIDTH = 16
 def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Which entries belong to each of `count` columns, in rows of `WIDTH`.
 
-    `nodes` (n, k) is the column of each entry; only rows `used` (n,), or entries `used` (n, k), count. Returns `entries` (r, WIDTH), positions in the
-    flattened (n, k), -1 where there is none, and `owner` (r,), the column of each row of the table, ascending.
+    `nodes` (n, k) is the column of each entry; only rows `used` (n,), or entries `used` (n, k), count. Returns `entries`
+    (r, WIDTH), positions in the flattened (n, k), -1 where there is none, and `owner` (r,), the column of each row of the
+    table, ascending.
     """
     k = nodes.shape[1]
     if len(nodes) * k >= 2**31:

@@ -131,6 +131,13 @@ class AbstractMethod(eqx.Module):
         """
         return ids
 
+    def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
+        """Traced: factors on the mesh that a step of `march` left; those of `fit` by default.
+
+        What goes with the places that points keep (see `place`) stays as it is.
+        """
+        return self.fit(ids, surface)
+
     def matched(self, ids: PyTree) -> np.ndarray:
         """Host: the surface's rows whose displacement the field takes, of those that `connect` chose (a coarse field's sources)."""
         return np.zeros(0, dtype=np.int32)

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._basis import WendlandC2
 from .._host.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .base import AbstractMethod, Surface
+from .basis import WendlandC2
 from .rbf import RBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import InterpolatedField, Interpolation
@@ -48,14 +48,19 @@ class Multiscale(AbstractMethod):
         row, column = overlaps(nodes, order, radius, nodes)
         below = (radius[row] > 0) & (rank[row] > rank[column])
         row, column = row[below].astype(np.int32), column[below].astype(np.int32)
-        forward, backward = (Sweep(*sweep) for sweep in sweeps(row, column, len(nodes)))
-        ids = Hierarchy(nearest.astype(np.int32), row, column, forward, backward)
-        return ids, Reach(*padded(*overlaps(nodes, order, radius, points.astype(float)), len(points)))
+        forward, backward = (Sweep(*map(jnp.asarray, sweep)) for sweep in sweeps(row, column, len(nodes)))
+        entries = jnp.asarray(row), jnp.asarray(column)
+        ids = Hierarchy(jnp.asarray(nearest.astype(np.int32)), *entries, forward, backward)
+        reach = padded(*overlaps(nodes, order, radius, points.astype(float)), len(points))
+        return ids, Reach(*map(jnp.asarray, reach))
 
     def fit(self, ids: "Hierarchy", surface):
         squared = _squared(surface - surface[ids.nearest])
         entries = _wendland(_squared(surface[ids.row] - surface[ids.column]), squared[ids.column])
         return MultiscaleFactors(squared, entries)
+
+    def carry(self, ids, factors, surface):
+        return factors
 
     def place(self, x, ids: "Reach", factors: "MultiscaleFactors", surface):
         weights = _wendland(_squared(surface[ids.nodes] - x), factors.squared[ids.nodes])

@@ -65,6 +65,9 @@ class NearWall(AbstractMethod):
         correction, matched, wall = ids
         return self.correction.fit(correction, surface), self._width(matched, wall, surface)
 
+    def carry(self, ids, factors, surface):
+        return self.correction.carry(ids[0], factors[0], surface), factors[1]
+
     def place(self, x, ids, factors, surface):
         chi, weights = _blend(x, ids[1], factors[1], surface)
         follow = Interpolation(ids[1].nodes[:NEIGHBOURS], chi * weights, ids[1].reached)

@@ -40,6 +40,12 @@ class SurfaceReconstruction(AbstractMethod):
         placed = place_points(self.coarse, surface, at_surface, factors, surface)
         return factors, placed, self.correction.fit(correction, surface)
 
+    def carry(self, ids, factors, surface):
+        coarse, _, correction = ids
+        coarse_factors, placed, correction_factors = factors
+        carried = self.coarse.carry(coarse, coarse_factors, surface)
+        return carried, placed, self.correction.carry(correction, correction_factors, surface)
+
     def place(self, x, ids, factors, surface):
         coarse = self.coarse.place(x, ids[0], factors[0], surface)
         return coarse, self.correction.place(x, ids[1], factors[2], surface)

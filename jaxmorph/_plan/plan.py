@@ -118,9 +118,11 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
         surface = old.mirror.points(surface)
     if plan.layout is not None:
         points = pad_rows(points, plan.layout)
+    method = plan.method
+    factors = method.carry(old.ids, old.factors, surface) if carried else method.fit(old.ids, surface)
     return Plan(
-        method=plan.method,
-        surface=SurfaceHalf(surface, old.nodes, old.mirror, old.ids, plan.method.fit(old.ids, surface)),
+        method=method,
+        surface=SurfaceHalf(surface, old.nodes, old.mirror, old.ids, factors),
         volume=VolumeHalf(points, volume.on_plane, volume.ids, volume.placed),
         moves=plan.moves,
         carried=carried,
