@@ -4,6 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from .pairs import columns_of, is_single, sorted_columns
+
 CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 """Corners of each type; names are meshio's."""
 
@@ -65,20 +67,35 @@ _SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
 
 
 def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """The sides that belong to one cell only, by type; with `among`, those all of whose nodes are in it. There are n nodes."""
-    candidate = np.ones(n, bool)
+    """Finds the faces that belong to one cell only (edges of 2-D cells), by type.
+
+    **Arguments:**
+
+    - `cells`: corner ids (k, corners) by type.
+    - `n`: how many nodes the mesh has.
+    - `among`: node ids. With them, only faces all of whose nodes are among them are returned.
+
+    **Returns:**
+
+    Node ids (f, corners) of the faces by type, each seen counterclockwise from outside.
+    """
+    is_candidate = None
     if among is not None:
-        candidate[:] = False
-        candidate[among] = True
-    found: dict[int, list[np.ndarray]] = {}
+        is_candidate = np.zeros(n, bool)
+        is_candidate[among] = True
+    sides: dict[int, list[list[np.ndarray]]] = {}
     for kind, corners in cells.items():
+        nodes = columns_of(np.asarray(corners))
         for side in FACES.get(kind, ()):
-            faces = np.asarray(corners)[:, side]
-            # both copies of an inner side pass or fail together: counting among the candidates is counting among all
-            found.setdefault(len(side), []).append(faces[candidate[faces].all(axis=1)])
-    return {_SIDE_TYPES[size]: _single(np.concatenate(faces)) for size, faces in sorted(found.items())}
-
-
-def _single(faces: np.ndarray) -> np.ndarray:
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return faces[np.sort(first[count == 1])]
+            columns = [nodes[corner] for corner in side]
+            if is_candidate is not None:
+                # both copies of an inner face pass or fail together, so that counting candidates is counting all
+                passes = np.logical_and.reduce([is_candidate[column] for column in columns])
+                columns = [column[passes] for column in columns]
+            sides.setdefault(len(side), []).append(columns)
+    outer = {}
+    for size, parts in sorted(sides.items()):
+        columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        single = is_single(sorted_columns(columns, size))
+        outer[_SIDE_TYPES[size]] = np.stack([column[single] for column in columns], axis=1).astype(np.int64)
+    return outer

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxmorph import Mesh
+from jaxmorph._host.pairs import columns_of, sorted_columns, twins
 from jaxmorph._host.topology import CORNERS, DIMENSION, FACES
 from jaxmorph.io.openfoam.case import WholeCells, whole_cells
 
@@ -125,7 +126,9 @@ def _standard(mesh: Mesh) -> _Sides:
                 owners.append(first + np.arange(len(ids)))
         first += len(ids)
     joined = np.concatenate(faces)
-    return _Sides(joined, np.concatenate(owners), _behind(joined), first, np.arange(first))
+    return _Sides(
+        joined, np.concatenate(owners), twins(sorted_columns(columns_of(joined), width)), first, np.arange(first)
+    )
 
 
 def _whole(whole: WholeCells) -> _Sides:
@@ -142,16 +145,6 @@ def _whole(whole: WholeCells) -> _Sides:
     behind[inner], behind[count:] = count + np.arange(len(inner)), inner
     owner = np.concatenate([faces.owner, faces.neighbour[inner]])
     return _Sides(corners, owner, behind, int(owner.max()) + 1, whole.cell)
-
-
-def _behind(faces: Int[np.ndarray, "t c"]) -> Int[np.ndarray, " t"]:
-    """The same face as its other cell sees it, -1 where there is none."""
-    key = np.sort(faces, axis=1)
-    order = np.lexsort(key.T)
-    same = np.flatnonzero((key[order[1:]] == key[order[:-1]]).all(axis=1))
-    behind = np.full(len(faces), -1)
-    behind[order[same]], behind[order[same + 1]] = order[same + 1], order[same]
-    return behind
 
 
 def _between(centres: Vectors, sides: _Sides) -> Vectors:

@@ -1,10 +1,12 @@
 """A mesh of several zones or blocks whose shared nodes are one, and the way back to the nodes of the file."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._host.pairs import columns_of, is_single, sorted_columns
 
 from ._blocks import open_faces, shared_nodes
 
@@ -62,7 +64,7 @@ def join(zones: Zones) -> tuple[Mesh, Joined]:
     patches = {name: np.concatenate([node[nodes] for nodes in parts]) for name, parts in zones.patches.items()}
     rest = "unnamed" if patches else "boundary"
     shared = [node[corners] for corners in faces]
-    for number, (corners, mask) in enumerate(zip(shared, _alone(shared), strict=True)):
+    for number, (corners, mask) in enumerate(zip(shared, _single(shared), strict=True)):
         if mask.any():
             name = zones.names[number] if zones.names else rest
             patches[name] = np.concatenate([patches.get(name, corners[:0, 0]), corners[mask].ravel()])
@@ -72,17 +74,16 @@ def join(zones: Zones) -> tuple[Mesh, Joined]:
     return Mesh(np.ascontiguousarray(at), whole, patches), Joined(node, points, is_flat)
 
 
-def _alone(faces: list[np.ndarray]) -> list[np.ndarray]:
-    """Which of the faces come once, and are not shrunk to a line or a point."""
-    width = max((corners.shape[1] for corners in faces), default=1)
-    rows, good = [np.zeros((0, width), np.int64)], [np.zeros(0, bool)]
-    for corners in faces:
-        ids = np.sort(corners, axis=1)
-        good.append(1 + (np.diff(ids, axis=1) != 0).sum(axis=1) >= min(corners.shape[1], 3))
-        rows.append(np.pad(ids, ((0, 0), (0, width - ids.shape[1])), constant_values=-1))
-    table = np.concatenate(rows)
-    order = np.lexsort(table.T)
-    same = (table[order][1:] == table[order][:-1]).all(axis=1)
-    once = np.empty(len(table), bool)
-    once[order] = ~(np.append(same, False) | np.append(False, same))[: len(table)]
-    return np.split(once & np.concatenate(good), np.cumsum([len(corners) for corners in faces])[:-1]) if faces else []
+def _single(faces: list[np.ndarray]) -> list[np.ndarray]:
+    """Finds the faces that come once and are not shrunk to a line or a point: a mask for each array of `faces`."""
+    if not faces:
+        return []
+    width = max(corners.shape[1] for corners in faces)
+    columns = [sorted_columns(columns_of(corners), width) for corners in faces]
+    has_extent = []
+    for corners, column in zip(faces, columns, strict=True):
+        size = corners.shape[1]
+        distinct = 1 + sum((b != a).astype(np.int8) for a, b in itertools.pairwise(column[:size]))
+        has_extent.append(distinct >= min(size, 3))
+    once = is_single([np.concatenate(parts) for parts in zip(*columns, strict=True)])
+    return np.split(once & np.concatenate(has_extent), np.cumsum([len(corners) for corners in faces])[:-1])
