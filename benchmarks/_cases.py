@@ -39,7 +39,7 @@ def plan_of(n: int, s: int, basis: str = "ThinPlateSpline", dtype=np.float64) ->
 
 
 def displacements(plan: jm.Plan, count: int | None = None):
-    shape = (plan.moves, 3) if count is None else (count, plan.moves, 3)
+    shape = (plan.n_moving, 3) if count is None else (count, plan.n_moving, 3)
     return jnp.asarray(0.1 * np.random.default_rng(1).normal(size=shape), plan.points.dtype)
 
 

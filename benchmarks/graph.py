@@ -42,7 +42,7 @@ def mapping(mesh: jm.Mesh, count: int) -> list[tuple[str, str, str]]:
     points = np.concatenate([mesh.points, within(mesh, count)])
     plan = jm.prepare(points, mesh.patch("wing"), mesh.patch("farfield"), method=jm.DelaunayGraph())
     rng = np.random.default_rng(0)
-    u, cotangent = jnp.asarray(rng.normal(size=(plan.moves, 3))), jnp.asarray(rng.normal(size=points.shape))
+    u, cotangent = jnp.asarray(rng.normal(size=(plan.n_moving, 3))), jnp.asarray(rng.normal(size=points.shape))
     words = 4 / 2 + 4 + 3 + 3 + 1.5  # read ids, weights, points and own row; write points: doubles a point
     block = jnp.asarray(rng.normal(size=(len(points), round(words / 2))))
     copy = jax.jit(lambda x: -x)
@@ -102,7 +102,7 @@ def set_up(mesh: jm.Mesh, count: int, name: str, goals: tuple[str, str]) -> list
     )
     plan, first, _ = once(lambda: jm.prepare(points, mesh.patch("wing"), mesh.patch("farfield")))
     rows = [(f"set-up of {name}, compilation included", f"{first:.1f} s CPU", goals[0])]
-    u = jnp.asarray(0.01 * np.random.default_rng(0).normal(size=(plan.moves, 3)))
+    u = jnp.asarray(0.01 * np.random.default_rng(0).normal(size=(plan.n_moving, 3)))
     seconds = cpu_seconds({"deform": lambda: jm.deform(plan, u)}, 3)["deform"]
     sources = len(plan.surface.factors[0].sources)
     rows.append((f"`deform` of {name}, {sources} sources, default method", f"{seconds:.2f} s CPU", goals[1]))

@@ -14,10 +14,10 @@ import jaxmorph as jm
 from jaxmorph import cases
 
 METHODS = {
-    "classic RBF, 732 sources": jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints()),
+    "classic RBF, 732 sources": jm.RBF.classic(),
     "graph mapping": jm.DelaunayGraph(),
-    "the paper's, 4 + 6": jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(1), fixed_reduction=jm.KDTree(2))),
-    "the paper's, 32 + 6": jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(8), fixed_reduction=jm.KDTree(2))),
+    "the paper's, 4 + 6": jm.SurfaceReconstruction.published(1, 2),
+    "the paper's, 32 + 6": jm.SurfaceReconstruction.published(8, 2),
     "`prepare`'s default": None,
 }
 

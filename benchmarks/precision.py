@@ -19,7 +19,7 @@ from jaxmorph import cases
 
 METHODS = {
     "`prepare`'s default": None,
-    "paper's, all nodes sources": jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints()),
+    "paper's, all nodes sources": jm.RBF.classic(),
     "graph mapping": jm.DelaunayGraph(),
 }
 

@@ -22,7 +22,7 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     mesh = cases.agard445(points=arguments.points)
     about(n=len(mesh.points), b=len(mesh.patch("wing")) + len(mesh.patch("farfield")))
-    every = jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints())
+    every = jm.RBF.classic()
     studies = [*_wing.compare(), _wing.Study("classic RBF", every, "classic")]
     print(_wing._tables(mesh, jm.quality(mesh), [_wing.measure(mesh, study) for study in studies]))
 

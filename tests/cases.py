@@ -33,7 +33,7 @@ class Case:
 
 
 def full(basis, degree):
-    return jm.RBF(basis, reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints(), degree=degree)
+    return jm.RBF.classic(basis, degree=degree)
 
 
 def few(leaves=2):
@@ -59,9 +59,15 @@ def of_the_notebook():
 EXTENSION = of_the_notebook()
 
 CASES = [
-    Case("default", lambda length: jm.SurfaceReconstruction(), turns=False, dimensions=(2,)),
-    Case("few-sources", lambda length: jm.SurfaceReconstruction(few()), turns=False),
-    Case("farthest", lambda length: jm.SurfaceReconstruction(farthest()), turns=False, dimensions=(2,)),
+    Case("default", lambda length: jm.SurfaceReconstruction(), turns=False),
+    Case("published", lambda length: jm.SurfaceReconstruction.published(), turns=False, dimensions=(2,)),
+    Case("few-sources", lambda length: jm.SurfaceReconstruction(few(), jm.DelaunayGraph()), turns=False),
+    Case(
+        "farthest",
+        lambda length: jm.SurfaceReconstruction(farthest(), jm.DelaunayGraph()),
+        turns=False,
+        dimensions=(2,),
+    ),
     Case("near-wall", lambda length: jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3 * length)), turns=False),
     Case("near-wall-alone", lambda length: jm.NearWall(), affine=False, turns=False, dimensions=(2,)),
     Case("multiscale", lambda length: jm.SurfaceReconstruction(few(), jm.Multiscale()), turns=False),

@@ -24,7 +24,11 @@ def over(names):
 
 every_method = over(NAMES)
 every_piece = over(
-    [pair for pair in NAMES if pair[0] in ("few-sources", "near-wall", "multiscale", "delaunay", "wendland-none", "reduced")][::2]
+    [
+        pair
+        for pair in NAMES
+        if pair[0] in ("few-sources", "near-wall", "multiscale", "delaunay", "wendland-none", "reduced")
+    ][::2]
 )
 
 
@@ -45,7 +49,7 @@ def given(dimension):
 def operator(name, dimension):
     """(n d, m d): the linear map from u to the displacements, a column for each unit displacement."""
     plan = planned(name, dimension)
-    m, d = plan.moves, dimension
+    m, d = plan.n_moving, dimension
     columns = [jm.deform(plan, e.reshape(m, d)) - plan.points for e in np.eye(m * d)]
     return np.stack([np.asarray(column).ravel() for column in columns], axis=1)
 
@@ -87,7 +91,7 @@ def test_interior_is_continuous_at_the_wall(name, dimension):
 @every_method
 def test_nothing_moves_when_nothing_is_asked(name, dimension):
     plan = planned(name, dimension)
-    assert (np.asarray(jm.deform(plan, np.zeros((plan.moves, dimension)))) == body(dimension).points).all()
+    assert (np.asarray(jm.deform(plan, np.zeros((plan.n_moving, dimension)))) == body(dimension).points).all()
 
 
 @every_method
@@ -265,7 +269,7 @@ def test_blocks_agree_with_the_one_point_form(name, dimension):
     """`evaluate` is there for speed: value and derivatives are those of the field written for one point."""
     plan, (u, w) = planned(name, dimension), given(dimension)
     surface, method = plan.surface, plan.method
-    own = jnp.zeros_like(surface.points).at[: plan.moves].set(u)
+    own = jnp.zeros_like(surface.points).at[: plan.n_moving].set(u)
 
     def blocks(own):
         field = method.field(surface.ids, surface.factors, surface.points, own)

@@ -80,7 +80,7 @@ def test_a_plan_with_it_moves_as_told(sphere, motions):
     far = 4 * sphere[::10]
     points = np.concatenate([sphere, far, 2 * sphere[:50]])
     moving, fixed = np.arange(400), np.arange(400, 440)
-    method = jm.SurfaceReconstruction(jm.RBF(reduction=jm.Greedy(40, motions)))
+    method = jm.SurfaceReconstruction(jm.RBF(reduction=jm.Greedy(40, motions)), jm.DelaunayGraph())
     moved = np.asarray(jm.deform(jm.prepare(points, moving, fixed, method=method), motions[0]))
     np.testing.assert_allclose(moved[moving], sphere + motions[0], atol=1e-15)
 

@@ -21,7 +21,9 @@ def plan(mesh):
 
 
 def planned(mesh, basis):
-    method = jm.SurfaceReconstruction(jm.RBF(basis, reduction=jm.KDTree(4), fixed_reduction=jm.KDTree(2)))
+    method = jm.SurfaceReconstruction(
+        jm.RBF(basis, reduction=jm.KDTree(4), fixed_reduction=jm.KDTree(2)), jm.DelaunayGraph()
+    )
     return jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
 
 

@@ -60,9 +60,11 @@ def test_energy_is_that_of_the_singular_values(kind):
         linear, det = linear[:, [1, 0, *range(2, d)]], -det
     moved = mesh.points @ linear.T
     inverse_mean_ratio = (sigma**2).sum() / d / det ** (2 / d)
-    np.testing.assert_allclose(mean_energy(mesh, moved, size=0.0), inverse_mean_ratio - 1, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        mean_energy(mesh, moved, size_weight=0.0), inverse_mean_ratio - 1, rtol=1e-12, atol=1e-13
+    )
     np.testing.assert_allclose(mean_energy(mesh, moved, size=1.0), (det + 1 / det) / 2 - 1, rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(mean_energy(mesh, 3 * moved @ linear.T, ideal=True, size=0.0) >= 0, True)
+    np.testing.assert_allclose(mean_energy(mesh, 3 * moved @ linear.T, ideal=True, size_weight=0.0) >= 0, True)
     np.testing.assert_allclose(mean_energy(mesh, mesh.points, ideal=True), 0, atol=1e-12)
 
 
@@ -78,7 +80,7 @@ def test_left_handed_cells_are_their_own_target(kind):
 def test_a_right_triangle_has_the_mean_ratio_of_the_books():
     """Area 1/2, edges 1, 1, sqrt 2: 4 sqrt(3) area / (sum of squares) = sqrt(3) / 2."""
     mesh = cell("triangle")
-    value = mean_energy(mesh, np.array([[0.0, 0], [1, 0], [0, 1]]), size=0.0)
+    value = mean_energy(mesh, np.array([[0.0, 0], [1, 0], [0, 1]]), size_weight=0.0)
     np.testing.assert_allclose(1 / (value + 1), np.sqrt(3) / 2, rtol=1e-14)
 
 
@@ -167,7 +169,7 @@ def test_ideal_targets_make_a_lattice_regular_again():
     regular = grid(3)
     inner = np.all((regular.points > 0.01) & (regular.points < 0.99), axis=1)
     points = regular.points + 0.05 * inner[:, None] * np.random.default_rng(3).normal(size=regular.points.shape)
-    result = jm.improve(regular.moved(points), points, ideal=True, size=0.0, tolerance=1e-9)
+    result = jm.improve(regular.moved(points), points, ideal=True, size_weight=0.0, tolerance=1e-9)
     np.testing.assert_allclose(result.points, regular.points, atol=1e-7)
     assert not np.allclose(jm.improve(regular.moved(points), points).points, regular.points, atol=1e-3)
 

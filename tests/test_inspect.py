@@ -23,7 +23,7 @@ def rotation(mesh, degrees):
 
 
 def test_offset_is_what_the_sources_miss(mesh):
-    method = jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(2)))
+    method = jm.SurfaceReconstruction.published(2, 2)
     moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
     u = rotation(mesh, 15)(1)
     found = jm.inspect(jm.prepare(mesh.points, moving, fixed, method=method), u)
@@ -67,10 +67,10 @@ def test_shape_is_checked(mesh):
 
 
 def test_fewest_steps_are_fewest(mesh):
-    method = jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(4), fixed_reduction=jm.KDTree(4)))
+    method = jm.SurfaceReconstruction.published(4, 4)
     plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
     motion = rotation(mesh, 90)
-    steps = jm.fewest_steps(plan, motion, mesh, most=8)
+    steps = jm.fewest_steps(plan, mesh, motion, max_steps=8)
     assert steps.fraction == 1
     assert int(jm.quality(mesh, steps.points).inverted) == 0
     np.testing.assert_allclose(steps.points[plan.moving], plan.points[plan.moving] + motion(1), atol=1e-13)
@@ -84,7 +84,7 @@ def test_fewest_steps_are_fewest(mesh):
 def test_an_infeasible_motion_is_reported_with_the_fraction_reached(mesh):
     plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
     motion = lambda t: np.full((len(plan.moving), 2), [0.0, 40.0 * t])  # noqa: E731  # through the far field
-    steps = jm.fewest_steps(plan, motion, mesh, most=1)
+    steps = jm.fewest_steps(plan, mesh, motion, max_steps=1)
     assert 0 < steps.fraction < 15 / 40
     assert int(steps.report.inverted) == 0
     report = jm.quality(mesh, jm.deform(plan, motion(steps.fraction + 2e-3)))

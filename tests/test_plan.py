@@ -81,7 +81,7 @@ def test_what_a_plan_says_of_itself():
 def test_a_plan_speaks_whatever_its_leaves_are():
     """Error messages, debuggers and progress bars print plans of shapes, of nothing, and stacked ones."""
     mesh = body(2)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.SurfaceReconstruction(few()))
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.SurfaceReconstruction(few(), jm.DelaunayGraph()))
     said = "310 points in 2-D, 31 moving, 31 fixed, float64"
     for other in (jax.eval_shape(lambda: plan), eqx.filter_eval_shape(jm.refit, plan, mesh.points)):
         assert said in repr(other)

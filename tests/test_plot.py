@@ -192,7 +192,7 @@ def test_graph_has_the_edges_of_a_triangulation():
     (edges,) = axis.collections
     assert len(edges.get_segments()) == 3 * len(nodes) - 3 - len(hull)  # Euler
     assert len(axis.lines[0].get_xdata()) == len(points) - len(nodes)
-    u = np.full((plan.moves, 2), 1e-3)
+    u = np.full((plan.n_moving, 2), 1e-3)
     moving = plot.graph(plan, u).lines[0]
     np.testing.assert_allclose(moving.get_xdata(), points[np.asarray(plan.moving), 0] + 1e-3)
 

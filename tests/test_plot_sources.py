@@ -33,7 +33,7 @@ def circle(radius, n, half=False):
 def planned(method=None, half=False):
     """Two rings and points between them, or half of each above a symmetry plane: 40 moving, 30 fixed."""
     rings = [circle(radius, n, half) for radius, n in ((1, 40), (6, 30), (2, 20), (4, 20))]
-    method = method or jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(4), fixed_reduction=jm.KDTree(2)))
+    method = method or jm.SurfaceReconstruction.published(4, 2)
     return jm.prepare(
         np.concatenate(rings),
         np.arange(40),

@@ -19,7 +19,7 @@ FILES = {
 }
 MOVING = {"viscous": "airfoil", "euler": "airfoil", "brick": "z_m"}
 FIXED = {"viscous": "farfield", "euler": "farfield", "brick": "z_p"}  # the sides of the brick follow
-METHODS = {"default": None, "paper": jm.SurfaceReconstruction(), "graph": jm.DelaunayGraph()}
+METHODS = {"default": None, "paper": jm.SurfaceReconstruction.published(), "graph": jm.DelaunayGraph()}
 
 
 @functools.cache

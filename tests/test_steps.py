@@ -23,7 +23,7 @@ def turned(mesh, steps=STEPS, angle=0.5):
 
 
 METHODS = {
-    "few": jm.SurfaceReconstruction(few()),
+    "few": jm.SurfaceReconstruction(few(), jm.DelaunayGraph()),
     "near-wall": jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3)),
     "delaunay": jm.DelaunayGraph(),
     "full": full(jm.ThinPlateSpline(), 1),
@@ -143,7 +143,7 @@ def test_gradients_of_replay(name, rebuild):
 
 def test_what_is_not_a_path():
     plan = planned("few")
-    m = plan.moves
+    m = plan.n_moving
     with pytest.raises(ValueError, match=rf"`path` has shape \({m}, 2\); expected \(steps, {m}, 2\)"):
         jm.march(plan, np.zeros((m, 2)))
     plans, _ = marched("few", False)

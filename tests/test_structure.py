@@ -119,7 +119,7 @@ def test_the_host_knows_neither_jax_nor_the_rest():
 def test_the_driver_knows_no_method_but_the_abstract_one():
     """`prepare` also asks for the default one."""
     known = {each.module for each in OWN if each.rooms == ("_plan", "_methods")}
-    assert known <= {f"jaxmorph._methods.{name}" for name in ("base", "blocks", "default")}
+    assert known <= {f"jaxmorph._methods.{name}" for name in ("base", "blocks", "reconstruction")}
 
 
 def test_options_of_jax_belong_to_the_user():

@@ -35,7 +35,9 @@ def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
     np.testing.assert_allclose(moved, expected[: len(part)], rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize(("name", "dimension", "planes"), [("full", 3, 2), ("reconstruction", 2, 1), ("multiscale", 3, 2)])
+@pytest.mark.parametrize(
+    ("name", "dimension", "planes"), [("full", 3, 2), ("reconstruction", 2, 1), ("multiscale", 3, 2)]
+)
 def test_laws_with_symmetry_planes(name, dimension, planes):
     part, role, *_ = whole_and_part(dimension, planes)
     moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)

@@ -14,8 +14,8 @@ INCH = 0.0254
 SPAN = 30 * INCH
 FINE, COARSE = 64_943, 6_500
 PLANE = jm.Plane((0, 1, 0), (0, 0, 0))
-EVERY = jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints())
-REDUCED = jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(64), fixed_reduction=jm.AllPoints()))
+EVERY = jm.RBF.classic()
+REDUCED = jm.SurfaceReconstruction(jm.RBF(fixed_reduction=jm.AllPoints()), jm.DelaunayGraph())
 """The paper's: 64 leaves on the wing, the whole far field."""
 
 FULL_SIZE = pytest.param(FINE, marks=pytest.mark.full)

@@ -20,6 +20,7 @@ from .._methods.basis import WendlandC2
 from .._methods.nearwall import NearWall
 from .._methods.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
+from .._plan.door import boundary
 from .._plan.plan import Plan, deform
 from .._plan.prepare import prepare, surface_of
 from .._plan.symmetry import Mirror, Plane
@@ -61,7 +62,7 @@ def choose(
     *,
     symmetry: Plane | Sequence[Plane] = (),
     leaves: Sequence[int] = (8, 32, 128),
-    error: float = 0.01,
+    tolerance: float = 0.01,
 ) -> Choice:
     """Host: picks the number of sources and the support radius for a family of motions, by trying.
 
@@ -69,7 +70,7 @@ def choose(
     `symmetry` are `prepare`'s. For each number of
     `leaves` a thin plate spline and a Wendland C2 function are tried, whose radius optimistix's golden section search finds between
     a fifth of the moving nodes' extent and ten times it: least sum of `error` and `rounding`, see `Choice`. Among those that
-    invert fewest cells, miss the surface by no more than `error`, and keep 98 % of the best smallest Jacobian ratio, the one
+    invert fewest cells, miss the surface by no more than `tolerance`, and keep 98 % of the best smallest Jacobian ratio, the one
     with fewest sources is chosen; where none is that good, the one with the largest Jacobian ratio.
 
     Every motion is deformed and judged once for each of the 2 len(`leaves`) candidates.
@@ -77,7 +78,10 @@ def choose(
     Raises `ValueError` when `motions` is not (s, m, d) or is zero, for no `leaves`, and what `prepare` raises where it
     refuses every candidate.
     """
-    moving, fixed = np.asarray(moving), np.setdiff1d(np.asarray(fixed, dtype=int), np.asarray(moving))
+    if not isinstance(mesh, Mesh):
+        raise ValueError(f"call choose(mesh, moving, fixed, motions) with a Mesh, not {type(mesh).__name__}.")
+    named = boundary(mesh, moving, fixed, symmetry)
+    moving, fixed = named.moving, named.fixed
     motions, expected = np.asarray(motions, dtype=float), (len(moving), mesh.points.shape[1])
     if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):
         raise ValueError(
@@ -85,19 +89,18 @@ def choose(
         )
     if not len(leaves):
         raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
-    nodes = np.concatenate([moving, fixed])
-    surface, images, _ = surface_of(np.asarray(mesh.points, dtype=float), nodes, len(moving), symmetry)
-    columns = _columns(motions, len(nodes), images)
+    surface, images, _ = surface_of(named)
+    columns = _columns(motions, len(named.nodes), images)
     rows, plans, refused = [], [], None
     for count in leaves:
         for with_radius in (False, True):
             rbf, row = _candidate(surface, columns, count, with_radius)
-            plan, refused = _prepared(mesh, (moving, fixed, symmetry), rbf, refused)
+            plan, refused = _prepared(mesh, (moving, fixed, named.planes), rbf, refused)
             rows.append(row | _judged(mesh, plan, motions))
             plans.append(plan)
     if all(plan is None for plan in plans):
         raise refused or ValueError("every candidate was refused.")
-    chosen = _best(rows, error)
+    chosen = _best(rows, tolerance)
     return Choice(plans[chosen].method, plans[chosen], tuple(rows), chosen)
 
 

@@ -31,23 +31,26 @@ class Steps:
 
 def fewest_steps(
     plan: Plan,
-    motion: Callable[[float], Float[Array, "m d"]],
     mesh: Mesh,
+    motion: Callable[[float], Float[Array, "m d"]],
     *,
     min_jacobian_ratio: float = 0.05,
-    most: int = 16,
+    max_steps: int = 16,
 ) -> Steps:
     """Host: marches a motion in the fewest equal steps that leave no cell inverted.
 
     `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes: `motion(1)` is all of it. A number of
     steps is good when no cell of `mesh` is inverted and the smallest corner Jacobian stays above `min_jacobian_ratio` of its
-    initial value. When even `most` steps are not good, the result holds the largest fraction of the motion that they
+    initial value. When even `max_steps` steps are not good, the result holds the largest fraction of the motion that they
     reach, found by bisection to 1/1000, and its `fraction` is below 1.
 
-    Raises `ValueError` when `most` is less than 1 or `plan` and `mesh` differ in their points.
+    Raises `ValueError` when `max_steps` is less than 1 or `plan` and `mesh` differ in their points.
     """
-    if most < 1:
-        raise ValueError(f"`most` must be at least 1, not {most}.")
+    if not (isinstance(plan, Plan) and isinstance(mesh, Mesh) and callable(motion)):
+        given = ", ".join(type(each).__name__ for each in (plan, mesh, motion))
+        raise ValueError(f"call fewest_steps(plan, mesh, motion), motion a function of t from 0 to 1; got {given}.")
+    if max_steps < 1:
+        raise ValueError(f"`max_steps` must be at least 1, not {max_steps}.")
     if tuple(mesh.points.shape) != plan.points.shape:
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
 
@@ -60,7 +63,7 @@ def fewest_steps(
         least = float(steps.report.min_jacobian_ratio) - min_jacobian_ratio
         return least if int(steps.report.inverted) == 0 else min(least, -min_jacobian_ratio)
 
-    for count in range(1, most + 1):
+    for count in range(1, max_steps + 1):
         steps = tried(count)
         if margin(steps) > 0:
             return steps
@@ -68,5 +71,5 @@ def fewest_steps(
     low, high = 0.0, 1.0
     while high - low > 1e-3:
         middle = (low + high) / 2
-        low, high = (middle, high) if margin(tried(most, middle)) > 0 else (low, middle)
-    return tried(most, low)
+        low, high = (middle, high) if margin(tried(max_steps, middle)) > 0 else (low, middle)
+    return tried(max_steps, low)

@@ -2,13 +2,10 @@
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 import scipy.spatial
 from jaxtyping import Array, Float
 
-from .._methods.blocks import map_points
-from .._methods.reconstruction import SurfaceReconstruction
 from .._plan.plan import Plan
 
 
@@ -56,39 +53,17 @@ def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
 
     Raises `ValueError` when the shape of `u` is not (m, d).
     """
+    offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
     points, nodes = np.asarray(plan.points), np.asarray(plan.surface.nodes)
-    u = np.asarray(u)
-    if u.shape != (plan.moves, points.shape[1]):
-        raise ValueError(
-            f"`u` has shape {u.shape}; this plan moves {plan.moves} points in {points.shape[1]} dimensions."
-        )
     own = np.zeros((len(nodes), points.shape[1]), points.dtype)
-    own[: plan.moves] = u
-    offset = np.linalg.norm(_offset(plan, own), axis=1)
+    own[: plan.n_moving] = u
     size = np.asarray(scipy.spatial.KDTree(points).query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
-    pairs = _torn(points[nodes], own, plan.moves)
+    pairs = _torn(points[nodes], own, plan.n_moving)
     torn = nodes[pairs].reshape(-1, 2)
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
     return Inspection(float(offset[worst]), int(nodes[worst]), ratio, torn, near)
-
-
-def _offset(plan: Plan, own: np.ndarray) -> np.ndarray:
-    """What the coarse field misses at the surface's own nodes."""
-    if not isinstance(plan.method, SurfaceReconstruction):
-        return np.zeros_like(own)
-    surface, mirror = plan.surface, plan.surface.mirror
-    u = jnp.asarray(own) if mirror is None else mirror.extended(jnp.asarray(own))
-    ids, factors = surface.ids[0], surface.factors[:2]
-    field = plan.method.coarse.field(ids, factors[0], surface.points, u)
-    offset = np.asarray(u - map_points(field, surface.points, factors[1]))
-    if mirror is None:
-        return offset
-    rows, images = np.asarray(mirror.rows), np.asarray(mirror.mirrored).any(axis=1)
-    result = np.zeros_like(own)
-    result[rows[~images]] = offset[~images]
-    return result
 
 
 def _torn(points: np.ndarray, own: np.ndarray, moves: int) -> np.ndarray:

@@ -87,7 +87,7 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
 def compare(mesh: jm.Mesh) -> list[Study]:
     """The paper's three methods; the third with four numbers of sources on the wall."""
     wall, far = mesh.points[mesh.patch("airfoil")], mesh.points[mesh.patch("farfield")]
-    every = jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints())
+    every = jm.RBF.classic()
     studies = [
         Study(f"full RBF, {len(wall)} + {len(far)}", every, file="full-rbf"),
         Study("DGM, ids kept", jm.DelaunayGraph(), file="dgm", title="Delaunay graph mapping"),

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Integer
 from .._host.adjacency import neighbours
 from .._host.topology import FACES
 from .._mesh.mesh import Mesh
-from .._plan.prepare import node_ids
+from .._plan.door import node_ids
 from .._quality.distortion import node_scales, solid, target
 from .._quality.quality import quality
 from .._quality.vector import corners
@@ -58,7 +58,7 @@ def improve(
     *,
     fixed: Integer[Any, " f"] | None = None,
     ideal: bool = False,
-    size: float = 0.5,
+    size_weight: float = 0.5,
     tolerance: float = 0.03,
     max_steps: int = 60,
     progress: Callable[[float, float], None] | None = None,
@@ -67,10 +67,10 @@ def improve(
 
     `fixed` are the ids of nodes that stay where `points` has them, bit for bit: by default all patches and the outer boundary.
     The target of each cell is its shape on the undeformed mesh, `mesh.points`, so boundary layers keep their anisotropy; with
-    `ideal=True` the equilateral one (a cube, a square) of the undeformed volume. `size`, 0 to 1, is what the change of size
+    `ideal=True` the equilateral one (a cube, a square) of the undeformed volume. `size_weight`, 0 to 1, is what the change of size
     counts against that of shape. The energy of a cell is the mean over its corners of
 
-        (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det^2 T) / (2 chi) - 1,
+        (1 - size_weight) |T|^2 / (d chi^(2/d)) + size_weight (1 + det^2 T) / (2 chi) - 1,
 
     with T from target to cell and chi the determinant of T, regularised: finite on inverted cells. It is minimised by Newton's
     method, at most `max_steps` in each of five stages in which the barrier at chi = 0 sharpens, the last one until nodes move
@@ -87,13 +87,13 @@ def improve(
     elements and flesh simulation, SCA 2005.
 
     Raises `ValueError` for a mesh without cells of its own dimension, for a shape of `points` other than that of
-    `mesh.points`, for node ids that are not there, and for `size` outside of 0 to 1.
+    `mesh.points`, for node ids that are not there, and for `size_weight` outside of 0 to 1.
     """
     start = jnp.asarray(points)
-    _check(mesh, start, fixed, size, max_steps)
+    _check(mesh, start, fixed, size_weight, max_steps)
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
-        distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size)
+        distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size_weight)
     y, count, stage = jnp.zeros_like(base), 0, distortion
     softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
     for last in (False,) * (STAGES - 1) + (True,):
@@ -155,7 +155,7 @@ def _check(mesh: Mesh, points, fixed, size: float, max_steps: int) -> None:
     if fixed is not None:
         node_ids(fixed, "fixed", n)
     if not 0 <= size <= 1:
-        raise ValueError(f"`size` is {size}; it must be from 0 (shape alone) to 1 (size alone).")
+        raise ValueError(f"`size_weight` is {size}; it must be from 0 (shape alone) to 1 (size alone).")
     if max_steps < 1:
         raise ValueError(f"`max_steps` must be at least 1, not {max_steps}.")
 

@@ -2,10 +2,12 @@
 
 import abc
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, Self
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
@@ -22,7 +24,8 @@ class Surface:
     `points` (b, d) are their coordinates, the `moving` first ones moving, the others fixed. `nodes` (b,) are their row
     numbers among the points that `connect` is asked about, -1 for one that is not among them. `images` (b,) names for each
     row the row of which it is the mirror image, or itself. `matched` are rows whose displacement is known to vanish: the
-    sources of a coarse field, where a correction has nothing to do.
+    sources of a coarse field, where a correction has nothing to do. `faces` are the boundary faces between rows, (k, corners)
+    by type (`line` in 2-D), or None where `prepare` was given points without cells.
     """
 
     points: np.ndarray
@@ -30,6 +33,7 @@ class Surface:
     moving: int
     images: np.ndarray
     matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    faces: Mapping[str, np.ndarray] | None = None
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
         """Rows chosen among the moving nodes, then among the fixed ones not too close to those, each with its mirror images."""
@@ -142,6 +146,16 @@ class AbstractMethod(eqx.Module):
         """Host: the surface's rows whose displacement the field takes, of those that `connect` chose (a coarse field's sources)."""
         return np.zeros(0, dtype=np.int32)
 
+    def sources(self, ids: PyTree) -> np.ndarray:
+        """Host: the surface's rows that are control points of the field (its centres); none by default."""
+        return np.zeros(0, dtype=np.int32)
+
+    def offset(
+        self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], u: Float[Array, "b d"]
+    ) -> Float[Array, "b d"]:
+        """Traced: the displacement of the surface that is left to a correction (eq. 5); zero by default."""
+        return jnp.zeros_like(u)
+
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
         """Host, once, after the first `fit`: raises or warns when the factors are unusable; `u` is a displacement to try."""
 
@@ -149,3 +163,13 @@ class AbstractMethod(eqx.Module):
     def exact(self) -> bool:
         """Whether the field takes the given displacements at the surface's nodes; they are then assigned bit for bit."""
         return True
+
+
+def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:
+    """Raises `ValueError`, with the call to make, where an argument is not an object of its kind: a string, a class, a number."""
+    if isinstance(value, kind) or (optional and value is None):
+        return
+    what = kind.__name__.removeprefix("Abstract").lower()
+    if isinstance(value, type):
+        raise ValueError(f"`{name}` is the class {value.__name__}: call it, {name}={value.__name__}().")
+    raise ValueError(f"`{name}` must be a {what} object such as {name}={example}, not {value!r}.")

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.neighbours import extreme_of_each, largest_gap, near_walls, nearest_of, walls
-from .base import AbstractField, AbstractMethod, Surface
+from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
 from .blocks import map_points
 from .delaunay import DelaunayGraph
@@ -38,6 +38,9 @@ class NearWall(AbstractMethod):
     width: Float[Array, ""] | None = eqx.field(
         default=None, converter=lambda width: None if width is None else jnp.asarray(width)
     )
+
+    def __check_init__(self):
+        check_kind(self.correction, AbstractMethod, "correction", "jm.DelaunayGraph()")
 
     @property
     def exact(self) -> bool:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
 from .._kernels.product import few_rows_times
-from .base import BLOCK, AbstractField, AbstractMethod, Surface
+from .base import BLOCK, AbstractField, AbstractMethod, Surface, check_kind
 from .basis import AbstractBasis, ThinPlateSpline
 
 KERNEL_BLOCK = 2**17
@@ -45,6 +45,9 @@ class RBF(AbstractMethod):
     degree: int | None = eqx.field(static=True, default=1)
 
     def __check_init__(self):
+        check_kind(self.basis, AbstractBasis, "basis", "jm.ThinPlateSpline()")
+        check_kind(self.reduction, AbstractReduction, "reduction", "jm.KDTree(64)")
+        check_kind(self.fixed_reduction, AbstractReduction, "fixed_reduction", "jm.KDTree(16)")
         if self.degree not in (None, 0, 1):
             raise ValueError(f"`degree` of the polynomial is None, 0 or 1, not {self.degree!r}.")
         if self._below_min_degree:
@@ -52,6 +55,14 @@ class RBF(AbstractMethod):
                 f"{type(self.basis).__name__} without a polynomial of degree {self.basis.min_degree} may give a singular system.",
                 stacklevel=3,
             )
+
+    @classmethod
+    def classic(cls, basis: AbstractBasis | None = None, *, degree: int | None = 1) -> "RBF":
+        """Returns the classic method: every surface node is a source, so the surface is exact (de Boer et al. 2007).
+
+        One dense solve of as many unknowns as there are surface nodes. `basis` is `ThinPlateSpline()` by default.
+        """
+        return cls(ThinPlateSpline() if basis is None else basis, AllPoints(), AllPoints(), degree)
 
     @property
     def _below_min_degree(self) -> bool:
@@ -85,6 +96,9 @@ class RBF(AbstractMethod):
 
     def matched(self, ids):
         return ids
+
+    def sources(self, ids):
+        return np.asarray(ids)
 
     def fit(self, ids: Int[Array, " s"], surface):
         points = surface[ids].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))

@@ -4,10 +4,13 @@ import dataclasses
 
 import equinox as eqx
 import jax
+import numpy as np
 
-from .base import AbstractField, AbstractMethod, Surface
+from .._host.reduction import KDTree
+from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .blocks import map_points, place_points
 from .delaunay import DelaunayGraph
+from .nearwall import NearWall
 from .rbf import RBF
 
 
@@ -18,8 +21,21 @@ class SurfaceReconstruction(AbstractMethod):
     that of `correction` is. The correction is linear, so several steps of it (section 3.2 of the paper) equal one.
     """
 
-    coarse: AbstractMethod = eqx.field(default_factory=RBF)
-    correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
+    coarse: AbstractMethod = eqx.field(default_factory=lambda: RBF(reduction=KDTree(64, extremes=True)))
+    correction: AbstractMethod = eqx.field(default_factory=NearWall)
+
+    def __check_init__(self):
+        check_kind(self.coarse, AbstractMethod, "coarse", "jm.RBF()")
+        check_kind(self.correction, AbstractMethod, "correction", "jm.NearWall()")
+
+    @classmethod
+    def published(cls, leaves: int = 64, fixed_leaves: int = 16) -> "SurfaceReconstruction":
+        """Returns the method as the paper has it: sources by a k-d tree, corrected by Delaunay graph mapping alone.
+
+        Its walls should be convex: a graph lays chords over concave ones. `leaves` and `fixed_leaves` are the numbers of leaves
+        of the trees on the moving and on the fixed nodes.
+        """
+        return cls(RBF(reduction=KDTree(leaves), fixed_reduction=KDTree(fixed_leaves)), DelaunayGraph())
 
     @property
     def exact(self) -> bool:
@@ -52,6 +68,13 @@ class SurfaceReconstruction(AbstractMethod):
 
     def matched(self, ids):
         return self.correction.matched(ids[2])
+
+    def sources(self, ids):
+        return np.concatenate([self.coarse.sources(ids[0]), self.correction.sources(ids[2])])
+
+    def offset(self, ids, factors, surface, u):
+        coarse_field = self.coarse.field(ids[0], factors[0], surface, u)
+        return u - map_points(coarse_field, surface, factors[1])
 
     def check(self, ids, factors, u):
         self.coarse.check(ids[0], factors[0], u)

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
@@ -45,7 +46,7 @@ class Plan(eqx.Module):
     method: AbstractMethod
     surface: SurfaceHalf
     volume: VolumeHalf
-    moves: int = eqx.field(static=True)
+    n_moving: int = eqx.field(static=True)
     carried: bool = eqx.field(static=True, default=False)
     layout: Layout | None = eqx.field(static=True, default=None)
 
@@ -57,20 +58,44 @@ class Plan(eqx.Module):
     @property
     def moving(self) -> Int[Array, " m"]:
         """Node ids of the moving nodes; row i of a displacement moves node `moving[i]`."""
-        return self.surface.nodes[: self.moves]
+        return self.surface.nodes[: self.n_moving]
 
     @property
     def fixed(self) -> Int[Array, " f"]:
         """Node ids of the fixed nodes, those that also move left out."""
-        return self.surface.nodes[self.moves :]
+        return self.surface.nodes[self.n_moving :]
+
+    @property
+    def sources(self) -> Int[np.ndarray, " s"]:
+        """Host: node ids of the coarse field's sources (its control points), moving ones first, without mirror images."""
+        rows = np.asarray(self.method.sources(self.surface.ids), dtype=np.int64)
+        if self.mirror is not None:
+            is_image, own = np.any(self.mirror.mirrored, axis=1), np.asarray(self.mirror.rows)
+            rows = own[rows[~is_image[rows]]]
+        return np.asarray(self.surface.nodes)[rows]
+
+    @property
+    def mirror(self) -> Mirror | None:
+        """The symmetry planes, and the images that they make of the surface; None without planes."""
+        return self.surface.mirror
+
+    def offset(self, u: Float[ArrayLike, "m d"]) -> Float[Array, "o d"]:
+        """The displacement of the moving, then the fixed nodes that is left to the correction (eq. 5), traced."""
+        own, surface = _of_surface(self, u), self.surface
+        extended = own if surface.mirror is None else surface.mirror.extended(own)
+        offset = self.method.offset(surface.ids, surface.factors, surface.points, extended)
+        if surface.mirror is None:
+            return offset
+        rows = jnp.where(surface.mirror.mirrored.any(axis=1), len(own), surface.mirror.rows)
+        return jnp.zeros_like(own).at[rows].set(offset, mode="drop")
 
     def __repr__(self) -> str:
         """Of whatever the leaves are: arrays, stacked or traced ones, shapes, or nothing."""
         points, nodes = self.volume.points, self.surface.nodes
-        parts = [f"{self.moves} moving"]
+        parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):
             n, d = points.shape[-2:] if self.layout is None else (self.layout.count, points.shape[-1])
-            parts = [f"{n} points in {d}-D", *parts, f"{nodes.shape[-1] - self.moves} fixed", f"{points.dtype}"]
+            parts = [f"{n} points in {d}-D", *parts, f"{nodes.shape[-1] - self.n_moving} fixed", f"{points.dtype}"]
         for located in jax.tree.leaves(self.surface.ids, is_leaf=_is_located):
             counts = (located.repaired, located.outside) if _is_located(located) else ()
             if counts and all(eqx.is_array(count) and not isinstance(count, Tracer) for count in counts):
@@ -124,7 +149,7 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
         method=method,
         surface=SurfaceHalf(surface, old.nodes, old.mirror, old.ids, factors),
         volume=VolumeHalf(points, volume.on_plane, volume.ids, volume.placed),
-        moves=plan.moves,
+        n_moving=plan.n_moving,
         carried=carried,
         layout=plan.layout,
     )
@@ -141,12 +166,20 @@ def deform(plan: Plan, u: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
 
     Raises `ValueError` when the shape of `u` is not (m, d).
     """
-    m, d = plan.moves, plan.points.shape[1]
-    u = jnp.asarray(u)
+    return deform_surface(plan, _of_surface(plan, u))
+
+
+def _of_surface(plan: Plan, u: Any) -> Float[Array, "o d"]:
+    """Checks a displacement of the moving nodes, and extends it by zeros for the fixed ones."""
+    if not isinstance(plan, Plan):
+        raise ValueError(f"the first argument must be a plan, deform(plan, u), not {type(plan).__name__}.")
+    m, d = plan.n_moving, plan.points.shape[1]
+    u = u if hasattr(u, "dtype") else np.asarray(u)
+    if u.dtype.kind not in "fiuV":  # V: bfloat16 and its kin
+        raise ValueError(f"`u` holds {u.dtype}; a displacement is real numbers of shape ({m}, {d}).")
     if u.shape != (m, d):
         raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.")
-    own = jnp.zeros((len(plan.surface.nodes), d), plan.points.dtype).at[:m].set(u.astype(plan.points.dtype))
-    return deform_surface(plan, own)
+    return jnp.zeros((len(plan.surface.nodes), d), plan.points.dtype).at[:m].set(u.astype(plan.points.dtype))
 
 
 def deform_surface(plan: Plan, own: Float[Array, "o d"]) -> Float[Array, "n d"]:
@@ -215,5 +248,5 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     )
     volume = layout.divided(volume)
     return Plan(
-        layout.replicated(plan.method), layout.replicated(plan.surface), volume, plan.moves, plan.carried, layout
+        layout.replicated(plan.method), layout.replicated(plan.surface), volume, plan.n_moving, plan.carried, layout
     )

@@ -9,50 +9,59 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.errors import MeshError
-from .._methods.base import AbstractMethod, Surface
+from .._mesh.mesh import Mesh
+from .._methods.base import AbstractMethod, Surface, check_kind
 from .._methods.blocks import with_tables
-from .._methods.default import default_method
+from .._methods.reconstruction import SurfaceReconstruction
+from .door import Boundary, boundary
 from .plan import Plan, SurfaceHalf, VolumeHalf, refit
 from .symmetry import Mirror, Plane, check_planes, mirror
 
 
 def prepare(
-    points: Float[Array | np.ndarray, "n d"],
-    moving: Int[Array | np.ndarray, " m"] | Sequence[int],
-    fixed: Int[Array | np.ndarray, " f"] | Sequence[int] = (),
+    mesh: Mesh | Float[Array | np.ndarray, "n d"],
+    moving: str | Sequence[str] | Int[Array | np.ndarray, " m"] | Sequence[int],
+    fixed: str | Sequence[str] | Int[Array | np.ndarray, " f"] | Sequence[int] = (),
     *,
     method: AbstractMethod | None = None,
-    symmetry: Plane | Sequence[Plane] = (),
+    symmetry: Plane | str | Sequence[Plane | str] = (),
 ) -> Plan:
     """Finds, once per mesh and on the host, everything that does not depend on the displacement.
 
-    `points` (n, d), d = 2 or 3, in any unit; `moving` (m,) and `fixed` (f,) are node ids, and a node in both moves. Nodes in
-    neither are interior, and follow. Nodes on a plane of `symmetry` stay in it, the moving ones too. `method=None` is the
-    paper's with two additions that real walls need, `SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True)),
-    NearWall())`. Precision and device are those of `points`: float64 needs JAX's x64 mode.
+    **Arguments:**
 
-    Raises `ValueError` for ids out of range or named twice in `moving`, coordinates that are not finite, points outside of
+    - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see which nodes its boundary
+      faces connect, patches may be named, and boundary faces in no list are warned of. Precision and device are those of
+      the points: float64 needs JAX's x64 mode.
+    - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both moves. All others follow.
+    - `method`: `SurfaceReconstruction()` by default.
+    - `symmetry`: planes, or names of the patches that lie in them. Nodes on a plane stay in it, moving ones too.
+
+    **Returns:** a `Plan`.
+
+    **Raises:** `ValueError` for ids out of range or named twice in `moving`, coordinates that are not finite, points outside of
     the hull of the surface (graph mapping), planes that hold no node or have nodes on both sides, and sources that do not
     determine the interpolation.
     """
-    host, ids = _checked(points, moving, fixed)
-    method = default_method() if method is None else method
-    m, nodes = len(ids[0]), np.concatenate(ids)
-    surface, images, on_plane = surface_of(host, nodes, m, symmetry)
-    surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, host))
+    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
+    named = boundary(mesh, moving, fixed, symmetry)
+    method = SurfaceReconstruction() if method is None else method
+    surface, images, on_plane = surface_of(named)
+    surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, named.points))
     plan = Plan(
         method=method,
-        surface=SurfaceHalf(jnp.asarray(surface.points), jnp.asarray(nodes, jnp.int32), images, surface_ids, None),
+        surface=SurfaceHalf(
+            jnp.asarray(surface.points), jnp.asarray(named.nodes, jnp.int32), images, surface_ids, None
+        ),
         volume=VolumeHalf(
-            jnp.asarray(host),
+            jnp.asarray(named.points),
             None if on_plane is None else jnp.asarray(on_plane),
             volume_ids,
             None,
         ),
-        moves=m,
+        n_moving=len(named.moving),
     )
-    if plan.points.dtype != host.dtype:
+    if plan.points.dtype != named.points.dtype:
         warnings.warn(
             "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
             'Call jax.config.update("jax_enable_x64", True) first.',
@@ -63,23 +72,30 @@ def prepare(
     return plan
 
 
-def surface_of(
-    points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " b"], moving: int, symmetry: Plane | Sequence[Plane]
-) -> tuple[Surface, Mirror | None, Bool[np.ndarray, "n p"] | None]:
-    """The surface that a method sees, its mirror, and which points lie on which plane; `nodes` are moving, then fixed."""
-    planes = [symmetry] if isinstance(symmetry, Plane) else list(symmetry)
-    everything, rows, images, on_plane = points[nodes], np.arange(len(nodes)), None, None
-    if planes:
-        check_planes(planes, points)
-        on_plane = np.stack([plane.holds(points) for plane in planes], axis=1)
-        images, moving = mirror(planes, on_plane[nodes], moving)
+def surface_of(named: Boundary) -> tuple[Surface, Mirror | None, Bool[np.ndarray, "n p"] | None]:
+    """Returns the surface that a method sees, its mirror, and which points lie on which plane."""
+    nodes, moving = named.nodes, len(named.moving)
+    everything, rows, images, on_plane = named.points[nodes], np.arange(len(nodes)), None, None
+    faces = _faces_between(named)
+    if named.planes:
+        check_planes(named.planes, named.points)
+        on_plane = np.stack([plane.holds(named.points) for plane in named.planes], axis=1)
+        images, moving = mirror(named.planes, on_plane[nodes], moving)
         everything, rows = np.asarray(images.points(jnp.asarray(everything))), np.asarray(images.rows)
+        faces = None if faces is None else {kind: images.faces(corners) for kind, corners in faces.items()}
     first = _first(rows)
-    return (
-        Surface(everything, np.where(np.arange(len(rows)) == first, nodes[rows], -1), moving, first),
-        images,
-        on_plane,
-    )
+    own = np.where(np.arange(len(rows)) == first, nodes[rows], -1)
+    return Surface(everything, own, moving, first, faces=faces), images, on_plane
+
+
+def _faces_between(named: Boundary) -> dict[str, np.ndarray] | None:
+    """Boundary faces all of whose nodes are moving or fixed, as rows of the surface."""
+    if named.faces is None:
+        return None
+    row = np.full(len(named.points), -1, dtype=np.int32)
+    row[named.nodes] = np.arange(len(named.nodes))
+    rows = {kind: row[corners] for kind, corners in named.faces.items()}
+    return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
 
 def _with_tables(plan: Plan) -> Plan:
@@ -91,10 +107,10 @@ def _with_tables(plan: Plan) -> Plan:
 def _trial(plan: Plan) -> Float[Array, "b d"]:
     """A smooth displacement of the moving nodes that no polynomial gives, of size one, fixed nodes at rest."""
     own, mirror = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.surface.mirror
-    moving = own[: plan.moves]
+    moving = own[: plan.n_moving]
     arms = moving - moving.mean(axis=0)
     u = np.zeros_like(own)
-    u[: plan.moves] = np.cos(2 * arms / (np.abs(arms).max() or 1))
+    u[: plan.n_moving] = np.cos(2 * arms / (np.abs(arms).max() or 1))
     if mirror is None:
         return jnp.asarray(u)
     return mirror.extended(jnp.asarray(u))
@@ -104,41 +120,3 @@ def _first(rows: np.ndarray) -> np.ndarray:
     """For each row, the first one with the same value."""
     _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
     return first[inverse]
-
-
-def _checked(points, moving, fixed) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    host = np.asarray(points)
-    if host.dtype not in (np.float32, np.float64):
-        host = host.astype(np.float64)
-    if host.ndim != 2 or host.shape[1] not in (2, 3):
-        raise ValueError(f"`points` has shape {host.shape}; expected (n, 2) or (n, 3).")
-    finite = np.isfinite(host).all(axis=1)
-    if not finite.all():
-        raise MeshError(
-            f"{(~finite).sum()} of {len(host)} points are not finite, first node {{node}}.", np.flatnonzero(~finite)
-        )
-    moving, fixed = (node_ids(ids, name, len(host)) for ids, name in ((moving, "moving"), (fixed, "fixed")))
-    unique, counts = np.unique(moving, return_counts=True)
-    if len(unique) < len(moving):
-        raise ValueError(
-            f"{(counts > 1).sum()} nodes are named more than once in `moving`, first node {unique[counts > 1][0]}."
-        )
-    if len(moving) == 0:
-        raise ValueError("`moving` is empty: name the nodes of the boundary that moves.")
-    fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]
-    return host, (moving, fixed[~np.isin(fixed, moving)])
-
-
-def node_ids(values, name: str, n: int) -> np.ndarray:
-    ids = np.asarray(values)
-    if ids.size == 0:
-        return np.zeros(0, dtype=np.int64)
-    if ids.ndim != 1 or ids.dtype.kind not in "iu":
-        hint = f"; for a mask use np.flatnonzero({name})" if ids.dtype == bool else ""
-        raise ValueError(f"`{name}` must be a list of node ids, not {ids.dtype} of shape {ids.shape}{hint}.")
-    wrong = (ids < 0) | (ids >= n)
-    if wrong.any():
-        raise ValueError(
-            f"{wrong.sum()} ids in `{name}` are not nodes of the mesh (0 to {n - 1}), first {ids[wrong][0]}."
-        )
-    return ids.astype(np.int64)

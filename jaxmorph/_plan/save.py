@@ -24,11 +24,11 @@ from .._host.files import complete
 from .known import known_classes
 from .plan import Plan
 
-FORMAT, VERSION = "jaxmorph plan", 1
+FORMAT, VERSION = "jaxmorph plan", 2
 _HEADER = "description"
 _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, TypeError, IndexError, EOFError, AttributeError, RecursionError)
 
-Steps = Plan | Sequence[Plan | tuple[Plan, ...]]
+Steps = Plan | Sequence[Plan]
 
 
 def save(path: str | os.PathLike[str], plan: Steps) -> None:
@@ -75,6 +75,10 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
             ) from error
     if found[0] != FORMAT:
         raise ValueError(f"{path}: not a saved plan; its format is {found[0]!r}.")
+    if found[1] < VERSION:
+        raise ValueError(
+            f"{path}: of version {found[1]}, this jaxmorph reads {VERSION}: prepare the plan anew and save it."
+        )
     if found[1] > VERSION:
         raise ValueError(f"{path}: of version {found[1]}, this jaxmorph reads up to {VERSION}: install a later one.")
     try:

@@ -61,7 +61,7 @@ def replay(plans: Sequence[Plan], path: Float[ArrayLike, "k m d"]) -> Float[Arra
 def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
     """Where the surface's own rows are to be at the end of each step."""
     path = jnp.asarray(path, plan.points.dtype)
-    m, d = plan.moves, plan.points.shape[1]
+    m, d = plan.n_moving, plan.points.shape[1]
     if path.ndim != 3 or path.shape[1:] != (m, d):
         raise ValueError(
             f"`path` has shape {path.shape}; expected (steps, {m}, {d}): the total displacement at each step's end."

@@ -59,6 +59,12 @@ class Plane(eqx.Module):
             )
         return Plane(normal, origin)
 
+    def equals(self, other: "Plane", points: np.ndarray) -> bool:
+        """Tells whether both are one plane, to the tolerance within which nodes lie on it."""
+        if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
+            return False
+        return abs(float(self.height(other.origin))) <= _tolerance(points)
+
     def holds(self, points: np.ndarray) -> np.ndarray:
         """(n,) whether each point lies on the plane."""
         return np.abs(self.height(points)) <= _tolerance(points)
@@ -96,6 +102,20 @@ class Mirror(eqx.Module):
     def extended(self, own: Float[Array, "o d"]) -> Float[Array, "b d"]:
         """Displacements of all rows from any of the own ones: those on a plane stay in it."""
         return self.vectors(self.within(own, self.on_plane))
+
+    def faces(self, corners: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "l c"]:
+        """Host: the faces between own rows, as extended rows, and their images; one that lies in a plane has none in it."""
+        on_plane, mirrored, rows = (np.asarray(leaf) for leaf in (self.on_plane, self.mirrored, self.rows))
+        planes = on_plane.shape[1]
+        bits = 1 << np.arange(planes)
+        row_of = np.full((1 << planes, len(on_plane)), -1, dtype=np.int32)
+        row_of[mirrored @ bits, rows] = np.arange(len(rows))
+        in_plane = on_plane[corners].all(axis=1) @ bits
+        images = []
+        for flags in range(1 << planes):
+            kept = corners[(in_plane & flags) == 0]
+            images.append(row_of[flags & ~(on_plane[kept] @ bits), kept])
+        return np.concatenate(images)
 
     def _reflected(self, vectors, origins):
         for k, normal in enumerate(self.normals):

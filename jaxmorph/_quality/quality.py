@@ -51,6 +51,8 @@ def quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> QualityRepor
 
 def places(mesh: Mesh, points: Float[Any, "n d"] | None) -> Float[Array, "n d"]:
     """Where the nodes are to be judged: at `points`, or where the mesh has them."""
+    if not isinstance(mesh, Mesh):
+        raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
     if not sum(len(corners) for corners in mesh.cells.values()):
         raise ValueError("the mesh has no cells; its quality is not defined.")
     current = jnp.asarray(mesh.points if points is None else points)

@@ -25,7 +25,7 @@ def work(points: int) -> str:
     plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"))
     shared = jm.shard(plan, jax.devices())
     rng = np.random.default_rng(0)
-    u, cotangent = 0.01 * rng.normal(size=(plan.moves, 2)), rng.normal(size=mesh.points.shape)
+    u, cotangent = 0.01 * rng.normal(size=(plan.n_moving, 2)), rng.normal(size=mesh.points.shape)
     alone, together = (_timed(which, u, cotangent) for which in (plan, shared))
     lines = [
         f"process {jax.process_index()} of {jax.process_count()}, {len(mesh.points)} points, {len(jax.devices())} devices"

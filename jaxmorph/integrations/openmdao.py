@@ -42,7 +42,7 @@ class MeshDeformation(om.ExplicitComponent):
 
     def setup(self) -> None:
         plan, flat, units = self.options["plan"], self.options["flat"], self.options["units"]
-        self._shape = plan.moves, plan.points.shape[1]
+        self._shape = plan.n_moving, plan.points.shape[1]
         rest: Any = np.zeros(self._shape)
         points: Any = np.asarray(plan.points, dtype=float)
         self.add_input("displacements", val=rest.ravel() if flat else rest, units=units)

@@ -76,8 +76,8 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
     **Raises:** `ValueError` for a plan without radial basis functions, when the shape of `u` is not (m, d) or `u` is zero, for no
     `reductions`, and what `prepare` raises for one of them.
     """
-    rbf, _ = radial_basis_functions(plan)
-    points, m = np.asarray(plan.points), plan.moves
+    rbf = radial_basis_functions(plan)
+    points, m = np.asarray(plan.points), plan.n_moving
     u = np.asarray(u, dtype=points.dtype)
     if u.shape != (m, points.shape[1]):
         raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {points.shape[1]} dimensions.")
@@ -85,7 +85,7 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
         raise ValueError("`u` is zero: every reduction follows it.")
     if not len(reductions):
         raise ValueError("`reductions` is empty: name at least one, such as jm.KDTree(16).")
-    nodes, mirror = np.concatenate([plan.moving, plan.fixed]), plan.surface.mirror
+    nodes, mirror = np.concatenate([plan.moving, plan.fixed]), plan.mirror
     b, planes = len(nodes), ()
     if mirror is not None:  # of the volume only the nodes that tell where the planes are
         on_plane = np.flatnonzero(np.asarray(plan.volume.on_plane)[: len(points)].any(axis=1))

@@ -128,29 +128,25 @@ def _found(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, di
     return _Found(nodes, chosen, np.concatenate(boxes), np.concatenate(searched))
 
 
-def radial_basis_functions(plan: jm.Plan) -> tuple[jm.RBF, Any]:
-    """The plan's RBF and the rows of the surface that are its sources; `ValueError` where it has none."""
-    method, ids = plan.method, plan.surface.ids
+def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
+    """Returns the plan's RBF; `ValueError` where it has none."""
+    method = plan.method
     while isinstance(method, jm.SurfaceReconstruction):
-        method, ids = method.coarse, ids[0]
+        method = method.coarse
     if not isinstance(method, jm.RBF):
         raise ValueError(f"the plan's method has no radial basis functions, and so no sources: {plan.method}.")
-    return method, np.asarray(ids)
+    return method
 
 
 def of_plan(plan: jm.Plan, fixed: bool = True) -> tuple[list[tuple[np.ndarray, jm.AbstractReduction]], np.ndarray]:
-    """Moving and fixed nodes with their reductions; and the sources, without their images in symmetry planes."""
-    rbf, ids = radial_basis_functions(plan)
-    points, mirror = np.asarray(plan.points, dtype=float), plan.surface.mirror
-    if mirror is not None:
-        is_image = np.asarray(mirror.mirrored).any(axis=1)
-        ids = np.asarray(mirror.rows)[ids[~np.asarray(is_image)[ids]]]
+    """Returns moving and fixed nodes with their reductions; and the sources, without their images in symmetry planes."""
+    rbf, points, sources = radial_basis_functions(plan), np.asarray(plan.points, dtype=float), plan.sources
     parts = [(points[np.asarray(plan.moving)], rbf.reduction)]
     if fixed:
         parts.append((points[np.asarray(plan.fixed)], rbf.fixed_reduction))
     else:
-        ids = ids[ids < plan.moves]
-    return parts, points[np.asarray(plan.surface.nodes)[ids]]
+        sources = sources[np.isin(sources, plan.moving)]
+    return parts, points[sources]
 
 
 def _checked(points: Any, dimension: int) -> np.ndarray:

@@ -1,0 +1,171 @@
+"""The door of `prepare`: what a caller names becomes checked points, node ids, planes and faces."""
+
+import dataclasses
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from .._host.errors import MeshError
+from .._host.topology import DIMENSION, boundary_faces
+from .._mesh.mesh import Mesh
+from .symmetry import Plane
+
+USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
+
+
+@dataclasses.dataclass(frozen=True)
+class Boundary:
+    """A checked call of `prepare`.
+
+    `points` (n, d); `moving` (m,) and `fixed` (f,) are node ids, no node twice; `faces` are the mesh's boundary faces
+    (k, corners) by type, as node ids, or None where the cells are not known.
+    """
+
+    points: np.ndarray
+    moving: np.ndarray
+    fixed: np.ndarray
+    planes: tuple[Plane, ...]
+    faces: Mapping[str, np.ndarray] | None
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Ids of the surface's nodes: moving, then fixed."""
+        return np.concatenate([self.moving, self.fixed])
+
+
+def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any) -> Boundary:
+    """Checks what `prepare` was given. Raises `ValueError` in one sentence that names the call to make."""
+    points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
+    patches = mesh if isinstance(mesh, Mesh) else None
+    moving, fixed = (_nodes(ids, name, patches, len(points)) for ids, name in ((moving, "moving"), (fixed, "fixed")))
+    unique, counts = np.unique(moving, return_counts=True)
+    if len(unique) < len(moving):
+        raise MeshError(
+            f"{(counts > 1).sum()} nodes are named more than once in `moving`, first node {{node}}.", unique[counts > 1]
+        )
+    if len(moving) == 0:
+        raise ValueError("`moving` is empty: name the nodes of the boundary that moves.")
+    fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]
+    fixed = fixed[~np.isin(fixed, moving)]
+    planes = _planes(symmetry, points, patches)
+    faces = None if patches is None else _faces(patches)
+    if patches is not None and faces is not None:
+        _tell_of_free_faces(patches, faces, points, np.concatenate([moving, fixed]), planes)
+    return Boundary(points, moving, fixed, planes, faces)
+
+
+def checked_points(points: Any) -> np.ndarray:
+    """Returns coordinates as a NumPy array (n, d) of float32 or float64. Raises `ValueError` for anything else."""
+    if isinstance(points, str | bytes) or points is None:
+        raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
+    try:
+        array = np.asarray(points)
+    except ValueError as error:
+        raise ValueError(f"`points` is no array of numbers ({error}). Call {USE}.") from error
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"`points` holds {array.dtype}, not real numbers. Call {USE}.")
+    if array.dtype not in (np.float32, np.float64):
+        array = array.astype(np.float64)
+    if array.ndim != 2 or array.shape[1] not in (2, 3):
+        raise ValueError(f"`points` has shape {array.shape}; expected (n, 2) or (n, 3).")
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
+        raise MeshError(
+            f"{(~finite).sum()} of {len(array)} points are not finite, first node {{node}}.", np.flatnonzero(~finite)
+        )
+    return array
+
+
+def _names(values: Any) -> tuple[str, ...] | None:
+    """Returns the names of patches, if `values` is one or several; None for anything else."""
+    if isinstance(values, str):
+        return (values,)
+    is_list = isinstance(values, list | tuple | set | frozenset)
+    return tuple(values) if is_list and values and all(isinstance(each, str) for each in values) else None
+
+
+def _nodes(values: Any, name: str, mesh: Mesh | None, n: int) -> Int[np.ndarray, " k"]:
+    names = _names(values)
+    if names is None:
+        return node_ids(values, name, n)
+    if mesh is None:
+        raise ValueError(
+            f"`{name}` names patches ({', '.join(map(repr, names))}), but points alone have none: pass the mesh, "
+            f"prepare(mesh, ...), or node ids, mesh.patch({names[0]!r})."
+        )
+    return mesh.patch(*names).astype(np.int64)
+
+
+def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
+    """Returns node ids as an array. Raises `ValueError` for what is no list of ids of a mesh of `n` points."""
+    if values is None or isinstance(values, Mesh | Plane):
+        raise ValueError(f"`{name}` must be node ids or names of patches, not {type(values).__name__}. Call {USE}.")
+    ids = np.asarray(values)
+    if ids.size == 0:
+        return np.zeros(0, dtype=np.int64)
+    if ids.ndim != 1 or ids.dtype.kind not in "iu":
+        hint = f"; for a mask use np.flatnonzero({name})" if ids.dtype == bool else ""
+        raise ValueError(f"`{name}` must be a list of node ids, not {ids.dtype} of shape {ids.shape}{hint}.")
+    wrong = (ids < 0) | (ids >= n)
+    if wrong.any():
+        raise ValueError(
+            f"{wrong.sum()} ids in `{name}` are not nodes of the mesh (0 to {n - 1}), first {ids[wrong][0]}."
+        )
+    return ids.astype(np.int64)
+
+
+def _planes(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
+    """Returns the planes, each once: patches are named where there is a mesh."""
+    several = [symmetry] if isinstance(symmetry, Plane | str) else symmetry
+    if not isinstance(several, Sequence | set | frozenset):
+        raise ValueError(f"`symmetry` must be a Plane or several, not {type(symmetry).__name__}.")
+    planes: list[Plane] = []
+    for each in several:
+        if isinstance(each, str) and mesh is not None:
+            each = Plane.through(points, mesh.patch(each))
+        if not isinstance(each, Plane):
+            raise ValueError(
+                f"`symmetry` holds {each!r}, which is no plane: pass jm.Plane(normal=(0, 1), origin=(0, 0)), "
+                "jm.Plane.through(points, nodes), or the name of a patch where the first argument is a mesh."
+            )
+        if not any(each.equals(plane, points) for plane in planes):
+            planes.append(each)
+    return tuple(planes)
+
+
+def _faces(mesh: Mesh) -> dict[str, np.ndarray] | None:
+    """Finds the boundary faces of the cells of highest dimension; None for a mesh without cells."""
+    highest = max((DIMENSION[kind] for kind, corners in mesh.cells.items() if len(corners)), default=0)
+    if highest < 2:
+        return None
+    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items() if DIMENSION[kind] == highest}
+    return boundary_faces(cells, len(mesh.points))
+
+
+def _tell_of_free_faces(
+    mesh: Mesh, faces: Mapping[str, np.ndarray], points: np.ndarray, listed: np.ndarray, planes: tuple[Plane, ...]
+) -> None:
+    """Warns of boundary faces that belong to nothing that moves, is fixed, or is a symmetry plane."""
+    is_listed = np.zeros(len(points), dtype=bool)
+    is_listed[listed] = True
+    for plane in planes:
+        is_listed |= plane.holds(points)
+    free = {kind: corners[~is_listed[corners].all(axis=1)] for kind, corners in faces.items()}
+    count, total = (sum(map(len, each.values())) for each in (free, faces))
+    if not count:
+        return
+    patches = []
+    for name, nodes in mesh.patches.items():
+        inside = np.zeros(len(points), dtype=bool)
+        inside[np.asarray(nodes)] = True
+        if any(inside[corners].all(axis=1).any() for corners in free.values()):
+            patches.append(repr(name))
+    where = f", in {'patch' if len(patches) == 1 else 'patches'} {', '.join(patches)}" if patches else ""
+    warnings.warn(
+        f"{count} of {total} boundary faces are neither moving, fixed nor on a symmetry plane{where}: their nodes follow "
+        "like inner ones, and may leave the boundary. Name them in `fixed`, `moving` or `symmetry`.",
+        stacklevel=4,
+    )

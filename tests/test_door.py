@@ -1,0 +1,172 @@
+"""The door: a mesh or points, names or ids, and one sentence that names the call to make for each first mistake."""
+
+import re
+
+import jax
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+
+
+def ring(n=24, layers=7):
+    """A ring of quads: patches `body` and `far`, and `half`, the far nodes with y > 0."""
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    radius = np.geomspace(0.5, 4, layers)
+    points = (radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
+    i, j = np.meshgrid(np.arange(layers - 1), np.arange(n), indexing="ij")
+    after = (j + 1) % n
+    quads = np.stack([i * n + j, (i + 1) * n + j, (i + 1) * n + after, i * n + after], axis=-1).reshape(-1, 4)
+    far = np.arange((layers - 1) * n, layers * n)
+    half = far[points[far, 1] > -1e-9]
+    return jm.Mesh(points, {"quad": quads}, {"body": np.arange(n), "far": far, "half": half})
+
+
+def box(n=3):
+    """A brick of hexahedra, its six sides as patches."""
+    k, j, i = np.meshgrid(*[np.arange(n + 1)] * 3, indexing="ij")
+    points = np.stack([i, j, k], axis=-1).reshape(-1, 3) / n
+    first = (i + (n + 1) * (j + (n + 1) * k))[:-1, :-1, :-1].ravel()
+    step = np.array([0, 1, n + 2, n + 1])
+    cells = first[:, None] + np.concatenate([step, step + (n + 1) ** 2])
+    sides = {f"{'xyz'[a]}{s}": np.flatnonzero(points[:, a] == s) for a in range(3) for s in (0, 1)}
+    return jm.Mesh(points, {"hexahedron": cells}, sides)
+
+
+SURFACES = []
+
+
+class Seen(jm.DelaunayGraph):
+    """Graph mapping that keeps the surface which it was connected to."""
+
+    def connect(self, surface, points):
+        SURFACES.append(surface)
+        return super().connect(surface, points)
+
+
+def surface_of(mesh, moving, fixed, symmetry=()):
+    jm.prepare(mesh, moving, fixed, method=Seen(), symmetry=symmetry)
+    return SURFACES.pop()
+
+
+def test_names_and_ids_are_one_plan():
+    mesh = ring()
+    plan, other = jm.prepare(mesh, "body", ["far"]), jm.prepare(mesh.points, mesh.patch("body"), mesh.patch("far"))
+    u = np.random.default_rng(0).normal(size=(24, 2)) * 1e-2
+    assert (np.asarray(plan.moving) == other.moving).all()
+    np.testing.assert_allclose(jm.deform(plan, u), jm.deform(other, u), rtol=0, atol=1e-12)
+
+
+def test_a_node_in_both_moves():
+    mesh = ring()
+    plan = jm.prepare(mesh, ("body", "half"), "far")
+    assert plan.n_moving == 24 + len(mesh.patch("half"))
+    assert len(plan.fixed) == 24 - len(mesh.patch("half"))
+
+
+def test_boundary_faces_in_no_list_are_told():
+    mesh = ring()
+    with pytest.warns(UserWarning, match=r"12 of 48 boundary faces are neither .* in patch 'far'"):
+        jm.prepare(mesh, "body", "half", method=jm.RBF(fixed_reduction=jm.AllPoints()))
+
+
+def test_methods_see_the_faces_between_surface_nodes():
+    faces = surface_of(ring(), "body", "far").faces
+    assert set(faces) == {"line"}
+    assert len(faces["line"]) == 48
+    assert np.bincount(faces["line"].ravel()).tolist() == [2] * 48
+    assert surface_of(ring().points, np.arange(24), np.arange(144, 168)).faces is None
+
+
+def test_mirror_images_have_faces_too():
+    """Of a brick's quarter with two planes: the moving side z = 1 becomes one closed patch of four times its faces."""
+    mesh = box()
+    surface = surface_of(mesh, "z1", ("z0", "x1", "y1"), ("x0", "y0"))
+    faces, points = surface.faces["quad"], surface.points
+    moving = faces[(faces < surface.moving).all(axis=1)]
+    assert len(moving) == 4 * 9
+    centres = points[moving].mean(axis=1)
+    expected = (np.stack(np.meshgrid(*[np.arange(-2.5, 3)] * 2), axis=-1).reshape(-1, 2)) / 3
+    np.testing.assert_allclose(sorted(map(tuple, centres[:, :2].round(9))), sorted(map(tuple, expected.round(9))))
+    assert (points[moving][..., 2] == 1).all()
+    assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
+
+
+def test_planes_by_name_each_once():
+    mesh = box()
+    both = jm.Mesh(mesh.points, mesh.cells, {**mesh.patches, "again": mesh.patch("y0")})
+    plan = jm.prepare(both, "z1", ("z0", "x1", "y1", "x0"), symmetry=("y0", "again"))
+    assert plan.mirror.normals.shape == (1, 3)
+
+
+def test_sources_and_offset_of_a_plan():
+    mesh = box(4)
+    u = np.zeros((25, 3))
+    u[:, 2] = 0.05 * np.cos(mesh.points[mesh.patch("z1"), 0] * 7)
+    fixed = ("z0", "x1", "y1", "y0")
+    plan = jm.prepare(mesh, "z1", fixed, method=jm.SurfaceReconstruction.published(2, 2), symmetry="x0")
+    assert np.isin(plan.sources, np.concatenate([plan.moving, plan.fixed])).all()
+    assert len(np.unique(plan.sources)) == len(plan.sources)
+    coarse = jm.prepare(mesh, "z1", fixed, method=plan.method.coarse, symmetry="x0")
+    nodes = np.concatenate([plan.moving, plan.fixed])
+    target = mesh.points[nodes] + np.concatenate([u, np.zeros((len(plan.fixed), 3))])
+    np.testing.assert_allclose(plan.offset(u), target - np.asarray(jm.deform(coarse, u))[nodes], atol=1e-12)
+    np.testing.assert_allclose(np.asarray(plan.offset(u))[np.isin(nodes, plan.sources)], 0, atol=1e-12)
+
+
+def test_the_default_and_its_two_neighbours():
+    mesh = ring()
+    assert jm.prepare(mesh, "body", "far").method == jm.SurfaceReconstruction()
+    published = jm.SurfaceReconstruction.published(3, 2)
+    assert isinstance(published.correction, jm.DelaunayGraph)
+    assert published.coarse.reduction == jm.KDTree(3)
+    assert published.coarse.fixed_reduction == jm.KDTree(2)
+    classic = jm.RBF.classic(jm.WendlandC2(2.0), degree=0)
+    assert classic.exact
+    assert len(jm.prepare(mesh, "body", "far", method=classic).sources) == 48
+
+
+MESH = ring()
+PLAN = jm.prepare(MESH, "body", "far")
+MISTAKES = {
+    "patch names without a mesh": (lambda: jm.prepare(MESH.points, "body", "far"), r"prepare\(mesh, \.\.\.\)"),
+    "a file name": (lambda: jm.prepare("mesh.su2", "body", "far"), r"prepare\(mesh, "),
+    "no such patch": (lambda: jm.prepare(MESH, "wing", "far"), "this mesh has: 'body'"),
+    "a mesh as ids": (lambda: jm.prepare(MESH, MESH, "far"), "`moving` must be node ids or names"),
+    "method as a word": (lambda: jm.prepare(MESH, "body", "far", method="rbf"), r"method=jm\.RBF\(\)"),
+    "method as a class": (lambda: jm.prepare(MESH, "body", "far", method=jm.RBF), r"method=RBF\(\)"),
+    "basis as a class": (lambda: jm.RBF(jm.WendlandC2), r"basis=WendlandC2\(\)"),
+    "basis as a word": (lambda: jm.RBF("tps"), r"basis=jm\.ThinPlateSpline\(\)"),
+    "reduction as a number": (lambda: jm.RBF(reduction=64), r"reduction=jm\.KDTree\(64\)"),
+    "coarse as a class": (lambda: jm.SurfaceReconstruction(jm.RBF), r"coarse=RBF\(\)"),
+    "correction as a word": (lambda: jm.NearWall("graph"), r"correction=jm\.DelaunayGraph\(\)"),
+    "a normal as plane": (lambda: jm.prepare(MESH, "body", "far", symmetry=(0, 1)), r"jm\.Plane\(normal=\(0, 1\)"),
+    "quality of points": (lambda: jm.quality(MESH.points), r"quality\(mesh, points\)"),
+    "fewest_steps, swapped": (
+        lambda: jm.fewest_steps(MESH, PLAN, lambda t: t),
+        r"fewest_steps\(plan, mesh, motion\)",
+    ),
+    "choose without a mesh": (lambda: jm.choose(MESH.points, [0], [1], np.zeros((1, 1, 2))), r"choose\(mesh, moving"),
+    "a float as u": (lambda: jm.deform(PLAN, 0.1), r"`u` has shape \(\); this plan moves 24"),
+    "a word as u": (lambda: jm.deform(PLAN, "up"), r"`u` holds <U2; .*\(24, 2\)"),
+    "complex u": (lambda: jm.deform(PLAN, np.zeros((24, 2), complex)), "`u` holds complex128"),
+    "deform of a mesh": (lambda: jm.deform(MESH, np.zeros((24, 2))), r"deform\(plan, u\)"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_first_mistakes(mistake):
+    call, words = MISTAKES[mistake]
+    with pytest.raises(ValueError, match=words) as caught:
+        call()
+    assert len(re.split(r"(?<=[a-z)])\. ", str(caught.value))) <= 2
+
+
+def test_choose_takes_names():
+    motions = np.random.default_rng(0).normal(size=(1, 24, 2)) * 1e-3
+    assert jm.choose(MESH, "body", "far", motions, leaves=(4,)).plan.n_moving == 24
+
+
+def test_a_plan_goes_through_jit():
+    u = np.full((24, 2), 0.01)
+    np.testing.assert_allclose(jax.jit(jm.deform)(PLAN, u), jm.deform(PLAN, u), atol=1e-14)
