@@ -143,7 +143,7 @@ class QualityReport(eqx.Module):
         badness = -score if by in _SMALL_IS_BAD else score
         badness = np.where(np.isnan(badness), np.inf, badness)
         first = np.zeros(len(badness), dtype=bool) if by else np.asarray(self.is_inverted)
-        ids = np.flatnonzero(self._mask())
+        ids = np.flatnonzero(self.counted)
         return ids[np.lexsort((-badness[ids], ~first[ids]))[:k]]
 
     def raise_if_inverted(self) -> None:
@@ -151,9 +151,9 @@ class QualityReport(eqx.Module):
 
         Not inside `jit`: there `report.inverted` is a value like any other.
         """
-        bad = np.flatnonzero(np.asarray(self.is_inverted) & self._mask())
+        bad = np.flatnonzero(np.asarray(self.is_inverted) & self.counted)
         if len(bad):
-            total = int(self._mask().sum())
+            total = self.count
             are = "cell is" if len(bad) == 1 else "cells are"
             raise ValueError(
                 f"{len(bad)} of {total} {are} inverted, first cell {bad[0]} near {self._place(bad[0])}. "
@@ -181,11 +181,18 @@ class QualityReport(eqx.Module):
         highest = max(DIMENSION[kind] for kind, count in self.types if count)
         return [(kind, count) for kind, count in self.types if DIMENSION[kind] == highest]
 
-    def _mask(self) -> np.ndarray:
+    @property
+    def counted(self) -> Bool[np.ndarray, " k"]:
+        """Host: which cells count, those of the highest dimension; boundary elements do not."""
         top = {kind for kind, _ in self._top()}
         return np.concatenate([np.full(count, kind in top) for kind, count in self.types])
 
+    @property
+    def count(self) -> int:
+        """How many cells count."""
+        return sum(count for _, count in self._top())
+
     def _counted(self, values: Any) -> Any:
         """The entries of the cells that count, in the last axis."""
-        mask = self._mask()
+        mask = self.counted
         return values if mask.all() else values[..., np.flatnonzero(mask)]

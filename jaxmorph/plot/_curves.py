@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
-from jaxmorph._host.topology import DIMENSION
 
 from ._plane import Axes, given_or_new
 from ._sources import of_plan, radial_basis_functions
@@ -47,10 +46,8 @@ def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewne
 
 def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]:
     """Finite values of the cells of the highest dimension."""
-    highest = max(DIMENSION[kind] for kind, _ in report.types)
-    counts = np.concatenate([np.full(count, DIMENSION[kind] == highest) for kind, count in report.types])
     values = np.asarray(getattr(report, measure))
-    return values[counts & np.isfinite(values)]
+    return values[report.counted & np.isfinite(values)]
 
 
 @dataclasses.dataclass(frozen=True)
