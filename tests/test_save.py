@@ -150,13 +150,14 @@ def altered(path, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda h: h.update(version=2), "of version 2, this jaxmorph reads up to 1: install a later one"),
+        (lambda h: h.update(version=3), "of version 3, this jaxmorph reads up to 2: install a later one"),
+        (lambda h: h.update(version=1), "of version 1, this jaxmorph reads 2: prepare the plan anew and save it"),
         (lambda h: h.update(format="other"), "not a saved plan; its format is 'other'"),
         (lambda h: h.pop("tree"), "a damaged plan"),
         (lambda h: h["tree"].update({"class": "Popen"}), r"a class 'Popen' that is not known; pass yours as load\(path, cl"),
         (lambda h: h["tree"].update({"class": "os.system"}), "a class 'os.system' that is not known"),
         (lambda h: h["tree"].update({"class": "AbstractMethod", "fields": {}}), "a damaged plan"),
-        (lambda h: h["tree"]["fields"].pop("moves"), "Plan has the fields method, .* in the file, but carried, .* here"),
+        (lambda h: h["tree"]["fields"].pop("n_moving"), "Plan has the fields method, .* in the file, but carried, .* here"),
         (lambda h: h["tree"]["fields"].update(volume={"jax": 10**6}), "a damaged plan"),
         (lambda h: h["tree"]["fields"].update(volume={}), "a damaged plan"),
         (lambda h: h.update(tree={"tuple": []}), "holds a tuple, not a plan"),
