@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import BSpline
 from scipy.special import comb
 
-from jaxmorph import shapes
+from jaxmorph import io, shapes
 
 
 def cloud(d, count=60):
@@ -114,3 +114,19 @@ def test_continuity_joins_the_border(k):
 def test_bad_input_is_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_paraview_reads_the_lattice(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    for d in (2, 3):
+        box = shapes.FreeForm([0.0] * d, np.eye(d) * 2 + 0.1, (4, 3, 2)[:d])
+        control = 0.1 * np.random.default_rng(0).normal(size=(*box.counts, d))
+        io.write_lattice(tmp_path / "box.vts", box.lattice(control))
+        grid = pyvista.read(tmp_path / "box.vts")
+        assert grid.dimensions == (*box.counts, 1)[:3]
+        expected = np.asarray(box.lattice(control)).reshape(*grid.dimensions, d)
+        np.testing.assert_array_equal(grid.points[:, :d], expected.transpose(2, 1, 0, 3).reshape(-1, d))
+    with pytest.raises(ValueError, match=r"ends in \.vts"):
+        io.write_lattice(tmp_path / "box.vtk", box.lattice())
+    with pytest.raises(ValueError, match="a lattice has shape"):
+        io.write_lattice(tmp_path / "box.vts", np.zeros((4, 3)))

@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from . import _bspline
+from ._combine import Linked
 from ._door import Numbers, is_known, positions
 from ._lattice import LatticeOperator
+from ._links import link_matrix
 from ._shape import AbstractLinearShape
 
 
@@ -115,6 +117,65 @@ class FreeForm(AbstractLinearShape):
         points = t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
         return points if control is None else points + control
 
+    def linked(
+        self,
+        *,
+        free: np.ndarray | None = None,
+        groups: Sequence[Sequence[tuple[int, ...]]] = (),
+        mirror: int | None = None,
+    ) -> Linked:
+        """Makes a shape with fewer parameters (q,): frozen, linked and mirrored control points.
+
+        **Arguments:**
+
+        - `free`: which controls may move, (*counts,), or which of their coordinates, (*counts, d); all by default.
+        - `groups`: lists of controls (i, j[, k]) that move alike.
+        - `mirror`: direction of the lattice whose two halves move as mirror images; its edge must be along an axis.
+
+        **Raises:** `ValueError` for arrays or controls that are not of this lattice, an edge along no axis, and nothing free.
+        """
+        d = len(self.counts)
+        free = np.ones((*self.counts, d), bool) if free is None else np.asarray(free)
+        free = np.repeat(free[..., None], d, axis=-1) if free.shape == self.counts else free.copy()
+        if free.shape != (*self.counts, d) or free.dtype != bool:
+            raise ValueError(
+                f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {(*self.counts, d)}."
+            )
+        bad = [each for group in groups for each in group if not _is_control(each, self.counts)]
+        if bad:
+            raise ValueError(f"{len(bad)} entries of `groups` are no control of {self.counts}, first {bad[0]}.")
+        reflected = None
+        if mirror is not None:
+            signs = np.where(np.asarray(self.axes)[mirror] != 0, -1, 1)
+            if (signs < 0).sum() != 1:
+                raise ValueError(f"edge {mirror} of the box is along no axis: its controls cannot be mirrored.")
+            reflected = mirror, signs
+        if self.continuity is not None:
+            free &= _free(self.counts, self.continuity)[..., None]
+        matrix = link_matrix(free, groups, reflected)
+        if not matrix.shape[1]:
+            raise ValueError("no control point is left free.")
+        return Linked(self, matrix)
+
+    def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
+        """Speaks where the box would tear a wall: nodes outside of it stay while the border beside them moves past them.
+
+        **Raises:** `ValueError` with the number of nodes that are nearer to the border than it moves there.
+        """
+        x = np.asarray(positions(x))
+        t = np.asarray(self.coordinates(jnp.asarray(x)))
+        outside = ~np.asarray(self.holds(jnp.asarray(t)))
+        border = np.asarray(self.origin) + np.clip(t, 0, 1) @ np.asarray(self.axes)
+        moves = np.linalg.norm(np.asarray(self.at(border)(jnp.asarray(control))), axis=1)
+        torn = outside & (moves > np.linalg.norm(x - border, axis=1))
+        if torn.any():
+            worst = int(np.where(torn, moves, 0).argmax())
+            place = ", ".join(f"{value:.6g}" for value in x[worst])
+            raise ValueError(
+                f"{torn.sum()} of {len(x)} nodes stay outside the box while its border passes them, row {worst} at ({place}) by "
+                f"{moves[worst]:.3g}. Try continuity=0 or more, or a larger box."
+            )
+
 
 def _checked_counts(counts, degree, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     counts = tuple(int(count) for count in counts)
@@ -137,3 +198,7 @@ def _free(counts: tuple[int, ...], continuity: int) -> np.ndarray:
         shape = [-1 if other == axis else 1 for other in range(len(counts))]
         free &= ((layer > continuity) & (layer < count - 1 - continuity)).reshape(shape)
     return free
+
+
+def _is_control(each, counts: tuple[int, ...]) -> bool:
+    return len(each) == len(counts) and all(0 <= i < count for i, count in zip(each, counts, strict=True))

@@ -1,0 +1,109 @@
+"""Parameters that reproduce a given surface."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int, PyTree
+
+from ._combine import Part, Together
+from ._curves import CST
+from ._door import Numbers, positions
+from ._section import Chord, upper_side
+from ._shape import AbstractLinearShape
+
+
+class Fit(eqx.Module):
+    """What a fit found: parameters, distances left, rank.
+
+    - `parameters`: as the shape takes them.
+    - `residual`: (m,) distance of each position from its target.
+    - `rank`: of the derivative by the parameters; below `count` some of them have no effect, and are as small as can be.
+    - `count`: numbers in the parameters.
+    """
+
+    parameters: PyTree
+    residual: Float[Array, " m"]
+    rank: Int[Array, ""]
+    count: int = eqx.field(static=True)
+
+    @property
+    def max_residual(self) -> Float[Array, ""]:
+        """The largest distance left."""
+        return self.residual.max()
+
+
+def fit(
+    shape: Callable, points: Numbers, targets: Numbers, start: PyTree | None = None, *, max_steps: int = 100
+) -> Fit:
+    """Finds the parameters with which a shape moves points closest to targets, in the sense of least squares.
+
+    A linear shape takes one solve, by singular values; any other is fitted by Levenberg and Marquardt's method.
+
+    **Arguments:**
+
+    - `shape`: a shape, or a function of positions and parameters.
+    - `points`: (m, d) before.
+    - `targets`: (m, d) after, row by row.
+    - `start`: parameters to begin with; those of `shape.neutral()` by default.
+    - `max_steps`: of the iteration.
+
+    **Returns:** a `Fit`.
+
+    **Raises:** `ValueError` for different shapes, values that are not finite, and no `start` for a function.
+    """
+    points, targets = positions(points, "points"), positions(targets, "targets")
+    if points.shape != targets.shape:
+        raise ValueError(f"`points` has shape {points.shape}, `targets` {targets.shape}; they belong row to row.")
+    if not np.isfinite(np.asarray(targets)).all():
+        raise ValueError(f"{(~np.isfinite(np.asarray(targets)).all(axis=1)).sum()} of `targets` are not finite.")
+    if start is None:
+        if not hasattr(shape, "neutral"):
+            raise ValueError("`start` is missing: a plain function does not tell its parameters.")
+        start = shape.neutral()  # pyright: ignore[reportFunctionMemberAccess]
+    flat, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, points.dtype), start))
+
+    def miss(flat, _=None):
+        return (shape(points, unravel(flat)) - targets).ravel()
+
+    if not isinstance(shape, AbstractLinearShape):
+        solver = optimistix.LevenbergMarquardt(rtol=1e-12, atol=1e-14)
+        flat = optimistix.least_squares(miss, solver, flat, max_steps=max_steps, throw=False).value
+    jacobian = jax.jacfwd(miss)(flat)
+    change, _, rank, _ = jnp.linalg.lstsq(jacobian, -miss(flat))
+    if isinstance(shape, AbstractLinearShape):
+        flat = flat + change
+    residual = jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1)
+    return Fit(unravel(flat), residual, rank, len(flat))
+
+
+def fit_cst(
+    points: Numbers, order: int, exponents: tuple[float, float] = (0.5, 1.0), *, chord: Chord | None = None
+) -> tuple[Together, Fit]:
+    """Fits class and shape functions to the upper and the lower side of an airfoil, from its chord.
+
+    **Arguments:**
+
+    - `points`: (m, 2) nodes of the airfoil, in any order.
+    - `order`, `exponents`: of `CST`.
+    - `chord`: from the tail to the node farthest from it by default. A nose between two nodes shows in the residual there.
+
+    **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters are those of this airfoil.
+    Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.
+
+    **Raises:** `ValueError` for fewer nodes than unknowns, and where two sides are not to be seen.
+    """
+    points = positions(points, "points")
+    chord = Chord.along(points) if chord is None else chord
+    upper = upper_side(points, chord)
+    if min(upper.sum(), (~upper).sum()) < order + 2:
+        raise ValueError(
+            f"{upper.sum()} nodes above and {(~upper).sum()} below do not tell {order + 2} numbers a side."
+        )
+    shape = Together(*(Part(CST(order, exponents, chord=chord), side) for side in (upper, ~upper)))
+    _, height = chord.coordinates(points)
+    return shape, fit(shape, points - height[:, None] * chord.up.astype(points.dtype)[None, :], points)

@@ -1,0 +1,41 @@
+"""Which control displacements are free: frozen, linked and mirrored ones as one matrix."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+
+def link_matrix(
+    free: Bool[np.ndarray, "..."], groups: Sequence[Sequence[tuple[int, ...]]], mirror: tuple[int, np.ndarray] | None
+) -> Float[np.ndarray, "p q"]:
+    """Builds the matrix from free parameters to the displacements of all controls, flattened.
+
+    `free` (*counts, d) tells what may move, each of `groups` lists controls that move alike, `mirror` is the direction of the
+    lattice that is reflected, and the signs (d,) of the reflection.
+    """
+    counts, d = free.shape[:-1], free.shape[-1]
+    ids = np.arange(free.size).reshape(free.shape)
+    pairs = [(ids[group[0]], ids[each], np.ones(d, int)) for group in groups for each in group[1:]]
+    if mirror is not None:
+        axis, signs = mirror
+        images = np.flip(ids, axis=axis).reshape(-1, d)
+        pairs += [(row, image, signs) for row, image in zip(ids.reshape(-1, d), images, strict=True)]
+    a, b, sign = (np.concatenate([np.asarray(pair[k]) for pair in pairs] or [np.zeros(0, int)]) for k in range(3))
+    # each displacement stands twice, as itself and as its opposite (+ count); what is linked to its own opposite is zero
+    count = int(np.prod(counts)) * d
+    opposite = np.where(sign < 0, count, 0)
+    rows, columns = np.concatenate([a, a + count]), np.concatenate([b + opposite, b + count - opposite])
+    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), (2 * count, 2 * count))
+    labels = connected_components(graph, directed=False)[1]
+    itself, other = labels[:count], labels[count:]
+    held = np.concatenate([itself[~free.ravel()], other[~free.ravel()]])
+    moves = (itself != other) & ~np.isin(itself, held)
+    least = np.minimum(itself, other)
+    names, column = np.unique(least[moves], return_inverse=True)
+    matrix = np.zeros((count, len(names)))
+    matrix[np.flatnonzero(moves), column] = np.where(itself < other, 1.0, -1.0)[moves]
+    first = np.array([matrix[np.flatnonzero(matrix[:, k])[0], k] for k in range(len(names))])
+    return matrix * first if len(names) else matrix

@@ -1,0 +1,179 @@
+"""Smoothing along a wall: Sobolev gradients, vertex morphing.
+
+The solve stays on the host, with a factor made once; it is symmetric, so its transpose is itself.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from .._host.topology import boundary_faces
+from ._door import Numbers, positions
+from ._shape import AbstractLinearShape, AbstractOperator
+
+
+class Factor:
+    """Holds a factor of a sparse symmetric matrix on the host; each is equal to itself alone."""
+
+    def __init__(self, matrix: Any):
+        self.size = matrix.shape[0]
+        self.factor = splu(
+            sparse.csc_matrix(matrix),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+
+    def __call__(self, right: np.ndarray) -> np.ndarray:
+        """Solves for right-hand sides (..., m, d)."""
+        right = np.asarray(right)
+        columns = np.moveaxis(right, -2, 0).reshape(self.size, -1).astype(float)
+        solved = self.factor.solve(np.ascontiguousarray(columns))
+        ordered = solved.reshape((self.size, *right.shape[:-2], right.shape[-1]))
+        return np.moveaxis(ordered, 0, -2).astype(right.dtype)
+
+
+class Smoother(AbstractLinearShape):
+    """Solves (I + length^2 L) v = u on a wall, L its Laplace-Beltrami operator: waves much shorter than `length` vanish.
+
+    With linear elements and lumped masses M, v = (M + length^2 K)^-1 M u. `smoother.apply(u)` filters displacements; its transpose,
+    `smoother.sensitivities(gradient)`, filters sensitivities. As a shape its parameters are (m, d): vertex morphing.
+
+    **Arguments:**
+
+    - `points`: (m, d) the wall's nodes.
+    - `faces`: ids (k, 2) of segments in 2-D; (k, 3) or (k, 4) of triangles or quads in 3-D, one array or several.
+    - `length`: in the units of the points.
+    - `held`: rows of nodes that stay, such as the wall's border; all others end freely.
+
+    **Raises:** `ValueError` for a negative length, ids that are no rows, faces without size, and nodes of no face.
+    """
+
+    masses: Float[Array, " m"]
+    rows: Int[Array, " e"]
+    columns: Int[Array, " e"]
+    values: Float[Array, " e"]
+    free: Float[Array, " m"]
+    dimension: int = eqx.field(static=True)
+    factor: Factor = eqx.field(static=True)
+
+    def __init__(self, points: Numbers, faces: Any, length: float, *, held: Any = ()):
+        known = np.asarray(positions(points, "points"), float)
+        pieces = _pieces(faces, known)
+        if not length >= 0:
+            raise ValueError(f"`length` is {length}; it must be 0 or more.")
+        held = np.asarray(held, int)
+        if held.size and (held.min() < 0 or held.max() >= len(known)):
+            raise ValueError(f"`held` names row {held.max()} of {len(known)} nodes.")
+        masses, stiffness = _elements(known, pieces)
+        if (masses <= 0).any():
+            raise ValueError(f"{(masses <= 0).sum()} nodes are in no face, first row {int(np.argmin(masses))}.")
+        free = np.ones(len(known))
+        free[held] = 0
+        mask = sparse.diags(free)
+        matrix = (mask @ (length**2 * stiffness) @ mask + sparse.diags(masses)).tocoo()
+        self.factor, self.dimension = Factor(matrix), known.shape[1]
+        self.masses, self.free = jnp.asarray(masses), jnp.asarray(free)
+        self.rows, self.columns, self.values = (jnp.asarray(part) for part in (matrix.row, matrix.col, matrix.data))
+
+    @staticmethod
+    def on(mesh: Any, patch: str, length: float, *, held: Any = ()) -> "Smoother":
+        """Makes the smoother of a mesh's patch; rows are those of `mesh.patch(patch)`.
+
+        **Raises:** `ValueError` as the class does, and for a patch without faces.
+        """
+        nodes = mesh.patch(patch)
+        faces = boundary_faces(mesh.cells, len(mesh.points), nodes)
+        if not faces:
+            raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
+        own_rows = [np.searchsorted(nodes, ids) for ids in faces.values()]
+        return Smoother(np.asarray(mesh.points)[nodes], own_rows, length, held=held)
+
+    def neutral(self) -> Float[Array, "m d"]:
+        """Makes the parameters that move nothing: zeros (m, d)."""
+        return jnp.zeros((len(self.masses), self.dimension))
+
+    def at(self, x: Numbers) -> "SmoothOperator":
+        """Checks that positions (m, d) are the wall's in number; the operator is that of the wall as it was given."""
+        if positions(x).shape != self.neutral().shape:
+            raise ValueError(f"`x` has shape {positions(x).shape}; this wall has {self.neutral().shape}.")
+        return SmoothOperator(self)
+
+    def apply(self, u: Numbers) -> Float[Array, "m d"]:
+        """Filters displacements (m, d)."""
+        u = positions(u, "u")
+        free = self.free.astype(u.dtype)[:, None]
+        return free * self._solved(self.masses.astype(u.dtype)[:, None] * free * u)
+
+    def sensitivities(self, gradient: Numbers) -> Float[Array, "m d"]:
+        """Filters sensitivities dJ/d(position) of the nodes: the transpose."""
+        gradient = positions(gradient, "gradient")
+        free = self.free.astype(gradient.dtype)[:, None]
+        return free * self.masses.astype(gradient.dtype)[:, None] * self._solved(free * gradient)
+
+    def _solved(self, right: Float[Array, "m d"]) -> Float[Array, "m d"]:
+        def product(v):
+            return jnp.zeros_like(v).at[self.rows].add(self.values.astype(v.dtype)[:, None] * v[self.columns])
+
+        def solve(_, b):
+            shape = jax.ShapeDtypeStruct(b.shape, b.dtype)
+            return jax.pure_callback(self.factor, shape, b, vmap_method="expand_dims")
+
+        return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
+
+
+def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
+    """Cuts faces into segments or triangles; a quad becomes its four corner triangles, each with half its weight."""
+    pieces, d = [], points.shape[1]
+    for ids in faces if isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2 else [faces]:
+        ids = np.asarray(ids)
+        if ids.ndim != 2 or ids.shape[1] not in ((2,) if d == 2 else (3, 4)) or ids.dtype.kind not in "iu":
+            raise ValueError(
+                f"`faces` has shape {ids.shape} of {ids.dtype}; walls in {d}-D have {'(k, 2)' if d == 2 else '(k, 3) or (k, 4)'}."
+            )
+        if ids.size and (ids.min() < 0 or ids.max() >= len(points)):
+            raise ValueError(f"`faces` names node {ids.max()} of {len(points)}.")
+        corners = [(0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)] if ids.shape[1] == 4 else [tuple(range(ids.shape[1]))]
+        pieces.append((np.concatenate([ids[:, corner] for corner in corners]), 0.5 if len(corners) > 1 else 1.0))
+    return pieces
+
+
+def _elements(points: np.ndarray, pieces: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, Any]:
+    """Assembles lumped masses (m,) and the stiffness matrix (m, m) of linear elements."""
+    m = len(points)
+    masses, stiffness = np.zeros(m), sparse.csr_matrix((m, m))
+    for ids, weight in pieces:
+        corners = points[ids]
+        k = ids.shape[1]
+        if k == 2:
+            size = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+            local = np.array([[1, -1], [-1, 1]])[None] / np.where(size > 0, size, 1)[:, None, None]
+        else:
+            sides = np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1)  # opposite each corner
+            size = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+            local = np.einsum("kia,kja->kij", sides, sides) / (4 * np.where(size > 0, size, 1))[:, None, None]
+        if (size <= 0).any():
+            raise ValueError(
+                f"{(size <= 0).sum()} faces have no size, first with nodes {ids[int(np.argmin(size))].tolist()}."
+            )
+        np.add.at(masses, ids, weight * np.broadcast_to(size[:, None] / k, ids.shape))
+        rows, columns = np.broadcast_to(ids[:, :, None], local.shape), np.broadcast_to(ids[:, None, :], local.shape)
+        stiffness = (
+            stiffness + sparse.coo_matrix((weight * local.ravel(), (rows.ravel(), columns.ravel())), (m, m)).tocsr()
+        )
+    return masses, stiffness
+
+
+class SmoothOperator(AbstractOperator):
+    """Applies a smoother to its parameters."""
+
+    smoother: Smoother
+
+    def __call__(self, parameters: Float[Array, "m d"]) -> Float[Array, "m d"]:
+        return self.smoother.apply(parameters)
