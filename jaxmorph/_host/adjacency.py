@@ -96,6 +96,6 @@ def handedness(cells: dict[str, Any], neighbour: np.ndarray, flipped: np.ndarray
 
 
 def _firsts(cells: dict[str, Any]) -> list[tuple[tuple[str, Any], int]]:
-    """Each type with its corner ids, and the id of its first cell."""
+    """Lists each type with its corner ids, and the id of its first cell."""
     firsts = np.cumsum([0, *(len(corners) for corners in cells.values())])
     return list(zip(cells.items(), firsts.tolist(), strict=False))

@@ -6,9 +6,12 @@ import numpy as np
 
 
 class MeshError(ValueError):
-    """Refuses a mesh, and names the nodes that are at fault.
+    """Refuses a mesh, and names the nodes that are at fault. It is a `ValueError`.
 
-    `message` has `{node}` where the worst node's id belongs; `nodes` are ids, the worst first. `str` puts the two together.
+    **Arguments:**
+
+    - `message`: the text. `{node}` in it stands where the worst node's id belongs; `str` puts the id there.
+    - `nodes`: ids of the nodes at fault, the worst first.
     """
 
     def __init__(self, message: str, nodes: Sequence[int] | np.ndarray):
@@ -19,5 +22,5 @@ class MeshError(ValueError):
         return self.message.replace("{node}", str(self.nodes[0]))
 
     def renumbered(self, ids: np.ndarray) -> "MeshError":
-        """The same error about a larger mesh, in which node k is node `ids[k]`."""
+        """Returns the same error about a larger mesh, in which node k is node `ids[k]`."""
         return MeshError(self.message, np.asarray(ids)[self.nodes])

@@ -11,15 +11,20 @@ from .reduction import AbstractReduction, canonical_order, extreme_points, least
 class FarthestPoints(AbstractReduction):
     """Chooses `count` points, each the farthest from those before.
 
-    The first is the farthest from the middle. No point of the surface is then farther from the nearest source than twice
-    what any choice of as many sources allows (Gonzalez, Theoretical Computer Science 38, 1985), whatever the density of
-    the mesh. No two sources are closer than `separation` times the diagonal of all points; there are fewer than `count`
-    where that, or the mesh, leaves no more. `extremes=True` begins with the points at which the bounding box is touched, as
-    in `KDTree`: a blunt trailing edge, a wing's tip.
+    The first is the farthest from the middle. No point of the surface is then farther from the nearest source than
+    twice what the best choice of as many sources allows (Gonzalez, Theoretical Computer Science 38, 1985). That holds
+    whatever the density of the mesh. The result depends on the set of points, not on their order. It costs n times
+    `count` operations.
 
-    The result depends on the set of points, not on their order. It costs n times `count` operations.
+    **Arguments:**
 
-    Raises `ValueError` for a count below one and a separation that is not from 0 to 1.
+    - `count`: how many points to choose, at least 1. There are fewer where `separation` or the mesh leaves no more.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1.
+      Default 1e-3.
+    - `extremes`: begin with the points at which the bounding box is touched, as `KDTree` does: a blunt trailing edge, a
+      wing's tip. Default False.
+
+    **Raises:** `ValueError` for a count below one, and for a separation that is not from 0 to 1.
     """
 
     count: int
@@ -49,7 +54,10 @@ class FarthestPoints(AbstractReduction):
 
 
 def farthest(points: np.ndarray, count: int, closest: float, first: np.ndarray | None = None) -> np.ndarray:
-    """Ids of `count` points, each the farthest from those before, as long as one is `closest` away; the `first` ones come first."""
+    """Chooses `count` points, each the farthest from those before, as long as one is `closest` away: their ids.
+
+    The points `first` come first.
+    """
     columns = np.ascontiguousarray(points.T)
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
     chosen = []
@@ -65,7 +73,10 @@ def farthest(points: np.ndarray, count: int, closest: float, first: np.ndarray |
 
 
 def _lower(distance: np.ndarray, columns: np.ndarray, node: int, work: np.ndarray) -> None:
-    """Squared distances from the nearest chosen node, with one more chosen; in place, so that all stays in the cache."""
+    """Lowers the squared distances from the nearest chosen node, now that `node` is chosen too.
+
+    It works in place, so that all stays in the cache.
+    """
     total, term = work
     np.subtract(columns[0], columns[0, node], out=total)
     np.multiply(total, total, out=total)

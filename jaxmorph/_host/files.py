@@ -1,4 +1,4 @@
-"""Files that appear when they are complete."""
+"""Files that appear only when they are complete."""
 
 import contextlib
 import os
@@ -9,7 +9,10 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def complete(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """A temporary name beside `path`, for a file or a folder, which takes its place at the end; on failure nothing is left."""
+    """Yields a temporary name beside `path`, for a file or a folder, which takes its place at the end.
+
+    On failure nothing is left.
+    """
     partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
         yield partial

@@ -1,8 +1,8 @@
-"""The Delaunay graph of a surface, and which of its simplices holds each point (section 2.3 of the paper, steps 1 and 2).
+"""The Delaunay graph of a surface, and the simplex that holds each point (section 2.3 of the paper, steps 1 and 2).
 
 Real surfaces are full of cospherical and coplanar nodes, which qhull turns into simplices without volume. The coordinates
-that qhull sees are therefore moved by 1e-8 of the local spacing, by a fixed function of place; everything that is computed
-from the answer uses the true coordinates, and every weight is checked against them.
+that qhull sees are therefore moved by 1e-8 of the local spacing, by a fixed function of place. All that is computed from
+the answer uses the true coordinates, and every weight is checked against them.
 """
 
 import dataclasses
@@ -27,8 +27,12 @@ TOLERANCE = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Location:
-    """Where points lie in the graph: `vertices` (w, d + 1) ids of surface nodes; counts of answers that were repaired, and of
-    points outside of all simplices by no more than round-off."""
+    """Holds the place of each point in the graph.
+
+    - `vertices`: ids (w, d + 1) of the surface nodes whose simplex holds the point.
+    - `repaired`: how many answers of the search were repaired.
+    - `outside`: how many points lie outside of all simplices, by no more than round-off.
+    """
 
     vertices: np.ndarray
     repaired: int
@@ -36,11 +40,18 @@ class Location:
 
 
 def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Location:
-    """Ids of the surface nodes whose simplex holds each of the `wanted` points.
+    """Finds the surface nodes whose simplex holds each of the `wanted` points.
 
-    `surface` is (b, d), `points` (n, d), `wanted` (w,) ids among them. Raises `ValueError` for points outside of the surface's
-    convex hull, with their count, the worst one and its distance, and for a surface without extent in some direction.
-    Coordinates in single precision are taken for exact numbers, but for points on the hull.
+    Coordinates in single precision are taken for exact numbers, except for points on the hull.
+
+    **Arguments:**
+
+    - `surface`: the surface nodes (b, d).
+    - `points`: all points (n, d).
+    - `wanted`: ids (w,) of the points to locate.
+
+    **Raises:** `MeshError` for points outside of the surface's convex hull, with their count, the worst one and its distance.
+    `ValueError` for a surface without extent in some direction.
     """
     dimension, slack = surface.shape[1], roundoff(surface)
     surface, points = surface.astype(np.float64, copy=False), points.astype(np.float64, copy=False)
@@ -71,15 +82,15 @@ def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Locat
 
 
 class _Graph(Delaunay):
-    """SciPy's, with barycentric transforms in closed form.
+    """Replaces SciPy's barycentric transforms by a closed form.
 
-    SciPy calls LAPACK for each simplex, whose threads cost twenty times more than the work, and gives up on the flattest
-    ones, for which `find_simplex` then searches through all simplices.
+    SciPy calls LAPACK for each simplex, whose threads cost twenty times more than the work. It gives up on the flattest
+    simplices, for which `find_simplex` then searches through all of them.
     """
 
     @functools.cached_property
     def transform(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """(k, d + 1, d): the inverse of the edges from the last corner, and that corner."""
+        """Inverse of the edges from the last corner, and that corner: (k, d + 1, d)."""
         corners = self.points[self.simplices]
         last = corners[:, -1]
         edges = [corners[:, i] - last for i in range(self.ndim)]
@@ -103,7 +114,7 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:
-    """A permutation that sorts points along Morton's curve: neighbours in it are neighbours in space."""
+    """Sorts points along Morton's curve: a permutation in which neighbours are close to each other."""
     dimension = points.shape[1]
     bits = 62 // dimension
     low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
@@ -116,7 +127,7 @@ def morton_order(points: np.ndarray) -> np.ndarray:
 
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
-    """Ids of distinct nodes in canonical order; of coincident ones the first, which is the moving one."""
+    """Lists the ids of distinct nodes in canonical order. Of coincident ones it keeps the first, which is the moving one."""
     groups = KDTree(unit).query_pairs(closest, output_type="ndarray")
     keep = np.ones(len(unit), dtype=bool)
     keep[groups.max(axis=1) if len(groups) else []] = False
@@ -125,10 +136,10 @@ def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
 
 
 def _jittered(nodes: np.ndarray) -> np.ndarray:
-    """Nodes moved by `JITTER` of the distance of their nearest one, by a function of place alone.
+    """Moves each node by `JITTER` of the distance of its nearest one, by a function of place alone.
 
-    A sine of very short wave length: unlike random numbers it gives the same perturbation for the same mesh in any order,
-    unit or place.
+    The function is a sine of very short wave length. Unlike random numbers it gives the same perturbation for the same mesh
+    in any order, unit or place.
     """
     spacing = KDTree(nodes).query(nodes, k=2)[0][:, 1]
     dimension = nodes.shape[1]
@@ -139,10 +150,11 @@ def _jittered(nodes: np.ndarray) -> np.ndarray:
 def _repair(
     graph: Delaunay, nodes: np.ndarray, points: np.ndarray, simplex: np.ndarray, flat: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The best simplex for points that the search missed: of several the one with the largest smallest weight.
+    """Finds better simplices for points that the search missed: their ids, and the smallest weight in each.
 
-    First those that hold the point moved inwards a little, out of the flat simplices that line a plane side of the hull; then
-    neighbours and their neighbours, as long as they get better.
+    A point is inside of a simplex when its smallest weight is not negative, so the best simplex has the largest one. First
+    each point moves a little towards the middle, out of the flat simplices that line a plane side of the hull, and is
+    searched again. Then each point that is still poor walks from simplex to neighbour as long as its weight grows.
     """
     simplex = np.maximum(simplex, 0)
     best = smallest_weight(nodes, graph.simplices, simplex, points, flat)
@@ -151,10 +163,10 @@ def _repair(
         left = np.flatnonzero(~(best >= -TOLERANCE))
         if not left.size:
             return simplex, best
-        found = graph.find_simplex(points[left] + step * (middle - points[left]))
-        weight = smallest_weight(nodes, graph.simplices, found, points[left], flat)
+        candidate = graph.find_simplex(points[left] + step * (middle - points[left]))
+        weight = smallest_weight(nodes, graph.simplices, candidate, points[left], flat)
         better = weight > best[left]
-        simplex[left[better]], best[left[better]] = found[better], weight[better]
+        simplex[left[better]], best[left[better]] = candidate[better], weight[better]
     active = np.flatnonzero(~(best >= -TOLERANCE))
     for _ in range(32):
         if not active.size:
@@ -175,7 +187,7 @@ def _repair(
 def _search(
     graph: Delaunay, nodes: np.ndarray, points: np.ndarray, simplex: np.ndarray, flat: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The best of all simplices for each of a few points, and how far the point lies beyond that one's sides.
+    """Tries all simplices for each of a few points: the best one, and how far the point lies beyond its sides.
 
     Between the flat simplices that nodes in one plane give, the walk from neighbour to neighbour of `_repair` may end early.
     """
@@ -194,7 +206,7 @@ def _search(
 
 
 def _beyond_hull(graph: Delaunay, nodes: np.ndarray, targets: np.ndarray, flat: float) -> np.ndarray:
-    """How far each point surely lies beyond the plane of one of the hull's facets, 0 or less inside.
+    """Measures how far each point surely lies beyond the plane of one of the hull's facets: 0 or less inside.
 
     A small facet says little about a distant point: the jitter and round-off may have turned it.
     """
@@ -213,7 +225,7 @@ def _beyond_hull(graph: Delaunay, nodes: np.ndarray, targets: np.ndarray, flat: 
 
 
 def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> None:
-    """Raises for points truly outside of the hull; those on it within round-off pass."""
+    """Refuses points truly outside of the hull with a `MeshError`; those on it within round-off pass."""
     outside = beyond > 0
     if outside.any():
         worst_first = ids[outside][np.argsort(-beyond[outside], kind="stable")]

@@ -6,9 +6,9 @@ import numpy as np
 def smallest_weight(
     nodes: np.ndarray, simplices: np.ndarray, simplex: np.ndarray, points: np.ndarray, flat: float
 ) -> np.ndarray:
-    """The smallest barycentric coordinate of each point in its simplex.
+    """Computes the smallest barycentric coordinate of each point in its simplex.
 
-    -inf where that is -1 or not higher than `flat`. Only what is needed is held for all points at once.
+    It is -inf where the simplex is -1 or not higher than `flat`. Only what is needed is held for all points at once.
     """
     smallest = np.empty(len(points))
     for start in range(0, len(points), 65536):
@@ -27,7 +27,10 @@ def smallest_weight(
 
 
 def smallest_height(corners: np.ndarray) -> np.ndarray:
-    """(k,) least height of simplices (k, c, d): content over that of the largest side, whichever corner comes first."""
+    """Computes the least height (k,) of simplices (k, c, d): content over that of the largest side.
+
+    The result does not depend on which corner comes first.
+    """
     count = corners.shape[1]
     sides = [_content([corners[:, i] for i in range(count) if i != corner]) for corner in range(count)]
     largest = np.max(sides, axis=0)
@@ -35,7 +38,7 @@ def smallest_height(corners: np.ndarray) -> np.ndarray:
 
 
 def _content(corners: list[np.ndarray]) -> np.ndarray:
-    """Lengths, twice the areas or six times the volumes of simplices with corners (k, d) each; 1 for points."""
+    """Computes lengths, twice the areas or six times the volumes of simplices with corners (k, d) each; 1 for points."""
     edges = [corner - corners[0] for corner in corners[1:]]
     if not edges:
         return np.ones(len(corners[0]))
@@ -46,7 +49,7 @@ def _content(corners: list[np.ndarray]) -> np.ndarray:
 
 
 def cofactors(edges: list[np.ndarray]) -> list[np.ndarray]:
-    """Rows of the adjugate of the matrix whose columns are the edges, each (k, d)."""
+    """Computes the rows of the adjugate of the matrix whose columns are the edges, each (k, d)."""
     if len(edges) == 2:
         a, b = edges
         return [np.stack([b[:, 1], -b[:, 0]], axis=1), np.stack([-a[:, 1], a[:, 0]], axis=1)]
@@ -55,6 +58,6 @@ def cofactors(edges: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of rows; `numpy.cross` is slow for many short vectors."""
+    """Computes cross products of rows; `numpy.cross` is slow for many short vectors."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

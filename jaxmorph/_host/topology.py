@@ -18,7 +18,7 @@ _ALIASES = {"tri": "triangle", "tet": "tetra", "tetrahedron": "tetra", "prism": 
 
 
 def canonical_type(name: str) -> str:
-    """The name used here for a cell type; raises `ValueError` for one that is not known."""
+    """Returns the name used here for a cell type; raises `ValueError` for one that is not known."""
     name = _ALIASES.get(name, name)
     if name not in CORNERS:
         raise ValueError(f"unknown cell type {name!r}; known are {', '.join(CORNERS)}.")
@@ -34,7 +34,7 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
-"""Sides of each type (edges of a cell in the plane), each seen counterclockwise from outside."""
+"""Faces of each type (edges of a 2-D cell), each seen counterclockwise from outside."""
 
 EDGES: dict[str, tuple[tuple[int, int], ...]] = {
     "line": ((0, 1),),

@@ -7,11 +7,18 @@ WIDTH = 16
 
 
 def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which entries belong to each of `count` columns, in rows of `WIDTH`.
+    """Sorts the entries of a sparse operator by column, in rows of `WIDTH` entries.
 
-    `nodes` (n, k) is the column of each entry; only rows `used` (n,), or entries `used` (n, k), count. Returns `entries`
-    (r, WIDTH), positions in the flattened (n, k), -1 where there is none, and `owner` (r,), the column of each row of the
-    table, ascending.
+    **Arguments:**
+
+    - `nodes`: the column (n, k) of each entry.
+    - `used`: which rows (n,), or which entries (n, k), count.
+    - `count`: how many columns there are.
+
+    **Returns:** `entries` (r, WIDTH), positions in the flattened (n, k), -1 where there is none; and `owner` (r,), the
+    column of each row of the table, ascending.
+
+    **Raises:** `ValueError` for more entries than 32 bits count.
     """
     k = nodes.shape[1]
     if len(nodes) * k >= 2**31:

@@ -44,7 +44,7 @@ _ARTANH = (
 
 @jax.custom_jvp
 def log(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """`jax.numpy.log`, to one unit in the last place, with its values at 0, infinity, NaN and negative numbers."""
+    """Computes `jax.numpy.log` to one unit in the last place, with its values at 0, infinity, NaN and negative numbers."""
     return _by_platform(_whole_range_log, jnp.log, x)
 
 
@@ -56,7 +56,10 @@ def _log_jvp(primals, tangents):
 
 @jax.custom_jvp
 def half_x_log_x(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """x log(x) / 2 for x >= 0, 0 at 0: r^2 log r of x = r^2. The slope is held where x falls below round-off squared."""
+    """Computes x log(x) / 2 for x >= 0, and 0 at 0: r^2 log r of x = r^2.
+
+    The slope is held where x falls below round-off squared.
+    """
     return _by_platform(lambda x: x * _short_half_log(x), lambda x: 0.5 * x * jnp.log(_not_zero(x)), x)
 
 
@@ -67,10 +70,10 @@ def _half_x_log_x_jvp(primals, tangents):
 
 
 def _not_zero(x):
-    """At least the square of a distance that is round-off at unit size.
+    """Raises x to at least the square of a distance that is round-off at unit size.
 
-    Not a `where` on x > 0: a compiler may compute the distance of a point from itself twice, once as 0 and once, with a fused
-    multiply-add, as a rounding error, and take the branch that was made safe for the other.
+    It is no `where` on x > 0. A compiler may compute the distance of a point from itself twice: once as 0, and once, with a
+    fused multiply-add, as a rounding error. It would then take the branch that was made safe for the other.
     """
     return jnp.maximum(x, float(jnp.finfo(x.dtype).eps) ** 2)
 
@@ -92,20 +95,20 @@ def _whole_range_log(x):
 
 
 def _half_log(x, less: Array | float = 0.0):
-    """(log x - `less` log 2) / 2 for positive normal numbers; for others some finite number below 373."""
+    """Computes (log x - `less` log 2) / 2 for positive normal numbers; for others some finite number below 373."""
     k, f, s = _reduced(x, less)
     correction = s * s * _polynomial(_ARTANH, s * s)
     return k * _HALF_LOG_2[0] + (f + (k * _HALF_LOG_2[1] - s * (f - correction)))
 
 
 def _short_half_log(x):
-    """The same to 3 units in the last place with three operations fewer: a kernel needs no more."""
+    """Computes log(x) / 2 to 3 units in the last place with three operations fewer: a kernel needs no more."""
     k, _, s = _reduced(x)
     return k * sum(_HALF_LOG_2) + s * _polynomial((1.0, *_ARTANH), s * s)
 
 
 def _reduced(x, less: Array | float = 0.0):
-    """k, f = (m - 1) / 2 and s = (m - 1) / (m + 1) of x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)).
+    """Splits x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)): k, f = (m - 1) / 2 and s = (m - 1) / (m + 1).
 
     The half costs nothing here, and a thin plate spline needs it.
     """

@@ -1,8 +1,8 @@
 """The product that ends a kernel sum: a few rows of weights, one per coordinate, times a large block of the kernel.
 
-On a CPU its transpose (a few rows of a cotangent, contracted with the block's long axis) takes a quarter of the time when each
-row has a matrix-vector product of its own; with the rows of many displacements (`vmap`) one product of matrices is faster.
-Only a primitive can tell one from the other, and is as linear as the product itself.
+Its transpose contracts a few rows of a cotangent with the block's long axis. On a CPU that takes a quarter of the time when
+each row has a matrix-vector product of its own. With the rows of many displacements (`vmap`) one product of matrices is
+faster. Only a primitive can tell one from the other, and is as linear as the product itself.
 """
 
 import functools
@@ -15,12 +15,12 @@ from jaxtyping import Array, Float
 
 
 def few_rows_times(rows: Float[Array, "k s"], block: Float[Array, "s c"]) -> Float[Array, "k c"]:
-    """`rows @ block`, both of one dtype, with every derivative and transformation that it has."""
+    """Computes `rows @ block`, both of one dtype, with every derivative and transformation that it has."""
     return _product.bind(rows, block, axis=0)
 
 
 def _contract(rows, block, axis):
-    """The sum over the last axis of `rows` and over `axis` of the matrix `block`."""
+    """Sums the product over the last axis of `rows` and over `axis` of the matrix `block`."""
     dimensions = (((rows.ndim - 1,), (axis,)), ((), ()))
     return jax.lax.dot_general(rows, block, dimensions, precision="highest")  # a GPU would round float32 to ten bits
 

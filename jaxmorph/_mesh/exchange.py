@@ -1,4 +1,4 @@
-"""Meshes of meshio and PyVista as ours, and back: their cells, patches and arrays."""
+"""Meshes of meshio and PyVista as a `Mesh`, and back: their cells, patches and arrays."""
 
 import dataclasses
 import importlib
@@ -21,14 +21,17 @@ Arrays = Mapping[str, Any]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Origin:
-    """The mesh of another library that a mesh came from; compared by identity, as a static field of a pytree must be."""
+    """Keeps the mesh of another library that a mesh came from.
+
+    It is compared by identity, as a static field of a pytree must be.
+    """
 
     content: Any
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grid:
-    """What a mesh of another library holds: `blocks` of cells of one type; `cell_data` has one array for each block."""
+    """Holds a mesh of another library: `blocks` of cells of one type; `cell_data` has one array for each block."""
 
     points: np.ndarray
     blocks: list[tuple[str, np.ndarray]]
@@ -39,26 +42,26 @@ class Grid:
 
     @property
     def levels(self) -> list[int]:
-        """The dimension of each block."""
+        """Dimension of each block."""
         return [DIMENSION.get(kind, 0) for kind, _ in self.blocks]
 
 
-def of_meshio(found: Any) -> Grid:
-    """`ValueError` for cell types that are not supported."""
-    _refuse_unknown(block.type for block in found.cells if len(block.data))
-    blocks = [(block.type, np.asarray(block.data)) for block in found.cells]
-    return Grid(np.asarray(found.points), blocks, found.point_data, found.cell_data, found.cell_sets, found.field_data)
+def of_meshio(mesh: Any) -> Grid:
+    """Takes points, cells and arrays from a meshio mesh; raises `ValueError` for cell types that are not supported."""
+    _refuse_unknown(block.type for block in mesh.cells if len(block.data))
+    blocks = [(block.type, np.asarray(block.data)) for block in mesh.cells]
+    return Grid(np.asarray(mesh.points), blocks, mesh.point_data, mesh.cell_data, mesh.cell_sets, mesh.field_data)
 
 
 def of_pyvista(grid: Any) -> Grid:
-    """`ValueError` for cell types that are not supported."""
+    """Takes points, cells and arrays from a grid of PyVista; raises `ValueError` for cell types that are not supported."""
     numbers = np.asarray(grid.celltypes)
     kinds = {number: kind for kind, number in VTK.items()} | {1: "vertex"}
     pyvista = imported("pyvista", "plot")
     _refuse_unknown(kinds.get(n) or pyvista.CellType(n).name.lower() for n in np.unique(numbers).tolist() if n)
     blocks = [(kinds[number], np.asarray(corners)) for number, corners in grid.cells_dict.items()]
-    of_each = [numbers == number for number in grid.cells_dict]
-    cell_data = {name: [np.asarray(values)[mine] for mine in of_each] for name, values in grid.cell_data.items()}
+    masks = [numbers == number for number in grid.cells_dict]
+    cell_data = {name: [np.asarray(values)[mask] for mask in masks] for name, values in grid.cell_data.items()}
     return Grid(np.asarray(grid.points), blocks, dict(grid.point_data), cell_data)
 
 
@@ -70,7 +73,7 @@ def _refuse_unknown(kinds) -> None:
 
 
 def imported(name: str, extra: str) -> Any:
-    """An optional package; `ImportError` with the remedy where it is missing."""
+    """Imports an optional package; raises `ImportError` with the remedy where it is missing."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -78,7 +81,7 @@ def imported(name: str, extra: str) -> Any:
 
 
 class Parts(NamedTuple):
-    """Points (n, d), corner ids by type, and node ids by patch."""
+    """Holds points (n, d), corner ids by type, and node ids by patch."""
 
     points: Any
     cells: Mapping[str, Any]
@@ -86,10 +89,11 @@ class Parts(NamedTuple):
 
 
 def parts(grid: Grid) -> Parts:
-    """Points, cells and patches: the cells of highest dimension; no z where all are in one plane z = constant.
+    """Makes points, cells and patches of a grid: the cells of highest dimension, without z where all z are equal.
 
-    Patches are named sets of cells of lower dimension, gmsh's physical groups, and point arrays `patch:NAME`; else what the
-    numbers of an array of `MARKERS` tell apart; else the nodes of faces that belong to one cell only are `boundary`.
+    Patches are named sets of cells of lower dimension, gmsh's physical groups, and point arrays `patch:NAME`. Where there are
+    none, an array of `MARKERS` tells patches apart by its numbers. Where there is none either, the nodes of faces that belong to
+    one cell only are the patch `boundary`.
     """
     cells = _cells(grid)
     points = grid.points.astype(float)
@@ -118,11 +122,11 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
     highest = max((DIMENSION[kind] for kind in blocks), default=0)
     if highest < 2:
         raise ValueError(f"no cells of an area or a volume, only {', '.join(blocks) or 'single nodes'}.")
-    return {kind: np.concatenate(found) for kind, found in blocks.items() if DIMENSION[kind] == highest}
+    return {kind: np.concatenate(parts) for kind, parts in blocks.items() if DIMENSION[kind] == highest}
 
 
 def _sets(grid: Grid) -> dict[str, np.ndarray]:
-    """Patches from named sets of cells (not those of full dimension, which are regions of the volume)."""
+    """Makes patches of named sets of cells, except those of full dimension, which are regions of the volume."""
     levels, patches = grid.levels, {}
     for name, members in grid.cell_sets.items():
         for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):
@@ -132,7 +136,7 @@ def _sets(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _physical(grid: Grid) -> dict[str, np.ndarray]:
-    """Patches from gmsh's physical groups; one without a name is `physical_` and its tag."""
+    """Makes patches of gmsh's physical groups; one without a name is `physical_` and its tag."""
     levels, patches = grid.levels, {}
     names = {(int(info[0]), int(info[1])): name for name, info in grid.field_data.items() if np.size(info) == 2}
     for (_, corners), level, tags in zip(grid.blocks, levels, grid.cell_data.get("gmsh:physical", []), strict=False):
@@ -144,7 +148,10 @@ def _physical(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _marked(grid: Grid) -> dict[str, np.ndarray]:
-    """Patches by the numbers of the first array of `MARKERS`, on the cells of lower dimension or on the points (0: inside)."""
+    """Makes patches by the numbers of the first array of `MARKERS`, on the cells of lower dimension or on the points.
+
+    On points, 0 stands for inside.
+    """
     levels = grid.levels
     for name in sorted(filter(_is_marker, grid.cell_data), key=_rank):
         patches: dict[str, list[np.ndarray]] = {}
@@ -174,5 +181,5 @@ def _rank(name: str) -> int:
 
 
 def _are_whole(values: Any) -> bool:
-    """Whole numbers, one each; as floats too, with NaN nowhere."""
+    """Tells whether there is one whole number each, as a float too, with NaN nowhere."""
     return np.ndim(values) == 1 and bool((values == np.floor(values)).all())

@@ -1,4 +1,4 @@
-"""A mesh as one of meshio or PyVista: the one it came from with other points, or a new one."""
+"""A mesh of meshio or PyVista made of a `Mesh`: the one it came from with other points, or a new one."""
 
 import urllib.parse
 from typing import Any
@@ -11,7 +11,7 @@ from .exchange import PREFIX, Arrays, Parts, imported
 
 def to_meshio(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
     meshio = imported("meshio", "io")
-    of_points, of_cells = _checked(mesh, point_data, cell_data)
+    point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
     old = _origin(source, meshio.Mesh)
     points = _points(mesh, None if old is None else old.points)
     if old is None:
@@ -19,16 +19,16 @@ def to_meshio(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Ar
     else:
         sets = {name: dict(getattr(old, name)) for name in ("point_sets", "cell_sets", "field_data")}
         new = meshio.Mesh(points, old.cells, dict(old.point_data), dict(old.cell_data), **sets)
-    new.point_data.update(of_points)
+    new.point_data.update(point_arrays)
     kinds = np.repeat([block.type for block in new.cells], [len(block.data) for block in new.cells])
     ends = np.cumsum([len(block.data) for block in new.cells])[:-1]
-    new.cell_data.update({name: np.split(values, ends) for name, values in _dealt(mesh, of_cells, kinds).items()})
+    new.cell_data.update({name: np.split(values, ends) for name, values in _dealt(mesh, cell_arrays, kinds).items()})
     return new
 
 
 def to_pyvista(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
     pyvista = imported("pyvista", "plot")
-    of_points, of_cells = _checked(mesh, point_data, cell_data)
+    point_arrays, cell_arrays = _checked(mesh, point_data, cell_data)
     old = _origin(source, pyvista.UnstructuredGrid)
     points = _points(mesh, None if old is None else np.asarray(old.points))
     if old is None:
@@ -38,9 +38,9 @@ def to_pyvista(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: A
         new.points = points
     names = {number: kind for kind, number in VTK.items()}
     kinds = np.array([names.get(number, "") for number in np.asarray(new.celltypes).tolist()], dtype="<U10")
-    for name, values in of_points.items():
+    for name, values in point_arrays.items():
         new.point_data[name] = values
-    for name, values in _dealt(mesh, of_cells, kinds).items():
+    for name, values in _dealt(mesh, cell_arrays, kinds).items():
         new.cell_data[name] = values
     return new
 
@@ -53,7 +53,7 @@ def _origin(source: Any, kind: type) -> Any:
 
 
 def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
-    """In space, in double precision; a plane lies where it was, else at z = 0."""
+    """Places points in 3-D, in double precision; a 2-D mesh lies at the z where it was, else at z = 0."""
     points = np.zeros((len(mesh.points), 3))
     if mesh.points.shape[1] == 2 and old is not None and old.shape[1] == 3:
         points[:, 2] = old[:, 2]
@@ -62,7 +62,10 @@ def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
 
 
 def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
-    """Arrays with one row for each point, or each cell, vectors of the plane with a third component 0; patches among them."""
+    """Checks that arrays have one row for each point, or each cell, and adds the patches to the arrays of points.
+
+    Vectors of a 2-D mesh get a third component 0.
+    """
     cells = sum(map(len, mesh.cells.values()))
     both = []
     for arrays, rows, what in ((point_data, len(mesh.points), "points"), (cell_data, cells, "cells")):
@@ -81,14 +84,14 @@ def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -
 
 
 def _dealt(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.ndarray]:
-    """Arrays in the order of `mesh.cells` for cells of the types `kinds`; a cell of another type gets NaN."""
+    """Brings arrays in the order of `mesh.cells` to cells of the types `kinds`; a cell of another type gets NaN."""
     if not arrays:
         return {}
     place = np.full(len(kinds), -1)
     first = 0
     for kind, corners in mesh.cells.items():
-        mine = np.flatnonzero(kinds == kind)
-        place[mine] = first + np.arange(len(mine))
+        ids = np.flatnonzero(kinds == kind)
+        place[ids] = first + np.arange(len(ids))
         first += len(corners)
     dealt = {}
     for name, values in arrays.items():

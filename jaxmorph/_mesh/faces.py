@@ -1,4 +1,8 @@
-"""Cells from OpenFOAM's faces: which of them are tetrahedra, pyramids, wedges and hexahedra, numbered as VTK numbers them."""
+"""Cells made of OpenFOAM's faces: tetrahedra, pyramids, wedges and hexahedra, numbered as VTK numbers them.
+
+OpenFOAM's files hold polygons and the two cells beside each of them. The type of a cell follows from the number of its
+faces and their corners. Its numbering follows from one face, the base, and from the edges that leave the base.
+"""
 
 import dataclasses
 
@@ -17,9 +21,12 @@ _LAST = {"tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Faces:
-    """`labels` of all faces in a row, where each begins (one more `start` at the end), and the cells on their two sides.
+    """Holds polygons, and the cells on their two sides.
 
-    `neighbour` is -1 for an outer face; those at the end may be left out.
+    - `labels`: node ids of all faces in a row.
+    - `starts`: where each face begins in `labels`, and one more at the end.
+    - `owner`: the cell from which each face points outward.
+    - `neighbour`: the cell on the other side, -1 for an outer face. Outer faces at the end may be left out.
     """
 
     labels: np.ndarray
@@ -32,7 +39,10 @@ class Faces:
         return np.diff(self.starts)
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """Labels (..., size) of faces of that many corners, outward for the cell: `~f` is face f seen by its neighbour."""
+        """Gathers node ids (..., size) of faces of that many corners, outward for the cell.
+
+        `~f` is face f as its neighbour sees it.
+        """
         start = self.starts[np.where(faces < 0, ~faces, faces)]
         labels = np.ascontiguousarray(self.labels)
         # a window on the labels for each place at which a face may begin
@@ -42,7 +52,7 @@ class Faces:
         return np.where((faces < 0)[..., None], rows[..., ::-1], rows)
 
     def around(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """`corners` of faces (k, m) as (m, size, k), begun anywhere: so each operation runs along the k cells."""
+        """Gathers `corners` of faces (k, m) as (m, size, k), begun anywhere: so each operation runs along the k cells."""
         faces = np.ascontiguousarray(faces.T)
         turned = faces < 0
         start = np.take(self.starts, np.where(turned, ~faces, faces))
@@ -55,11 +65,15 @@ class Faces:
         return labels
 
     def nodes(self, first: int, last: int) -> np.ndarray:
-        """The nodes of the faces from `first` up to `last`, as often as they come."""
+        """Returns the nodes of the faces from `first` up to `last`, as often as they come."""
         return self.labels[self.starts[first] : self.starts[last]]
 
     def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """The faces of each cell in a row, `~f` for one whose neighbour it is, and where each cell begins (one more at the end)."""
+        """Lists the faces of each cell in a row, and where each cell begins (one more at the end).
+
+        `~f` stands for face f where the cell is its neighbour. A sparse matrix does the sorting by cell: its columns are the sides
+        of faces, its rows cells, and turning it from columns to rows is a counting sort in linear time.
+        """
         inner = np.flatnonzero(self.neighbour >= 0).astype(np.int32)
         cells = np.concatenate([self.owner, self.neighbour[inner]]).astype(np.int32, copy=False)
         columns = np.arange(len(cells) + 1, dtype=np.int32)
@@ -71,7 +85,11 @@ class Faces:
 
 
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Corner ids (k, corners) and cell ids (k,) by type; the cells of no type are in the second as `polyhedron`."""
+    """Finds the cells that are tetrahedra, pyramids, wedges or hexahedra: corner ids (k, corners) and cell ids (k,) by type.
+
+    Cells of no such type are in the second as `polyhedron`. Counts of faces, triangles and quads select candidates; `_typed`
+    numbers their corners and refuses those that are connected in another way.
+    """
     ordered, starts = faces.of_cells()
     counts = np.diff(starts)
     sizes = np.minimum(faces.sizes, 9).astype(np.int8)[np.where(ordered < 0, ~ordered, ordered)]
@@ -79,10 +97,10 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
     left = np.ones(len(counts), bool)
     cells, ids = {}, {}
     for kind, (f, t, q) in _SHAPES.items():
-        mine = np.flatnonzero((counts == f) & (triangles == t) & (quads == q))
-        if len(mine):
-            corners, good = _typed(faces, kind, ordered, sizes, starts[mine])
-            cells[kind], ids[kind] = (corners, mine) if good.all() else (corners[good], mine[good])
+        candidates = np.flatnonzero((counts == f) & (triangles == t) & (quads == q))
+        if len(candidates):
+            corners, good = _typed(faces, kind, ordered, sizes, starts[candidates])
+            cells[kind], ids[kind] = (corners, candidates) if good.all() else (corners[good], candidates[good])
             left[ids[kind]] = False
     if left.any():
         ids["polyhedron"] = np.flatnonzero(left)
@@ -90,26 +108,31 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
 
 
 def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, starts: np.ndarray):
-    """Corners of the cells whose faces begin at `starts`, and which of them really have the shape of their type."""
+    """Numbers the corners of cells whose faces begin at `starts`, and tells which of them really have the shape of their type."""
     corners = np.empty((len(starts), _LAST[kind]), faces.labels.dtype)
     good = np.empty(len(starts), bool)
     for at in range(0, len(starts), BLOCK):
         block = slice(at, at + BLOCK)
         rows = starts[block, None] + np.arange(_SHAPES[kind][0])
-        mine = ordered[rows]
+        around = ordered[rows]
         if kind in ("pyramid", "wedge"):
             first = sizes[rows] if kind == "wedge" else -sizes[rows]
-            mine = np.take_along_axis(mine, np.argsort(first, axis=1, kind="stable"), axis=1)
-        corners[block], good[block] = _from_base(faces, kind, mine)
+            around = np.take_along_axis(around, np.argsort(first, axis=1, kind="stable"), axis=1)
+        corners[block], good[block] = _from_base(faces, kind, around)
     return corners, good
 
 
-def _from_base(faces: Faces, kind: str, mine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The first face, seen from inside, is the base; the other corners stand at the ends of the edges that leave it."""
+def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers cells from their first face, the base, seen from inside; and tells which of them have the shape of their type.
+
+    Each other face that touches the base shares an edge with it. Walking along that face, exactly one edge leaves the base:
+    its foot is a corner of the base, its head the corner above. A cell has the shape of its type when each corner of the
+    base has exactly one head, and the heads are one apex or all different.
+    """
     c = _BASE[kind]
-    base = faces.corners(mine[:, 0], c)[:, ::-1]
+    base = faces.corners(around[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3
-    walls = mine[:, 2:] if kind == "wedge" else mine[:, 1:]
+    walls = around[:, 2:] if kind == "wedge" else around[:, 1:]
     start = faces.around(walls, side)
     corners = np.ascontiguousarray(base.T)
     is_base = np.zeros(start.shape, bool)

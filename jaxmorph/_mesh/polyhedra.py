@@ -14,52 +14,53 @@ ENOUGH = 0.05
 
 
 def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (t, 3) of the faces `chosen`, each in the sense of its face, and the place in `chosen` of each one's face.
+    """Cuts the faces `chosen` into triangles (t, 3), each in the sense of its face; and gives the place in `chosen` of its face.
 
     A face is a fan about the corner that makes its smallest triangle largest: both cells of a face see the same triangles.
     """
     sizes = faces.sizes[chosen]
-    found, owners = [], []
+    parts, owners = [], []
     for size in np.unique(sizes).tolist():
-        mine = np.flatnonzero(sizes == size)
-        corners = faces.labels[faces.starts[chosen[mine]][:, None] + np.arange(size)]
+        rows = np.flatnonzero(sizes == size)
+        corners = faces.labels[faces.starts[chosen[rows]][:, None] + np.arange(size)]
         x = points[corners]
         normal = np.cross(x - x[:, :1], np.roll(x, -1, axis=1) - x[:, :1]).sum(axis=1)
         least = np.stack([_least(np.roll(x, -turn, axis=1), normal) for turn in range(size)], axis=1)
         best = least.argmax(axis=1)
         corners = np.take_along_axis(corners, (best[:, None] + np.arange(size)) % size, axis=1)
         fan = np.stack([corners[:, [0, i, i + 1]] for i in range(1, size - 1)], axis=1)
-        found.append(fan.reshape(-1, 3))
-        owners.append(np.repeat(mine, size - 2))
+        parts.append(fan.reshape(-1, 3))
+        owners.append(np.repeat(rows, size - 2))
     order = np.argsort(np.concatenate(owners), kind="stable")
-    return np.concatenate(found)[order], np.concatenate(owners)[order]
+    return np.concatenate(parts)[order], np.concatenate(owners)[order]
 
 
 def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Smallest area of a fan about the first corner, times the length of the face's normal."""
+    """Computes the smallest area of a fan about the first corner, times the length of the face's normal."""
     arms = x[:, 1:] - x[:, :1]
     return np.einsum("fti,fi->ft", np.cross(arms[:, :-1], arms[:, 1:]), normal).min(axis=1)
 
 
 def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Tetrahedra (t, 4) between one node of each cell (its apex) and the triangles of the faces away from it; the cell of each.
+    """Cuts each cell into tetrahedra (t, 4) between one of its nodes, the apex, and the triangles of faces away from it.
 
-    The apex is the first node whose smallest piece is no sliver, else the one whose smallest piece is largest.
+    It also gives the cell of each tetrahedron. The apex is the first node whose smallest piece is no sliver, else the one
+    whose smallest piece is largest.
     """
     ordered, starts = faces.of_cells()
     parts, owners = [np.zeros((0, 4), faces.labels.dtype)], [np.zeros(0, np.int64)]
     for at in range(0, len(cells), BLOCK):
-        mine = cells[at : at + BLOCK]
-        rows, cell = spread(starts[mine], starts[mine + 1])
+        block = cells[at : at + BLOCK]
+        rows, cell = spread(starts[block], starts[block + 1])
         pieces = _Pieces.around(faces, ordered[rows], cell, points)
         corners, cell = pieces.tetrahedra(pieces.best_apex())
         parts.append(corners)
-        owners.append(mine[cell])
+        owners.append(block[cell])
     return np.concatenate(parts), np.concatenate(owners)
 
 
 def spread(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The whole numbers of many ranges in a row, and the number of the range of each."""
+    """Lists the whole numbers of many ranges in a row, and the number of the range of each."""
     counts = last - first
     ends = np.cumsum(counts)
     which = np.repeat(np.arange(len(counts)), counts)
@@ -68,7 +69,7 @@ def spread(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Triangles around each cell, counterclockwise from inside: their cells, and where each face of a cell begins."""
+    """Holds triangles around each cell, counterclockwise from inside: their cells, and where each face of a cell begins."""
 
     points: np.ndarray
     corners: np.ndarray
@@ -81,11 +82,11 @@ class _Pieces:
         corners, owner = triangles(faces, chosen, points)
         begins = np.searchsorted(owner, np.arange(len(chosen) + 1))
         rows, face = spread(begins[which], begins[which + 1])
-        mine = corners[rows]
-        return cls(points, np.where((signed < 0)[face, None], mine, mine[:, ::-1]), cell[face], face)
+        triangle = corners[rows]
+        return cls(points, np.where((signed < 0)[face, None], triangle, triangle[:, ::-1]), cell[face], face)
 
     def volumes(self, apex: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Six volumes of the tetrahedra below `apex`, one node a cell, and which stand on faces away from it."""
+        """Computes six volumes of the tetrahedra below `apex`, one node a cell, and which stand on faces away from it."""
         tip = apex[self.cell[rows]]
         a, b, c = (self.points[self.corners[rows, i]] - self.points[tip] for i in range(3))
         face = self.face[rows]
@@ -95,7 +96,7 @@ class _Pieces:
         return -np.einsum("ti,ti->t", np.cross(a, b), c), away
 
     def best_apex(self) -> np.ndarray:
-        """One node a cell."""
+        """Chooses the apex of each cell: one node a cell."""
         count = int(self.cell[-1]) + 1
         pairs = np.unique(np.stack([np.repeat(self.cell, 3), self.corners.ravel()], axis=1), axis=0)
         first = np.searchsorted(pairs[:, 0], np.arange(count + 1))
@@ -111,7 +112,7 @@ class _Pieces:
         return apex
 
     def _least(self, apex: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
-        """Smallest piece of each cell over its mean piece."""
+        """Computes the smallest piece of each cell over its mean piece."""
         volume, away = self.volumes(apex, rows)
         cell, volume = self.cell[rows[away]], volume[away]
         least = np.full(count, np.inf)
@@ -120,7 +121,7 @@ class _Pieces:
         return np.where(mean > 0, least / np.where(mean > 0, mean, 1), -np.inf)
 
     def tetrahedra(self, apex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Corners (t, 4) of the pieces below `apex` that are no slivers, and their cells."""
+        """Makes the pieces below `apex` that are no slivers: their corners (t, 4) and their cells."""
         volume, away = self.volumes(apex, np.arange(len(self.cell)))
         size = np.where(away, np.abs(volume), 0)
         mean = np.bincount(self.cell, size) / np.maximum(np.bincount(self.cell, away), 1)
