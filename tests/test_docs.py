@@ -1,5 +1,6 @@
 """The documentation: its code runs and prints what it says, its parts from elsewhere are there, its reference is complete."""
 
+import importlib
 import pathlib
 import re
 import types
@@ -28,12 +29,27 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
             assert numbers[0] == pytest.approx(numbers[1], rel=0.05, abs=1e-6)  # below: rounding
 
 
-def test_the_reference_names_all_that_is_public():
-    reference = re.findall(r"\{\{ api (.*) \}\}", (PAGES / "reference" / "jaxmorph.md").read_text())
-    named = [name for names in reference for name in names.split()]
-    public = [
-        name for name, value in vars(jm).items() if not name.startswith("_") and not isinstance(value, types.ModuleType)
-    ]
-    assert sorted(named) == sorted(public)
-    for module in ("shapes", "io", "plot", "cases"):
-        assert f"{{{{ api {module} }}}}" in (PAGES / "reference" / f"{module}.md").read_text()
+@pytest.mark.parametrize("name", ["jaxmorph", "shapes", "io", "plot", "cases"])
+def test_the_reference_names_all_that_is_public(name):
+    page = (PAGES / "reference" / f"{name}.md").read_text()
+    module = jm if name == "jaxmorph" else importlib.import_module(f"jaxmorph.{name}")
+    public = {
+        key: value
+        for key, value in vars(module).items()
+        if not key.startswith("_") and not isinstance(value, types.ModuleType)
+    }
+    functions = [key for key, value in public.items() if callable(value) and value.__module__.startswith("jaxmorph")]
+    assert sorted(re.findall(rf"^::: {module.__name__}\.(\w+)$", page, flags=re.MULTILINE)) == sorted(functions)
+    for constant in set(public) - set(functions):
+        assert f"`{name}.{constant}`" in page
+
+
+def test_links_of_pages_lead_to_files():
+    """On a code host as well as on the site: each relative link is a file of the project, or the page of commands."""
+    documents = ["README.md", "CONTRIBUTING.md", "benchmarks/README.md", *(ROOT / "docs" / "pages").rglob("*.md")]
+    for document in documents:
+        file = ROOT / document
+        for address in re.findall(r"\[[^\]]*\]\(([^)\s]+)\)", file.read_text()):
+            path = address.partition("#")[0]
+            if path and not re.match(r"\w+:", address):
+                assert (file.parent / path).exists() or path.endswith("commands.md"), f"{document}: {address}"
