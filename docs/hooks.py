@@ -77,7 +77,7 @@ def linked(text: str, document: str, page: str) -> str:
             raise PluginError(f"{document} links to {address}, which is not there.")
         goal = DOCUMENTS.get(file, re.sub(r"^docs/(pages/)?", "", file).replace(".ipynb", ".md"))
         if goal == file and file.split("/")[0] != "notebooks":
-            return f"{words} (`{file}`)"
+            return words if words == f"`{file}`" else f"{words} (`{file}`)"
         goal = posixpath.relpath(goal, posixpath.dirname(page) or ".")
         return f"[{words}]({goal}{'#' + anchor if anchor else ''})"
 
@@ -122,5 +122,7 @@ def block(heading: str, text: str) -> str:
 
 
 def mathml(source, language, css_class, options, md, **_) -> str:
-    """Returns an equation in LaTeX as MathML."""
-    return f'<div class="{css_class}">{convert(source, display="block")}</div>'
+    """Returns an equation in LaTeX as MathML, with its number at the right."""
+    number = re.search(r"\\tag\{(\w+)\}", source)
+    equation = convert(source.replace(number[0], "") if number else source, display="block")
+    return f'<div class="{css_class}">{equation}<span>{f"({number[1]})" if number else ""}</span></div>'

@@ -1,11 +1,15 @@
 """The code in README.md and CONTRIBUTING.md runs as it stands there."""
 
+import ast
+import re
+
 import jax
 import numpy as np
 import pytest
-from documents import blocks
+from documents import ROOT, blocks
 
 import jaxmorph as jm
+from jaxmorph import io
 
 
 @pytest.mark.parametrize("code", blocks("CONTRIBUTING.md"))
@@ -29,11 +33,20 @@ def test_extensions_move_a_mesh(code):
 
 def test_readme_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    names = {"__name__": "readme"}
     for code in blocks("README.md"):
-        exec(code, {"__name__": "readme"})
-    assert list(tmp_path.glob("*.su2"))
+        exec(code, names)
+    before, after = names["mesh"], io.read(tmp_path / "larger.su2")
+    wall = before.patch("airfoil")
+    np.testing.assert_allclose(after.points[wall], 1.1 * before.points[wall], atol=1e-15)
+    np.testing.assert_array_equal(names["dJ_dwall"].shape, (len(wall), 2))
+    assert float(capsys.readouterr().out) != 0
 
 
-def test_eight_lines():
-    lines = [line for line in blocks("README.md")[0].splitlines() if line.strip()]
-    assert len(lines) == 8
+def test_the_first_screen_of_readme():
+    """Short, in Python four statements, and with the two commands that set everything up by themselves."""
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) < 120
+    moves = blocks("README.md")[0].split("\n\n")[-1]
+    assert len(ast.parse(moves).body) == 4
+    assert len(re.findall("^python3 -m venv .venv && ", text, flags=re.MULTILINE)) == 2
