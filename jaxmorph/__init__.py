@@ -1,9 +1,10 @@
 """Differentiable mesh morphing in JAX: reduced radial basis functions with exact surfaces.
 
-"The paper" in docstrings is *Mesh deformation with exact surface reconstruction using a reduced radial basis function approach*; the copy that
-we worked from names no authors. It builds on radial basis functions for moving meshes (de Boer, van der Schoot and Bijl, Computers and
-Structures 85, 2007; Rendall and Allen, Journal of Computational Physics 228, 2009) and on Delaunay graph mapping (Liu, Qin and Xia,
-Journal of Computational Physics 211, 2006). The documentation's page on theory prints the equations that docstrings cite.
+"The paper" in docstrings is *Mesh deformation with exact surface reconstruction using a reduced radial basis function
+approach*; the copy that we worked from names no authors. It builds on radial basis functions for moving meshes (de Boer, van der
+Schoot and Bijl, Computers and Structures 85, 2007; Rendall and Allen, Journal of Computational Physics 228, 2009) and on
+Delaunay graph mapping (Liu, Qin and Xia, Journal of Computational Physics 211, 2006). The documentation's page on theory prints
+the equations that docstrings cite.
 """
 
 from importlib.metadata import version as _version
