@@ -60,5 +60,7 @@ from ._quality.report import QualityReport as QualityReport
 from ._quality.smooth import soft_maximum as soft_maximum
 from ._quality.smooth_quality import SmoothQuality as SmoothQuality
 from ._quality.smooth_quality import smooth_quality as smooth_quality
+from ._quality.wall import WallQuality as WallQuality
+from ._quality.wall import wall_quality as wall_quality
 
 __version__ = _version("jaxmorph")

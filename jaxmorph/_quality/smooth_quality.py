@@ -29,7 +29,8 @@ class SmoothQuality(eqx.Module):
 def smooth_quality(
     mesh: Mesh, points: Float[Any, "n d"] | None = None, *, sharpness: float = 50.0, softness: float = 1e-6
 ) -> SmoothQuality:
-    """Smooth twins of those measures of `quality` that have kinks. `volume` and `volume_ratio` have none, `distortion` neither.
+    """Smooth twins of those measures of `quality` that have kinks. `volume` and `volume_ratio` have none, `distortion` neither;
+    `wall_quality` has its own `softness`.
 
     Where `quality` takes the largest of m terms of a cell, soft maxima take its place (the smallest: soft minima), so with the
     derivative spread over the terms near the largest; the values approach those of `quality` as `sharpness` grows:

@@ -1,0 +1,34 @@
+"""How far nodes off the surface move, compared with the surface."""
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.spatial
+from jaxtyping import Float
+
+from .._plan.plan import Plan, deform
+
+RESTS = 1e-3
+"""Displacements below this share of the largest one are those of a part that rests."""
+
+
+def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
+    """The largest motion of a node off the surface over the largest one of the surface: anywhere, and behind a part that rests.
+
+    A node lies behind a part that rests where the nearest node of the moving surface rests, and the part that moves lies on the
+    other side of that one: below an airfoil whose upper side alone is changed.
+    """
+    points, moving = np.asarray(plan.points), np.asarray(plan.moving)
+    size = np.linalg.norm(u, axis=1)
+    inner = np.setdiff1d(np.arange(len(points)), np.asarray(plan.surface.nodes))
+    if not size.max() or not inner.size:
+        return 0.0, 0.0
+    share = np.linalg.norm(np.asarray(deform(plan, jnp.asarray(u)) - plan.points)[inner], axis=1) / size.max()
+    base, active = points[moving], np.flatnonzero(size > size.max() / 2)
+    nearest = np.asarray(scipy.spatial.KDTree(base).query(points[inner])[1])
+    towards = base[active[np.asarray(scipy.spatial.KDTree(base[active]).query(base)[1])]] - base
+    away = points[inner] - base[nearest]
+    towards = towards[nearest]
+    product, lengths = np.sum(away * towards, axis=1), (np.linalg.norm(away, axis=1), np.linalg.norm(towards, axis=1))
+    is_opposite = product < -lengths[0] * lengths[1] / 2
+    behind = (size[nearest] <= RESTS * size.max()) & is_opposite & (lengths[0] < np.ptp(base, axis=0).max())
+    return float(share.max()), float(share[behind].max(initial=0.0))

@@ -1,0 +1,131 @@
+"""Measures of the first grid line off a wall, per wall node."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._host.wall import Lines, areas, first_lines
+from .._mesh.mesh import Mesh
+from .quality import places
+
+
+class WallQuality(eqx.Module):
+    """What `wall_quality` finds at w wall nodes: arrays (w,).
+
+    - `nodes`: their ids, ascending. A wall node without an edge that leaves the wall is not among them.
+    - `angle`: degrees by which the first grid line has left its own angle to the wall; 0 on the undeformed mesh.
+    - `height`: distance from the wall at which that line ends, along the wall's normal, over the undeformed one: 1 there,
+      negative where the line points out of the mesh.
+    """
+
+    nodes: Int[Array, " w"]
+    angle: Float[Array, " w"]
+    height: Float[Array, " w"]
+
+    @property
+    def mean_angle(self) -> Float[Array, ""]:
+        return jnp.mean(self.angle, axis=-1)
+
+    @property
+    def max_angle(self) -> Float[Array, ""]:
+        return jnp.max(self.angle, axis=-1)
+
+    @property
+    def min_height(self) -> Float[Array, ""]:
+        return jnp.min(self.height, axis=-1)
+
+    @property
+    def max_height(self) -> Float[Array, ""]:
+        return jnp.max(self.height, axis=-1)
+
+    def __str__(self) -> str:
+        """Says both measures in one line, on the host."""
+        angle, height = f"{float(self.mean_angle):.3g} (mean), {float(self.max_angle):.3g} (max)", self.height
+        return (
+            f"{len(self.nodes)} wall nodes: first grid line {angle} degrees off its own angle to the wall; "
+            f"first cell {float(height.min()):.3g} to {float(height.max()):.3g} of its height"
+        )
+
+
+def wall_quality(
+    mesh: Mesh,
+    wall: str | Sequence[str] | Int[Any, " k"],
+    points: Float[Any, "n d"] | None = None,
+    *,
+    softness: float | None = None,
+) -> WallQuality:
+    """Measures wall orthogonality and first-cell height at `points`, relative to the undeformed mesh, `mesh.points`.
+
+    Both are what the area-weighted mean of skewness hides. `wall` names patches, or is an array of node ids. The first grid
+    line of a wall node is the edge that leaves the wall most nearly along its normal on the undeformed mesh. The wall's normal
+    at a node is that of the faces around it, weighted by their area; in 3-D a neighbour on the wall says how the wall turns
+    about the normal.
+
+    Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call, from cells and
+    coordinates that may not be traced: close over the mesh. `angle` has a kink where it is zero; with `softness`, in degrees,
+    sqrt(angle^2 + softness^2) - softness takes its place, smooth and less by `softness` at most. `height` has none.
+
+    Raises `ValueError` for a patch that is not there, ids out of range, nodes that hold no side of a cell on the boundary, a
+    mesh without cells, and a shape of `points` other than that of `mesh.points`.
+    """
+    current = places(mesh, points)
+    ids = mesh.patch(wall) if isinstance(wall, str) else np.asarray(wall)
+    if ids.dtype.kind not in "iu":
+        ids = mesh.patch(*ids.tolist())
+    if ids.size and not (ids.min() >= 0 and ids.max() < len(mesh.points)):
+        raise ValueError(f"{ids.max() if ids.min() >= 0 else ids.min()} in `wall` is no node of the mesh.")
+    lines = first_lines(mesh.cells, np.asarray(mesh.points), ids)
+    with jax.ensure_compile_time_eval():
+        reference = jnp.asarray(mesh.points, dtype=current.dtype)
+    return _measured(lines, reference, current, softness)
+
+
+@jax.jit
+def _measured(lines: Lines, reference: Float[Array, "n d"], points: Float[Array, "n d"], softness) -> WallQuality:
+    own, now = (_components(lines, x) for x in (reference, points))
+    cosine = jnp.sum(own * now, axis=1)
+    sine = _length(_crossed(own, now))
+    none = sine**2 + cosine**2 == 0
+    angle = jnp.rad2deg(jnp.where(none, 0, jnp.arctan2(sine, jnp.where(none, 1, cosine))))
+    if softness is not None:
+        angle = jnp.sqrt(angle**2 + softness**2) - softness
+    flat = own[:, 0] == 0
+    height = jnp.where(flat, 1, now[:, 0] / jnp.where(flat, 1, own[:, 0]))
+    return WallQuality(jnp.asarray(lines.nodes), angle, height)
+
+
+def _components(lines: Lines, x: Float[Array, "n d"]) -> Float[Array, "w d"]:
+    """Each first grid line in a frame of its wall: along the normal, then along the wall."""
+    area = areas(x[lines.faces]) * lines.sign[:, None].astype(x.dtype)
+    normal = jnp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
+    for rows in lines.rows.T:
+        normal = normal.at[rows].add(area, mode="drop")
+    normal, line = _unit(normal), x[lines.ends] - x[lines.nodes]
+    if x.shape[1] == 2:
+        return jnp.stack(
+            [jnp.sum(normal * line, axis=1), normal[:, 0] * line[:, 1] - normal[:, 1] * line[:, 0]], axis=1
+        )
+    beside = x[lines.beside] - x[lines.nodes]
+    tangent = _unit(beside - jnp.sum(beside * normal, axis=1)[:, None] * normal)
+    frame = jnp.stack([normal, tangent, jnp.cross(normal, tangent)], axis=1)
+    return jnp.sum(frame * line[:, None], axis=2)
+
+
+def _crossed(a: Float[Array, "w d"], b: Float[Array, "w d"]) -> Float[Array, "w c"]:
+    return jnp.cross(a, b) if a.shape[1] == 3 else (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
+
+
+def _unit(a: Float[Array, "w d"]) -> Float[Array, "w d"]:
+    length = _length(a)
+    return a / jnp.where(length > 0, length, 1)[:, None]
+
+
+def _length(a: Float[Array, "w c"]) -> Float[Array, " w"]:
+    """Its derivative at zero is zero."""
+    squared = jnp.sum(a**2, axis=1)
+    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
