@@ -89,3 +89,41 @@ def test_an_infeasible_motion_is_reported_with_the_fraction_reached(mesh):
     assert int(steps.report.inverted) == 0
     report = jm.quality(mesh, jm.deform(plan, motion(steps.fraction + 2e-3)))
     assert int(report.inverted) or float(report.min_jacobian_ratio) <= 0.05
+
+
+def bump_on_one_side(side):
+    """A thin plate, its upper or both sides raised in the middle."""
+    mesh = cases.naca0015(points=2000)
+    moving = mesh.patch("airfoil")
+    x, y = mesh.points[moving].T
+    height = 0.1 * np.exp(-(((x - 0.5) / 0.1) ** 2))
+    return mesh, np.column_stack([0 * x, np.where((y > 0) | (side == "both"), height, 0)])
+
+
+FOLLOWS = jm.RBF(reduction=jm.KDTree(32))
+"""It carries the motion of one side through a thin body to the other."""
+
+
+@pytest.mark.parametrize(("method", "least", "most"), [(FOLLOWS, 0.3, 0.9), (jm.DelaunayGraph(), 0, 1e-6)])
+def test_overshoot_behind_a_bump(method, least, most):
+    """Measured once more in a box below the airfoil; graph mapping leaves the other side alone."""
+    mesh, u = bump_on_one_side("upper")
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
+    found = jm.inspect(plan, u)
+    share = np.linalg.norm(np.asarray(jm.deform(plan, u)) - mesh.points, axis=1) / np.abs(u).max()
+    inner = np.setdiff1d(np.arange(len(share)), np.concatenate([plan.moving, plan.fixed]))
+    x, y = mesh.points[inner].T
+    below = (x > 0) & (x < 1) & (y < 0) & (y > -0.9)
+    assert least <= found.overshoot_behind <= most
+    assert found.overshoot_behind == pytest.approx(share[inner][below].max(), abs=0.15)
+    assert found.overshoot == pytest.approx(share[inner].max())
+
+
+def test_overshoot_where_all_moves_or_nothing():
+    mesh, u = bump_on_one_side("both")
+    plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"))
+    found = jm.inspect(plan, 0 * u + 0.3)
+    assert found.overshoot <= 1.0 + 1e-9
+    assert found.overshoot_behind == 0
+    still = jm.inspect(plan, 0 * u)
+    assert (still.overshoot, still.overshoot_behind) == (0, 0)

@@ -7,6 +7,7 @@ import scipy.spatial
 from jaxtyping import Array, Float
 
 from .._plan.plan import Plan
+from .overshoot import overshoot
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,6 +18,9 @@ class Inspection:
     `offset_node`; `offset_ratio` is the largest ratio of a node's offset to the distance of its nearest mesh node.
     `contradictions` (k, 2) are pairs of neighbouring surface nodes that are torn apart, the worst first, and `near` (d,) is where
     the worst pair lies. `warnings` says so in words.
+
+    `overshoot` is the largest motion of a node off the surface over the largest one of the surface; `overshoot_behind` is the same
+    behind a thin body's part that rests while its other side moves (below an airfoil with a bump on its upper side).
     """
 
     offset: float
@@ -24,6 +28,8 @@ class Inspection:
     offset_ratio: float
     contradictions: np.ndarray
     near: np.ndarray
+    overshoot: float
+    overshoot_behind: float
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -45,7 +51,7 @@ class Inspection:
 
 
 def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
-    """Host: looks at a displacement (m, d) of the moving nodes without moving the mesh.
+    """Host: looks at a displacement (m, d) of the moving nodes, and at the motion that the mesh would make.
 
     Neighbouring surface nodes are contradictory where one moves, the other is fixed and the displacement is larger than their
     distance (a wall sliding along a boundary that is held), or where both move and their distance more than
@@ -63,7 +69,7 @@ def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
     torn = nodes[pairs].reshape(-1, 2)
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
-    return Inspection(float(offset[worst]), int(nodes[worst]), ratio, torn, near)
+    return Inspection(float(offset[worst]), int(nodes[worst]), ratio, torn, near, *overshoot(plan, u))
 
 
 def _torn(points: np.ndarray, own: np.ndarray, moves: int) -> np.ndarray:

@@ -14,8 +14,9 @@ RESTS = 1e-3
 def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
     """The largest motion of a node off the surface over the largest one of the surface: anywhere, and behind a part that rests.
 
-    A node lies behind a part that rests where the nearest node of the moving surface rests, and the part that moves lies on the
-    other side of that one: below an airfoil whose upper side alone is changed.
+    A node lies behind a part that rests where three things hold. The nearest node of the moving surface rests; the part that
+    moves lies on the other side of that one, as the upper side of an airfoil does for nodes below it; and the node is no farther
+    away than the surface is long.
     """
     points, moving = np.asarray(plan.points), np.asarray(plan.moving)
     size = np.linalg.norm(u, axis=1)

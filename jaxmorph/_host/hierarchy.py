@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from .farthest import FarthestPoints
 from .reduction import AbstractReduction, canonical_order, roundoff
 
 BATCH = 256
@@ -67,7 +68,7 @@ class Share(AbstractReduction):
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         count = int(np.ceil(self.fraction * len(points)))
-        return np.sort(farthest_first(points, np.zeros(0, dtype=np.int64), np.arange(len(points)))[0][:count])
+        return FarthestPoints(count)(points) if count else np.zeros(0, dtype=np.int64)
 
 
 def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

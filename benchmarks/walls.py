@@ -1,0 +1,187 @@
+"""What each method does to the cells at a wall: inverted cells, wall orthogonality, first-cell height, overshoot, limits.
+
+python benchmarks/walls.py [--part shapes --part kinks ...] [--method default ...] [--points 12000] [--json walls.json]
+
+Columns: inverted cells (18 runs together for the kinks); the smallest corner Jacobian over its undeformed value; degrees by which
+the first grid line has left its own angle to the wall, mean and largest; smallest and largest height of a first cell over its
+undeformed one; skewness, its mean weighted by area, and the largest; the largest motion of a node off the surface over the
+largest of the surface, behind a part that rests and anywhere.
+"""
+
+import argparse
+import gc
+import json
+import pathlib
+import time
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from _measure import about
+from _walls import PARTS, Case, camber, flap, pitch
+
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph._methods.default import default_method
+
+EVERY = jm.AllPoints()
+COARSE = jm.RBF(reduction=jm.KDTree(64, extremes=True))
+"""Interpolates at sources that cover the wall: the coarse field of the corrections that are compared."""
+
+
+def published() -> jm.AbstractMethod:
+    """The paper's, 32 and 6 sources or so."""
+    made = getattr(jm.SurfaceReconstruction, "published", None)
+    coarse = jm.RBF(reduction=jm.KDTree(8), fixed_reduction=jm.KDTree(2))
+    return jm.SurfaceReconstruction(coarse, jm.DelaunayGraph()) if made is None else made(8, 2)
+
+
+def on_default(correction: jm.AbstractMethod) -> jm.AbstractMethod:
+    """`prepare`'s default with another correction."""
+    return eqx.tree_at(lambda method: method.correction, default_method(), correction)
+
+
+METHODS: dict[str, Callable[[float], jm.AbstractMethod]] = {
+    "default": lambda size: default_method(),
+    "default, multiscale": lambda size: on_default(jm.Multiscale()),
+    "default, both": lambda size: on_default(jm.NearWall(jm.Multiscale())),
+    "published": lambda size: published(),
+    "classic RBF": lambda size: jm.RBF(reduction=EVERY, fixed_reduction=EVERY),
+    "graph alone": lambda size: jm.DelaunayGraph(),
+    "graph": lambda size: jm.SurfaceReconstruction(COARSE, jm.DelaunayGraph()),
+    "layer": lambda size: jm.SurfaceReconstruction(COARSE, jm.NearWall()),
+    "multiscale": lambda size: jm.SurfaceReconstruction(COARSE, jm.Multiscale()),
+    "multiscale, layer": lambda size: jm.SurfaceReconstruction(COARSE, jm.NearWall(jm.Multiscale())),
+    "multiscale, whole": lambda size: jm.Multiscale.whole(2 * size, 0.1),
+}
+"""By name, for a body of a size. "layer" is `NearWall`; "both" and "multiscale, layer" are it around `Multiscale`."""
+
+COLUMNS = ("inverted", "ratio", "line", "line max", "height", "height max", "skew", "skew max", "behind", "anywhere")
+
+
+def prepared(case: Case, name: str) -> jm.Plan:
+    size = float(np.ptp(case.mesh.points[case.moving], axis=0).max())
+    method = METHODS[name](size)
+    return jm.prepare(case.mesh.points, case.moving, case.fixed, method=method, symmetry=case.symmetry)
+
+
+def measured(case: Case, plan: jm.Plan, path: np.ndarray) -> dict[str, float]:
+    """All columns for one motion."""
+    points = jm.march(plan, jnp.asarray(path))[1]
+    report, wall = jm.quality(case.mesh, points), jm.wall_quality(case.mesh, case.moving, points)
+    seen = jm.inspect(plan, path[-1])
+    return {
+        "inverted": int(report.inverted),
+        "ratio": float(report.min_jacobian_ratio),
+        "line": float(wall.mean_angle),
+        "line max": float(wall.max_angle),
+        "height": float(wall.min_height),
+        "height max": float(wall.max_height),
+        "skew": float(report.mean_skewness),
+        "skew max": float(report.max_skewness),
+        "behind": seen.overshoot_behind,
+        "anywhere": seen.overshoot,
+    }
+
+
+def summed(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Random motions of one kind as one row: inverted cells summed, the worst ratio beside the mean one, means of the rest."""
+    result = {}
+    for kind in dict.fromkeys(name.split()[-2] for name in rows):
+        part = [row for name, row in rows.items() if name.split()[-2] == kind]
+        row = {column: float(np.mean([each[column] for each in part])) for column in COLUMNS}
+        row["inverted"] = sum(each["inverted"] for each in part)
+        row["runs inverted"] = sum(each["inverted"] > 0 for each in part)
+        row["worst ratio"] = min(each["ratio"] for each in part)
+        result[f"{len(part)} {kind}: mean ratio"] = row
+    return result
+
+
+def part_of(name: str, points: int, methods: list[str]) -> dict[str, dict[str, dict[str, float]]]:
+    """Rows by motion and method."""
+    rows: dict[str, dict[str, dict[str, float]]] = {method: {} for method in methods}
+    for case in PARTS[name](points):
+        for method in methods:
+            plan = prepared(case, method)
+            for motion, path in case.motions.items():
+                rows[method][f"{case.name} {motion}"] = measured(case, plan, path)
+            print(".", end="", flush=True)
+        jax.clear_caches()
+        gc.collect()
+    if name == "kinks":
+        rows = {method: summed(each) for method, each in rows.items()}
+    return {motion: {method: rows[method][motion] for method in methods} for motion in rows[methods[0]]}
+
+
+def limits(points: int, methods: list[str]) -> dict[str, dict[str, float]]:
+    """How far each motion goes in one step before a cell inverts: degrees, degrees, degrees, chords."""
+    mesh = cases.naca0015(points=points)
+    moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
+    base, motions = mesh.points[moving], {
+        "pitch": (pitch, 180.0),
+        "flap": (flap, 120.0),
+        "wide flap": (lambda base, angle: flap(base, angle, 0.3), 120.0),
+        "camber": (camber, 2.0),
+    }  # fmt: skip
+    case, result = Case("limits", "naca0015", mesh, moving, fixed, {}), {}
+    for method in methods:
+        plan, result[method] = prepared(case, method), {}
+        for name, (motion, most) in motions.items():
+            low, high = 0.0, most
+            while high - low > most / 256:
+                middle = (low + high) / 2
+                fine = not int(jm.quality(mesh, jm.deform(plan, jnp.asarray(motion(base, middle)[0]))).inverted)
+                low, high = (middle, high) if fine else (low, middle)
+            result[method][name] = low
+        print(".", end="", flush=True)
+    jax.clear_caches()
+    return result
+
+
+def show(part: str, rows: dict[str, dict[str, dict[str, float]]]) -> None:
+    """100 columns wide; a motion's name on a line of its own."""
+    print(
+        f"\n{part:<20}{'inverted':>8}{'ratio':>7}{'line':>7}{'max':>7}{'height':>9}{'max':>7}{'skew':>9}{'max':>8}{'behind':>9}{'any':>7}"
+    )
+    for motion, methods in rows.items():
+        print(f"- {motion}")
+        for method, row in methods.items():
+            cells = f"{row['inverted']:>8}{row['ratio']:>7.2f}{row['line']:>7.1f}{row['line max']:>7.1f}"
+            cells += f"{row['height']:>9.2f}{row['height max']:>7.2f}{row['skew']:>9.4f}{row['skew max']:>8.3f}"
+            more = f"  ({row['runs inverted']} runs, worst {row['worst ratio']:.2f})" if "worst ratio" in row else ""
+            print(f"{method:<20}{cells}{row['behind']:>9.2f}{row['anywhere']:>7.2f}{more}", flush=True)
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--part", action="append", choices=[*PARTS, "limits"], help="all of them by default; may repeat"
+    )
+    parser.add_argument("--method", action="append", choices=list(METHODS), help="all of them by default; may repeat")
+    parser.add_argument("--points", type=int, default=12_000, help="of the generated airfoils")
+    parser.add_argument("--json", type=pathlib.Path, help="a file for all figures")
+    options = parser.parse_args()
+    methods, results = options.method or list(METHODS), {}
+    about(points=options.points)
+    for part in options.part or [*PARTS, "limits"]:
+        began = time.process_time()
+        if part == "limits":
+            results[part] = limits(options.points, methods)
+            print(f"\n{'limits, one step':<20}{'pitch':>9}{'flap':>9}{'wide flap':>12}{'camber':>9}")
+            for method, row in results[part].items():
+                print(
+                    f"{method:<20}{row['pitch']:>9.1f}{row['flap']:>9.1f}{row['wide flap']:>12.1f}{row['camber']:>9.2f}"
+                )
+        else:
+            results[part] = part_of(part, options.points, methods)
+            show(part, results[part])
+        print(f"{part}: {time.process_time() - began:.0f} s of CPU time", flush=True)
+        if options.json:
+            options.json.write_text(json.dumps(results, indent=1))
+
+
+if __name__ == "__main__":
+    main()
