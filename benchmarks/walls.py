@@ -24,31 +24,22 @@ from _walls import PARTS, Case, camber, flap, pitch
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._methods.default import default_method
 
-EVERY = jm.AllPoints()
 COARSE = jm.RBF(reduction=jm.KDTree(64, extremes=True))
 """Interpolates at sources that cover the wall: the coarse field of the corrections that are compared."""
 
 
-def published() -> jm.AbstractMethod:
-    """The paper's, 32 and 6 sources or so."""
-    made = getattr(jm.SurfaceReconstruction, "published", None)
-    coarse = jm.RBF(reduction=jm.KDTree(8), fixed_reduction=jm.KDTree(2))
-    return jm.SurfaceReconstruction(coarse, jm.DelaunayGraph()) if made is None else made(8, 2)
-
-
 def on_default(correction: jm.AbstractMethod) -> jm.AbstractMethod:
     """`prepare`'s default with another correction."""
-    return eqx.tree_at(lambda method: method.correction, default_method(), correction)
+    return eqx.tree_at(lambda method: method.correction, jm.SurfaceReconstruction(), correction)
 
 
 METHODS: dict[str, Callable[[float], jm.AbstractMethod]] = {
-    "default": lambda size: default_method(),
+    "default": lambda size: jm.SurfaceReconstruction(),
     "default, multiscale": lambda size: on_default(jm.Multiscale()),
     "default, both": lambda size: on_default(jm.NearWall(jm.Multiscale())),
-    "published": lambda size: published(),
-    "classic RBF": lambda size: jm.RBF(reduction=EVERY, fixed_reduction=EVERY),
+    "published": lambda size: jm.SurfaceReconstruction.published(8, 2),
+    "classic RBF": lambda size: jm.RBF.classic(jm.ThinPlateSpline()),
     "graph alone": lambda size: jm.DelaunayGraph(),
     "graph": lambda size: jm.SurfaceReconstruction(COARSE, jm.DelaunayGraph()),
     "layer": lambda size: jm.SurfaceReconstruction(COARSE, jm.NearWall()),
@@ -64,7 +55,7 @@ COLUMNS = ("inverted", "ratio", "line", "line max", "height", "height max", "ske
 def prepared(case: Case, name: str) -> jm.Plan:
     size = float(np.ptp(case.mesh.points[case.moving], axis=0).max())
     method = METHODS[name](size)
-    return jm.prepare(case.mesh.points, case.moving, case.fixed, method=method, symmetry=case.symmetry)
+    return jm.prepare(case.mesh, case.moving, case.fixed, method=method, symmetry=case.symmetry)
 
 
 def measured(case: Case, plan: jm.Plan, path: np.ndarray) -> dict[str, float]:
