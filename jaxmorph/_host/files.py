@@ -1,23 +1,87 @@
-"""Files that appear only when they are complete."""
+"""Files and folders that appear when they are complete."""
 
 import contextlib
 import os
 import pathlib
+import re
+import secrets
 import shutil
+import socket
+import stat
+import zlib
 from collections.abc import Iterator
 
 
 @contextlib.contextmanager
-def complete(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """Yields a temporary name beside `path`, for a file or a folder, which takes its place at the end.
+def complete(path: pathlib.Path, *, folder: bool = False) -> Iterator[pathlib.Path]:
+    """Yields a temporary file or folder beside `path` that takes its place at the end; on failure nothing is left.
 
-    On failure nothing is left.
+    The temporary one is new, under a name that no other writer has: nothing that stands there is followed or overwritten. A `path`
+    that is a symbolic link keeps being one, and its target is replaced. A file that is replaced hands on its permissions. What
+    writers that were killed on this machine left behind for the same path is removed.
+
+    Raises `FileNotFoundError` where the folder that is to hold `path` does not exist.
     """
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    target = pathlib.Path(os.path.realpath(path))
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"{path}: there is no folder {target.parent}.")
+    _sweep(target)
+    partial = _new(target, folder)
     try:
         yield partial
-        partial.replace(path)
+        partial.replace(target)
     finally:
-        if partial.is_dir():
-            shutil.rmtree(partial)
+        _remove(partial)
+
+
+def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
+    """Creates the temporary file, with the permissions of the one that it replaces, or the temporary folder."""
+    while True:
+        token = f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
+        partial = target.with_name(f".{target.stem}.{token}.partial{target.suffix}")
+        with contextlib.suppress(FileExistsError):
+            if folder:
+                partial.mkdir()
+                return partial
+            mode = stat.S_IMODE(target.stat().st_mode) if target.is_file() else None
+            # O_EXCL: a link planted under this name is not followed
+            os.close(os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666 if mode is None else mode))
+            if mode is not None:
+                partial.chmod(mode)
+            return partial
+
+
+def _sweep(target: pathlib.Path) -> None:
+    """Removes what killed processes of this machine left behind for the same target."""
+    name = re.compile(
+        rf"\.{re.escape(target.stem)}\.{_machine()}-(\d+)-[0-9a-f]{{8}}\.partial{re.escape(target.suffix)}"
+    )
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(target.parent):
+            match = name.fullmatch(entry.name)
+            if match and not _is_alive(int(match[1])):
+                _remove(pathlib.Path(entry.path))
+
+
+def _is_alive(process: int) -> bool:
+    if os.name != "posix":
+        return True  # a signal would end it there
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _machine() -> str:
+    """Names this machine in eight digits: process numbers mean nothing on another one that shares the folder."""
+    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
+
+
+def _remove(partial: pathlib.Path) -> None:
+    if partial.is_dir() and not partial.is_symlink():
+        shutil.rmtree(partial, ignore_errors=True)
+    else:
         partial.unlink(missing_ok=True)

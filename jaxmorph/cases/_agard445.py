@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import tempfile
 import warnings
 import zipfile
 import zlib
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
+from jaxmorph._host.files import complete
 
 from . import _agard445_wing as wing
 from ._agard445_mesh import CENTRE, CONTOUR_INTERVALS, DISTANCE_SAMPLES, OPTIONS, RADIUS, Sizes, generate
@@ -157,15 +157,9 @@ def _load(file: Path) -> dict[str, np.ndarray] | None:
 def _store(file: Path, arrays: dict[str, np.ndarray]) -> None:
     """All of the file or nothing: written beside it, then renamed. A directory that refuses it costs a warning only."""
     content: dict[str, Any] = dict(arrays)
-    partial = None
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, prefix=file.stem, suffix=".part", delete=False) as stream:
-            partial = Path(stream.name)
+        with complete(file) as partial, partial.open("wb") as stream:
             np.savez_compressed(stream, **content)
-        partial.replace(file)
     except OSError as error:
         warnings.warn(f"the mesh could not be kept in {file.parent} and will be made again: {error}.", stacklevel=3)
-    finally:
-        if partial is not None:
-            partial.unlink(missing_ok=True)

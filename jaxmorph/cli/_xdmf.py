@@ -1,6 +1,6 @@
 """A time series in XDMF: one file of arrays (.h5), and one that says what they are, which ParaView opens."""
 
-import os
+import contextlib
 import pathlib
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -9,6 +9,7 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import Mesh
+from jaxmorph._host.files import complete
 
 from ._files import cell_arrays, save
 
@@ -24,6 +25,10 @@ NUMBERS = {
 """XDMF's number of each type; a line's also says how many nodes follow."""
 
 
+class _Nothing(Exception):
+    """Tells the temporary file that nothing is to take its place."""
+
+
 class Series:
     """A context, at whose end both files appear; without any step, or after an error, there are none."""
 
@@ -34,8 +39,8 @@ class Series:
             raise ImportError("XDMF files need h5py: pip install 'jaxmorph[io]'") from error
         self.path, self.arrays = path, path.with_suffix(".h5")
         self._mesh, self._grids = mesh, []
-        self._partial = path.with_name(f".{path.stem}.{os.getpid()}.partial.h5")
-        self._file: Any = h5py.File(self._partial, "w")
+        self._stack = contextlib.ExitStack()
+        self._file: Any = h5py.File(self._stack.enter_context(complete(self.arrays)), "w")
         kinds = [np.tile(np.array(NUMBERS[kind], np.int32), (len(ids), 1)) for kind, ids in mesh.cells.items()]
         rows = [
             np.concatenate([kind, ids], axis=1).ravel() for kind, ids in zip(kinds, mesh.cells.values(), strict=True)
@@ -49,9 +54,11 @@ class Series:
     def __exit__(self, kind, error, trace) -> None:
         self._file.close()
         if kind is None and self._grids:
-            self._partial.replace(self.arrays)
+            self._stack.close()
             save(self.path, self._text().encode())
-        self._partial.unlink(missing_ok=True)
+            return
+        with contextlib.suppress(_Nothing):
+            self._stack.__exit__(_Nothing, _Nothing(), None)
 
     def add(self, time: float, moved: Mesh, report: jm.QualityReport) -> None:
         """The moved mesh at a time, with its displacement and the quality of each cell."""

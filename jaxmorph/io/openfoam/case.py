@@ -112,8 +112,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         return
     case = _case_of(content.topology)
     assert case is not None
-    with complete(path) as partial:
-        partial.mkdir()
+    with complete(path, folder=True) as partial:
         for name in COPIED:
             if (case / name).is_dir():
                 shutil.copytree(case / name, partial / name)

@@ -1,0 +1,163 @@
+"""Files appear whole or not at all, whatever links, modes, threads and killed writers are about."""
+
+import os
+import pathlib
+import signal
+import stat
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph._host.files import complete
+
+posix = pytest.mark.skipif(os.name != "posix", reason="links and modes of POSIX")
+
+
+def small():
+    return jm.Mesh([[0.0, 0], [1, 0], [0, 1]], {"triangle": [[0, 1, 2]]}, {"edge": [0, 1]})
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_failure_leaves_what_was_there(tmp_path):
+    (tmp_path / "a.txt").write_text("old")
+    with pytest.raises(ZeroDivisionError), complete(tmp_path / "a.txt") as partial:
+        partial.write_text("half" * (1 // 0))
+    assert names(tmp_path) == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "old"
+
+
+def test_a_folder_appears_whole(tmp_path):
+    with pytest.raises(ZeroDivisionError), complete(tmp_path / "case", folder=True) as partial:
+        (partial / "points").write_text("half" * (1 // 0))
+    assert names(tmp_path) == []
+    with complete(tmp_path / "case", folder=True) as partial:
+        (partial / "points").write_text("whole")
+    assert (tmp_path / "case" / "points").read_text() == "whole"
+
+
+@posix
+def test_an_output_that_is_a_link_keeps_being_one(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "real" / "a.su2").write_text("old")
+    (tmp_path / "link.su2").symlink_to(tmp_path / "real" / "a.su2")
+    io.write(tmp_path / "link.su2", small())
+    assert (tmp_path / "link.su2").is_symlink()
+    assert len(io.read(tmp_path / "real" / "a.su2").points) == 3
+    assert names(tmp_path / "real") == ["a.su2"]
+
+
+@posix
+def test_the_input_is_not_written_through_a_link(tmp_path):
+    io.write(tmp_path / "a.su2", small())
+    (tmp_path / "link.su2").symlink_to(tmp_path / "a.su2")
+    before = (tmp_path / "a.su2").read_bytes()
+    with pytest.raises(ValueError, match="the mesh was read from this file"):
+        io.write(tmp_path / "link.su2", io.read(tmp_path / "a.su2"))
+    assert (tmp_path / "a.su2").read_bytes() == before
+
+
+@posix
+def test_a_hard_link_to_the_old_file_keeps_its_content(tmp_path):
+    (tmp_path / "a.txt").write_text("old")
+    os.link(tmp_path / "a.txt", tmp_path / "b.txt")
+    with complete(tmp_path / "a.txt") as partial:
+        partial.write_text("new")
+    assert (tmp_path / "b.txt").read_text() == "old"
+
+
+@posix
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664])
+def test_a_replaced_file_hands_on_its_mode(tmp_path, mode):
+    (tmp_path / "a.txt").write_text("old")
+    (tmp_path / "a.txt").chmod(mode)
+    with complete(tmp_path / "a.txt") as partial:
+        assert stat.S_IMODE(partial.stat().st_mode) == mode  # while it is written too
+        partial.write_text("new")
+    assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == mode
+
+
+def test_a_new_file_has_the_usual_mode(tmp_path):
+    (tmp_path / "usual").write_text("")
+    with complete(tmp_path / "a.txt"):
+        pass
+    assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+@posix
+def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
+    """The name cannot be known; if it were, the next one is taken."""
+    tokens = iter(["00000000", "11111111"])
+    monkeypatch.setattr("secrets.token_hex", lambda size: next(tokens))
+    with complete(tmp_path / "a.txt") as partial:
+        planted = partial.with_name(partial.name.replace("11111111", "00000000"))
+    tokens = iter(["00000000", "11111111"])
+    (tmp_path / "victim").write_text("precious")
+    planted.symlink_to(tmp_path / "victim")
+    with complete(tmp_path / "a.txt") as partial:
+        partial.write_text("new")
+    assert (tmp_path / "victim").read_text() == "precious"
+    assert (tmp_path / "a.txt").read_text() == "new"
+
+
+def test_threads_that_write_one_file_do_not_meet(tmp_path):
+    errors, start = [], threading.Barrier(4)
+
+    def work(number):
+        try:
+            start.wait()
+            for _ in range(20):
+                with complete(tmp_path / "a.txt") as partial:
+                    partial.write_text(str(number) * 1000)
+        except Exception as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not errors
+    assert names(tmp_path) == ["a.txt"]
+    assert len(set((tmp_path / "a.txt").read_text())) == 1
+
+
+@posix
+def test_what_a_killed_writer_left_is_swept(tmp_path):
+    code = f"""
+import os, pathlib, signal
+from jaxmorph._host.files import complete
+kept = [complete(pathlib.Path({str(tmp_path)!r}) / name, folder=name == "case") for name in ("a.txt", "case")]
+for each in kept:
+    each.__enter__()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=pathlib.Path(__file__).parents[1], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert len(names(tmp_path)) == 2
+    with complete(tmp_path / "a.txt") as partial, complete(tmp_path / "a.txt") as other:
+        assert partial.exists()  # of a process that lives
+        assert other.exists()
+    with complete(tmp_path / "case", folder=True):
+        pass
+    assert names(tmp_path) == ["a.txt", "case"]
+
+
+def test_a_missing_folder_is_told_by_the_name_of_the_output(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"a\.plan: there is no folder .*nowhere"):
+        jm.save(tmp_path / "nowhere" / "a.plan", jm.prepare(np.eye(3)[:, :2], [0, 1], [2], method=jm.DelaunayGraph()))
+
+
+@posix
+@pytest.mark.parametrize("name", ["a b.su2", "Flügel ñ.su2", "-a.su2", ".hidden.su2"])
+def test_names_with_blanks_and_letters_of_all_kinds(tmp_path, name):
+    io.write(tmp_path / name, small())
+    assert len(io.read(tmp_path / name).points) == 3
+    assert names(tmp_path) == [name]
