@@ -19,6 +19,7 @@ from .._joined import Joined, Zones, join
 from .zone import DIMENSION, TYPES, Zone, children, data, word
 
 NAME = "CGNS"
+_FOREIGN = "{0}: {1}/{2} {3}. Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
 LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 
@@ -38,6 +39,7 @@ def read(path: pathlib.Path) -> Mesh:
     path.open("rb").close()
     try:
         with h5py.File(path, "r") as file:
+            _refuse_foreign_data(path, file)
             zones = _zones(path, file)
     except (OSError, KeyError, IndexError) as error:
         detail = " ".join(str(error).split())[:120]
@@ -60,6 +62,8 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     content: _Content = source.content
     if _stamp(source.path) != content.stamp:
         raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
+    with h5py.File(source.path, "r") as file:
+        _refuse_foreign_data(source.path, file)
     shutil.copyfile(source.path, path)
     points = content.joined.in_file(np.asarray(mesh.points))
     if np.array_equal(points, content.joined.points):
@@ -75,6 +79,32 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
 def _stamp(path: pathlib.Path) -> tuple[int, int]:
     found = path.stat()
     return found.st_size, found.st_mtime_ns
+
+
+def _refuse_foreign_data(path: pathlib.Path, file: h5py.File) -> None:
+    """Raises `ValueError` where anything in the file has its data in another one: writing would go through to it.
+
+    Links to other files, data sets in external storage and virtual ones are refused, wherever they stand.
+    """
+    groups, seen = [file["/"]], set()
+    while groups:
+        group = groups.pop()
+        for name in group:
+            link = group.get(name, getlink=True)
+            if isinstance(link, h5py.ExternalLink):
+                raise ValueError(_FOREIGN.format(path, group.name, name, f"is a link to {link.filename}"))
+            if isinstance(link, h5py.SoftLink):
+                continue  # to a place of this file, which is looked at by itself
+            child = group[name]
+            if isinstance(child, h5py.Dataset):
+                if child.external or child.is_virtual:
+                    other = child.external[0][0] if child.external else "other data sets"
+                    raise ValueError(_FOREIGN.format(path, group.name, name, f"keeps its values in {other}"))
+            elif isinstance(child, h5py.Group):
+                address = h5py.h5o.get_info(child.id).addr
+                if address not in seen:  # groups may hold each other
+                    seen.add(address)
+                    groups.append(child)
 
 
 def _open(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:

@@ -58,7 +58,7 @@ class Zone:
         return ValueError(f"{self.path}, zone {self.name}: {message}.")
 
     def coordinates(self) -> list[Any]:
-        """The data sets of x, y[, z]. `ValueError` for other coordinates, rind planes, and those of another file."""
+        """The data sets of x, y[, z]. `ValueError` for other coordinatesand rind planes."""
         grids = dict(children(self.group, "GridCoordinates_t"))
         if not grids:
             raise self.error("no GridCoordinates")
@@ -69,8 +69,6 @@ class Zone:
             raise self.error(f"Cartesian coordinates without rind planes expected, found {', '.join(names) or 'none'}")
         sets = [names[name][" data"] for name in wanted]
         for values in sets:
-            if pathlib.Path(values.file.filename).resolve() != self.path.resolve():
-                raise self.error(f"the coordinates are a link to {values.file.filename}; read and move that file")
             if values.size != self.count:
                 raise self.error(f"{values.size} coordinates for {self.count} vertices")
         return sets
