@@ -1,21 +1,23 @@
-"""Signatures of classes that equinox makes: griffe reads the source and knows only the standard library's dataclasses."""
+"""Adds the signatures of classes that equinox makes: griffe reads the source and knows only the standard library's dataclasses."""
 
 import griffe
 
 UNSHOWN = {"Plan"}
-"""Made by a function of the library; its fields are nobody's business."""
+"""Classes that a function of the library makes; users never write their fields."""
 
 
 class Fields(griffe.Extension):
-    """An `__init__` for each subclass of `equinox.Module` that has fields, as equinox would write it."""
+    """Adds an `__init__` to each subclass of `equinox.Module` that has fields, as equinox would write it."""
 
     def on_class(self, *, cls: griffe.Class, **_) -> None:
         bases = {str(base).split(".")[-1] for base in cls.bases}
         if cls.name in UNSHOWN or "__init__" in cls.members or not (bases & {"Module"} or _abstract(bases)):
             return
-        fields = [one for one in cls.members.values() if isinstance(one, griffe.Attribute) and _is_field(one)]
+        fields = [
+            member for member in cls.members.values() if isinstance(member, griffe.Attribute) and _is_field(member)
+        ]
         if fields:
-            parameters = [_parameter(one) for one in fields]
+            parameters = [_parameter(field) for field in fields]
             cls.set_member("__init__", griffe.Function("__init__", parameters=griffe.Parameters(*parameters)))
 
 
@@ -35,10 +37,10 @@ def _parameter(attribute: griffe.Attribute) -> griffe.Parameter:
 
 
 def _default(value: griffe.Expr | str | None) -> griffe.Expr | str | None:
-    """What `eqx.field` is told, or the value itself."""
+    """Returns the default that `eqx.field` is given, or the value itself."""
     if not isinstance(value, griffe.ExprCall) or str(value.function) != "eqx.field":
         return value
-    told = {argument.name: argument.value for argument in value.arguments if isinstance(argument, griffe.ExprKeyword)}
-    if "default_factory" in told:
-        return f"{told['default_factory']}()"
-    return told.get("default")
+    given = {argument.name: argument.value for argument in value.arguments if isinstance(argument, griffe.ExprKeyword)}
+    if "default_factory" in given:
+        return f"{given['default_factory']}()"
+    return given.get("default")
