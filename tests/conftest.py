@@ -1,5 +1,6 @@
 """What every test stands on: float64, broadcasts that are written out, compiled code that is shared and dropped file by file."""
 
+import contextlib
 import os
 import resource
 import sys
@@ -7,6 +8,7 @@ import tempfile
 
 import equinox as eqx
 import jax
+import jaxtyping
 import pytest
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
@@ -22,8 +24,27 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         jax.config.update(option, value)
 
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
 MEMORY = {}
 """Largest resident memory of each worker, bytes."""
+
+
+_raises = pytest.raises
+
+
+@contextlib.contextmanager
+def raises(*expected, **keywords):
+    """`pytest.raises`, without checks of types inside: wrong input is answered as users get it."""
+    checked = not jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
+    try:
+        with _raises(*expected, **keywords) as caught:
+            yield caught
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", not checked)
+
+
+pytest.raises = raises
 
 
 @pytest.fixture(autouse=True)

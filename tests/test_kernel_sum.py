@@ -94,13 +94,17 @@ def test_every_transformation():
     gradient = flat.T @ (w.ravel() * np.cos(at))
     second = flat.T @ (-w.ravel() * np.sin(at) * (flat @ v.ravel()))
     several = jnp.stack([u, v, -u])
+    # before 0.10 JAX fails to transpose a loop by itself
+    transposed = (
+        jax.linear_transpose if jax.__version_info__ >= (0, 10) else lambda function, u: jax.vjp(function, u)[1]
+    )
 
     @jax.jit
     def found(u, v, w, several):
         slope = jax.grad(objective)
         return {
             "forward": jax.jvp(moved, (u,), (v,))[1],
-            "transposed": jax.linear_transpose(moved, u)(w)[0],
+            "transposed": transposed(moved, u)(w)[0],
             "reverse": slope(u),
             "reverse over reverse": jax.grad(lambda u: jnp.vdot(slope(u), v))(u),
             "forward over reverse": jax.jvp(slope, (u,), (v,))[1],

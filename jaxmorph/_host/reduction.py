@@ -134,7 +134,7 @@ class KDTree(AbstractReduction):
             if len(members) < 2 or sides.max() <= self.smallest_box:
                 done.append(leaf)
             elif sides.max() > self.largest_box or self._too_few(-count, 1 + len(heap) + len(done)):
-                for half in _halves(points, members, sides.argmax()):
+                for half in _halves(points, members, int(sides.argmax())):
                     heapq.heappush(heap, entry(half))
             else:
                 done.append(leaf)

@@ -8,7 +8,7 @@ last place.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 _ROOT_HALF = 0x3FE6A09E00000000
 """The bits of sqrt(1/2), rounded down to a multiple of 2^32."""
@@ -43,7 +43,7 @@ _ARTANH = (
 
 
 @jax.custom_jvp
-def log(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def log(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
     """Computes `jax.numpy.log` to one unit in the last place, with its values at 0, infinity, NaN and negative numbers."""
     return _by_platform(_whole_range_log, jnp.log, x)
 
@@ -55,7 +55,7 @@ def _log_jvp(primals, tangents):
 
 
 @jax.custom_jvp
-def half_x_log_x(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def half_x_log_x(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
     """Computes x log(x) / 2 for x >= 0, and 0 at 0: r^2 log r of x = r^2.
 
     The slope is held where x falls below round-off squared.

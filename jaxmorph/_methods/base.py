@@ -3,7 +3,7 @@
 import abc
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -75,18 +75,18 @@ class AbstractRows(eqx.Module):
     """
 
     @abc.abstractmethod
-    def with_table(self, count: int, parts: int) -> Self:
+    def with_table(self, count: int, parts: int) -> "AbstractRows":
         """Host: adds a table for rows of many points over `count` surface nodes, which lie in `parts` equal shares.
 
         Each share's table has positions within the share, and as many rows as the others.
         """
 
     @abc.abstractmethod
-    def without_table(self) -> Self:
+    def without_table(self) -> "AbstractRows":
         """Drops the table: every leaf then has one row a point."""
 
     @abc.abstractmethod
-    def with_table_of(self, old: Any) -> Self:
+    def with_table_of(self, old: Any) -> "AbstractRows":
         """Traced: takes over the table of rows with the same ids, with the weights of these."""
 
 

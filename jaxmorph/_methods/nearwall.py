@@ -97,8 +97,8 @@ class NearWall(AbstractMethod):
 class WallRow(eqx.Module):
     """For a point near a wall: its nearest nodes, nearest first, and last the nearest node of another wall."""
 
-    nodes: Int[Array, " k+2"]
-    reached: Bool[Array, ""]
+    nodes: Int[Array, "*n k"]
+    reached: Bool[Array, "*n"]
 
 
 class NearWallField(AbstractField):
@@ -124,7 +124,7 @@ class NearWallField(AbstractField):
 def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]):
     """chi, and the weights of the nearest wall nodes."""
     nearest, other = row.nodes[:-1], row.nodes[-1]
-    distance = _norm(surface[nearest] - x)
+    distance = _norm(surface[nearest] - x[None])
     reach = distance.max() * (1 + 1e-6)
     at_node = distance[0] == 0
     safe = jnp.where(at_node, 1, distance)

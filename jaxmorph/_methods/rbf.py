@@ -103,12 +103,12 @@ class RBF(AbstractMethod):
     def fit(self, ids: Int[Array, " s"], surface):
         points = surface[ids].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))
         centre = points.mean(axis=0)
-        extent = jnp.abs(points - centre).max()
+        extent = jnp.abs(points - centre[None]).max()
         scale = 1 / jnp.where(extent > 0, extent, 1)
         centre, scale = (
             jax.lax.stop_gradient((centre, scale)) if not self._below_min_degree else (centre, jnp.ones_like(scale))
         )
-        sources = (points - centre) * scale
+        sources = (points - centre[None]) * scale
         tail = polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges those wrongly with the transposition
         # that LAPACK asks for, and the jitted gradient with respect to one coordinate of the sources is wrong or NaN.
@@ -193,13 +193,13 @@ def _nearest_two(sources: np.ndarray) -> str:
 
 
 class RBFFactors(eqx.Module):
-    """Sources in coordinates of order one, and the factored system (eq. 3)."""
+    """Sources in coordinates of order one, and the factored system (eq. 3) of t = s + p equations."""
 
     sources: Float[Array, "s d"]
     centre: Float[Array, " d"]
     scale: Float[Array, ""]
-    lu: Float[Array, "s+p s+p"]
-    pivots: Int[Array, " s+p"]
+    lu: Float[Array, "t t"]
+    pivots: Int[Array, " t"]
 
 
 class RBFField(AbstractField):
@@ -229,10 +229,10 @@ class RBFField(AbstractField):
         out so and is not merged into the loop, as a transposition would be.
         """
         stretch = self.scale * jnp.eye(points.shape[1], dtype=points.dtype)
-        x = jnp.matmul(stretch, (points - self.centre).T, precision="highest")
+        x = jnp.matmul(stretch, (points - self.centre[None]).T, precision="highest")
         phi = self.rbf._phi(_squared_distances(self.sources, x.T), self.scale)
         terms = polynomial(x.T, self.rbf.degree).T
-        tail = sum((self.alpha[:, k, None] * term for k, term in enumerate(terms)), start=jnp.zeros_like(x))
+        tail = sum((self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)), start=jnp.zeros_like(x))
         return (few_rows_times(self.beta, phi) + tail).T
 
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
 from .._methods.base import AbstractMethod, Located
 from .._methods.blocks import is_rows, map_points, place_points, with_tables, with_tables_of, without_tables
@@ -109,7 +109,7 @@ def _is_located(leaf: Any) -> bool:
 
 
 @eqx.filter_jit
-def refit(plan: Plan, points: Float[ArrayLike, "n d"]) -> Plan:
+def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     """The same plan on other base coordinates (n, d): ids are kept, floats computed anew. Traced and differentiable.
 
     For another mesh of the same family; the steps of one motion are those of `march`, for points that a large motion has
@@ -128,7 +128,7 @@ def refit(plan: Plan, points: Float[ArrayLike, "n d"]) -> Plan:
 
 
 @eqx.filter_jit
-def carry(plan: Plan, points: Float[ArrayLike, "n d"]) -> Plan:
+def carry(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     """The plan on the mesh that one of its own steps left: the solve is made anew, each point keeps its place in the graph."""
     return _fitted(plan, points, carried=True)
 
@@ -156,7 +156,7 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
 
 
 @compiled
-def deform(plan: Plan, u: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
+def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "n d"]:
     """The mesh's points, moved: row i of `u` (m, d) displaces node `plan.moving[i]`, fixed nodes stay.
 
     Both hold exactly for a method that is `exact`; a reduced `RBF` alone follows both approximately, and moves fixed nodes.
@@ -211,7 +211,9 @@ def _moved(layout: Layout | None, exact: bool) -> Callable[[PyTree, VolumeHalf],
 
 
 @compiled
-def pullback(plan: Plan, u: Float[ArrayLike, "m d"], cotangent: Float[ArrayLike, "n d"]) -> Float[Array, "m d"]:
+def pullback(
+    plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any], cotangent: Real[ArrayLike, "n d"] | Sequence[Any]
+) -> Float[Array, "m d"]:
     """Sensitivities with respect to all points (n, d), pulled back to the moving ones: (m, d).
 
     The transpose of `deform`, for an adjoint solver that gives dJ/d(points); often called warpDeriv. `deform` is linear in `u`,

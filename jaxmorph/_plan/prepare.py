@@ -2,12 +2,13 @@
 
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Integer, Real
 
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface, check_kind
@@ -19,9 +20,9 @@ from .symmetry import Mirror, Plane, check_planes, mirror
 
 
 def prepare(
-    mesh: Mesh | Float[Array | np.ndarray, "n d"],
-    moving: str | Sequence[str] | Int[Array | np.ndarray, " m"] | Sequence[int],
-    fixed: str | Sequence[str] | Int[Array | np.ndarray, " f"] | Sequence[int] = (),
+    mesh: Mesh | Real[ArrayLike, "n d"] | Sequence[Any],
+    moving: str | Sequence[str] | Integer[ArrayLike, " m"] | Sequence[int],
+    fixed: str | Sequence[str] | Integer[ArrayLike, " f"] | Sequence[int] = (),
     *,
     method: AbstractMethod | None = None,
     symmetry: Plane | str | Sequence[Plane | str] = (),

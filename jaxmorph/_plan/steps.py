@@ -1,11 +1,12 @@
 """Several steps: a path of surface displacements, followed on the host and replayed in traced code."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Real
 
 from .plan import Plan, carry, deform_surface, refit
 from .prepare import prepare
@@ -13,7 +14,7 @@ from .symmetry import Plane
 
 
 def march(
-    plan: Plan, path: Float[ArrayLike, "k m d"], *, rebuild: bool = False
+    plan: Plan, path: Real[ArrayLike, "k m d"] | Sequence[Any], *, rebuild: bool = False
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
     """Follows a path of total surface displacements, each step refitted on the mesh that the last one left.
 
@@ -37,7 +38,7 @@ def march(
     return tuple(plans), points
 
 
-def replay(plans: Sequence[Plan], path: Float[ArrayLike, "k m d"]) -> Float[Array, "n d"]:
+def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]) -> Float[Array, "n d"]:
     """The steps of a `march` once more, with the ids that it recorded: traced, differentiable, equal to its points.
 
     Differentiable with respect to `path` (k, m, d), and to the base coordinates through `refit(plans[0], points)`.

@@ -120,7 +120,8 @@ class Mirror(eqx.Module):
     def _reflected(self, vectors, origins):
         for k, normal in enumerate(self.normals):
             normal = normal.astype(vectors.dtype)
-            image = vectors - 2 * ((vectors - origins[k].astype(vectors.dtype)) @ normal)[:, None] * normal
+            height = (vectors - origins[k].astype(vectors.dtype)[None]) @ normal
+            image = vectors - 2 * height[:, None] * normal[None]
             vectors = jnp.where(self.mirrored[:, k, None], image, vectors)
         return vectors
 
@@ -128,7 +129,7 @@ class Mirror(eqx.Module):
         """Displacements without their component normal to the planes on which the nodes lie."""
         for k, normal in enumerate(self.normals):
             normal = normal.astype(u.dtype)
-            u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal, u)
+            u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal[None], u)
         return u
 
 

@@ -17,9 +17,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._host.topology import DIMENSION, EDGES, FACES, FRAMES
-from .vector import Vector, angle, cross, divide, dot, mean, norm, stack, total
+from .vector import Scalar, Vector, angle, cross, divide, dot, mean, norm, stack, total
 
-Scalar = Float[Array, " k"]
 Largest = Callable[[Float[Array, "t k"]], Scalar]
 
 
@@ -71,7 +70,7 @@ def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
     along = _edges(x, kind)
     if len(x[0]) == 2:
         return Vector((along[1], -along[0]))
-    return cross(along, _normal(kind, x))
+    return cross(along, stack([_normal(kind, x)]))
 
 
 def area_vector(corners: Sequence[Vector]) -> Vector:
@@ -133,7 +132,7 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Array, "s k"], Floa
     if kind == "line":
         return lengths[0], jnp.ones_like(lengths[0])
     if DIMENSION[kind] == 2:
-        return dot(cross(*edges), _normal(kind, x)), lengths[0] + lengths[1]
+        return dot(cross(*edges), stack([_normal(kind, x)])), lengths[0] + lengths[1]
     a, b, c = lengths
     return dot(cross(edges[0], edges[1]), edges[2]), a * b + b * c + c * a
 

@@ -55,9 +55,10 @@ def _angles(
     origins, centres = places
     relative, size = measures.relative_corners(corners(points, ids.T))
     other = jnp.where(behind < 0, here, behind)
+    here = here[None]
     between = (_at(origins, other) - _at(origins, here)) + (_at(centres, other) - _at(centres, here))
-    areas = measures.face_areas(kind, measures.scaled(relative, size)) * sign
-    degrees = measures.non_orthogonality(areas, between * (1 / size), DIMENSION[kind] < len(areas))
+    areas = measures.face_areas(kind, measures.scaled(relative, size)) * sign[None]
+    degrees = measures.non_orthogonality(areas, between * (1 / size)[None], DIMENSION[kind] < len(areas))
     return largest(degrees, behind >= 0)
 
 

@@ -2,13 +2,14 @@
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from .._host.adjacency import handedness, neighbours
 from .._host.topology import DIMENSION
@@ -20,7 +21,7 @@ from .report import QualityReport
 from .vector import Vector, corners, mean
 
 
-def quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> QualityReport:
+def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None) -> QualityReport:
     """Measures of every cell of `mesh` at `points`, judged relative to the undeformed mesh, `mesh.points`.
 
     Traced: `jit`, `grad` and `vmap` work over `points`, with finite derivatives on degenerate cells too, and over a mesh
@@ -49,7 +50,7 @@ def quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> QualityRepor
     return _measure(kinds, cells, links, current, standard)
 
 
-def places(mesh: Mesh, points: Float[Any, "n d"] | None) -> Float[Array, "n d"]:
+def places(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None) -> Float[Array, "n d"]:
     """Where the nodes are to be judged: at `points`, or where the mesh has them."""
     if not isinstance(mesh, Mesh):
         raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
@@ -98,7 +99,7 @@ def standards_of(kinds: tuple[str, ...], cells: tuple[Array, ...], points: Float
 def _standard(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"]) -> Standard:
     volume, jacobians, noise = _sizes(kind, corners(points, ids.T))
     sign = jnp.where(volume < 0, -1, 1)
-    judged = sign * jacobians > noise
+    judged = sign[None] * jacobians > noise
     none = ~jnp.any(judged, axis=0)
     least = _least(jacobians, sign, judged)
     flat = math.factorial(DIMENSION[kind]) * jnp.abs(volume) <= jnp.max(noise, axis=0)
@@ -107,7 +108,7 @@ def _standard(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"]) ->
 
 def _least(jacobians: Float[Array, "s k"], sign: Array, judged: Bool[Array, "s k"]) -> Float[Array, " k"]:
     """Smallest Jacobian, in the cell's own handedness, among the corners that are judged."""
-    return jnp.min(jnp.where(judged, sign * jacobians, jnp.inf), axis=0)
+    return jnp.min(jnp.where(judged, sign[None] * jacobians, jnp.inf), axis=0)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -151,7 +152,7 @@ def _sizes(kind: str, x: list[Vector]) -> tuple[Array, Array, Array]:
     rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * measures.reach(x)
     relative, _ = measures.relative_corners(x)
     jacobians, spread = measures.jacobians(kind, relative)
-    return measures.volume(kind, relative), jacobians, rounding * jax.lax.stop_gradient(spread)
+    return measures.volume(kind, relative), jacobians, rounding[None] * jax.lax.stop_gradient(spread)
 
 
 def _shape(kind: str, x: list[Vector]) -> dict[str, Array]:
@@ -184,7 +185,7 @@ def _judge(volume: Array, jacobians: Array, standard: Standard) -> dict[str, Arr
     jacobian_ratio = jnp.where(standard.is_degenerate, 1, least) / standard.jacobian
     return {
         "volume": volume,
-        "jacobian": jnp.min(standard.sign * jacobians, axis=0),
+        "jacobian": jnp.min(standard.sign[None] * jacobians, axis=0),
         "volume_ratio": volume_ratio,
         "jacobian_ratio": jacobian_ratio,
         "is_inverted": ~((volume_ratio > 0) & (jacobian_ratio > 0)),
@@ -194,7 +195,7 @@ def _judge(volume: Array, jacobians: Array, standard: Standard) -> dict[str, Arr
 
 def _judge_alone(volume: Array, jacobians: Array, noise: Array, sign: Array) -> dict[str, Array]:
     """Without an undeformed mesh: by the sign that the cell should have."""
-    turned = sign * jacobians
+    turned = sign[None] * jacobians
     return {
         "volume": volume,
         "jacobian": jnp.min(turned, axis=0),

@@ -8,7 +8,7 @@ import functools
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Num
 
 Scalar = Float[Array, "*rows k"]
 
@@ -42,7 +42,7 @@ class Vector:
     def __sub__(self, other: "Vector") -> "Vector":
         return Vector([a - b for a, b in zip(self.components, other.components, strict=True)])
 
-    def __mul__(self, factor: Scalar | float) -> "Vector":
+    def __mul__(self, factor: Num[Array, "*rows k"] | float | int) -> "Vector":
         return Vector([a * factor for a in self.components])
 
 

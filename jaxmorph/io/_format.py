@@ -4,7 +4,7 @@ import dataclasses
 import importlib
 import pathlib
 from collections.abc import Mapping
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class Source:
         return f"Source({str(self.path)!r}, {self.format})"
 
 
+@runtime_checkable
 class Codec(Protocol):
     """The functions that the module of a format defines."""
 
@@ -39,8 +40,13 @@ class Codec(Protocol):
         """Write a new file. `cell_data` follows the order of `mesh.cells`, one type after the other."""
         ...
 
+
+@runtime_checkable
+class FolderCodec(Codec, Protocol):
+    """Those of a format that writes into folders."""
+
     def check(self, path: pathlib.Path, mesh: Mesh) -> None:
-        """`ValueError` for what `write` could not do; defined by formats that write into folders."""
+        """`ValueError` for what `write` could not do."""
         ...
 
 

@@ -2,6 +2,7 @@
 
 import os
 import pathlib
+from typing import cast
 
 import numpy as np
 from jaxtyping import Shaped
@@ -9,7 +10,7 @@ from jaxtyping import Shaped
 from jaxmorph import Mesh
 from jaxmorph._host.files import complete
 
-from ._format import Format, Source
+from ._format import FolderCodec, Format, Source
 
 FORMATS = (
     Format("SU2", (".su2",), "_su2", holds_arrays=False),
@@ -54,8 +55,8 @@ def write(
     path: str | os.PathLike[str],
     mesh: Mesh,
     *,
-    point_data: dict[str, Shaped[np.ndarray, "n *k"]] | None = None,
-    cell_data: dict[str, Shaped[np.ndarray, "c *k"]] | None = None,
+    point_data: dict[str, Shaped[np.ndarray, "n ..."]] | None = None,
+    cell_data: dict[str, Shaped[np.ndarray, "c ..."]] | None = None,
 ) -> None:
     """Writes a mesh in the format of the file's ending. `mesh` may be one read from a file and then `moved`.
 
@@ -106,7 +107,7 @@ def _checked(path: pathlib.Path, mesh: Mesh) -> Format:
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}.")
     if chosen.is_folder:
-        chosen.codec().check(path, mesh)
+        cast(FolderCodec, chosen.codec()).check(path, mesh)
     if isinstance(mesh.source, Source) and _same_file(path, mesh.source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     return chosen
