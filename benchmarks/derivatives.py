@@ -125,7 +125,7 @@ def main() -> None:
     plan = planned(mesh)
     wall = np.asarray(plan.points[plan.moving])
     u = jnp.asarray(0.05 * np.sin(np.pi * wall[:, :1]) * [0.0, 1.0])
-    sources = len(jax.tree.leaves(plan.surface.ids[0])[0])
+    sources = len(plan.sources)
     about(n=len(mesh.points), moving=plan.n_moving, sources=sources, dtype="float64")
     functions = of_the_map(plan, u) | of_quality(mesh, plan, u) | of_an_optimisation(plan, u)
     programs = {name: compiled(*what) for name, what in functions.items()}

@@ -104,7 +104,7 @@ def set_up(mesh: jm.Mesh, count: int, name: str, goals: tuple[str, str]) -> list
     rows = [(f"set-up of {name}, compilation included", f"{first:.1f} s CPU", goals[0])]
     u = jnp.asarray(0.01 * np.random.default_rng(0).normal(size=(plan.n_moving, 3)))
     seconds = cpu_seconds({"deform": lambda: jm.deform(plan, u)}, 3)["deform"]
-    sources = len(plan.surface.factors[0].sources)
+    sources = len(plan.sources)
     rows.append((f"`deform` of {name}, {sources} sources, default method", f"{seconds:.2f} s CPU", goals[1]))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return [*rows, (f"peak memory of the process after {name}", f"{peak:.1f} GB", "8 GB")]

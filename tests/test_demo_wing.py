@@ -69,7 +69,7 @@ def test_sources_are_counted():
         plan = jm.prepare(mesh.points, wing, far, method=study.method)
         counts[study.name] = _wing._sources(plan)
         if study.name != "DGM":
-            assert sum(counts[study.name]) == len(plan.surface.ids[0])
+            assert sum(counts[study.name]) == len(plan.sources)
     assert counts["DGM"] == (0, 0)
     assert counts["reduced RBF"][1] == len(far)
 

@@ -262,3 +262,23 @@ def test_a_page_draws_in_a_browser_without_a_network(tmp_path, browser):
     assert tab.locator("#label").inner_text() == "displacement, m"
     assert not problems
     assert [url for url in requests if not url.startswith("blob:")] == [path.as_uri()]
+
+
+HOSTILE = ['LABEL";alert(1);"', "</script><script>alert(1)", "TITLE \\\\", "a\u2028b ${alert(1)} `'\""]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", HOSTILE)
+def test_names_on_a_page_are_data(tmp_path, browser, text):
+    """Whatever a file or a label is called, it is shown and not run."""
+    mesh = bricks(1)
+    path = plot.page(tmp_path / f"{text.replace('/', ' ')}.html", mesh, raised(mesh, 2), label=text)
+    tab = browser.new_page()
+    problems = []
+    tab.on("dialog", lambda dialog: (problems.append(dialog.message), dialog.dismiss()))
+    tab.on("pageerror", lambda error: problems.append(str(error)))
+    tab.goto(path.as_uri())
+    tab.wait_for_selector("#deformation", timeout=30_000)
+    assert tab.locator("#label").text_content() == text
+    assert tab.evaluate("document.title").split() == path.stem.split()
+    assert not problems

@@ -109,12 +109,9 @@ def measure(mesh: jm.Mesh, study: Study) -> Outcome:
 
 
 def _sources(plan: jm.Plan) -> tuple[int, int]:
-    """How many sources are on the wing, and on the far field; none where there is no field of radial basis functions."""
-    rbf, points = getattr(plan.method, "coarse", plan.method), np.asarray(plan.points)
-    if not isinstance(rbf, jm.RBF):
-        return 0, 0
-    on_wing, far = (points[np.asarray(ids)] for ids in (plan.moving, plan.fixed))
-    return len(rbf.reduction(on_wing)), len(rbf.fixed_reduction(far))
+    """Counts the sources on the wing, and those on the far field; none without a field of radial basis functions."""
+    on_wing = int(np.isin(plan.sources, np.asarray(plan.moving)).sum())
+    return on_wing, len(plan.sources) - on_wing
 
 
 def _write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, report: jm.QualityReport) -> list[pathlib.Path]:

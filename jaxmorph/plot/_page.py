@@ -5,6 +5,7 @@ import importlib
 import json
 import os
 import pathlib
+import re
 from typing import Any
 
 import numpy as np
@@ -83,13 +84,16 @@ def page(
         places, surface.edges, indices_type="segment", shader="simple", color=int(DARK[1:], 16), name="edges"
     )
     label = label or ("displacement" if values is None else "values of the cells")
-    words = {"TITLE": path.stem, "LABEL": label}
-    code = SLIDER
-    for name, said in words.items():
-        code = code.replace(name, json.dumps(said).replace("</", "<\\/"))
+    code = _with_words(SLIDER, {"TITLE": path.stem, "LABEL": label})
     with complete(path) as partial:
         partial.write_text(scene.get_snapshot(additional_js_code=code), encoding="utf-8")
     return path
+
+
+def _with_words(code: str, words: dict[str, str]) -> str:
+    """Puts texts into a script as data: JSON in ASCII without `<`, all in one pass, so that no text is looked into."""
+    data = {name: json.dumps(text).replace("<", "\\u003c") for name, text in words.items()}
+    return re.sub("|".join(words), lambda match: data[match[0]], code)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -58,7 +58,7 @@ class Zone:
         return ValueError(f"{self.path}, zone {self.name}: {message}.")
 
     def coordinates(self) -> list[Any]:
-        """The data sets of x, y[, z]. `ValueError` for other coordinatesand rind planes."""
+        """The data sets of x, y[, z]. `ValueError` for other coordinates and for rind planes."""
         grids = dict(children(self.group, "GridCoordinates_t"))
         if not grids:
             raise self.error("no GridCoordinates")
