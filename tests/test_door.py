@@ -150,6 +150,14 @@ MISTAKES = {
     "a float as u": (lambda: jm.deform(PLAN, 0.1), r"`u` has shape \(\); this plan moves 24"),
     "a word as u": (lambda: jm.deform(PLAN, "up"), r"`u` holds <U2; .*\(24, 2\)"),
     "complex u": (lambda: jm.deform(PLAN, np.zeros((24, 2), complex)), "`u` holds complex128"),
+    "no number as radius": (lambda: jm.WendlandC2([1.0, 2.0]), "one length in the mesh's units, not an array"),
+    "half a leaf": (lambda: jm.KDTree(2.5), r"`leaves` must be a whole number of at least 1, not 2\.5"),
+    "no number of leaves": (lambda: jm.KDTree(np.nan), "`leaves` must be a whole number"),
+    "a displacement that is none": (
+        lambda: jm.inspect(PLAN, np.full((24, 2), np.nan)),
+        "24 of 24 displacements are not fin",
+    ),
+    "distortion of other points": (lambda: jm.distortion(MESH, MESH.points[:3]), r"`points` has shape \(3, 2\)"),
     "deform of a mesh": (lambda: jm.deform(MESH, np.zeros((24, 2))), r"deform\(plan, u\)"),
 }
 

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.spatial
 from jaxtyping import Array, Float
 
+from .._host.errors import MeshError
 from .._plan.plan import Plan
 from .overshoot import overshoot
 
@@ -57,12 +58,19 @@ def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
     distance (a wall sliding along a boundary that is held), or where both move and their distance more than
     doubles. No method moves such a mesh well.
 
-    Raises `ValueError` when the shape of `u` is not (m, d).
+    Raises `ValueError` when the shape of `u` is not (m, d), or a component is not finite.
     """
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
     points, nodes = np.asarray(plan.points), np.asarray(plan.surface.nodes)
     own = np.zeros((len(nodes), points.shape[1]), points.dtype)
     own[: plan.n_moving] = u
+    finite = np.isfinite(own).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise MeshError(
+            f"{(~finite).sum()} of {plan.n_moving} displacements are not finite, first that of node {{node}} (row {row}).",
+            nodes[~finite],
+        )
     size = np.asarray(scipy.spatial.KDTree(points).query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
     pairs = _torn(points[nodes], own, plan.n_moving)

@@ -92,8 +92,8 @@ class KDTree(AbstractReduction):
             raise ValueError("KDTree needs one of `leaves`, `points_per_leaf`, `largest_box` to know when to stop.")
         for name in ("leaves", "points_per_leaf"):
             value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"`{name}` must be at least 1, not {value}.")
+            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
+                raise ValueError(f"`{name}` must be a whole number of at least 1, not {value!r}.")
         if not 0 <= self.smallest_box <= self.largest_box:
             raise ValueError(f"need 0 <= smallest_box <= largest_box, not {self.smallest_box}, {self.largest_box}.")
         if not 0 <= self.separation < 1:

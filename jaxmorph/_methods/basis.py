@@ -17,6 +17,10 @@ def _length(value: Any) -> Float[Array, ""]:
     value = jnp.asarray(value)
     if not jnp.issubdtype(value.dtype, jnp.floating):
         value = value.astype(float)
+    if value.shape:
+        raise ValueError(
+            f"the radius of a basis is one length in the mesh's units, not an array of shape {value.shape}."
+        )
     if not isinstance(value, Tracer) and not bool(jnp.all(jnp.isfinite(value) & (value > 0))):
         raise ValueError(
             f"the radius of a basis must be positive and finite, not {value}; it is a length in the mesh's units."

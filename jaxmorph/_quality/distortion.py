@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from .._host.topology import CORNERS, DIMENSION, FRAMES
 from .._mesh.mesh import Mesh
 from . import measures
+from .quality import places
 from .smooth import positive_part
 from .vector import Vector, corners, cross, dot
 
@@ -135,25 +136,27 @@ def distortion(
     points: Float[Any, "n d"] | None = None,
     *,
     ideal: bool = False,
-    size: float = 0.5,
+    size_weight: float = 0.5,
     softness: float = 1e-3,
 ) -> Float[Array, " k"]:
-    """Distortion of each cell that fills the space, in the order of `mesh.cells`: what `improve` sums, smooth everywhere.
+    """Measures the distortion of each cell, in the order of `mesh.cells`: what `improve` sums, smooth everywhere.
 
-    0 for a cell like its target: the undeformed one of `mesh.points`, or with `ideal=True` the equilateral one. With `size=0`
-    the mean over the corners of 1 / mean ratio - 1, with `size=1` a barrier on the corner Jacobians relative to the target's; a
-    blend between. Finite, with a derivative that turns cells round again, on inverted ones: large, as (1 / softness)^2 in the
-    plane. Traced in `points`. Raises `ValueError` for a mesh without cells of its own dimension.
+    0 for a cell like its target: the undeformed one of `mesh.points`, or with `ideal=True` the equilateral one. With
+    `size_weight=0` it is the mean over the corners of 1 / mean ratio - 1. With `size_weight=1` it is a barrier on the corner
+    Jacobians relative to the target's; between them a blend. On inverted cells it is finite, with a derivative that turns
+    them round again, and large: as (1 / softness)^2 in 2-D. Traced in `points`.
+
+    Raises `ValueError` for a mesh without cells of its own dimension, and when the shape of `points` differs from that of
+    `mesh.points`.
     """
-    current = jnp.asarray(mesh.points if points is None else points)
-    reference = jnp.asarray(mesh.points, current.dtype)
-    kinds = solid(mesh.cells, current.shape[1])
+    d = mesh.points.shape[1]
+    kinds = solid(mesh.cells, d)
     if not kinds:
-        raise ValueError(
-            f"the mesh has no cells that fill {current.shape[1]}-D space; their distortion is not defined."
-        )
+        raise ValueError(f"the mesh has no cells that fill {d}-D space; their distortion is not defined.")
+    current = places(mesh, points)
+    reference = jnp.asarray(mesh.points, current.dtype)
     parts = []
     for kind, ids in kinds.items():
         of = target(kind, corners(reference, ids), ideal)
-        parts.append(energy_of_cells(kind, corners(current, ids), of, softness, size))
+        parts.append(energy_of_cells(kind, corners(current, ids), of, softness, size_weight))
     return jnp.concatenate(parts)
