@@ -1,28 +1,9 @@
-"""Nearest nodes: which walls there are, and which of their nodes lie nearest to a point."""
+"""Nearest nodes: which nodes of which wall lie nearest to a point."""
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from .graph import morton_order
-
-
-def walls(points: np.ndarray) -> np.ndarray:
-    """(b,) the number of the wall to which each surface node belongs, found without connectivity.
-
-    Two nodes are of one wall when a chain of nearest neighbours (2 in 2-D, 8 in 3-D) leads from one to the other: an
-    airfoil, the next blade of a cascade and the far field are walls of their own, an airfoil's two sides are not.
-    Walls closer to each other than their own nodes count as one.
-    """
-    unique, inverse = np.unique(points, axis=0, return_inverse=True)
-    count = min({2: 2, 3: 8}[points.shape[1]], len(unique) - 1)
-    if count < 1:
-        return np.zeros(len(points), dtype=np.int32)
-    nearest = np.asarray(KDTree(unique).query(unique, k=count + 1)[1])[:, 1:]
-    start = np.repeat(np.arange(len(unique)), count)
-    graph = coo_array((np.ones(start.size, dtype=bool), (start, nearest.ravel())), shape=(len(unique),) * 2)
-    return connected_components(graph, directed=False)[1][inverse.ravel()].astype(np.int32)
 
 
 def nearest_of(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:

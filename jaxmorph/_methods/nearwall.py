@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.neighbours import extreme_of_each, largest_gap, near_walls, nearest_of, walls
+from .._host.neighbours import extreme_of_each, largest_gap, near_walls, nearest_of
+from .._host.walls import walls
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
 from .blocks import map_points
@@ -48,7 +49,7 @@ class NearWall(AbstractMethod):
 
     def connect(self, surface: Surface, points):
         correction, correction_at_points = self.correction.connect(surface, points)
-        wall = walls(surface.points)
+        wall = walls(surface.points, surface.moving, surface.faces)
         matched = nearest_of(
             surface.points, surface.matched if len(surface.matched) else extreme_of_each(surface.points, wall)
         )

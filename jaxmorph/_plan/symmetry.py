@@ -114,7 +114,8 @@ class Mirror(eqx.Module):
         images = []
         for flags in range(1 << planes):
             kept = corners[(in_plane & flags) == 0]
-            images.append(row_of[flags & ~(on_plane[kept] @ bits), kept])
+            image = row_of[flags & ~(on_plane[kept] @ bits), kept]
+            images.append(image[:, ::-1] if flags.bit_count() % 2 else image)  # seen from outside, as the face is
         return np.concatenate(images)
 
     def _reflected(self, vectors, origins):

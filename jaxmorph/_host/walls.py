@@ -1,0 +1,178 @@
+"""Which walls there are: by the faces between surface nodes where these are known, else by chains of nearest neighbours."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from .farthest import farthest
+
+SHARP = np.cos(np.deg2rad(45))
+"""Cosine of the turn from which on two faces that close in on the mesh between them belong to different walls."""
+
+REACH = 1.5
+"""Neighbours are those within this many distances of the eighth (in 2-D second) nearest node."""
+
+CURVED = 4
+"""Nodes on a curve: so many times its extent over the distance of the nearest node, at most; on a surface far more."""
+
+SAMPLE = 16
+"""Nodes of a curve that vote on which part is the next one."""
+
+AROUND = 512
+"""Nearest nodes among which a vote is sought, before all are asked."""
+
+
+def walls(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
+    """(b,) the number of the wall to which each surface node belongs; the first `moving` nodes move.
+
+    Nodes that move and nodes that are fixed are on different walls, though they may touch. With `faces` (rows of `points`,
+    each seen counter-clockwise from outside of the mesh) a wall goes on from a face to its neighbours, but not round a
+    corner of less than 135 degrees that holds the mesh: floor and side of a box are two walls, both sides of an airfoil one.
+
+    Without faces two nodes are of one wall when a chain of nearest neighbours (2 in 2-D, 8 in 3-D) leads from one to the
+    other. In 3-D structured meshes such chains may stay within one section of a wing; a wall of sections, or of lines, is put
+    together from them. Walls closer to each other than their own nodes then count as one.
+    """
+    label = np.full(len(points), -1)
+    groups = [np.asarray(group) for group in (faces or {}).values() if len(group)]
+    if groups:
+        label = _by_faces(points, moving, groups)
+        known, left = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
+        label[left] = label[known[np.asarray(KDTree(points[known]).query(points[left])[1])]] if left.size else 0
+    else:
+        label[:moving] = _by_chains(points[:moving])
+        label[moving:] = _by_chains(points[moving:]) + 1 + label.max()
+    return np.unique(label, return_inverse=True)[1].astype(np.int32)
+
+
+def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The faces of a whole boundary, by type, turned round if they enclose a negative area or volume: cells numbered clockwise."""
+    origin, enclosed = points.mean(axis=0), 0.0
+    for corners in faces.values():
+        enclosed += np.einsum("kd,kd->", *_outward(points[corners] - origin))
+    return {kind: corners[:, ::-1] for kind, corners in faces.items()} if enclosed < 0 else dict(faces)
+
+
+def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
+    """(b,) the wall of each node, -1 for one of no face."""
+    normal, middle = (
+        np.concatenate(parts) for parts in zip(*(_outward(points[group]) for group in groups), strict=True)
+    )
+    first, second, agree = _beside(groups)
+    unit = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
+    sharp = agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP)
+    fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])
+    joined = (fixed[first] == fixed[second]) & ~sharp
+    part = _components(first[joined], second[joined], len(fixed))
+    label, starts = np.full(len(points), -1), np.cumsum([0, *map(len, groups)])
+    for alike in (False, True):  # of a node's faces those of its own kind name it last
+        for group, start in zip(groups, starts, strict=False):
+            face = slice(start, start + len(group))
+            for column in group.T:
+                named = ((column >= moving) == fixed[face]) == alike
+                label[column[named]] = part[face][named]
+    return label
+
+
+def _outward(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals as long as the faces (k, corners, d) are large, and their middles."""
+    if corners.shape[1] == 2:
+        along = corners[:, 1] - corners[:, 0]
+        return np.stack([along[:, 1], -along[:, 0]], axis=1), corners.mean(axis=1)
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
+    return normal, corners.mean(axis=1)
+
+
+def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of faces that share an edge (in 2-D a node), and whether they run through it in opposite senses, as they should.
+
+    Faces are numbered through all groups.
+    """
+    edges, owners, start = [], [], 0
+    for group in groups:
+        count = group.shape[1]
+        starts = [group[:, [k, k]] for k in range(2)] if count == 2 else []
+        edges += starts or [group[:, [k, (k + 1) % count]] for k in range(count)]
+        owners += [np.arange(start, start + len(group))] * count
+        start += len(group)
+    edge, owner = np.concatenate(edges), np.concatenate(owners)
+    turned = edge[:, 0] < edge[:, 1]
+    if groups[0].shape[1] == 2:
+        turned = np.repeat([False, True], len(edge) // 2)
+    edge = np.sort(edge, axis=1)
+    order = np.lexsort(edge.T)
+    before, after = order[:-1], order[1:]
+    same = (edge[after] == edge[before]).all(axis=1)
+    before, after = before[same], after[same]
+    return owner[before], owner[after], turned[before] != turned[after]
+
+
+def _components(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
+    graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def _by_chains(points: np.ndarray) -> np.ndarray:
+    """(k,) the wall of each of some nodes, all moving or all fixed."""
+    unique, inverse = np.unique(points, axis=0, return_inverse=True)
+    count = min({2: 2, 3: 8}[points.shape[1]], len(unique) - 1)
+    if count < 1:
+        return np.zeros(len(points), dtype=np.int64)
+    distance, nearest = map(np.asarray, KDTree(unique).query(unique, k=min(3 * count, len(unique))))
+    near = distance <= REACH * distance[:, count, None]
+    label = _components(np.nonzero(near)[0], nearest[near], len(unique))
+    if points.shape[1] == 3 and label.max() > 0:
+        first, second = _next_to_curves(unique, label, distance[:, 1])
+        label = _components(first, second, label.max() + 1)[label]
+    return label[inverse.ravel()]
+
+
+def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of parts, the first of which is a curve and the second the next part of the same wall, on either side of it.
+
+    A wall is a surface, so a curve of nodes goes on across itself: to the part that lies next on either side of its plane (a
+    section), or of the line itself. Most of a few nodes of the curve must find the same one there.
+    """
+    tree, pairs = KDTree(points), []
+    for curve in range(label.max() + 1):
+        members = np.flatnonzero(label == curve)
+        if len(members) > CURVED * np.linalg.norm(np.ptp(points[members], axis=0)) / np.median(spacing[members]):
+            continue
+        sample = points[members[farthest(points[members], SAMPLE, 0.0)]]
+        around = np.asarray(tree.query(sample, k=min(AROUND, len(points)))[1]).reshape(len(sample), -1)
+        pairs += _votes(points, label, members, sample, around) or _votes(
+            points, label, members, sample, np.broadcast_to(np.arange(len(points)), (len(sample), len(points)))
+        )
+    first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return first, second
+
+
+def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
+    """The curve, with the part that most of its sample find next to it on either side, among the nodes `around` each."""
+    curve = label[members[0]]
+    apart = points[around] - sample[:, None]
+    distance = np.where(label[around] == curve, np.inf, np.linalg.norm(apart, axis=2))
+    if not np.isfinite(distance).any():
+        return []
+    across, pairs = _across(points[members], apart, distance), []
+    for side in (-1, 1):
+        reachable = np.where(side * (apart @ across) > 0.5 * distance, distance, np.inf)
+        closest = reachable.argmin(axis=1)[:, None]
+        voters = np.isfinite(np.take_along_axis(reachable, closest, axis=1))
+        votes = np.bincount(label[np.take_along_axis(around, closest, axis=1)[voters]], minlength=1)
+        if 2 * votes.max() > len(sample):
+            pairs.append((curve, int(votes.argmax())))
+    return pairs
+
+
+def _across(curve: np.ndarray, apart: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """The direction across a curve: the normal of its plane, or that of the nearest other node where it is straight."""
+    size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
+    if size[1] > 0.01 * size[0]:
+        return axes[-1]
+    sample, node = np.unravel_index(distance.argmin(), distance.shape)
+    return apart[sample, node] / distance[sample, node]

@@ -1,0 +1,138 @@
+"""Which surface nodes make one wall, by faces and without them."""
+
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph._host.topology import boundary_faces
+from jaxmorph._host.walls import seen_from_outside, walls
+
+
+def parts(mesh, moving, fixed=(), with_faces=True):
+    """For each patch the set of walls that its nodes are on; nodes of two patches are left out. Also all labels."""
+    ids = mesh.patch(*moving)
+    nodes = np.concatenate([ids, np.setdiff1d(mesh.patch(*fixed), ids)])
+    faces = None
+    if with_faces:
+        row = np.full(len(mesh.points), -1)
+        row[nodes] = np.arange(len(nodes))
+        outer = seen_from_outside(mesh.points, boundary_faces(mesh.cells, len(mesh.points)))
+        rows = {kind: row[corners] for kind, corners in outer.items()}
+        faces = {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
+    label = walls(mesh.points[nodes], len(ids), faces)
+    place = dict(zip(nodes.tolist(), label.tolist(), strict=True))
+    times = np.bincount(np.concatenate(list(mesh.patches.values())), minlength=len(mesh.points))
+    return {
+        name: {place[node] for node in mesh.patch(name).tolist() if times[node] == 1} for name in (*moving, *fixed)
+    }, label
+
+
+def mirrored(mesh):
+    """The same mesh with cells numbered clockwise."""
+    points = mesh.points * np.where(np.arange(mesh.points.shape[1]) == 0, -1, 1)
+    return jm.Mesh(points, mesh.cells, mesh.patches)
+
+
+@pytest.mark.parametrize("with_faces", [True, False])
+@pytest.mark.parametrize(("points", "stations", "span"), [(2000, 13, 2.0), (4000, 40, 6.0), (1000, 9, 2.0)])
+def test_a_structured_wing_is_one_wall(with_faces, points, stations, span):
+    mesh = cases.wing(points=points, stations=stations, span=span)
+    found, _ = parts(mesh, ["wing"], ["farfield"], with_faces)
+    assert len(found["wing"]) == 1
+    assert not found["wing"] & found["farfield"]
+
+
+@pytest.mark.parametrize("with_faces", [True, False])
+def test_walls_that_touch_are_apart(with_faces):
+    found, _ = parts(cases.channel(), ["inner"], ["outer", "inlet", "outlet"], with_faces)
+    assert len(found["inner"]) == 1
+    assert not found["inner"] & (found["outer"] | found["inlet"] | found["outlet"])
+    if with_faces:  # sharp corners that hold the mesh part walls of one kind too
+        assert [len(found[name]) for name in ("outer", "inlet", "outlet")] == [1, 1, 1]
+        assert len(set.union(*found.values())) == 4
+
+
+@pytest.mark.parametrize("turn", [lambda mesh: mesh, mirrored], ids=["counter-clockwise", "clockwise"])
+@pytest.mark.parametrize("kind", ["hexahedron", "wedge", "tetra", "pyramid", "mixed"])
+def test_a_box_has_six_walls_whatever_its_cells(kind, turn):
+    mesh = turn(cases.bricks(kind, cells=3))
+    found, label = parts(mesh, ["floor"], ["lid", "sides"])
+    assert label.max() + 1 == 6
+    assert {len(found[name]) for name in ("floor", "lid")} == {1}
+    assert len(found["sides"]) == 4
+
+
+@pytest.mark.parametrize("turn", [lambda mesh: mesh, mirrored], ids=["counter-clockwise", "clockwise"])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: cases.sharp_o_grid(around=64, layers=16),
+        lambda: cases.naca4("4412", points=2000, sharp=True),
+        lambda: cases.naca4("4412", points=2000),
+    ],
+    ids=["sharp O", "sharp C", "blunt C"],
+)
+def test_an_airfoil_is_one_wall_round_its_edge(make, turn):
+    found, _ = parts(turn(make()), ["airfoil"], ["farfield"])
+    assert len(found["airfoil"]) == 1
+    assert not found["airfoil"] & found["farfield"]
+
+
+def extruded(outline, stations, span):
+    return np.concatenate(
+        [np.column_stack([outline, np.full(len(outline), z)]) for z in np.linspace(0, span, stations)]
+    )
+
+
+@pytest.mark.parametrize("stations", [2, 5, 8])
+def test_blades_closer_than_their_stations_are_two_walls(stations):
+    """Without faces: sections of one blade follow each other across their planes, those of two blades lie beside each other."""
+    blade = cases.cascade(around=120, layers=10)
+    outline = blade.points[blade.patch("blade")]
+    points = np.concatenate([extruded(outline + np.array([0, shift]), stations, 4.0) for shift in (0, 0.5)])
+    label = walls(points, len(points))
+    assert [len(set(each)) for each in np.split(label, 2)] == [1, 1]
+    assert label.max() == 1
+
+
+def test_bodies_without_structure():
+    """A body within a far field, both fixed, and one node of neither."""
+    i = np.arange(900) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * i / 900), np.pi * (1 + 5**0.5) * i
+    ball = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+    label = walls(np.concatenate([ball[:1] * 0.1, ball, 4 * ball]), 1)
+    assert [len(set(each)) for each in np.split(label, [1, 901])] == [1, 1, 1]
+    assert label.max() == 2
+
+
+@pytest.mark.parametrize("with_faces", [True, False])
+def test_order_does_not_matter(with_faces):
+    mesh = cases.wing(points=1000, stations=6)
+    order = np.random.default_rng(0).permutation(len(mesh.points))
+    place = np.argsort(order)
+    shuffled = jm.Mesh(
+        mesh.points[order],
+        {kind: place[corners] for kind, corners in mesh.cells.items()},
+        {name: place[nodes] for name, nodes in mesh.patches.items()},
+    )
+    one, other = (parts(each, ["wing"], ["farfield"], with_faces)[1] for each in (mesh, shuffled))
+    assert sorted(np.bincount(one)) == sorted(np.bincount(other))
+
+
+def bumped(mesh, method=None, *, whole=True):
+    """The channel with its inner wall raised by half the gap: smallest corner Jacobian, relative to the one before."""
+    inner = mesh.patch("inner")
+    fixed = np.setdiff1d(mesh.patch("outer", "inlet", "outlet"), inner)
+    x = mesh.points[inner, 0]
+    u = np.column_stack([0 * x, 0.1 * np.sin(np.pi * x) ** 2])  # the gap is 0.2
+    plan = jm.prepare(mesh if whole else mesh.points, inner, fixed, method=method)
+    return jm.quality(mesh, jm.deform(plan, u))
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["mesh", "points"])
+def test_half_a_gap_is_closed_in_one_step(whole):
+    """Graph mapping alone keeps half of each cell; a layer over both walls at once once inverted dozens."""
+    report = bumped(cases.channel(), whole=whole)
+    assert int(report.inverted) == 0
+    assert float(report.min_jacobian_ratio) > 0.4
