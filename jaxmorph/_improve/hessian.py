@@ -1,8 +1,9 @@
 """Second derivatives of an energy of |T|^2 and det T, with or without their negative part.
 
-With T = U Sigma V^T (U and V rotations, the last singular value signed) the derivatives couple only diagonal entries with each
-other and each entry with its mirror image: the twists and flips of Smith, De Goes and Kim, Analytic eigensystems for isotropic
-distortion energies, ACM Trans. Graph. 38, 2019. Eigenvalues are then those of one matrix (d, d) and closed forms.
+T = U Sigma V^T, with U and V rotations and the last singular value signed. The derivatives then couple only diagonal
+entries with each other, and each other entry with its mirror image. These are the twists and flips of Smith, De Goes
+and Kim, Analytic eigensystems for isotropic distortion energies, ACM Trans. Graph. 38, 2019. Eigenvalues are those of
+one matrix (d, d) and closed forms.
 """
 
 import functools
@@ -19,11 +20,11 @@ from .._quality.vector import Vector, cross, divide, dot, norm
 Scalar = Float[Array, "s k"]
 Matrix = list[list[Scalar]]
 SWEEPS = 5
-"""Of Jacobi rotations in space: they converge quadratically, to round-off in four or five. In the plane one rotation is exact."""
+"""Sweeps of Jacobi rotations in 3-D: they converge quadratically, to round-off in four or five. In 2-D one rotation is exact."""
 
 
 def symmetric_eigen(matrix: Matrix) -> tuple[list[Scalar], list[Vector]]:
-    """Eigenvalues and eigenvectors of symmetric matrices (d, d) given by their entries, all at once: Jacobi's method."""
+    """Computes eigenvalues and eigenvectors of symmetric matrices (d, d) given by their entries: Jacobi's method, all at once."""
     d = len(matrix)
     start = tuple(tuple(row) for row in matrix)
     zero, one = jnp.zeros_like(matrix[0][0]), jnp.ones_like(matrix[0][0])
@@ -36,7 +37,7 @@ def symmetric_eigen(matrix: Matrix) -> tuple[list[Scalar], list[Vector]]:
 
 
 def _rotated(state):
-    """One rotation, of the first two rows and columns; in space these then move one place on."""
+    """Applies one rotation of the first two rows and columns; in 3-D these then move one place on."""
     (a, v), d = state, len(state[0])
     c, s = _angle(a[0][0] - a[1][1], 2 * a[0][1])
     a, v = ([(c * row[0] + s * row[1], c * row[1] - s * row[0], *row[2:]) for row in matrix] for matrix in (a, v))
@@ -48,7 +49,7 @@ def _rotated(state):
 
 
 def _angle(difference: Scalar, twice: Scalar) -> tuple[Scalar, Scalar]:
-    """Cosine and sine of the rotation, by 45 degrees at most, that makes the entry outside of the diagonal vanish."""
+    """Computes cosine and sine of the rotation, by 45 degrees at most, that makes the entry outside of the diagonal vanish."""
     root = jnp.sqrt(difference**2 + twice**2)
     tangent = divide(twice, jnp.abs(difference) + root, 0.0) * jnp.where(difference < 0, -1, 1)
     c = 1 / jnp.sqrt(1 + tangent**2)
@@ -56,7 +57,10 @@ def _angle(difference: Scalar, twice: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def rotations(stretch: list[Vector]) -> tuple[list[Vector], list[Scalar], list[Vector]]:
-    """U, sigma and V of T = U diag(sigma) V^T, T by its columns: U and V are rotations, the last of sigma has the sign of det T."""
+    """Splits T, given by its columns, into U, sigma and V with T = U diag(sigma) V^T.
+
+    U and V are rotations; the last of sigma has the sign of det T.
+    """
     values, v = symmetric_eigen([[dot(a, b) for b in stretch] for a in stretch])
     v = _descending(values, v)
     images = [_image(stretch, column) for column in v]
@@ -73,7 +77,7 @@ def rotations(stretch: list[Vector]) -> tuple[list[Vector], list[Scalar], list[V
 
 
 def _descending(values: list[Scalar], vectors: list[Vector]) -> list[Vector]:
-    """Eigenvectors by falling eigenvalue, the last one turned so that they stay right-handed."""
+    """Sorts eigenvectors by falling eigenvalue, and turns the last one so that they stay right-handed."""
     order = jnp.argsort(-jnp.stack(values), axis=0)
     stacked = [jnp.stack(components) for components in zip(*(v.components for v in vectors), strict=True)]
     picked = [jnp.take_along_axis(component, order, axis=0) for component in stacked]
@@ -87,7 +91,7 @@ def _image(columns: list[Vector], x: Vector) -> Vector:
 
 
 def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:
-    """Direction of a vector, `otherwise` of one that is no longer than `noise`."""
+    """Computes the direction of a vector, `otherwise` of one that is no longer than `noise`."""
     length = norm(a)
     inverse = divide(jnp.ones_like(length), length, 0.0)
     parts = zip(a.components, otherwise.components, strict=True)
@@ -95,7 +99,7 @@ def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:
 
 
 def _across(a: Vector) -> Vector:
-    """A unit vector at right angles to a unit vector."""
+    """Computes a unit vector at right angles to a unit vector."""
     flat = jnp.abs(a[2]) < 0.9
     other = Vector(
         [jnp.where(flat, -a[1], jnp.zeros_like(a[0])), jnp.where(flat, a[0], -a[2]), jnp.where(flat, 0, a[1])]
@@ -106,9 +110,9 @@ def _across(a: Vector) -> Vector:
 def convex(
     energy: Callable[[Scalar, Scalar], Scalar], sigma: list[Scalar], floor: Any
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Second derivatives by the entries of U^T T V, for an energy(|T|^2 / d, det T), their eigenvalues at least `floor`.
+    """Computes second derivatives of an energy(|T|^2 / d, det T) by the entries of U^T T V, their eigenvalues at least `floor`.
 
-    Three matrices (d, d): of entries (i, i) and (j, j), of (i, j) twice, and of (i, j) and (j, i).
+    It returns three matrices (d, d): of entries (i, i) and (j, j), of (i, j) twice, and of (i, j) and (j, i).
     """
     d = len(sigma)
     curvature = _hessian(lambda s: energy(*_measures(s)), jnp.stack(sigma))
@@ -130,7 +134,7 @@ def convex(
 
 
 def _measures(sigma: Sequence[Scalar] | Float[Array, "d s k"]) -> tuple[Scalar, Scalar]:
-    """|T|^2 / d and det T."""
+    """Computes |T|^2 / d and det T."""
     return _added(s**2 for s in sigma) / len(sigma), functools.reduce(jnp.multiply, list(sigma))
 
 
@@ -139,7 +143,7 @@ def _added(terms: Iterable[Scalar]) -> Scalar:
 
 
 def _hessian(function, x: Float[Array, "d s k"]) -> Float[Array, "d d s k"]:
-    """Second derivatives of a function that is applied entry by entry."""
+    """Computes second derivatives of a function that is applied entry by entry."""
     ones = jnp.ones_like(x[0])
 
     def slope(x):
@@ -155,9 +159,10 @@ def blocks(
     inverse: Sequence[Sequence[Scalar]],
     floor: Any = 0.0,
 ) -> Float[Array, "d d d d s k"]:
-    """Second derivatives by each pair of edges, their eigenvalues at least `floor`: axes of the vectors first, then the edges.
+    """Computes second derivatives by each pair of edges, their eigenvalues at least `floor`.
 
-    `stretch` holds the columns of T = A W^-1, `inverse` the rows of W^-1: one for each edge, the columns of A.
+    Axes of the vectors come first, then the edges. `stretch` holds the columns of T = A W^-1. `inverse` holds the rows
+    of W^-1: one for each edge, the columns of A.
     """
     axes = range(len(stretch))
     u, sigma, v = rotations(stretch)

@@ -1,4 +1,4 @@
-"""Better cells for given boundary nodes: the inner nodes where the distortion of all cells is least."""
+"""Better cells for given boundary nodes: inner nodes where the distortion of all cells is least."""
 
 from collections.abc import Callable
 from typing import Any
@@ -26,14 +26,15 @@ SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 
 
 class Improvement(eqx.Module):
-    """What `improve` found: traced arrays, and a line about them by `str`.
+    """Holds the result of `improve`: traced arrays, and a line about them by `str`.
 
-    - `points` (n, d).
+    - `points`: the improved points (n, d).
     - `before`, `after`: how many of the `cells` were and are inverted, as `quality` counts them.
     - `energy`: mean distortion of a cell, 0 where all have their target's shape and size.
-    - `residual`: largest derivative of the sum over the cells with respect to a node's place in units of its smallest cell;
-      far below 1 at a minimum.
-    - `steps` of Newton's method, rejected ones included.
+    - `residual`: largest derivative of the sum over the cells with respect to a node's place, in units of its smallest
+      cell. It is far below 1 at a minimum.
+    - `steps`: steps of Newton's method, rejected ones included.
+    - `cells`: how many cells there are.
     """
 
     points: Float[Array, "n d"]
@@ -63,30 +64,43 @@ def improve(
     max_steps: int = 60,
     progress: Callable[[float, float], None] | None = None,
 ) -> Improvement:
-    """Moves the inner nodes of `mesh` from `points` to where the cells are least distorted; untangles inverted cells.
+    """Moves the inner nodes of a mesh from `points` to where the cells are least distorted; untangles inverted cells.
 
-    `fixed` are the ids of nodes that stay where `points` has them, bit for bit: by default all patches and the outer boundary.
-    The target of each cell is its shape on the undeformed mesh, `mesh.points`, so boundary layers keep their anisotropy; with
-    `ideal=True` the equilateral one (a cube, a square) of the undeformed volume. `size_weight`, 0 to 1, is what the change of size
-    counts against that of shape. The energy of a cell is the mean over its corners of
+    The target of each cell is its shape on the undeformed mesh, `mesh.points`, so boundary layers keep their
+    anisotropy. The energy of a cell is the mean over its corners of
 
         (1 - size_weight) |T|^2 / (d chi^(2/d)) + size_weight (1 + det^2 T) / (2 chi) - 1,
 
-    with T from target to cell and chi the determinant of T, regularised: finite on inverted cells. It is minimised by Newton's
-    method, at most `max_steps` in each of five stages in which the barrier at chi = 0 sharpens, the last one until nodes move
-    by less than `tolerance`, root mean square, of their smallest cell. `progress(softness, energy)` is called on the host after
-    each step. Sparse systems are solved by SciPy on the host.
+    with T from target to cell and chi the determinant of T, regularised: finite on inverted cells. Newton's method
+    minimises it in five stages, in which the barrier at chi = 0 sharpens. Sparse systems are solved by SciPy on the
+    host.
 
-    Traced in `points`: under `jit`, and differentiable in both modes with respect to the fixed nodes' places, by the implicit
-    function theorem at the minimum: as accurate as `residual` is small, so lower `tolerance` for it.
-    Derivatives with respect to the places of inner nodes, where the search starts, are zero. `mesh` is to be closed over,
-    not traced. Use float64.
+    Traced in `points`: it works under `jit`, and is differentiable in both modes with respect to the fixed nodes'
+    places, by the implicit function theorem at the minimum. Derivatives are as accurate as `residual` is small, so
+    lower `tolerance` for them. Derivatives with respect to the places of inner nodes, where the search starts, are
+    zero. `mesh` is to be closed over, not traced. Use float64.
 
-    Nothing is promised for a boundary that crosses itself: `after`, or `str` of the result, says what is left. Sources: Garanzha
-    et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021; Teran et al., Robust quasistatic finite
-    elements and flesh simulation, SCA 2005.
+    Nothing is promised for a boundary that crosses itself: `after`, or `str` of the result, says what is left.
 
-    Raises `ValueError` for a mesh without cells of its own dimension, for a shape of `points` other than that of
+    Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021; Teran et al., Robust
+    quasistatic finite elements and flesh simulation, SCA 2005.
+
+    **Arguments:**
+
+    - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
+    - `fixed`: ids (f,) of nodes that stay where `points` has them, bit for bit. Default: all patches and the outer
+      boundary.
+    - `ideal`: take the equilateral cell (a cube, a square) of the undeformed volume as target. Default False.
+    - `size_weight`: the weight of a change of size against one of shape, 0 to 1, default 0.5.
+    - `tolerance`: the last stage ends when nodes move by less than this, root mean square, in units of their smallest
+      cell. Default 0.03.
+    - `max_steps`: Newton steps in each stage at most, default 60.
+    - `progress`: `progress(softness, energy)` is called on the host after each step. Default: none.
+
+    **Returns:** an `Improvement`.
+
+    **Raises:** `ValueError` for a mesh without cells of its own dimension, for a shape of `points` other than that of
     `mesh.points`, for node ids that are not there, and for `size_weight` outside of 0 to 1.
     """
     start = jnp.asarray(points)
@@ -104,22 +118,22 @@ def improve(
         options = (last | (softness < before), jnp.asarray(enough, base.dtype), max_steps, progress)
         y, steps = _minimise(stage, jax.lax.stop_gradient(y), base if last else held, blocks, options)
         count += steps
-    found = stage.points(y, base)
+    improved = stage.points(y, base)
     value, slope = _slope(stage, y, base)
     cells = sum(len(ids) for ids in distortion.cells.values())
-    moved = jnp.where(distortion.free[:, None], found.astype(start.dtype), start)
+    moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
     before, after = (quality(mesh, at).inverted for at in (start, moved))
     return Improvement(moved, before, after, value / cells, jnp.max(jnp.abs(slope)), jnp.asarray(count), cells)
 
 
 @eqx.filter_jit
 def _minimise(distortion: Distortion, y, base, blocks, options):
-    """One stage, from y; where it is not wanted, y as it is."""
+    """Runs one stage from y; where it is not wanted, it returns y as it is."""
     wanted, (relative, absolute), max_steps, progress = options
 
-    def tell(**said):
+    def tell(**report):
         if progress is not None:
-            jax.debug.callback(progress, distortion.softness, said["loss_this_step"][1])
+            jax.debug.callback(progress, distortion.softness, report["loss_this_step"][1])
 
     solver = ProjectedNewton(
         rtol=relative,
@@ -133,11 +147,11 @@ def _minimise(distortion: Distortion, y, base, blocks, options):
     adjoint = optx.ImplicitAdjoint(HessianSolver(distortion, solver.base, blocks))
     tags = frozenset({lx.positive_semidefinite_tag})
 
-    def found(y):
+    def minimum(y):
         run = optx.minimise(distortion, solver, y, base, max_steps=max_steps, adjoint=adjoint, throw=False, tags=tags)
         return run.value, run.stats["num_steps"]
 
-    return jax.lax.cond(wanted, found, lambda y: (y, jnp.asarray(0)), y)
+    return jax.lax.cond(wanted, minimum, lambda y: (y, jnp.asarray(0)), y)
 
 
 @eqx.filter_jit
@@ -148,8 +162,8 @@ def _slope(distortion: Distortion, y, base):
 def _check(mesh: Mesh, points, fixed, size: float, max_steps: int) -> None:
     n, d = mesh.points.shape
     if not solid(mesh.cells, d):
-        found = ", ".join(mesh.cells) or "none"
-        raise ValueError(f"the mesh has no cells that fill {d}-D space (cells: {found}); there is nothing to improve.")
+        types = ", ".join(mesh.cells) or "none"
+        raise ValueError(f"the mesh has no cells that fill {d}-D space (cells: {types}); there is nothing to improve.")
     if tuple(points.shape) != (n, d):
         raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {(n, d)}.")
     if fixed is not None:
@@ -161,7 +175,7 @@ def _check(mesh: Mesh, points, fixed, size: float, max_steps: int) -> None:
 
 
 def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float):
-    """The energy, and on the host the pattern of its Hessian."""
+    """Prepares the energy, and on the host the pattern of its Hessian."""
     n, d = mesh.points.shape
     cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, d).items()}
     held = _boundary(mesh, cells) if fixed is None else np.asarray(fixed, dtype=int)
@@ -186,7 +200,7 @@ def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[
 
 
 def _boundary(mesh: Mesh, cells: dict[str, np.ndarray]) -> np.ndarray:
-    """Nodes of patches, and of sides that only one cell has."""
+    """Lists the nodes of patches, and of faces that only one cell has."""
     behind, _ = neighbours(cells)
     nodes, first = [np.asarray(ids) for ids in mesh.patches.values()], 0
     for kind, ids in cells.items():
@@ -198,4 +212,4 @@ def _boundary(mesh: Mesh, cells: dict[str, np.ndarray]) -> np.ndarray:
 
 
 untangle = improve
-"""The same, by the name of what it does to inverted cells."""
+"""`improve` by the name of its effect on inverted cells."""

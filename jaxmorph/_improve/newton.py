@@ -26,7 +26,7 @@ NEAR = 1.0
 
 
 class Distortion(eqx.Module):
-    """The energy of a mesh over the free nodes' places y (n, d), in units of `scale` from where they started."""
+    """Computes the energy of a mesh from the free nodes' places y (n, d), in units of `scale` from where they started."""
 
     cells: dict[str, Int[Array, "k c"]]
     targets: dict[str, Target]
@@ -36,59 +36,61 @@ class Distortion(eqx.Module):
     size: float = eqx.field(static=True)
 
     def points(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Fixed nodes where `base` has them, bit for bit."""
+        """Places the nodes; fixed ones stay where `base` has them, bit for bit."""
         start = jax.lax.stop_gradient(base)
         return jnp.where(self.free[:, None], start + self.scale[:, None] * y, base)
 
     def __call__(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
         points, total = self.points(y, base), jnp.zeros((), y.dtype)
         for kind, ids in self.cells.items():
-            x, of = corners(points, ids), self.targets[kind]
-            total += jnp.sum(energy_of_cells(kind, x, of, self.softness, self.size))
+            x, goal = corners(points, ids), self.targets[kind]
+            total += jnp.sum(energy_of_cells(kind, x, goal, self.softness, self.size))
         return total
 
     def shift(self) -> Float[Array, " n"]:
-        """What is added to the diagonal: one for nodes that do not move."""
+        """Computes the number to add to each node's diagonal: one for nodes that do not move."""
         return jnp.where(self.free & (self.scale > 0), SHIFT, 1.0).astype(self.scale.dtype)
 
     def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        """Smallest determinant of T: negative where a cell is inverted."""
+        """Computes the smallest determinant of T: negative where a cell is inverted."""
         points, least = self.points(y, base), []
         for kind, ids in self.cells.items():
-            of = self.targets[kind]
-            least.append(jnp.min(jnp.where(of.counts > 0, samples(kind, corners(points, ids), of)[1], 1)))
+            goal = self.targets[kind]
+            least.append(jnp.min(jnp.where(goal.counts > 0, samples(kind, corners(points, ids), goal)[1], 1)))
         return jnp.min(jnp.stack(least))
 
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
-        """Second derivatives for each pair of corners of each cell, the eigenvalues of each sample at least `floor`."""
+        """Computes second derivatives for each pair of corners of each cell, the eigenvalues of each sample at least `floor`."""
         points, parts = self.points(y, base), []
         moves, d = self.scale * self.free, base.shape[1]
 
-        def of_cell(squared, tau):
+        def cell_energy(squared, tau):
             return energy(squared, tau, self.softness, self.size, d)
 
         for kind, ids in self.cells.items():
-            of = self.targets[kind]
+            goal = self.targets[kind]
             edges = measures.frames(kind, corners(points, ids))
-            found = blocks(of_cell, _stretch(edges, of), of.inverse, floor) * (of.counts / len(of.counts))
+            derivatives = blocks(cell_energy, _stretch(edges, goal), goal.inverse, floor) * (
+                goal.counts / len(goal.counts)
+            )
             share, scale = _shares(kind), moves[ids].T
             sums = jnp.einsum("sce,szf->czefs", share, share).reshape(scale.shape[0] ** 2, -1)
-            whole = jnp.einsum("pq,abqk->abpk", sums, found.reshape(d, d, -1, found.shape[-1]))
+            whole = jnp.einsum("pq,abqk->abpk", sums, derivatives.reshape(d, d, -1, derivatives.shape[-1]))
             parts.append((whole * (scale[:, None] * scale).reshape(-1, scale.shape[1])).reshape(d, d, -1))
         return jnp.concatenate(parts, axis=2)
 
 
-def _stretch(edges: list[Vector], of: Target) -> list[Vector]:
-    """Columns of T = A W^-1, with the edges as columns of A."""
+def _stretch(edges: list[Vector], goal: Target) -> list[Vector]:
+    """Computes the columns of T = A W^-1, with the edges as columns of A."""
     columns = []
     for b in range(len(edges)):
-        parts = [edge * row[b] for edge, row in zip(edges, of.inverse, strict=True)]
+        parts = [edge * row[b] for edge, row in zip(edges, goal.inverse, strict=True)]
         columns.append(sum(parts[1:], start=parts[0]))
     return columns
 
 
 def _shares(kind: str) -> Float[Array, "s c e"]:
-    """What each corner adds to the edges at each sample."""
+    """Computes the share of each corner in the edges at each sample."""
     one = np.eye(CORNERS[kind])
     edges = measures.frames(
         kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in one]
@@ -97,13 +99,13 @@ def _shares(kind: str) -> Float[Array, "s c e"]:
 
 
 def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """What `solver` of `_host.newton` makes of a Hessian and a right side."""
+    """Calls a `solver` of `systems` on the host, for a Hessian and a right side."""
     structure = jax.ShapeDtypeStruct(right.shape, right.dtype)
     return jax.pure_callback(solver, structure, *pattern, blocks, shift, right, vmap_method="sequential")
 
 
 class _Inverse(lx.AbstractLinearOperator):
-    """The inverse of a Hessian, applied on the host."""
+    """Applies the inverse of a Hessian, on the host."""
 
     pattern: Pattern
     blocks: Float[Array, "d d pairs"]
@@ -144,8 +146,8 @@ class HessianSolver(lx.AbstractLinearSolver):
         return self.distortion.blocks(jax.lax.stop_gradient(operator.x), self.base, -jnp.inf)
 
     def compute(self, state, vector, options):
-        found = _on_host(solve_exactly, self.pattern, state, self.distortion.shift(), vector)
-        return found, lx.RESULTS.successful, {}
+        solution = _on_host(solve_exactly, self.pattern, state, self.distortion.shift(), vector)
+        return solution, lx.RESULTS.successful, {}
 
     def transpose(self, state, options):
         return state, options
@@ -163,9 +165,9 @@ def _(operator):
 
 
 class ProjectedNewton(optx.AbstractQuasiNewton):
-    """Newton's method; far from a minimum without the negative curvature of each sample, so that each step descends.
+    """Minimises by Newton's method; far from a minimum without the negative curvature of each sample.
 
-    Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
+    Each step then descends. Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
     """
 
     rtol: Any

@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 DIRECT = 3000
-"""Nodes up to which a system in space is factored; in the plane every one is, since its factors hardly fill."""
+"""Nodes up to which a 3-D system is factored. 2-D systems always are, since their factors hardly fill."""
 DAMPING = (1e-2, 1e-1, 1.0, 10.0)
 ROUGH = 1e-2
 """Relative residual that is enough for a step of Newton's method."""
@@ -15,7 +15,7 @@ _SYMMETRIC = {"SymmetricMode": True}
 
 
 class Pattern(NamedTuple):
-    """Which blocks there are, in compressed rows, and to which of them each pair of a cell's corners adds.
+    """Lists the blocks of a matrix in compressed rows, and the block to which each pair of a cell's corners adds.
 
     Row i is that of node `order[i]`.
     """
@@ -27,7 +27,10 @@ class Pattern(NamedTuple):
 
 
 def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
-    """From the corner ids (k, c) of each type; pairs run over corners, then corners again, then cells."""
+    """Makes the pattern of the corner ids (k, c) of each type.
+
+    Pairs run over corners, then corners again, then cells.
+    """
     starts, columns, block = _rows(cells, n)
     order = np.arange(n)
     if _is_factored(n, dimension):
@@ -41,8 +44,8 @@ def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.n
     rows = [np.repeat(ids.T, ids.shape[1], axis=0).ravel() for ids in cells]
     columns = [np.tile(ids.T, (ids.shape[1], 1)).ravel() for ids in cells]
     keys = np.concatenate(rows).astype(np.int64) * n + np.concatenate(columns)
-    found, block = np.unique(keys, return_inverse=True)
-    return np.searchsorted(found // n, np.arange(n + 1)), found % n, block
+    unique, block = np.unique(keys, return_inverse=True)
+    return np.searchsorted(unique // n, np.arange(n + 1)), unique % n, block
 
 
 def _is_factored(n: int, dimension: int) -> bool:
@@ -50,7 +53,7 @@ def _is_factored(n: int, dimension: int) -> bool:
 
 
 def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Minimum degree of the nodes: less fill, and half the time, than that of their components."""
+    """Orders the nodes by minimum degree: less fill, and half the time, than ordering their components."""
     n = len(starts) - 1
     degrees = sparse.diags(np.diff(starts) + 1.0)
     graph = sparse.csr_matrix((np.ones(len(columns)), columns, starts), shape=(n, n))
@@ -61,16 +64,20 @@ def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
-    """(H + diag(shift)) x = right, for `right` (n, d), with H the sum of `blocks` (d, d, pairs): for a step that descends.
+    """Solves (H + diag(shift)) x = right for a step that descends.
 
-    Factored where that is cheap, else by conjugate gradients with the diagonal blocks as preconditioner, to 1 % of the right
-    side. Damped where H is not positive; zeros where it is not finite.
+    `right` is (n, d), and H the sum of `blocks` (d, d, pairs). The matrix is factored where that is cheap. Else
+    conjugate gradients with the diagonal blocks as preconditioner run to 1 % of the right side. The matrix is damped
+    where H is not positive; the result is zero where H is not finite.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, None)
 
 
 def solve_exactly(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
-    """The same to round-off, or to 1e-10 of the right side. NaN where the matrix is not positive or the iteration does not end."""
+    """Solves as `solve` does, to round-off or to 1e-10 of the right side.
+
+    The result is NaN where the matrix is not positive or the iteration does not end.
+    """
     return _solved((starts, columns, block, order), blocks, shift, right, 1e-10)
 
 
@@ -90,13 +97,13 @@ def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarr
         solved = _iterated(matrix.tobsr((d, d)), wanted, accuracy or ROUGH)
     if accuracy and not np.linalg.norm(matrix @ solved.ravel() - wanted.ravel()) <= 1e-6 * np.linalg.norm(wanted):
         solved = np.full_like(solved, np.nan)
-    found = np.empty_like(right)
-    found[order] = solved
-    return found
+    solution = np.empty_like(right)
+    solution[order] = solved
+    return solution
 
 
 def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.ndarray:
-    """By pivots on the diagonal, whose signs tell a positive matrix; `damping` is added to any other, one after another."""
+    """Solves by pivots on the diagonal, whose signs tell a positive matrix; to any other `damping` is added, one after another."""
     for added in damping:
         shifted = (matrix + added * sparse.identity(matrix.shape[0])).tocsc()
         factors = linalg.splu(shifted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options=_SYMMETRIC)
@@ -106,7 +113,7 @@ def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.
 
 
 def _iterated(matrix: Any, right: np.ndarray, accuracy: float) -> np.ndarray:
-    """Conjugate gradients, up to where they meet a direction of negative curvature (Nocedal and Wright, algorithm 7.1)."""
+    """Runs conjugate gradients up to a direction of negative curvature (Nocedal and Wright, algorithm 7.1)."""
     inverse, rows = _inverse_diagonal(matrix), matrix.tocsr()
     x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
     enough = accuracy * np.linalg.norm(right)
@@ -127,7 +134,7 @@ def _iterated(matrix: Any, right: np.ndarray, accuracy: float) -> np.ndarray:
 
 
 def _inverse_diagonal(matrix: Any) -> np.ndarray:
-    """Of the blocks on the diagonal, their eigenvalues made positive."""
+    """Inverts the blocks on the diagonal, their eigenvalues made positive."""
     rows = np.repeat(np.arange(matrix.shape[0] // matrix.blocksize[0]), np.diff(matrix.indptr))
     values, vectors = np.linalg.eigh(matrix.data[matrix.indices == rows])
     return np.einsum("nip,np,njp->nij", vectors, 1 / np.maximum(np.abs(values), 1e-8), vectors)

@@ -1,4 +1,4 @@
-"""Many cells, some at a time."""
+"""Measures of many cells, some at a time."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,9 +11,10 @@ BLOCK = 1 << 16
 
 
 def in_blocks(function: Callable, *rows: Any) -> Any:
-    """`function` of arrays whose last axis runs over cells, `BLOCK` of them at a time: memory is that of one block.
+    """Applies `function` to `BLOCK` cells at a time: memory is that of one block.
 
-    What it returns has the cells last, too. Reverse mode computes each block anew.
+    The last axis of each of `rows` runs over cells, and so does that of what `function` returns. Reverse mode computes
+    each block anew.
     """
     k = jax.tree.leaves(rows)[0].shape[-1]
     if k <= BLOCK:
@@ -24,5 +25,5 @@ def in_blocks(function: Callable, *rows: Any) -> Any:
 
     blocks = -(-k // BLOCK)
     every = jnp.minimum(jnp.arange(blocks * BLOCK), k - 1)  # the last cell fills the last block
-    found = jax.lax.map(jax.checkpoint(one), every.reshape(blocks, BLOCK))
-    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :k], found)
+    results = jax.lax.map(jax.checkpoint(one), every.reshape(blocks, BLOCK))
+    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :k], results)

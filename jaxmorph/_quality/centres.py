@@ -1,4 +1,4 @@
-"""Centres of mass of cells: corners as `_cells` takes them."""
+"""Centres of mass of cells, from their corners."""
 
 import functools
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ Scalar = Float[Array, " k"]
 
 
 def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
-    """Centre of mass of the triangles or tetrahedra between the sides, their means and the first corner.
+    """Computes the centre of mass of the triangles or tetrahedra between the sides, their means and the first corner.
 
-    OpenFOAM's cell centre, for faces in a plane.
+    It is OpenFOAM's cell centre, for faces in a plane.
     """
     if kind in ("line", "triangle", "tetra"):
         return mean(x)
@@ -36,7 +36,7 @@ def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def _moments(x: Vector, corners: Int[Array, " c"]) -> list[Scalar]:
-    """Six volumes, and 24 first moments, of what lies between one face and the first corner."""
+    """Computes six volumes, and 24 first moments, of the tetrahedra between one face and the first corner."""
     around = [x.row(corner) for corner in corners]
     middle = mean(around)
     pairs = [(around[i - 1], corner) for i, corner in enumerate(around)]
@@ -46,7 +46,7 @@ def _moments(x: Vector, corners: Int[Array, " c"]) -> list[Scalar]:
 
 
 def _centre_of_quad(corners: Sequence[Vector]) -> Vector:
-    """Centre of mass of the triangles between the sides and the mean of the corners, by their projected areas."""
+    """Computes the centre of mass of the triangles between the sides and the mean of the corners, by their projected areas."""
     middle, normal = mean(corners), measures.area_vector(corners)
     spokes = [corner - middle for corner in corners]
     pairs = [(spokes[i - 1], spoke) for i, spoke in enumerate(spokes)]

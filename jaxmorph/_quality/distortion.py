@@ -1,9 +1,9 @@
-"""How far cells are from target shapes: an energy that stays finite, with a useful gradient, on inverted cells.
+"""Distance of cells from target shapes: an energy that stays finite, with a useful gradient, on inverted cells.
 
-At each corner of a cell (and at the centre of a hexahedron) the edges that leave it are the columns of A, those of the target
-cell the columns of W, and T = A W^-1 takes the target to the cell: the target-matrix paradigm (Knupp, Algebraic mesh quality
-metrics, SIAM J. Sci. Comput. 23, 2001). The determinant in the denominators is regularised as in Garanzha et al.,
-Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
+At each corner of a cell, and at the centre of a hexahedron, the edges that leave it are the columns of A. The edges of
+the target cell are the columns of W, and T = A W^-1 takes the target to the cell. This is the target-matrix paradigm
+(Knupp, Algebraic mesh quality metrics, SIAM J. Sci. Comput. 23, 2001). The determinant in the denominators is
+regularised as in Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
 """
 
 import functools
@@ -41,7 +41,7 @@ IDEAL = {
 
 
 class Target(NamedTuple):
-    """Inverse target matrices W^-1, row by row, and which samples count: those with a sign beyond round-off."""
+    """Holds inverse target matrices W^-1, row by row, and which samples count: those with a sign beyond round-off."""
 
     inverse: tuple[tuple[Scalar, ...], ...]
     determinant: Scalar
@@ -49,7 +49,10 @@ class Target(NamedTuple):
 
 
 def target(kind: str, x: list[Vector], ideal: bool) -> Target:
-    """From the corners of undeformed cells; `ideal`: of cells of ideal shape, with their volume and handedness."""
+    """Makes targets of the corners of undeformed cells.
+
+    With `ideal` the targets are cells of ideal shape with the volume and handedness of the undeformed ones.
+    """
     edges, noise = measures.frames(kind, x), _noise(kind, x)
     volume = measures.volume(kind, [corner - x[0] for corner in x])
     sign = jnp.where(volume < 0, -1.0, 1.0)
@@ -76,7 +79,7 @@ def _determinant(edges: list[Vector]) -> Scalar:
 
 
 def _adjugate(edges: list[Vector]) -> list[Vector]:
-    """Rows of the inverse of the matrix with these columns, times its determinant."""
+    """Computes the rows of the inverse of the matrix with these columns, times its determinant."""
     if len(edges) == 2:
         a, b = edges
         return [Vector((b[1], -b[0])), Vector((-a[1], a[0]))]
@@ -84,42 +87,46 @@ def _adjugate(edges: list[Vector]) -> list[Vector]:
     return [cross(b, c), cross(c, a), cross(a, b)]
 
 
-def samples(kind: str, x: list[Vector], of: Target) -> tuple[Scalar, Scalar]:
-    """|T|^2 / d and det T at each sample."""
+def samples(kind: str, x: list[Vector], goal: Target) -> tuple[Scalar, Scalar]:
+    """Computes |T|^2 / d and det T at each sample."""
     edges = measures.frames(kind, x)
     d = len(edges)
-    squared = jnp.zeros_like(of.determinant)
+    squared = jnp.zeros_like(goal.determinant)
     for row in range(d):
         for column in range(d):
-            entry = edges[0][row] * of.inverse[0][column]
-            for edge, inverse in zip(edges[1:], of.inverse[1:], strict=True):
+            entry = edges[0][row] * goal.inverse[0][column]
+            for edge, inverse in zip(edges[1:], goal.inverse[1:], strict=True):
                 entry = entry + edge[row] * inverse[column]
             squared = squared + entry**2
-    return squared / d, _determinant(edges) * of.determinant
+    return squared / d, _determinant(edges) * goal.determinant
 
 
 def energy(squared: Scalar, tau: Scalar, softness: Any, size: float, dimension: int) -> Scalar:
-    """0 for the target cell; without bound as det T falls to zero, large where it is negative.
+    """Computes the energy: 0 for the target cell, without bound as det T falls to zero, large where it is negative.
 
-    (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det T^2) / (2 chi) - 1, with chi(det T) > 0 the regularised determinant.
+    It is (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det T^2) / (2 chi) - 1, with chi(det T) > 0 the regularised
+    determinant.
     """
     chi = positive_part(tau, softness)
     shape = squared / (chi if dimension == 2 else jnp.cbrt(chi) ** 2)
     return (1 - size) * shape + size * (1 + tau**2) / (2 * chi) - 1
 
 
-def energy_of_cells(kind: str, x: list[Vector], of: Target, softness: Any, size: float) -> Float[Array, " k"]:
-    """Mean of the energy over the samples of each cell."""
-    squared, tau = samples(kind, x, of)
-    return jnp.mean(of.counts * energy(squared, tau, softness, size, len(of.inverse)), axis=0)
+def energy_of_cells(kind: str, x: list[Vector], goal: Target, softness: Any, size: float) -> Float[Array, " k"]:
+    """Averages the energy over the samples of each cell."""
+    squared, tau = samples(kind, x, goal)
+    return jnp.mean(goal.counts * energy(squared, tau, softness, size, len(goal.inverse)), axis=0)
 
 
 def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Float[Array, " n"]:
-    """How far a node moves to change the energy by about one: the inverse root of its diagonal entry of the Hessian."""
+    """Computes the distance that a node moves to change the energy by about one.
+
+    It is the inverse root of the node's diagonal entry of the Hessian.
+    """
     stiffness = jnp.zeros(n)
     for kind, ids in kinds.items():
-        of, frames = targets[kind], np.array(FRAMES[kind])
-        rows = [Vector([c[: len(frames)] for c in row]) for row in of.inverse]  # without the centre of a hexahedron
+        goal, frames = targets[kind], np.array(FRAMES[kind])
+        rows = [Vector([c[: len(frames)] for c in row]) for row in goal.inverse]  # without the centre of a hexahedron
         whole = functools.reduce(Vector.__add__, rows)
         for end, row in enumerate([whole, *rows]):
             stiffness = stiffness.at[ids[:, frames[:, end]].T].add(dot(row, row) / len(frames))
@@ -127,7 +134,7 @@ def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Fl
 
 
 def solid(cells: dict[str, Any], dimension: int) -> dict[str, Any]:
-    """The cells that fill the space: boundary elements have no target of their own."""
+    """Selects the cells that fill the space: boundary elements have no target of their own."""
     return {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == dimension and len(ids) and CORNERS[kind] > 2}
 
 
@@ -139,15 +146,26 @@ def distortion(
     size_weight: float = 0.5,
     softness: float = 1e-3,
 ) -> Float[Array, " k"]:
-    """Measures the distortion of each cell, in the order of `mesh.cells`: what `improve` sums, smooth everywhere.
+    """Measures the distortion of each cell that fills the space: what `improve` sums, smooth everywhere.
 
-    0 for a cell like its target: the undeformed one of `mesh.points`, or with `ideal=True` the equilateral one. With
-    `size_weight=0` it is the mean over the corners of 1 / mean ratio - 1. With `size_weight=1` it is a barrier on the corner
-    Jacobians relative to the target's; between them a blend. On inverted cells it is finite, with a derivative that turns
-    them round again, and large: as (1 / softness)^2 in 2-D. Traced in `points`.
+    The distortion is 0 for a cell like its target, and finite on inverted cells. There it is large, as (1 / softness)^2
+    in 2-D, with a derivative that turns cells round again. Traced in `points`.
 
-    Raises `ValueError` for a mesh without cells of its own dimension, and when the shape of `points` differs from that of
-    `mesh.points`.
+    **Arguments:**
+
+    - `mesh`: the mesh; `mesh.points` is undeformed.
+    - `points`: where the nodes are (n, d). Default: `mesh.points`.
+    - `ideal`: False (default) compares with the undeformed cell, True with the equilateral one.
+    - `size_weight`: the weight of size against shape, 0 to 1, default 0.5. At 0 the result is the mean over the corners
+      of 1 / mean ratio - 1. At 1 it is a barrier on the corner Jacobians relative to the target's; between them a
+      blend.
+    - `softness`: width of the regularisation of det T, without unit, default 1e-3. A larger value gives a smoother
+      barrier.
+
+    **Returns:** an array (k,), the cells in the order of `mesh.cells`.
+
+    **Raises:** `ValueError` for a mesh without cells of its own dimension, and when the shape of `points` differs from
+    that of `mesh.points`.
     """
     d = mesh.points.shape[1]
     kinds = solid(mesh.cells, d)
@@ -157,6 +175,6 @@ def distortion(
     reference = jnp.asarray(mesh.points, current.dtype)
     parts = []
     for kind, ids in kinds.items():
-        of = target(kind, corners(reference, ids), ideal)
-        parts.append(energy_of_cells(kind, corners(current, ids), of, softness, size_weight))
+        goal = target(kind, corners(reference, ids), ideal)
+        parts.append(energy_of_cells(kind, corners(current, ids), goal, softness, size_weight))
     return jnp.concatenate(parts)

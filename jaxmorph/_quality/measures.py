@@ -1,10 +1,11 @@
 """Measures of a cell, from the coordinates of its corners.
 
-Each function takes the cell's type and `x`, the corners of k cells, one vector for each corner, numbered as VTK numbers
-them, relative to the first one and, for the measures without a unit, divided by the cell's size (products of lengths
-then stay within float32). The formulas read as for one cell. The definitions are those of Verdict, the library behind
-VTK's cell quality (Stimpson et al., The Verdict geometric quality library, SAND2007-1751), written so that every
-derivative is finite, on cells of no size too.
+Each function takes the cell's type and `x`, the corners of k cells: one vector for each corner, numbered as VTK numbers
+them. Corners are relative to the first one. For the measures without a unit they are divided by the cell's size, so
+that products of lengths stay within float32. The formulas read as for one cell.
+
+The definitions are those of Verdict, the library behind VTK's cell quality (Stimpson et al., The Verdict geometric
+quality library, SAND2007-1751). They are written so that every derivative is finite, on cells of no size too.
 """
 
 import functools
@@ -37,12 +38,12 @@ _PARALLEL = {
 
 
 def pick(x: Sequence[Vector], table: tuple[tuple[int, ...], ...]) -> list[Vector]:
-    """One vector for each column of a table of corners: every face's first corner, every face's second, ..."""
+    """Gathers one vector for each column of a table of corners: every face's first corner, every face's second, ..."""
     return [stack([x[i] for i in column]) for column in zip(*table, strict=True)]
 
 
 def faces_by_size(kind: str) -> list[tuple[tuple[int, ...], ...]]:
-    """The faces of a type, those with as many corners together; a cell of a surface is its own face."""
+    """Groups the faces of a type by the number of their corners; a cell of a surface is its own face."""
     faces = FACES[kind] if DIMENSION[kind] == 3 else (tuple(range(len(FACES[kind]))),)
     return [tuple(face for face in faces if len(face) == size) for size in sorted({len(face) for face in faces})]
 
@@ -53,13 +54,13 @@ def _edges(x: Sequence[Vector], kind: str) -> Vector:
 
 
 def principal_axes(kind: str, x: Sequence[Vector]) -> list[Vector]:
-    """Vectors between the middles of opposite sides of a quad or a hexahedron, times 2 and 4."""
+    """Computes the vectors between the middles of opposite sides of a quad or a hexahedron, times 2 and 4."""
     picked = [pick(x, pairs) for pairs in _PARALLEL[kind]]
     return [total(end - start) for start, end in picked]
 
 
 def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
-    """Area vectors (f, k) of the sides, outward for a right-handed cell; for a cell of two dimensions, of its edges."""
+    """Computes area vectors (f, k) of the faces, of the edges for a 2-D cell: outward for a right-handed cell."""
     if DIMENSION[kind] == 3:
         groups = faces_by_size(kind)
         areas = [area_vector(pick(x, group)) for group in groups]
@@ -74,7 +75,7 @@ def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def area_vector(corners: Sequence[Vector]) -> Vector:
-    """Half the cross product of the diagonals, of two sides for a triangle; one component in the plane."""
+    """Computes half the cross product of the diagonals, of two sides for a triangle; one component in 2-D."""
     if len(corners) == 3:
         return cross(corners[1] - corners[0], corners[2] - corners[0]) * 0.5
     return cross(corners[2] - corners[0], corners[3] - corners[1]) * 0.5
@@ -85,7 +86,7 @@ def _area(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def _normal(kind: str, x: Sequence[Vector]) -> Vector:
-    """Unit normal of a triangle or quad; +1 for those in the plane, so that areas there have a sign."""
+    """Computes the unit normal of a triangle or quad; +1 in 2-D, so that areas there have a sign."""
     area = _area(kind, x)
     return Vector([jnp.ones_like(area[0])]) if len(area) == 1 else _unit(area)
 
@@ -95,7 +96,7 @@ def _unit(a: Vector) -> Vector:
 
 
 def volume(kind: str, x: Sequence[Vector]) -> Scalar:
-    """Signed volume, signed area in the plane, area of a surface in space, length of a line.
+    """Computes the signed volume, the signed area in 2-D, the area of a surface in 3-D, the length of a line.
 
     Faces of four corners are bilinear: their flux is that of the mean of the corners, and the volume that of the
     trilinear (isoparametric) cell.
@@ -113,7 +114,7 @@ def volume(kind: str, x: Sequence[Vector]) -> Scalar:
 
 
 def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
-    """Edges that leave each corner, each (s, k); for a hexahedron also the principal axes at its centre."""
+    """Computes the edges that leave each corner, each (s, k); for a hexahedron also the principal axes at its centre."""
     corner, *ends = pick(x, FRAMES[kind])
     edges = [end - corner for end in ends]
     if kind == "hexahedron":
@@ -122,9 +123,9 @@ def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
 
 
 def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Array, "s k"], Float[Array, "s k"]]:
-    """Jacobians at the corners, and for a hexahedron also at its centre, as Verdict samples them.
+    """Computes the Jacobians at the corners, and for a hexahedron also at its centre, as Verdict samples them.
 
-    Each with the bound that turns an error of the coordinates into one of the Jacobian: the sum over the edges of
+    Each comes with the bound that turns an error of the coordinates into one of the Jacobian: the sum over the edges of
     the product of the others' lengths.
     """
     edges = frames(kind, x)
@@ -143,11 +144,12 @@ def _append(a: Vector, row: Vector) -> Vector:
 
 
 def skewness(kind: str, x: Sequence[Vector], largest: Largest = max_rows) -> Scalar:
-    """0 for the ideal cell, 1 for a degenerate one; the `largest` of several terms, which may be a smooth stand-in.
+    """Measures the skewness: 0 for the ideal cell, 1 for a degenerate one.
 
-    Quad and hexahedron: Verdict's `skew`, the largest |cos| of the angles between the principal axes (Taylor and
-    Flanagan, SAND87-0525). The others: Verdict's `equiangle_skew`, the largest deviation of an angle of a face from the
-    equiangular one, over the largest there can be; for a tetrahedron of an angle between faces, too.
+    It is the `largest` of several terms, which may be a smooth stand-in. Quad and hexahedron: Verdict's `skew`, the
+    largest |cos| of the angles between the principal axes (Taylor and Flanagan, SAND87-0525). The others: Verdict's
+    `equiangle_skew`, the largest deviation of an angle of a face from the equiangular one, over the largest there can
+    be. For a tetrahedron the angles between faces count too.
     """
     if kind == "line":
         return jnp.zeros_like(x[0][0])
@@ -172,7 +174,7 @@ def _deviations(angles: Float[Array, "a k"], ideal: float) -> list[Float[Array, 
 
 
 def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
-    """1 for the ideal cell, infinite for a flat one.
+    """Measures the aspect ratio: 1 for the ideal cell, infinite for a flat one.
 
     Triangle: longest edge / (2 sqrt 3 inradius). Quad: longest edge times perimeter / (4 area). Tetrahedron: longest
     edge / (2 sqrt 6 inradius). Hexahedron: longest over shortest principal axis, Verdict's `max_edge_ratio`. Wedge and
@@ -190,9 +192,9 @@ def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
 
 
 def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, Scalar] | None]:
-    """Edges or axes of which the aspect ratio takes the longest, and the shortest; or else a signed size and a sum of sides.
+    """Computes the terms of the aspect ratio: edges or axes, and a signed size with a sum of sides where there is one.
 
-    The ratio is longest over shortest, or longest times the sum over the size.
+    The ratio is the longest over the shortest edge, or the longest times the sum over the size.
     """
     edges = stack(principal_axes(kind, x)) if kind == "hexahedron" else _edges(x, kind)
     if kind in ("hexahedron", "wedge", "pyramid"):
@@ -205,16 +207,16 @@ def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, 
 
 
 def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
-    """Angle in degrees between the area vector of a face and the line from the cell's centre to its neighbour's.
+    """Computes the angle in degrees between the area vector of a face and the line from the cell's centre to its neighbour's.
 
-    OpenFOAM's definition. On a surface in space the sides of an edge are not told apart: 0 to 90 degrees.
+    This is OpenFOAM's definition. On a surface in 3-D the sides of an edge are not told apart: 0 to 90 degrees.
     """
     degrees = angle(area, between) * (180 / math.pi)
     return jnp.minimum(degrees, 180 - degrees) if surface else degrees
 
 
 def relative_corners(x: list[Vector]) -> tuple[list[Vector], Float[Array, " k"]]:
-    """Corners relative to the first, and the cell's size, which is not differentiated."""
+    """Computes the corners relative to the first, and the cell's size, which is not differentiated."""
     relative = [corner - x[0] for corner in x]
     size = reach(relative)
     return relative, jnp.where(size > 0, size, 1)

@@ -24,9 +24,10 @@ def non_orthogonality(
     neighbour: Array,
     largest: Callable = largest_inner,
 ) -> Array:
-    """Largest angle over the inner faces of each cell, 0 for a cell without any; `largest` may be a smooth stand-in.
+    """Computes the largest angle over the inner faces of each cell, 0 for a cell without any.
 
-    Centres are kept relative to the first corner of their cell, so that their differences do not lose digits.
+    `largest` may be a smooth stand-in. Centres are kept relative to the first corner of their cell, so that their
+    differences do not lose digits.
     """
     placed = [in_blocks(functools.partial(_centres, kind, points), ids) for kind, ids in cells.items()]
     origins, centres = (Vector(list(jnp.concatenate(parts, axis=1))) for parts in zip(*placed, strict=True))
@@ -35,8 +36,8 @@ def non_orthogonality(
         k, f = ids.shape[1], len(FACES[kind])
         if f:
             behind = neighbour[used : used + f * k].reshape(k, f).T
-            of_block = functools.partial(_angles, kind, points, (origins, centres), largest)
-            angles.append(in_blocks(of_block, ids, signs[kind], behind, jnp.arange(first, first + k)))
+            angles_of_block = functools.partial(_angles, kind, points, (origins, centres), largest)
+            angles.append(in_blocks(angles_of_block, ids, signs[kind], behind, jnp.arange(first, first + k)))
         else:
             angles.append(jnp.zeros(k, points.dtype))
         first, used = first + k, used + f * k
@@ -44,7 +45,7 @@ def non_orthogonality(
 
 
 def _centres(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"]) -> tuple[Array, Array]:
-    """First corner, and centre relative to it, (d, k) each."""
+    """Computes the first corner, and the centre relative to it, (d, k) each."""
     x = corners(points, ids.T)
     return jnp.stack(x[0].components), jnp.stack(centre_of_mass(kind, measures.relative_corners(x)[0]).components)
 

@@ -22,36 +22,45 @@ from .vector import Vector, corners, mean
 
 
 def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None) -> QualityReport:
-    """Measures of every cell of `mesh` at `points`, judged relative to the undeformed mesh, `mesh.points`.
+    """Measures every cell of a mesh at `points`, judged relative to the undeformed mesh, `mesh.points`.
 
-    Traced: `jit`, `grad` and `vmap` work over `points`, with finite derivatives on degenerate cells too, and over a mesh
-    given as an argument. Shapes, units and definitions are in `QualityReport`. The dtype is that of `points`.
+    Traced: `jit`, `grad` and `vmap` work over `points`, and over a mesh given as an argument. Derivatives are finite on
+    degenerate cells too.
 
     With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has lost the sign it had
-    on the undeformed mesh: cells of mixed handedness are fine, and so are corners that had no sign (within the round-off of the
-    coordinates) or the wrong one (a quad not convex from the start).
+    on the undeformed mesh. Cells of mixed handedness are fine. So are corners that had no sign (within the round-off of
+    the coordinates), or the wrong one (a quad not convex from the start).
 
-    Without `points`, the mesh is judged by itself: a cell is inverted where its volume or a corner's Jacobian has another
-    sign than the volume that the connected part of the mesh encloses, after cells numbered the other way round than
-    their neighbours (a matter of ids, not of coordinates) are turned. For cells that are themselves traced (a mesh
+    Without `points`, the mesh is judged by itself. Cells numbered the other way round than their neighbours (a matter
+    of ids, not of coordinates) are turned. A cell is then inverted where its volume or a corner's Jacobian has another
+    sign than the volume that the connected part of the mesh encloses. For cells that are themselves traced (a mesh
     given to `jit` as an argument) numbering is taken as it is.
 
-    Which cells are neighbours is found on the host from the ids, 0.2 s for 350,000 tetrahedra; under `jit` when it
-    traces. With traced cells the device finds it, which takes ten times longer on a CPU: close over the mesh instead.
+    Neighbours are found on the host from the ids, under `jit` when it traces: 0.2 s for 350,000 tetrahedra. With traced
+    cells the device finds them, which takes ten times longer on a CPU: close over the mesh instead.
 
-    Raises `ValueError` for a mesh without cells and when the shape of `points` differs from that of `mesh.points`.
+    **Arguments:**
+
+    - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default: none, the mesh is judged by
+      itself.
+
+    **Returns:** a `QualityReport` of arrays, one entry for each cell, in the dtype of `points`.
+
+    **Raises:** `ValueError` for a mesh without cells, and when the shape of `points` differs from that of
+    `mesh.points`.
     """
     current = places(mesh, points)
     kinds, cells, reference = tuple(mesh.cells), tuple(mesh.cells.values()), mesh.points
     # what is known when a caller traces is computed there and then, not folded into the caller's program
     with jax.ensure_compile_time_eval():
-        links = connect(mesh.cells, signs=points is None)
+        links = link(mesh.cells, signs=points is None)
         standard = None if points is None else standards_of(kinds, cells, jnp.asarray(reference, dtype=current.dtype))
     return _measure(kinds, cells, links, current, standard)
 
 
 def places(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None) -> Float[Array, "n d"]:
-    """Where the nodes are to be judged: at `points`, or where the mesh has them."""
+    """Returns the points at which cells are judged: `points`, or where the mesh has them."""
     if not isinstance(mesh, Mesh):
         raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
     if not sum(len(corners) for corners in mesh.cells.values()):
@@ -63,14 +72,14 @@ def places(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None) ->
 
 
 class Links(NamedTuple):
-    """Ids: the cell behind each face, and how the cells are numbered."""
+    """Holds ids: the cell behind each face, and how the cells are numbered."""
 
     neighbour: Any
     sign: Any
     part: Any
 
 
-def connect(cells: dict[str, Any], signs: bool) -> Links:
+def link(cells: dict[str, Any], signs: bool) -> Links:
     if any(isinstance(corners, Tracer) for corners in cells.values()):
         return Links(neighbours(cells, jnp)[0], None, None)
     cells = {kind: np.asarray(corners) for kind, corners in cells.items()}
@@ -79,7 +88,7 @@ def connect(cells: dict[str, Any], signs: bool) -> Links:
 
 
 class Standard(NamedTuple):
-    """What the cells of one type are judged by: their state on the undeformed mesh."""
+    """Holds the state of the cells of one type on the undeformed mesh, by which they are judged."""
 
     sign: Int[Array, " k"]
     volume: Float[Array, " k"]
@@ -107,7 +116,7 @@ def _standard(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"]) ->
 
 
 def _least(jacobians: Float[Array, "s k"], sign: Array, judged: Bool[Array, "s k"]) -> Float[Array, " k"]:
-    """Smallest Jacobian, in the cell's own handedness, among the corners that are judged."""
+    """Computes the smallest Jacobian, in the cell's own handedness, among the corners that are judged."""
     return jnp.min(jnp.where(judged, sign[None] * jacobians, jnp.inf), axis=0)
 
 
@@ -122,12 +131,12 @@ def _measure(
     rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
     if standards is None:
         volumes = {kind: in_blocks(functools.partial(_volume, kind, points), ids) for kind, ids in rows.items()}
-        of: dict[str, Any] = _enclosed_signs(volumes, links)
-        signs = of
+        by_kind: dict[str, Any] = _enclosed_signs(volumes, links)
+        signs = by_kind
     else:
-        of = dict(zip(kinds, standards, strict=True))
-        signs = {kind: standard.sign for kind, standard in of.items()}
-    columns = [in_blocks(functools.partial(_judged, kind, points), ids, of[kind]) for kind, ids in rows.items()]
+        by_kind = dict(zip(kinds, standards, strict=True))
+        signs = {kind: standard.sign for kind, standard in by_kind.items()}
+    columns = [in_blocks(functools.partial(_judged, kind, points), ids, by_kind[kind]) for kind, ids in rows.items()]
     joined = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *columns)
     joined["centroid"] = joined["centroid"].T
     angles = non_orthogonality(points, rows, signs, links.neighbour)
@@ -139,16 +148,18 @@ def _volume(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"]) -> F
     return _sizes(kind, corners(points, ids.T))[0]
 
 
-def _judged(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"], of: "Standard | Array") -> dict[str, Array]:
-    """By a standard, or by the sign that each cell should have."""
+def _judged(
+    kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"], standard: "Standard | Array"
+) -> dict[str, Array]:
+    """Measures cells by a standard, or by the sign that each cell should have."""
     x = corners(points, ids.T)
     sizes = _sizes(kind, x)
-    found = _judge(*sizes[:2], of) if isinstance(of, Standard) else _judge_alone(*sizes, of)
-    return found | _shape(kind, x)
+    judged = _judge(*sizes[:2], standard) if isinstance(standard, Standard) else _judge_alone(*sizes, standard)
+    return judged | _shape(kind, x)
 
 
 def _sizes(kind: str, x: list[Vector]) -> tuple[Array, Array, Array]:
-    """Volume (k,), Jacobians (s, k), and what of each Jacobian is round-off of the coordinates."""
+    """Computes the volume (k,), the Jacobians (s, k), and the round-off error of each Jacobian."""
     rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * measures.reach(x)
     relative, _ = measures.relative_corners(x)
     jacobians, spread = measures.jacobians(kind, relative)
@@ -156,7 +167,7 @@ def _sizes(kind: str, x: list[Vector]) -> tuple[Array, Array, Array]:
 
 
 def _shape(kind: str, x: list[Vector]) -> dict[str, Array]:
-    """The measures without a unit, and the place."""
+    """Computes the measures without a unit, and the place."""
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
     return {
@@ -167,7 +178,7 @@ def _shape(kind: str, x: list[Vector]) -> dict[str, Array]:
 
 
 def _enclosed_signs(volumes: dict[str, Array], links: Links) -> dict[str, Array]:
-    """Sign of each cell from the volume its part of the mesh encloses, which no inner node can change."""
+    """Takes the sign of each cell from the volume that its part of the mesh encloses, which no inner node can change."""
     volume = jnp.concatenate(list(volumes.values()))
     if links.sign is None:
         signs = jnp.where(jnp.sum(volume) < 0, -1, 1) * jnp.ones(len(volume), dtype=int)
@@ -179,7 +190,7 @@ def _enclosed_signs(volumes: dict[str, Array], links: Links) -> dict[str, Array]
 
 
 def _judge(volume: Array, jacobians: Array, standard: Standard) -> dict[str, Array]:
-    """Relative to the undeformed mesh, by the corners that had the sign of their cell there."""
+    """Judges cells relative to the undeformed mesh, by the corners that had the sign of their cell there."""
     volume_ratio = jnp.where(standard.is_flat, 1, volume) / standard.volume
     least = _least(jacobians, standard.sign, standard.is_judged)
     jacobian_ratio = jnp.where(standard.is_degenerate, 1, least) / standard.jacobian
@@ -194,7 +205,7 @@ def _judge(volume: Array, jacobians: Array, standard: Standard) -> dict[str, Arr
 
 
 def _judge_alone(volume: Array, jacobians: Array, noise: Array, sign: Array) -> dict[str, Array]:
-    """Without an undeformed mesh: by the sign that the cell should have."""
+    """Judges cells without an undeformed mesh, by the sign that they should have."""
     turned = sign[None] * jacobians
     return {
         "volume": volume,

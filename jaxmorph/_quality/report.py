@@ -1,4 +1,4 @@
-"""What `quality` reports."""
+"""The report of `quality`."""
 
 from typing import Any
 
@@ -18,31 +18,31 @@ _SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio")
 
 
 class QualityReport(eqx.Module):
-    """Quality of each cell: arrays with one entry a cell, the cells in the order of `mesh.cells`, one type after another.
+    """Reports the quality of each cell: arrays with one entry a cell, one type of cells after another, as in `mesh.cells`.
 
     The cells are k in number. Lengths have the unit of the points, volumes its square or cube.
 
-    - `volume`: signed volume (trilinear cells); in the plane the signed area, also as `area`; for a surface in space the
-      area, without sign. Positive for cells numbered as VTK numbers them.
+    - `volume`: signed volume (trilinear cells), in 2-D the signed area, also as `area`. For a surface in 3-D the area,
+      without sign. Positive for cells numbered as VTK numbers them.
     - `skewness`: 0 ideal, 1 degenerate. Quad and hexahedron: Verdict's `skew`, the largest |cos| of the angle between
       principal axes. Triangle, tetrahedron, pyramid, wedge: Verdict's `equiangle_skew`.
-    - `aspect_ratio`: 1 ideal, inf for a flat cell. Triangle, quad, tetrahedron: Verdict's `aspect_ratio`; hexahedron its
-      `max_edge_ratio`; pyramid and wedge longest over shortest edge.
-    - `jacobian`: the smallest Jacobian at the corners (and at the centre of a hexahedron), Verdict's `jacobian`, with
-      the sign turned for cells that are left-handed on the undeformed mesh: negative where a cell is not convex. For a
+    - `aspect_ratio`: 1 ideal, inf for a flat cell. Triangle, quad, tetrahedron: Verdict's `aspect_ratio`; hexahedron
+      its `max_edge_ratio`; pyramid and wedge longest over shortest edge.
+    - `jacobian`: the smallest Jacobian at the corners (and at the centre of a hexahedron), Verdict's `jacobian`. Its
+      sign is turned for cells that are left-handed on the undeformed mesh: negative where a cell is not convex. For a
       simplex twice its area or six times its volume; at a pyramid the four corners of the base.
-    - `non_orthogonality`: degrees, OpenFOAM's: the largest angle, over the inner faces of a cell, between the face's area
-      vector and the line from one cell's centre to the other's. 0 for a cell without neighbours.
+    - `non_orthogonality`: OpenFOAM's, in degrees, the largest angle, over the inner faces of a cell, between the face's
+      area vector and the line between the centres of the two cells. 0 for a cell without neighbours.
     - `volume_ratio`: volume over undeformed volume, for a simplex det F of its deformation. 1 where that was zero.
-    - `jacobian_ratio`: smallest corner Jacobian over its initial value, at the corners that had the sign of their cell on the
-      undeformed mesh. 1 where none had.
+    - `jacobian_ratio`: smallest corner Jacobian over its initial value, at the corners that had the sign of their cell
+      on the undeformed mesh. 1 where none had.
     - `is_inverted`: either ratio is not positive; NaN coordinates count as inverted. Without `points`, see `quality`.
     - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh: the cell is not judged.
       In float32 the round-off of the coordinates hides the sign of the thinnest cells at a wall.
     - `centroid`: mean of the corners (k, d): where the cell is.
 
-    Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers over the cells of the
-    highest dimension alone; boundary elements have entries but do not count. Means are weighted by area or volume,
+    Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers over the cells of
+    the highest dimension alone; boundary elements have entries but do not count. Means are weighted by area or volume,
     sum(skewness * area) / area. `str(report)`, `worst` and `raise_if_inverted` speak on the host.
     """
 
@@ -61,21 +61,21 @@ class QualityReport(eqx.Module):
 
     @property
     def area(self) -> Float[Array, " k"]:
-        """`volume`, by the name it has in the plane."""
+        """Area of each cell: `volume`, by the name that it has in 2-D."""
         return self.volume
 
     @property
     def inverted(self) -> Int[Array, ""]:
-        """How many cells are inverted."""
+        """Number of inverted cells."""
         return jnp.sum(self._counted(self.is_inverted), axis=-1)
 
     @property
     def degenerate(self) -> Int[Array, ""]:
-        """How many cells had no sign from the start and are not judged."""
+        """Number of cells that had no sign from the start and are not judged."""
         return jnp.sum(self._counted(self.is_degenerate), axis=-1)
 
     def mean(self, name: str, *, weighted: bool = True) -> Float[Array, ""]:
-        """Mean of the measure called `name`, weighted by area or volume, or of the cells as such."""
+        """Averages the measure called `name` over the cells, weighted by area or volume unless `weighted` is False."""
         values = self._counted(getattr(self, name))
         if not weighted:
             return jnp.mean(values, axis=-1)
@@ -84,11 +84,11 @@ class QualityReport(eqx.Module):
         return jnp.sum(jnp.where(weight > 0, values * weight, 0), axis=-1) / jnp.where(total > 0, total, 1)
 
     def max(self, name: str) -> Float[Array, ""]:
-        """Largest value of the measure called `name`."""
+        """Returns the largest value of the measure called `name`."""
         return jnp.max(self._counted(getattr(self, name)), axis=-1)
 
     def min(self, name: str) -> Float[Array, ""]:
-        """Smallest value of the measure called `name`."""
+        """Returns the smallest value of the measure called `name`."""
         return jnp.min(self._counted(getattr(self, name)), axis=-1)
 
     @property
@@ -132,10 +132,14 @@ class QualityReport(eqx.Module):
         return self.min("jacobian_ratio")
 
     def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray:
-        """Host: ids of the `k` worst cells, the worst first; `report.centroid[ids]` is where they are.
+        """Lists the ids of the worst cells on the host, the worst first; `report.centroid[ids]` is where they are.
 
-        By the measure called `by`; by default inverted cells come first, then the most skewed ones.
-        Raises `ValueError` for a measure that is not known.
+        **Arguments:**
+
+        - `k`: how many cells, default 5.
+        - `by`: the measure to rank by. By default inverted cells come first, then the most skewed ones.
+
+        **Raises:** `ValueError` for a measure that is not known.
         """
         if by is not None and by not in MEASURES:
             raise ValueError(f"no measure is called {by!r}; there are {', '.join(MEASURES)}.")
@@ -147,9 +151,9 @@ class QualityReport(eqx.Module):
         return ids[np.lexsort((-badness[ids], ~first[ids]))[:k]]
 
     def raise_if_inverted(self) -> None:
-        """Host: `ValueError` that says how many cells are inverted and where the first one is; else nothing.
+        """Raises `ValueError` on the host where cells are inverted: how many, and where the first one is.
 
-        Not inside `jit`: there `report.inverted` is a value like any other.
+        It does not work inside `jit`: there `report.inverted` is a value like any other.
         """
         bad = np.flatnonzero(np.asarray(self.is_inverted) & self.counted)
         if len(bad):
@@ -183,16 +187,16 @@ class QualityReport(eqx.Module):
 
     @property
     def counted(self) -> Bool[np.ndarray, " k"]:
-        """Host: which cells count, those of the highest dimension; boundary elements do not."""
+        """Cells that count (a mask on the host), those of the highest dimension; boundary elements do not."""
         top = {kind for kind, _ in self._top()}
         return np.concatenate([np.full(count, kind in top) for kind, count in self.types])
 
     @property
     def count(self) -> int:
-        """How many cells count."""
+        """Number of cells that count."""
         return sum(count for _, count in self._top())
 
     def _counted(self, values: Any) -> Any:
-        """The entries of the cells that count, in the last axis."""
+        """Selects the entries of the cells that count, in the last axis."""
         mask = self.counted
         return values if mask.all() else values[..., np.flatnonzero(mask)]

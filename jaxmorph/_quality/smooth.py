@@ -8,10 +8,16 @@ from jaxtyping import Array, Float
 
 
 def soft_maximum(values: Float[Array, "..."], sharpness: Any = 50.0, axis: int | None = None) -> Float[Array, "..."]:
-    """log(mean(exp(sharpness values))) / sharpness along an axis: below the largest value, by log(count) / sharpness at most.
+    """Computes log(mean(exp(sharpness values))) / sharpness: a smooth stand-in for the largest value.
 
-    Smooth, with the derivative spread over the values near the largest. The mean instead of the sum keeps the soft maximum of
-    equal values equal to them. The unit of `sharpness` is the inverse of that of `values`; it must be positive.
+    It is below the largest value by log(count) / sharpness at most. Its derivative is spread over the values near the
+    largest. The mean instead of the sum keeps the soft maximum of equal values equal to them.
+
+    **Arguments:**
+
+    - `values`: an array.
+    - `sharpness`: positive, in the inverse unit of `values`, default 50. A larger value comes closer to the maximum.
+    - `axis`: the axis along which to take it. Default: all values.
     """
     values = jnp.asarray(values)
     count = values.size if axis is None else values.shape[axis]
@@ -20,9 +26,10 @@ def soft_maximum(values: Float[Array, "..."], sharpness: Any = 50.0, axis: int |
 
 
 def positive_part(x: Float[Array, "..."], softness: Any) -> Float[Array, "..."]:
-    """(x + sqrt(x^2 + softness^2)) / 2: positive and increasing everywhere, x for x far above `softness`.
+    """Computes (x + sqrt(x^2 + softness^2)) / 2: positive and increasing everywhere, x for x far above `softness`.
 
-    The regularised determinant of Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
+    It is the regularised determinant of Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40,
+    2021.
     """
     root = jnp.sqrt(x**2 + softness**2)
     return jnp.where(x >= 0, (x + root) / 2, softness**2 / (2 * (root + jnp.abs(x))))

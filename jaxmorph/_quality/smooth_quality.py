@@ -12,13 +12,13 @@ from .._mesh.mesh import Mesh
 from . import measures
 from .blocks import in_blocks
 from .non_orthogonality import non_orthogonality
-from .quality import Standard, connect, places, standards_of
+from .quality import Standard, link, places, standards_of
 from .smooth import positive_part, soft_maximum
 from .vector import Vector, corners, dot
 
 
 class SmoothQuality(eqx.Module):
-    """What `smooth_quality` finds: arrays (k,), in the order and the units of `QualityReport`."""
+    """Holds the smooth measures: arrays (k,), in the order and the units of `QualityReport`."""
 
     skewness: Float[Array, " k"]
     aspect_ratio: Float[Array, " k"]
@@ -29,22 +29,35 @@ class SmoothQuality(eqx.Module):
 def smooth_quality(
     mesh: Mesh, points: Float[Any, "n d"] | None = None, *, sharpness: float = 50.0, softness: float = 1e-6
 ) -> SmoothQuality:
-    """Smooth twins of those measures of `quality` that have kinks. `volume` and `volume_ratio` have none, `distortion` neither;
-    `wall_quality` has its own `softness`.
+    """Measures cells as `quality` does, with smooth twins of the measures that have kinks.
 
-    Where `quality` takes the largest of m terms of a cell, soft maxima take its place (the smallest: soft minima), so with the
-    derivative spread over the terms near the largest; the values approach those of `quality` as `sharpness` grows:
+    `volume`, `volume_ratio` and `distortion` have no kinks. Where `quality` takes the largest of m terms of a cell, a
+    soft maximum takes its place (for the smallest a soft minimum). The derivative is then spread over the terms near
+    the largest. The values approach those of `quality` as `sharpness` grows:
 
     - `skewness` is less by log(m) / `sharpness` at most, m up to 36; a quad has m = 2.
-    - `aspect_ratio` is less by a factor of m^(2 / `sharpness`) at most, m up to 12. Finite on cells that are flat, 2 /
-      `softness`, and where triangles, quads and tetrahedra are inverted: larger still the further they are, so that its derivative
-      turns them round. Choose `softness` far below the inverse of the aspect ratios that matter.
+    - `aspect_ratio` is less by a factor of m^(2 / `sharpness`) at most, m up to 12. It is finite on cells that are
+      flat, 2 / `softness`, and where triangles, quads and tetrahedra are inverted. There it is larger still the further
+      they are, so that its derivative turns them round.
     - `non_orthogonality` is less by 90 (1 + log m) / `sharpness` degrees at most; smooth at 0 degrees too.
     - `jacobian_ratio` is more by log(m) / `sharpness` at most.
 
-    Traced in `points`: `jit`, `grad` and `vmap` work, with finite derivatives on inverted cells. Everything is relative to the
-    undeformed mesh, `mesh.points`. Raises `ValueError` for a mesh without cells, for a shape of `points` other than that of
-    `mesh.points`, and for a `sharpness` or `softness` that is not positive.
+    Traced in `points`: `jit`, `grad` and `vmap` work, with finite derivatives on inverted cells. Everything is relative
+    to the undeformed mesh, `mesh.points`.
+
+    **Arguments:**
+
+    - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default: `mesh.points`.
+    - `sharpness`: positive, without unit, default 50. Raise it for values closer to `quality`, lower it for smoother
+      ones.
+    - `softness`: positive, without unit, default 1e-6. Choose it far below the inverse of the aspect ratios that
+      matter.
+
+    **Returns:** a `SmoothQuality`.
+
+    **Raises:** `ValueError` for a mesh without cells, for a shape of `points` other than that of `mesh.points`, and for
+    a `sharpness` or `softness` that is not positive.
     """
     current = places(mesh, points)
     for name, value in (("sharpness", sharpness), ("softness", softness)):
@@ -52,7 +65,7 @@ def smooth_quality(
             raise ValueError(f"`{name}` must be positive, not {value}.")
     kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
     with jax.ensure_compile_time_eval():
-        behind = connect(mesh.cells, signs=False).neighbour
+        behind = link(mesh.cells, signs=False).neighbour
         standards = standards_of(kinds, cells, jnp.asarray(mesh.points, dtype=current.dtype))
     return _measured(kinds, cells, behind, current, standards, (sharpness, softness))
 
@@ -60,24 +73,26 @@ def smooth_quality(
 @functools.partial(jax.jit, static_argnums=0)
 def _measured(kinds, cells, behind, points, standards: list[Standard], options) -> SmoothQuality:
     rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
-    of = dict(zip(kinds, standards, strict=True))
+    by_kind = dict(zip(kinds, standards, strict=True))
     columns = [
-        in_blocks(functools.partial(_shapes, kind, points, options), ids, of[kind]) for kind, ids in rows.items()
+        in_blocks(functools.partial(_shapes, kind, points, options), ids, by_kind[kind]) for kind, ids in rows.items()
     ]
     skewness, aspect, jacobian = (jnp.concatenate(parts) for parts in zip(*columns, strict=True))
-    signs = {kind: standard.sign for kind, standard in of.items()}
+    signs = {kind: standard.sign for kind, standard in by_kind.items()}
     angles = non_orthogonality(points, rows, signs, behind, functools.partial(_largest_angle, sharpness=options[0]))
     return SmoothQuality(skewness, aspect, angles, jacobian)
 
 
-def _shapes(kind: str, points: Float[Array, "n d"], options, ids: Int[Array, "c k"], of: Standard) -> tuple[Array, ...]:
-    """Skewness, aspect ratio and Jacobian ratio."""
+def _shapes(
+    kind: str, points: Float[Array, "n d"], options, ids: Int[Array, "c k"], standard: Standard
+) -> tuple[Array, ...]:
+    """Computes skewness, aspect ratio and Jacobian ratio."""
     sharpness, softness = options
     relative, size = measures.relative_corners(corners(points, ids.T))
     shape = measures.scaled(relative, size)
     skewness = measures.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
-    aspect = _aspect_ratio(kind, shape, of, sharpness, softness)
-    return skewness, aspect, _jacobian_ratio(kind, relative, of, sharpness)
+    aspect = _aspect_ratio(kind, shape, standard, sharpness, softness)
+    return skewness, aspect, _jacobian_ratio(kind, relative, standard, sharpness)
 
 
 def _aspect_ratio(kind: str, x: list[Vector], standard: Standard, sharpness, softness) -> Float[Array, " k"]:
@@ -108,7 +123,7 @@ def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], s
 
 
 def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> Float[Array, " k"]:
-    """The soft maximum of those that count; 0 where none does."""
+    """Computes the soft maximum of the values that count; 0 where none does."""
     number = jnp.sum(counts, axis=0)
     weights = jnp.where(number > 0, counts, True).astype(values.dtype)
     largest = jax.scipy.special.logsumexp(sharpness * values, b=weights, axis=0)

@@ -14,7 +14,7 @@ Scalar = Float[Array, "*rows k"]
 
 
 class Vector:
-    """A vector with the arithmetic it needs; immutable."""
+    """Holds the components of a vector, with the arithmetic it needs; immutable."""
 
     __slots__ = ("components",)
 
@@ -47,7 +47,7 @@ class Vector:
 
 
 def corners(points: Float[Array, "n d"], ids: Int[Array, "k c"]) -> list[Vector]:
-    """One vector for each corner of k cells."""
+    """Gathers one vector for each corner of k cells."""
     axes = [points[:, axis] for axis in range(points.shape[1])]
     return [Vector([axis[ids[:, corner]] for axis in axes]) for corner in range(ids.shape[1])]
 
@@ -57,25 +57,25 @@ def dot(a: Vector, b: Vector) -> Scalar:
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """The cross product; in the plane its one component."""
+    """Computes the cross product; in 2-D its one component."""
     if len(a) == 2:
         return Vector((a[0] * b[1] - a[1] * b[0],))
     return Vector([a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))])
 
 
 def norm(a: Vector) -> Scalar:
-    """Length; its derivative at zero is zero."""
+    """Computes the length; its derivative at zero is zero."""
     squared = dot(a, a)
     return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
 
 
 def stack(vectors: Sequence[Vector]) -> Vector:
-    """One row for each vector."""
+    """Stacks vectors as rows of one."""
     return Vector([jnp.stack(rows) for rows in zip(*(a.components for a in vectors), strict=True)])
 
 
 def total(a: Vector) -> Vector:
-    """Sum over the corners, edges or faces."""
+    """Sums over the corners, edges or faces."""
     return Vector([jnp.sum(component, axis=0) for component in a.components])
 
 
@@ -84,13 +84,13 @@ def mean(vectors: Sequence[Vector]) -> Vector:
 
 
 def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
-    """a / b, and `otherwise`, with no derivative, where b is so small that its derivative overflows."""
+    """Divides a by b; returns `otherwise`, with no derivative, where b is so small that its derivative overflows."""
     none = jnp.abs(b) <= float(jnp.finfo(b.dtype).tiny) ** 0.4
     return jnp.where(none, otherwise, a / jnp.where(none, 1, b))
 
 
 def angle(a: Vector, b: Vector) -> Scalar:
-    """Angle in radians, 0 to pi; 0, with no derivative, where a vector has no length."""
+    """Computes the angle in radians, 0 to pi; 0, with no derivative, where a vector has no length."""
     sine, cosine = norm(cross(a, b)), dot(a, b)
     none = sine**2 + cosine**2 <= float(jnp.finfo(sine.dtype).tiny) ** 0.8
     return jnp.where(none, 0, jnp.arctan2(sine, jnp.where(none, 1, cosine)))
