@@ -107,6 +107,28 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
     return {kind: corners for kind, corners in cells.items() if len(corners)}, ids
 
 
+def open_cells(faces: Faces, cells: np.ndarray) -> np.ndarray:
+    """Finds those of the `cells` that do not close: an edge of theirs belongs to an odd number of their faces."""
+    ordered, starts = faces.of_cells()
+    counts = np.diff(starts)[cells]
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    face = ordered[np.repeat(starts[cells], counts) + within]
+    face = np.where(face < 0, ~face, face)
+    corners = faces.sizes[face]
+    corner = np.arange(corners.sum()) - np.repeat(np.cumsum(corners) - corners, corners)
+    first = np.repeat(faces.starts[face].astype(np.int64), corners)
+    here = faces.labels[first + corner].astype(np.int64)
+    after = faces.labels[first + (corner + 1) % np.repeat(corners, corners)].astype(np.int64)
+    row = np.repeat(np.repeat(np.arange(len(cells)), counts), corners)
+    low, high = np.minimum(here, after), np.maximum(here, after)
+    order = np.lexsort((high, low, row))
+    keys = np.stack([row[order], low[order], high[order]])
+    begins = np.flatnonzero(np.concatenate([[True], (keys[:, 1:] != keys[:, :-1]).any(axis=0)]))
+    is_odd = np.diff(begins, append=keys.shape[1]) % 2 == 1
+    is_edge = keys[1, begins] != keys[2, begins]
+    return cells[np.unique(keys[0, begins[is_odd & is_edge]])]
+
+
 def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, starts: np.ndarray):
     """Numbers the corners of cells whose faces begin at `starts`, and tells which of them really have the shape of their type."""
     corners = np.empty((len(starts), _LAST[kind]), faces.labels.dtype)

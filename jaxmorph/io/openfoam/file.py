@@ -4,6 +4,7 @@ import dataclasses
 import gzip
 import pathlib
 import re
+import zlib
 
 import numpy as np
 
@@ -13,6 +14,8 @@ _SPACE = re.compile(rb"(?:\s+|//[^\n]*|/\*.*?\*/)*", re.DOTALL)
 _HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
 _ENTRY = re.compile(r"(\w+)\s+(\"[^\"]*\"|[^;]*);")
 _COUNT = re.compile(rb"(\d*)\s*([({]?)")
+UNIFORM = 2 * 10**8
+"""Bytes that a list of equal elements may take, besides ten times its file's size."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
 """Makes the text of a list one of numbers between blanks."""
 
@@ -65,6 +68,8 @@ class FoamFile:
         """The file's list of `label`s or `scalar`s, `width` in each element: (count, width), int32 or float64."""
         found = self.list_at(self.end)
         kind = np.dtype(np.int64 if what == "label" else np.float64)
+        if found.uniform and found.count * width * 8 > UNIFORM + 10 * len(self.raw):
+            raise self.error(f"{found.count} elements that are all the same; a mesh has no such list")
         if self.is_binary:
             values = self.binary(found, what, width)[0].reshape(-1, width)
             return values.astype(kind if what == "scalar" else _narrow(values))
@@ -204,7 +209,7 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
     raw = path.read_bytes()
     try:
         data = gzip.decompress(raw) if path.suffix == ".gz" else raw
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise ValueError(f"{path}: a damaged gzip file ({error}).") from error
     found = _HEADER.search(data, 0, 1 << 14)
     if found is None:

@@ -8,7 +8,7 @@ import pathlib
 
 import numpy as np
 
-from jaxmorph._mesh.faces import Faces, standard_cells
+from jaxmorph._mesh.faces import Faces, open_cells, standard_cells
 
 from .file import Patch, load
 
@@ -40,6 +40,11 @@ def topology_of(folder: pathlib.Path, boundary: list[Patch], is_plane: bool) -> 
     faces = _faces(folder)
     _check(folder, boundary, faces)
     cells, ids = ({}, {}) if is_plane else standard_cells(faces)
+    ajar = open_cells(faces, ids["polyhedron"]) if "polyhedron" in ids else ()
+    if len(ajar):
+        raise ValueError(
+            f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: faces, owner or neighbour are damaged."
+        )
     # copies, for a view would keep the labels of all faces
     nodes = {patch.name: faces.nodes(patch.start, patch.start + patch.count).copy() for patch in boundary}
     lowest, highest = int(faces.labels.min(initial=0)), int(faces.labels.max(initial=0))
@@ -51,19 +56,59 @@ def _faces(folder: pathlib.Path) -> Faces:
     labels, starts = load(folder, "faces").faces()
     owner, neighbour = (load(folder, name).numbers("label").ravel() for name in ("owner", "neighbour"))
     if len(owner) != len(starts) - 1 or len(neighbour) > len(owner) or not len(owner):
-        found = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
-        raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {found}.")
-    cells = np.zeros(1, np.int64)
-    if owner.min() >= 0:
-        count = max(int(owner.max()), int(neighbour.max(initial=-1))) + 1
-        cells = np.bincount(owner, minlength=count) + np.bincount(neighbour[neighbour >= 0], minlength=count)
+        counts = f"{len(starts) - 1} faces, {len(owner)} owners and {len(neighbour)} neighbours"
+        raise ValueError(f"{folder}: faces, owner and neighbour do not fit together: {counts}.")
+    _check_labels(folder, labels, owner, neighbour)
+    neighbour = neighbour[neighbour >= 0]
+    count = max(int(owner.max()), int(neighbour.max(initial=-1))) + 1
+    cells = np.bincount(owner, minlength=count) + np.bincount(neighbour, minlength=count)
     if cells.min() < 4:
         raise ValueError(f"{folder}: cell {int(cells.argmin())} has {int(cells.min())} faces; a cell needs 4 at least.")
     return Faces(labels, starts, owner, neighbour)
 
 
+def _check_labels(folder: pathlib.Path, labels: np.ndarray, owner: np.ndarray, neighbour: np.ndarray) -> None:
+    """Raises `ValueError` for labels that cannot be, before one of them sizes an array.
+
+    Each cell has four faces and each face two cells at most; each node is in three corners of faces or more. Outer faces
+    have no neighbour: older versions write -1 for them, at the end of the list.
+    """
+    inner = int((neighbour >= 0).sum())
+    if (neighbour[:inner] < 0).any() or (neighbour < -1).any() or (inner < len(neighbour) < len(owner)):
+        wrong = int(np.argmax(neighbour < 0))
+        raise ValueError(
+            f"{folder / 'neighbour'}: face {wrong} has the neighbour {neighbour[wrong]}, which is no cell."
+        )
+    for name, cells in (("owner", owner), ("neighbour", neighbour)):
+        wrong = np.flatnonzero((cells < (0 if name == "owner" else -1)) | (cells > len(owner) // 2))
+        if wrong.size:
+            raise ValueError(
+                f"{folder / name}: face {wrong[0]} is of cell {cells[wrong[0]]}, but {len(owner)} faces make "
+                f"{len(owner) // 2} cells at most."
+            )
+    if labels.min() < 0 or labels.max() >= len(labels):
+        bad = labels.min() if labels.min() < 0 else labels.max()
+        raise ValueError(
+            f"{folder / 'faces'}: a face names node {bad}; {len(labels)} corners of faces have fewer nodes."
+        )
+    own = np.flatnonzero(owner[:inner] == neighbour[:inner])
+    if own.size:
+        raise ValueError(f"{folder / 'neighbour'}: face {own[0]} has the cell {owner[own[0]]} on both sides.")
+
+
 def _check(folder: pathlib.Path, boundary: list[Patch], faces: Faces) -> None:
+    """Raises `ValueError` where the patches are not the faces after the inner ones, each in one patch."""
     for patch in boundary:
         if patch.count < 0 or patch.start < 0 or patch.start + patch.count > len(faces.owner):
             ends = f"{patch.start} to {patch.start + patch.count - 1}"
             raise ValueError(f"{folder / 'boundary'}: patch {patch.name!r} is faces {ends} of {len(faces.owner)}.")
+    inner, faces_of_patches = len(faces.neighbour), np.zeros(len(faces.owner), dtype=np.int64)
+    for patch in boundary:
+        faces_of_patches[patch.start : patch.start + patch.count] += 1
+    wrong = np.flatnonzero(faces_of_patches != (np.arange(len(faces.owner)) >= inner))
+    if wrong.size:
+        face, patches = int(wrong[0]), int(faces_of_patches[wrong[0]])
+        where = "an inner face" if face < inner else "an outer face"
+        raise ValueError(
+            f"{folder / 'boundary'}: {wrong.size} faces are in the wrong number of patches; face {face}, {where}, is in {patches}."
+        )

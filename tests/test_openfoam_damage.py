@@ -1,0 +1,108 @@
+"""OpenFOAM cases with damage: each is told by its file, none is misread, none costs memory."""
+
+import gzip
+import re
+
+import foam
+import numpy as np
+import pytest
+from test_openfoam import PATCHES, mixed
+
+from jaxmorph import io
+
+
+@pytest.fixture
+def case(tmp_path):
+    foam.write_case(tmp_path / "a", *mixed(), PATCHES)
+    return tmp_path / "a"
+
+
+def changed(case, name, old, new, count=1):
+    file = case / "constant" / "polyMesh" / name
+    text = file.read_text()
+    head, body = re.split(r"(?<=\})\n", text, maxsplit=1)
+    assert re.search(old, body), body[:300]
+    file.write_text(head + "\n" + re.sub(old, new, body, count=count))
+
+
+def labels(case, name):
+    file = case / "constant" / "polyMesh" / name
+    text = re.sub(r"//.*", "", file.read_text().split("}", 1)[1])
+    return [int(word) for word in re.findall(r"-?\d+", text)][1:]
+
+
+def set_label(case, name, place, value):
+    """Writes a list of labels with another one in one place."""
+    file = case / "constant" / "polyMesh" / name
+    head = file.read_text().split("}", 1)[0] + "}\n"
+    values = labels(case, name)
+    values[place] = value
+    file.write_text(head + f"{len(values)}\n(\n" + "\n".join(map(str, values)) + "\n)\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "message"),
+    [
+        ("neighbour", 0, -1, "neighbour: face 0 has the neighbour -1, which is no cell"),
+        ("neighbour", 0, -7, "which is no cell|is of cell -7"),
+        ("neighbour", 0, 2**31 - 1, "neighbour: face 0 is of cell 2147483647, but"),
+        ("owner", 0, 2**62, "owner: face 0 is of cell 4611686018427387904, but"),
+        ("owner", -1, -1, "owner: face .* is of cell -1"),
+    ],
+)
+def test_labels_that_cannot_be(case, name, place, value, message):
+    set_label(case, name, place, value)
+    with pytest.raises(ValueError, match=message):
+        io.read(case)
+
+
+def test_a_wrong_cell_beside_a_face_leaves_cells_open(case):
+    """Every other cell that an owner could be: an error, never another mesh."""
+    cells = max(labels(case, "owner")) + 1
+    right = labels(case, "owner")
+    for cell in range(cells):
+        if cell != right[-1]:
+            set_label(case, "owner", -1, cell)
+            with pytest.raises(ValueError, match=r"do not close|needs 4 at least|on both sides"):
+                io.read(case)
+
+
+def test_a_face_that_names_no_node(case):
+    changed(case, "faces", r"(?<=\()\d+(?= \d+ \d+)", "2147483000")
+    with pytest.raises(ValueError, match="faces: a face names node 2147483000"):
+        io.read(case)
+
+
+def test_patches_cover_the_outer_faces_once(case):
+    start = int(re.search(r"startFace\s+(\d+)", (case / "constant/polyMesh/boundary").read_text())[1])
+    changed(case, "boundary", rf"startFace\s+{start};", f"startFace {start - 1};")
+    with pytest.raises(ValueError, match="faces are in the wrong number of patches; face"):
+        io.read(case)
+
+
+def test_a_patch_that_is_missing_is_told(case):
+    changed(case, "boundary", r"\"floor\"\s*\{[^{}]*\}", "")
+    with pytest.raises(
+        ValueError, match="boundary: 1 faces are in the wrong number of patches; face 3, an outer face, is in 0"
+    ):
+        io.read(case)
+
+
+def test_a_damaged_gz_file(case):
+    file = case / "constant" / "polyMesh" / "points"
+    packed = bytearray(gzip.compress(file.read_bytes()))
+    file.unlink()
+    rng = np.random.default_rng(0)
+    for place in rng.integers(10, len(packed) - 8, 40):
+        packed[place] ^= 0xFF
+        file.with_name("points.gz").write_bytes(bytes(packed))
+        with pytest.raises(ValueError, match=r"points\.gz|points"):
+            io.read(case)
+        packed[place] ^= 0xFF
+
+
+def test_a_list_of_equal_points_costs_nothing(case):
+    file = case / "constant" / "polyMesh" / "points"
+    file.write_text(file.read_text().split("}", 1)[0] + "}\n60000000{(0 0 0)}\n")
+    with pytest.raises(ValueError, match="60000000 elements that are all the same"):
+        io.read(case)
