@@ -18,6 +18,7 @@ from ._advice.inspect import Inspection as Inspection
 from ._advice.inspect import inspect as inspect
 from ._host.errors import MeshError as MeshError
 from ._host.farthest import FarthestPoints as FarthestPoints
+from ._host.graded import Graded as Graded
 from ._host.greedy import Greedy as Greedy
 from ._host.reduction import AbstractReduction as AbstractReduction
 from ._host.reduction import AbstractSearchPoints as AbstractSearchPoints

@@ -41,7 +41,7 @@ def few(leaves=2):
 
 
 def farthest(count=8):
-    return jm.RBF(reduction=jm.FarthestPoints(count, extremes=True), fixed_reduction=jm.FarthestPoints(count))
+    return jm.RBF(reduction=jm.FarthestPoints(count, extremes=True), fixed_reduction=jm.Graded())
 
 
 def of_the_notebook():

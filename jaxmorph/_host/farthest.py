@@ -53,26 +53,35 @@ class FarthestPoints(AbstractReduction):
         return least_distance(points, self.separation)
 
 
-def farthest(points: np.ndarray, count: int, closest: float, first: np.ndarray | None = None) -> np.ndarray:
-    """Chooses `count` points, each the farthest from those before, as long as one is `closest` away: their ids.
+def farthest(
+    points: np.ndarray,
+    count: int,
+    closest: float,
+    first: np.ndarray | None = None,
+    reach: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """Ids of `count` points, each the farthest from those before, as long as one is `closest` away; the `first` ones come first.
 
-    The points `first` come first.
+    With `reach` (n,) distances are relative to each point's own, and it ends where all are within it.
     """
     columns = np.ascontiguousarray(points.T)
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
+    least, weight = closest**2, 1.0
+    if np.ndim(reach):
+        weight, least = 1 / np.maximum(reach, closest) ** 2, 1.0
     chosen = []
     outermost = ((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax(keepdims=True)
     for node in (outermost if first is None else first).tolist():
-        if distance[node] > closest**2 and len(chosen) < count:
+        if distance[node] > least and len(chosen) < count:
             chosen.append(node)
-            _lower(distance, columns, node, work)
-    while len(chosen) < count and distance.max() > closest**2:
+            _lower(distance, columns, node, weight, work)
+    while len(chosen) < count and distance.max() > least:
         chosen.append(int(distance.argmax()))
-        _lower(distance, columns, chosen[-1], work)
+        _lower(distance, columns, chosen[-1], weight, work)
     return np.array(chosen)
 
 
-def _lower(distance: np.ndarray, columns: np.ndarray, node: int, work: np.ndarray) -> None:
+def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndarray | float, work: np.ndarray) -> None:
     """Lowers the squared distances from the nearest chosen node, now that `node` is chosen too.
 
     It works in place, so that all stays in the cache.
@@ -84,4 +93,5 @@ def _lower(distance: np.ndarray, columns: np.ndarray, node: int, work: np.ndarra
         np.subtract(column, column[node], out=term)
         np.multiply(term, term, out=term)
         np.add(total, term, out=total)
+    np.multiply(total, weight, out=total)
     np.minimum(distance, total, out=distance)

@@ -18,6 +18,10 @@ class AbstractReduction(abc.ABC):
     @abc.abstractmethod
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
 
+    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """As `__call__`, for a boundary on whose other side sources are chosen already, `others` (s, d); ignored by default."""
+        return self(points)
+
     def closest(self, points: np.ndarray) -> float:
         """The distance within which two sources are one too many, for these points: round-off by default."""
         return roundoff(points)

@@ -10,8 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
+from scipy.spatial import KDTree
 
-from .._host.reduction import AbstractReduction, drop_near
+from .._host.reduction import AbstractReduction, drop_close, drop_near
 
 BLOCK = 512
 """Points evaluated together: memory, also for derivatives, is that of one block, whatever the size of the mesh."""
@@ -36,13 +37,31 @@ class Surface:
     faces: Mapping[str, np.ndarray] | None = None
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
-        """Rows chosen among the moving nodes, then among the fixed ones not too close to those, each with its mirror images."""
-        chosen, closest = [], []
-        for reduction, rows in ((moving, np.arange(self.moving)), (fixed, np.arange(self.moving, len(self.points)))):
-            own = rows[self.images[rows] == rows]
-            chosen.append(rows[np.isin(self.images[rows], own[reduction(self.points[own])])])
-            closest.append(reduction.closest(self.points[own]))
-        return np.concatenate([chosen[0], drop_near(self.points, chosen[1], chosen[0], min(closest))])
+        """Chooses rows among the moving nodes, then among the fixed ones, each with its mirror images; no two of them too close."""
+        first, closest = self._chosen(moving, np.arange(self.moving), self.points[:0])
+        rows = np.arange(self.moving, len(self.points))
+        second, closest_fixed = self._chosen(fixed, rows, self.points[first])
+        return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
+
+    def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
+        """The rows that a reduction chooses, images included, and how close two of them may come.
+
+        A source too close to its own image gives way to the nearest node that is not, one on the plane if there is any. Two
+        sources that are apart are farther from each other's images: all nodes lie on one side of a plane.
+        """
+        own = rows[self.images[rows] == rows]
+        closest = reduction.closest(self.points[own])
+        chosen = own[reduction.beside(self.points[own], others)]
+        images = np.flatnonzero(self.images != np.arange(len(self.points)))
+        apart = np.full(len(self.points), np.inf)
+        np.minimum.at(
+            apart, self.images[images], np.linalg.norm(np.subtract(*self.points[[images, self.images[images]]]), axis=1)
+        )
+        near, free = chosen[apart[chosen] <= closest], own[apart[own] > closest]
+        if near.size:
+            moved = free[KDTree(self.points[free]).query(self.points[near])[1]] if free.size else near[:0]
+            chosen = drop_close(self.points, np.concatenate([moved, chosen[apart[chosen] > closest]]), closest)
+        return rows[np.isin(self.images[rows], chosen)], closest
 
     def among(self, points: np.ndarray) -> tuple["Surface", np.ndarray]:
         """The same surface with each of its rows among the points: those that are not (mirror images) are added at the end."""

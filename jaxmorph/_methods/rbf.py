@@ -10,6 +10,7 @@ import scipy.linalg
 import scipy.spatial
 from jaxtyping import Array, Float, Int
 
+from .._host.graded import Graded
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
 from .._kernels.product import few_rows_times
 from .base import BLOCK, AbstractField, AbstractMethod, Surface, check_kind
@@ -41,7 +42,7 @@ class RBF(AbstractMethod):
 
     basis: AbstractBasis = eqx.field(default_factory=ThinPlateSpline)
     reduction: AbstractReduction = eqx.field(static=True, default=KDTree(64))
-    fixed_reduction: AbstractReduction = eqx.field(static=True, default=KDTree(16))
+    fixed_reduction: AbstractReduction = eqx.field(static=True, default=Graded())
     degree: int | None = eqx.field(static=True, default=1)
 
     def __check_init__(self):
