@@ -16,6 +16,8 @@ from ._advice.fewest_steps import Steps as Steps
 from ._advice.fewest_steps import fewest_steps as fewest_steps
 from ._advice.inspect import Inspection as Inspection
 from ._advice.inspect import inspect as inspect
+from ._advice.largest_step import LargestStep as LargestStep
+from ._advice.largest_step import largest_step as largest_step
 from ._host.errors import MeshError as MeshError
 from ._host.farthest import FarthestPoints as FarthestPoints
 from ._host.graded import Graded as Graded
@@ -55,6 +57,7 @@ from ._plan.save import save as save
 from ._plan.steps import march as march
 from ._plan.steps import replay as replay
 from ._plan.symmetry import Plane as Plane
+from ._plan.velocity import velocity as velocity
 from ._quality.distortion import distortion as distortion
 from ._quality.quality import quality as quality
 from ._quality.report import QualityReport as QualityReport

@@ -130,3 +130,22 @@ def test_paraview_reads_the_lattice(tmp_path):
         io.write_lattice(tmp_path / "box.vtk", box.lattice())
     with pytest.raises(ValueError, match="a lattice has shape"):
         io.write_lattice(tmp_path / "box.vts", np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_many_points_are_summed_in_blocks(name):
+    """Points that are known and many are sorted: the same operator, with derivatives and batches."""
+    origin, axes, counts, degree = BOXES[name]
+    d, rng = len(counts), np.random.default_rng(3)
+    box = shapes.FreeForm(origin, axes, counts, degree=degree)
+    x, control = cloud(d, 1500), rng.normal(size=(*counts, d))
+    operator, moved = box.at(x), expected(x, np.array(origin), axes, counts, box.degrees, control)[0]
+    np.testing.assert_allclose(operator(control), moved - x, atol=1e-13)
+    cotangent, other = rng.normal(size=x.shape), rng.normal(size=control.shape)
+    back = jax.jit(lambda o, c: jax.linear_transpose(o, control)(c)[0])(operator, cotangent)
+    np.testing.assert_allclose(np.vdot(operator(other), cotangent), np.vdot(other, back), rtol=1e-11)
+    np.testing.assert_allclose(jax.jvp(operator, (control,), (other,))[1], operator(other), atol=1e-13)
+    several = jax.vmap(operator)(jnp.stack([control, other]))
+    np.testing.assert_allclose(several[1], operator(other), atol=1e-13)
+    squares = jax.jvp(jax.grad(lambda c: jnp.sum(operator(c) ** 2)), (control,), (other,))[1]
+    np.testing.assert_allclose(squares, 2 * jax.linear_transpose(operator, control)(operator(other))[0], atol=1e-11)

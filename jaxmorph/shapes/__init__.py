@@ -15,6 +15,15 @@ from ._fit import fit_cst as fit_cst
 from ._freeform import FreeForm as FreeForm
 from ._line import bend as bend
 from ._line import twist as twist
+from ._measures import area as area
+from ._measures import centroid as centroid
+from ._measures import chord as chord
+from ._measures import curvature as curvature
+from ._measures import leading_edge_radius as leading_edge_radius
+from ._measures import trailing_edge_angle as trailing_edge_angle
+from ._measures import volume as volume
+from ._measures import wall_faces as wall_faces
+from ._measures import wall_loop as wall_loop
 from ._naca import NACA4 as NACA4
 from ._rigid import rotate as rotate
 from ._rigid import scale as scale
@@ -25,3 +34,5 @@ from ._shape import AbstractLinearShape as AbstractLinearShape
 from ._shape import AbstractOperator as AbstractOperator
 from ._shape import AbstractShape as AbstractShape
 from ._smooth import Smoother as Smoother
+from ._thickness import Stations as Stations
+from ._thickness import thickness as thickness

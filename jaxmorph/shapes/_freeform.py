@@ -8,11 +8,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from . import _bspline
+from ._blocks import Blocks
 from ._combine import Linked
 from ._door import Numbers, is_known, positions
-from ._lattice import LatticeOperator
+from ._lattice import LatticeOperator, Rows
 from ._links import link_matrix
 from ._shape import AbstractLinearShape
+
+MANY = 1000
+"""Points from which on `at` sorts them, for a faster operator."""
 
 
 class FreeForm(AbstractLinearShape):
@@ -98,7 +102,9 @@ class FreeForm(AbstractLinearShape):
             weights.append(_bspline.values(t_along, first[-1], count, degree))
         weights[0] = jnp.where(inside[:, None], weights[0], 0)
         free = None if self.continuity is None else jnp.asarray(_free(self.counts, self.continuity))
-        return LatticeOperator(tuple(weights), tuple(first), free, self.counts)
+        if is_known(x, self) and len(x) >= MANY:
+            return LatticeOperator(Blocks.of(tuple(weights), tuple(first), self.counts), free, self.counts)
+        return LatticeOperator(Rows(tuple(weights), tuple(first), self.counts), free, self.counts)
 
     def coordinates(self, x: Float[Array, "m d"]) -> Float[Array, "m d"]:
         """Computes coordinates in the box, each from 0 to 1 inside."""

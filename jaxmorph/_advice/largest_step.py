@@ -1,0 +1,121 @@
+"""How far a surface may go in a direction before a cell breaks a bound: exact, for the mesh moves linearly."""
+
+import dataclasses
+import functools
+import itertools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from .._mesh.mesh import Mesh
+from .._plan.plan import Plan, deform
+from .._quality import measures
+from .._quality.quality import places, standards_of
+from .._quality.vector import corners
+
+
+@dataclasses.dataclass(frozen=True)
+class LargestStep:
+    """How far a step may go.
+
+    - `step`: factor of the direction, at most the one that was asked for.
+    - `cell`: the cell that reaches the bound there, in the order of `quality`; -1 where none does.
+    """
+
+    step: float
+    cell: int
+
+
+def largest_step(
+    plan: Plan,
+    u: Float[ArrayLike, "m d"],
+    direction: Float[ArrayLike, "m d"],
+    mesh: Mesh,
+    *,
+    min_jacobian_ratio: float = 0.0,
+    max_step: float = 1.0,
+) -> LargestStep:
+    """Finds the largest step along a direction that keeps every cell's Jacobian ratio at a bound or above it.
+
+    Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots are found. A line search
+    shortens its step by it before the flow is solved.
+
+    **Arguments:**
+
+    - `plan`: of a method that is linear in `u`.
+    - `u`: displacement (m, d) to start from.
+    - `direction`: (m, d) change of `u` by a step of 1.
+    - `mesh`: whose `points` are the plan's.
+    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`; 0 is where cells invert.
+    - `max_step`: above 0; no step beyond it is looked at.
+
+    **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already.
+
+    **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step` is not above 0.
+    """
+    if not (0 <= min_jacobian_ratio < 1 and 0 < max_step < np.inf):
+        raise ValueError(f"min_jacobian_ratio={min_jacobian_ratio} lies from 0 to 1, max_step={max_step} above 0.")
+    base = jnp.asarray(mesh.points, plan.points.dtype)
+    start = places(mesh, deform(plan, u))
+    end = deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction))
+    kinds, cells = tuple(mesh.cells), tuple(jnp.asarray(ids) for ids in mesh.cells.values())
+    best, worst, offset = 1.0, -1, 0
+    for kind, ids, standard in zip(kinds, cells, standards_of(kinds, cells, base), strict=True):
+        values = _polynomials(kind, start, end, ids) * np.asarray(standard.sign)
+        bound = min_jacobian_ratio * np.asarray(standard.jacobian)
+        values[0] -= bound
+        judged = np.asarray(standard.is_judged)
+        rows, columns = np.nonzero(judged)
+        roots = first_roots(values[:, rows, columns])
+        if len(roots) and roots.min() < best:
+            best, worst = float(roots.min()), offset + int(columns[roots.argmin()])
+        offset += len(ids)
+    return LargestStep(best * max_step, worst)
+
+
+def _polynomials(kind: str, start: Float[Array, "n d"], end: Float[Array, "n d"], ids: Array) -> np.ndarray:
+    """Coefficients (4, s, k), lowest first, of corner Jacobians over t from 0 to 1: those through four values."""
+    places = np.arange(4) / 3
+    samples = [np.asarray(_jacobians(kind, start + t * (end - start), ids)) for t in places]
+    inverse = np.linalg.inv(np.vander(places, increasing=True))
+    return np.tensordot(inverse, np.stack(samples).astype(float), axes=1)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _jacobians(kind: str, points: Float[Array, "n d"], ids: Any) -> Float[Array, "s k"]:
+    relative, _ = measures.relative_corners(corners(points, ids))
+    return measures.jacobians(kind, relative)[0]
+
+
+def first_roots(coefficients: Float[np.ndarray, "4 k"]) -> Float[np.ndarray, " k"]:
+    """Finds where each cubic (lowest coefficient first) first falls below zero in 0 to 1; infinity where it does not."""
+    roots = np.full(coefficients.shape[1], np.inf)
+    roots[coefficients[0] < 0] = 0
+    c0, c1, c2, c3 = coefficients
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # places of the extremes, by the form of the quadratic's roots that does not cancel
+        half = c2 + np.copysign(np.sqrt(np.maximum(c2**2 - 3 * c1 * c3, 0)), c2)
+        extremes = np.stack([-half / (3 * c3), -c1 / half])
+    extremes = np.where((extremes > 0) & (extremes < 1), extremes, 1)
+    stops = np.concatenate([np.zeros((1, len(c0))), np.sort(extremes, axis=0), np.ones((1, len(c0)))])
+    for before, after in itertools.pairwise(stops):
+        falls = np.isinf(roots) & (_value(coefficients, after) < 0)
+        if falls.any():
+            roots[falls] = _bisect(coefficients[:, falls], before[falls], after[falls])
+    return roots
+
+
+def _value(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
+    c0, c1, c2, c3 = coefficients
+    return c0 + t * (c1 + t * (c2 + t * c3))
+
+
+def _bisect(coefficients: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        is_below = _value(coefficients, middle) < 0
+        low, high = np.where(is_below, low, middle), np.where(is_below, middle, high)
+    return low

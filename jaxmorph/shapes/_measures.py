@@ -1,0 +1,189 @@
+"""Measures of walls for constraints: ids from the host, floats in the trace.
+
+A wall in 2-D is a loop: ids (k,) of its nodes in order, counter-clockwise, without repeating the first. A wall in 3-D is a set of
+triangles (k, 3) or quads (k, 4), outward from what they enclose.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._host.topology import boundary_faces
+from ._door import Numbers, is_known, positions, vector
+
+
+def wall_loop(mesh: Any, patch: str) -> Int[np.ndarray, " k"]:
+    """Finds the nodes of a closed wall in 2-D in order, counter-clockwise.
+
+    **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or branches.
+    """
+    nodes = mesh.patch(patch)
+    segments = boundary_faces(mesh.cells, len(mesh.points), nodes).get("line", np.zeros((0, 2), int))
+    ends, degree = np.unique(segments, return_counts=True)
+    if len(segments) == 0 or (degree != 2).any():
+        where = f", first node {ends[degree != 2][0]}" if len(segments) else ""
+        raise ValueError(f"patch {patch!r} is no closed loop: {(degree != 2).sum()} ends or branches{where}.")
+    beside: dict[int, list[int]] = {int(node): [] for node in ends}
+    for a, b in segments.tolist():
+        beside[a].append(b)
+        beside[b].append(a)
+    loop = [int(ends[0])]
+    loop.append(beside[loop[0]][0])
+    while (following := next(n for n in beside[loop[-1]] if n != loop[-2])) != loop[0]:
+        loop.append(following)
+    if len(loop) != len(ends):
+        raise ValueError(f"patch {patch!r} is several loops: {len(loop)} of its {len(ends)} nodes hang together.")
+    ids = np.array(loop)
+    return ids if float(area(np.asarray(mesh.points), ids)) > 0 else ids[::-1].copy()
+
+
+def wall_faces(mesh: Any, patch: str) -> list[Int[np.ndarray, "k corners"]]:
+    """Lists the faces of a wall in 3-D, triangles and quads, as the mesh's cells order them.
+
+    **Raises:** `ValueError` for a patch without faces.
+    """
+    faces = boundary_faces(mesh.cells, len(mesh.points), mesh.patch(patch))
+    faces.pop("line", None)
+    if not faces:
+        raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
+    return list(faces.values())
+
+
+def area(x: Numbers, loop: Any) -> Float[Array, ""]:
+    """Computes the area within a loop (2-D), positive where the loop runs counter-clockwise."""
+    a, b = _segments(x, loop)
+    return 0.5 * jnp.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def centroid(x: Numbers, loop: Any) -> Float[Array, " 2"]:
+    """Computes the centre of the area within a loop (2-D)."""
+    x = positions(x)
+    a, b = _segments(x, loop)
+    origin = a[0]
+    a, b = a - origin[None, :], b - origin[None, :]
+    twice = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return origin + jnp.sum((a + b) * twice[:, None], axis=0) / (3 * jnp.sum(twice))
+
+
+def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array, ""]:
+    """Computes the volume within faces (3-D), positive where they are outward.
+
+    **Arguments:**
+
+    - `x`: positions (n, 3).
+    - `faces`: ids (k, 3) or (k, 4), one array or a list of them.
+    - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane; None for a closed one.
+
+    **Raises:** `ValueError` for an open wall without a plane, and for a border that is not in one plane with the point.
+    """
+    x = positions(x)
+    triangles = _triangles(faces, x)
+    origin = x[triangles[0, 0]] if plane is None else vector("plane", plane, x)
+    _check_closed(x, triangles, None if plane is None else origin)
+    a, b, c = (x[triangles[:, k]] - origin[None, :] for k in range(3))
+    return jnp.sum(a * jnp.cross(b, c)) / 6
+
+
+def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
+    """Computes the distance from node `nose` to node `tail`; of several nodes the mean counts, as for a blunt tail."""
+    x = positions(x)
+    ends = [jnp.mean(x[np.atleast_1d(np.asarray(ids))], axis=0) for ids in (nose, tail)]
+    return jnp.linalg.norm(ends[1] - ends[0])
+
+
+def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
+    """Computes the curvature at each node of a loop (2-D): of the circle through it and its neighbours, positive where convex."""
+    x = positions(x)
+    here, after = _segments(x, loop)
+    before = jnp.roll(here, 1, axis=0)
+    a, b, c = here - before, after - here, after - before
+    lengths = jnp.sqrt(jnp.sum(a**2, axis=1) * jnp.sum(b**2, axis=1) * jnp.sum(c**2, axis=1))
+    return 2 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / lengths
+
+
+def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Float[Array, ""]:
+    """Computes the radius of the nose: of the circle closest to the node farthest from the tail and `around` nodes on each side.
+
+    **Arguments:**
+
+    - `x`: positions (n, 2).
+    - `loop`: ids (k,) of the airfoil's nodes in order.
+    - `tail`: a node of the trailing edge.
+    - `around`: nodes on each side of the nose, 1 or more; their circle is the osculating one to second order in their spacing.
+
+    **Raises:** `ValueError` for a tail that is not in the loop, and for too many nodes.
+    """
+    x, loop = positions(x), np.asarray(loop)
+    if tail not in loop or not 1 <= around < len(loop) // 2:
+        raise ValueError(
+            f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in {len(loop)}."
+        )
+    away = jnp.sum((x[loop] - x[tail][None, :]) ** 2, axis=1)
+    order = (jnp.argmax(away) + jnp.arange(-around, around + 1)) % len(loop)
+    near = x[jnp.asarray(loop)[order]]
+    centre = near[around]
+    arms = near - centre[None, :]
+    size = jnp.sqrt(jnp.max(jnp.sum(arms**2, axis=1)))
+    arms = arms / size
+    # |p|^2 = 2 p . c + e: linear least squares for the centre c
+    system = jnp.concatenate([2 * arms, jnp.ones((len(arms), 1), arms.dtype)], axis=1)
+    solution = jnp.linalg.solve(system.T @ system, system.T @ jnp.sum(arms**2, axis=1))
+    return size * jnp.sqrt(solution[0] ** 2 + solution[1] ** 2 + solution[2])
+
+
+def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
+    """Computes the angle in radians between the two sides at the trailing edge.
+
+    **Arguments:**
+
+    - `x`: positions (n, 2).
+    - `upper`, `lower`: two nodes (ahead, at the edge) of each side.
+
+    **Raises:** `ValueError` for anything but two nodes.
+    """
+    x = positions(x)
+    if np.shape(upper) != (2,) or np.shape(lower) != (2,):
+        raise ValueError(f"`upper` is {upper}, `lower` {lower}; expected two nodes each, (ahead, at the edge).")
+    a, b = (x[ids[1]] - x[ids[0]] for ids in (np.asarray(upper), np.asarray(lower)))
+    return jnp.abs(jnp.arctan2(a[0] * b[1] - a[1] * b[0], a @ b))
+
+
+def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, "k 2"]]:
+    x, loop = positions(x), np.asarray(loop)
+    if x.shape[1] != 2 or loop.ndim != 1 or len(loop) < 3:
+        raise ValueError(f"`x` has shape {x.shape} and `loop` {loop.shape}; expected (n, 2) and three nodes or more.")
+    return x[loop], x[np.roll(loop, -1)]
+
+
+def _triangles(faces: Any, x: Float[Array, "n d"]) -> Int[np.ndarray, "k 3"]:
+    pieces = []
+    for ids in faces if isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2 else [faces]:
+        ids = np.asarray(ids)
+        if x.shape[1] != 3 or ids.ndim != 2 or ids.shape[1] not in (3, 4) or ids.size == 0 or ids.max() >= len(x):
+            raise ValueError(
+                f"`x` has shape {x.shape}, `faces` {ids.shape}; expected (n, 3) and its rows (k, 3) or (k, 4)."
+            )
+        pieces += [ids[:, [0, k, k + 1]] for k in range(1, ids.shape[1] - 1)]
+    return np.concatenate(pieces)
+
+
+def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], plane: Float[Array, " 3"] | None) -> None:
+    """Raises `ValueError` for edges of one triangle alone, where no plane closes them."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    border = unique[count == 1]
+    if not len(border):
+        return
+    if plane is None:
+        raise ValueError(
+            f"the wall is open: {len(border)} edges have one face, first {border[0].tolist()}. Give `plane`."
+        )
+    if is_known(x, plane):
+        arms = np.asarray(x)[np.unique(border)] - np.asarray(plane)
+        sizes = np.linalg.svd(arms, compute_uv=False)
+        if len(sizes) == 3 and sizes[-1] > 1e-6 * sizes[0]:
+            raise ValueError(
+                f"the wall's border of {len(border)} edges does not lie in a plane through {np.asarray(plane)}."
+            )

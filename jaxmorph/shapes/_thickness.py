@@ -1,0 +1,98 @@
+"""Thickness of a body along lines: which faces a line meets is found on the host, where it meets them in the trace."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._door import Numbers, positions
+from ._measures import _triangles
+
+
+class Stations(eqx.Module):
+    """Lines on which thickness is measured, each with the two faces that it meets first and last.
+
+    Made once by `Stations.on`; the faces keep the wall's nodes, so that a moved wall is measured where its faces went.
+    """
+
+    points: Float[Array, "s d"]
+    directions: Float[Array, "s d"]
+    faces: Int[Array, "s 2 d"]
+
+    @staticmethod
+    def on(x: Numbers, faces: Any, points: Numbers, direction: Numbers) -> "Stations":
+        """Finds the first and the last face that each line meets.
+
+        **Arguments:**
+
+        - `x`: positions (n, d) of the wall.
+        - `faces`: segments (k, 2) in 2-D; triangles or quads in 3-D, one array or several.
+        - `points`: (s, d) one on each line.
+        - `direction`: (d,) of all lines, or (s, d).
+
+        **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
+        """
+        x, points = np.asarray(positions(x), float), np.asarray(positions(points, "points"), float)
+        lines = np.broadcast_to(np.asarray(direction, float), points.shape)
+        if x.shape[1] != points.shape[1] or not np.linalg.norm(lines, axis=1).all():
+            raise ValueError(f"`x` has shape {x.shape}, `points` {points.shape}; a direction must not be zero.")
+        lines = lines / np.linalg.norm(lines, axis=1)[:, None]
+        ids = np.asarray(faces) if x.shape[1] == 2 else _triangles(faces, jnp.asarray(x))
+        if ids.ndim != 2 or ids.shape[1] != x.shape[1]:
+            raise ValueError(f"`faces` has shape {ids.shape}; walls in 2-D have segments (k, 2).")
+        chosen = np.zeros((len(points), 2, x.shape[1]), int)
+        missed = []
+        for s, (point, line) in enumerate(zip(points, lines, strict=True)):
+            place, inside = _meets(x, ids, point, line)
+            hits = np.flatnonzero(inside)
+            if len(hits) < 2 or np.ptp(place[hits]) == 0:
+                missed.append(s)
+            else:
+                chosen[s] = ids[[hits[place[hits].argmin()], hits[place[hits].argmax()]]]
+        if missed:
+            raise ValueError(
+                f"{len(missed)} of {len(points)} lines miss the body, first row {missed[0]} at {points[missed[0]]}."
+            )
+        return Stations(jnp.asarray(points), jnp.asarray(lines), jnp.asarray(chosen))
+
+
+def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
+    """Computes the distance between the two faces that each line meets.
+
+    **Arguments:**
+
+    - `x`: positions (n, d) of the wall, moved or not; traced.
+    - `stations`: from `Stations.on`.
+
+    **Returns:** thickness (s,), in the units of `x`; the faces count as planes, beyond their corners too.
+    """
+    x = positions(x)
+    corners = x[stations.faces]
+    first, line = (
+        corners[:, :, 0],
+        jnp.broadcast_to(stations.directions.astype(x.dtype)[:, None], corners[:, :, 0].shape),
+    )
+    if x.shape[1] == 2:
+        edge = corners[:, :, 1] - first
+        normal = jnp.stack([edge[..., 1], -edge[..., 0]], axis=-1)
+    else:
+        normal = jnp.cross(corners[:, :, 1] - first, corners[:, :, 2] - first)
+    arm = first - stations.points.astype(x.dtype)[:, None, :]
+    place = jnp.sum(normal * arm, axis=-1) / jnp.sum(normal * line, axis=-1)
+    return place[:, 1] - place[:, 0]
+
+
+def _meets(x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solves point + s line = first corner + weights times edges for all faces: s, and whether it is inside."""
+    first, d = x[ids[:, 0]], x.shape[1]
+    columns = [np.broadcast_to(line, first.shape)] + [first - x[ids[:, k]] for k in range(1, d)]
+    system = np.stack(columns, axis=2)
+    size = np.abs(system).max()
+    regular = np.abs(np.linalg.det(system / size)) > 1e-14
+    solution = np.full((len(ids), d), np.nan)
+    solution[regular] = np.linalg.solve(system[regular], (first - point)[regular][:, :, None])[:, :, 0]
+    weights = solution[:, 1:]
+    inside = regular & (weights >= -1e-9).all(axis=1) & (weights.sum(axis=1) <= 1 + 1e-9)
+    return solution[:, 0], inside

@@ -1,0 +1,87 @@
+"""The largest step that keeps a bound, and velocities of the mesh."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from ring import write_ring
+from small import bricks
+
+import jaxmorph as jm
+from jaxmorph._advice.largest_step import first_roots
+
+
+def ring(tmp_path):
+    mesh = write_ring(tmp_path / "ring.su2")
+    plan = jm.prepare(mesh.points, mesh.patch("wall"), mesh.patch("far"), method=jm.DelaunayGraph())
+    rng = np.random.default_rng(0)
+    return mesh, plan, rng.normal(size=(24, 2)), rng.normal(size=(24, 2))
+
+
+def test_roots_are_those_of_numpy():
+    coefficients = np.random.default_rng(0).normal(size=(4, 300))
+    coefficients[0] = np.abs(coefficients[0])
+    coefficients[2:, 100:200] = 0
+    coefficients[3, 200:] = 0
+    for row, root in zip(coefficients.T, first_roots(coefficients), strict=True):
+        every = np.roots(np.trim_zeros(row[::-1], "f"))
+        real = every.real[np.abs(every.imag) < 1e-12]
+        inside = real[(real > 0) & (real < 1)]
+        np.testing.assert_allclose(root, inside.min() if len(inside) else np.inf, rtol=1e-7)
+
+
+@pytest.mark.parametrize("bound", [0.0, 0.3])
+def test_the_bound_is_met_exactly_in_the_cell_that_is_told(tmp_path, bound):
+    mesh, plan, u, direction = ring(tmp_path)
+    u = 0.01 * u
+    result = jm.largest_step(plan, u, direction, mesh, min_jacobian_ratio=bound)
+    assert 0 < result.step < 1
+    ratios = np.asarray(jm.quality(mesh, jm.deform(plan, u + result.step * direction)).jacobian_ratio)
+    assert ratios.min() == pytest.approx(bound, abs=1e-9)
+    assert ratios.argmin() == result.cell
+    for share in np.linspace(0, 0.999, 8):
+        assert jm.quality(mesh, jm.deform(plan, u + share * result.step * direction)).jacobian_ratio.min() > bound
+
+
+def test_in_3d_and_where_nothing_limits_the_step():
+    mesh = bricks()
+    top = np.flatnonzero(mesh.points[:, 2] == 1)
+    plan = jm.prepare(mesh.points, top, mesh.patch("floor"), method=jm.SurfaceReconstruction())
+    down = np.tile([0.0, 0.0, -1.0], (len(top), 1))
+    result = jm.largest_step(plan, 0 * down, down, mesh, min_jacobian_ratio=0.25, max_step=3.0)
+    assert result.step == pytest.approx(0.75, abs=1e-9)  # every cell is squeezed alike
+    assert jm.largest_step(plan, 0 * down, -down, mesh, max_step=2.0) == jm.LargestStep(2.0, -1)
+    assert jm.largest_step(plan, 1.1 * down, down, mesh).step == 0
+
+
+def test_velocity_satisfies_the_geometric_conservation_law(tmp_path):
+    """Cell areas change at the rate of the flux of the nodes' velocity through their edges."""
+    mesh, plan, u, u_dot = ring(tmp_path)
+    quads = np.asarray(mesh.cells["quad"])
+    v = np.asarray(jm.velocity(plan, 0.02 * u, u_dot))
+    x = np.asarray(jm.deform(plan, 0.02 * u))
+
+    def areas(u):
+        corners = jm.deform(plan, u)[quads]
+        after = jnp.roll(corners, -1, axis=1)
+        return 0.5 * jnp.sum(corners[..., 0] * after[..., 1] - corners[..., 1] * after[..., 0], axis=1)
+
+    rate = jax.jvp(areas, (0.02 * u,), (u_dot,))[1]
+    edge = np.roll(x[quads], -1, axis=1) - x[quads]
+    middle = 0.5 * (np.roll(v[quads], -1, axis=1) + v[quads])
+    flux = np.sum(edge[..., 1] * middle[..., 0] - edge[..., 0] * middle[..., 1], axis=1)
+    np.testing.assert_allclose(rate, flux, atol=1e-13)
+    np.testing.assert_array_equal(v[mesh.patch("far")], 0)
+    np.testing.assert_allclose(v[mesh.patch("wall")], u_dot, atol=1e-15)
+
+
+def test_bad_input_is_refused(tmp_path):
+    mesh, plan, u, direction = ring(tmp_path)
+    with pytest.raises(ValueError, match="lies from 0 to 1"):
+        jm.largest_step(plan, u, direction, mesh, min_jacobian_ratio=1.0)
+    with pytest.raises(ValueError, match="above 0"):
+        jm.largest_step(plan, u, direction, mesh, max_step=0.0)
+    with pytest.raises(ValueError, match="has shape"):
+        jm.largest_step(plan, u, direction[:3], mesh)
+    with pytest.raises(ValueError, match="`u_dot` has shape"):
+        jm.velocity(plan, u, direction[:3])

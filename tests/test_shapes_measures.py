@@ -1,0 +1,152 @@
+"""Measures of walls against closed forms: ellipse, NACA airfoil, box, sphere; derivatives against differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import sphere
+from ring import write_ring
+from scipy.spatial import ConvexHull
+from small import bricks
+
+from jaxmorph import shapes
+
+COUNT = 400
+ANGLE = 2 * np.pi * np.arange(COUNT) / COUNT
+ELLIPSE = np.column_stack([0.5 * np.cos(ANGLE) + 0.5, 0.06 * np.sin(ANGLE)])
+LOOP = np.arange(COUNT)
+SEGMENTS = np.column_stack([LOOP, np.roll(LOOP, -1)])
+
+
+def ball():
+    """A unit sphere's convex hull, outward."""
+    points = sphere(300)
+    faces = ConvexHull(points).simplices
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    inward = np.einsum("ki,ki->k", np.cross(b - a, c - a), a + b + c) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return points, faces
+
+
+BALL, FACES = ball()
+LINES = shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.25, 0.0], [0.5, 0.0]], [0.0, 1.0])
+LINES3 = shapes.Stations.on(BALL, FACES, [[0.1, 0.2, 0.0]], [0.0, 0.1, 1.0])
+
+MEASURES = {
+    "area": (lambda x: shapes.area(x, LOOP), ELLIPSE),
+    "centroid": (lambda x: shapes.centroid(x, LOOP), ELLIPSE),
+    "curvature": (lambda x: shapes.curvature(x, LOOP)[[0, 30]] / 100, ELLIPSE),
+    "radius": (lambda x: shapes.leading_edge_radius(x, LOOP, 0), ELLIPSE),
+    "edge": (lambda x: shapes.trailing_edge_angle(x, [20, 0], [380, 0]), ELLIPSE),
+    "chord": (lambda x: shapes.chord(x, 200, [0, 399]), ELLIPSE),
+    "thickness": (lambda x: shapes.thickness(x, LINES), ELLIPSE),
+    "thickness-3": (lambda x: shapes.thickness(x, LINES3), BALL),
+    "volume": (lambda x: shapes.volume(x, FACES), BALL),
+}
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_derivatives_equal_differences(name):
+    measure, x = MEASURES[name]
+    direction = 0.1 * np.column_stack([np.sin(3 * x[:, k] + k) for k in range(x.shape[1])])
+    h = 1e-4
+    slope = jax.jit(lambda x: jax.jvp(measure, (x,), (direction,))[1])(x)
+    v = [measure(x + k * h * direction) for k in (-2, -1, 1, 2)]
+    np.testing.assert_allclose(slope, (v[0] - 8 * v[1] + 8 * v[2] - v[3]) / (12 * h), rtol=1e-7, atol=1e-7)
+
+
+def test_closed_forms_of_an_ellipse():
+    """Inscribed polygons have n/(2 pi) sin(2 pi / n) of the ellipse's area; curvatures converge with the second order."""
+    a, b = 0.5, 0.06
+    np.testing.assert_allclose(shapes.area(ELLIPSE, LOOP), a * b * COUNT / 2 * np.sin(2 * np.pi / COUNT), rtol=1e-13)
+    np.testing.assert_allclose(shapes.area(ELLIPSE, LOOP[::-1]), -shapes.area(ELLIPSE, LOOP), rtol=1e-13)
+    np.testing.assert_allclose(shapes.centroid(ELLIPSE, LOOP), [0.5, 0], atol=1e-14)
+    np.testing.assert_allclose(shapes.chord(ELLIPSE, 200, 0), 1, rtol=1e-14)
+    speed = np.sqrt(a**2 * np.sin(ANGLE) ** 2 + b**2 * np.cos(ANGLE) ** 2)
+    np.testing.assert_allclose(shapes.curvature(ELLIPSE, LOOP), a * b / speed**3, rtol=6e-3)
+    np.testing.assert_allclose(shapes.leading_edge_radius(ELLIPSE, LOOP, 0, 1), b**2 / a, rtol=0.01)
+    np.testing.assert_allclose(
+        shapes.thickness(ELLIPSE, LINES), 2 * b * np.sqrt(1 - np.array([0.5, 0]) ** 2), rtol=1e-4
+    )
+
+
+def test_closed_forms_of_a_naca_airfoil():
+    from test_shapes_curves import naca
+
+    x = naca(0.0, 0.4, 0.12, count=401, last=0.1036)
+    lower = np.arange(401, 801)  # from behind the nose to the tail
+    loop = np.concatenate([lower, np.arange(400, -1, -1)[1:]])  # nose last; the tail of both sides is one place
+    integral = 0.2969 * 2 / 3 - 0.126 / 2 - 0.3516 / 3 + 0.2843 / 4 - 0.1036 / 5
+    np.testing.assert_allclose(shapes.area(x, loop), 2 * 5 * 0.12 * integral, rtol=1e-4)
+    np.testing.assert_allclose(shapes.leading_edge_radius(x, loop, 800, 2), 1.1019 * 0.12**2, rtol=0.01)
+    slope = 5 * 0.12 * (0.2969 / 2 - 0.126 - 2 * 0.3516 + 3 * 0.2843 - 4 * 0.1036)
+    np.testing.assert_allclose(shapes.trailing_edge_angle(x, [398, 400], [798, 800]), 2 * np.arctan(-slope), rtol=1e-3)
+
+
+def test_volumes_of_boxes_and_balls():
+    np.testing.assert_allclose(shapes.volume(BALL, FACES), ConvexHull(BALL).volume, rtol=1e-13)
+    half = FACES[(BALL[FACES][:, :, 2] > 0).all(axis=1)]
+    with pytest.raises(ValueError, match="the wall is open"):
+        shapes.volume(BALL, half)
+    with pytest.raises(ValueError, match="does not lie in a plane"):
+        shapes.volume(BALL, half, [0, 0, 0])
+    mesh = bricks()
+    corners = mesh.points * [1.0, 2.0, 3.0]
+    outer = np.flatnonzero((mesh.points == 0).any(axis=1) | (mesh.points == 1).any(axis=1))
+    whole = type(mesh)(corners, mesh.cells, {"wall": outer})
+    faces = shapes.wall_faces(whole, "wall")
+    np.testing.assert_allclose(shapes.volume(corners, faces), 6, rtol=1e-13)
+    open_below = [ids[~np.isin(ids, mesh.patches["floor"]).all(axis=1)] for ids in faces]
+    np.testing.assert_allclose(shapes.volume(corners, open_below, [0, 0, 0]), 6, rtol=1e-13)
+
+
+def test_the_loop_of_a_patch(tmp_path):
+    mesh = write_ring(tmp_path / "ring.su2")
+    loop = shapes.wall_loop(mesh, "wall")
+    np.testing.assert_allclose(shapes.area(mesh.points, loop), 12 * np.sin(2 * np.pi / 24), rtol=1e-13)
+    with pytest.raises(ValueError, match="is no closed loop: 2 ends"):
+        shapes.wall_loop(type(mesh)(mesh.points, mesh.cells, {"part": np.arange(9)}), "part")
+
+
+def test_thickness_follows_a_moved_wall():
+    moved = shapes.scale(ELLIPSE, [1.0, 1.5], [0.0, 0.0])
+    np.testing.assert_allclose(shapes.thickness(moved, LINES), 1.5 * shapes.thickness(ELLIPSE, LINES), rtol=1e-12)
+
+
+def test_a_constrained_optimisation_keeps_the_thickness():
+    """Least area with bumps, thickness held at two stations: SLSQP with traced derivatives."""
+    from scipy.optimize import minimize
+
+    bumps = shapes.HicksHenne([0.25, 0.5, 0.75])
+    moved = jax.jit(lambda p: jnp.where(ELLIPSE[:, 1:] > 0, bumps(ELLIPSE, p), jnp.asarray(ELLIPSE)))
+    before = np.asarray(shapes.thickness(ELLIPSE, LINES))
+    constraint = jax.jit(lambda p: shapes.thickness(moved(p), LINES) - before)
+    objective = jax.jit(jax.value_and_grad(lambda p: shapes.area(moved(p), LOOP) + 0.5 * jnp.sum(p**2)))
+    held = {"type": "ineq", "fun": constraint, "jac": jax.jit(jax.jacrev(constraint))}
+    result = minimize(
+        lambda p: tuple(map(np.asarray, objective(p))), np.zeros(3), jac=True, constraints=held, method="SLSQP"
+    )
+    assert result.success
+    assert result.fun < float(shapes.area(ELLIPSE, LOOP)) - 1e-3
+    assert np.asarray(constraint(result.x)).min() > -1e-9
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: shapes.area(BALL, LOOP), "expected"),
+        (lambda: shapes.volume(ELLIPSE, FACES), "expected"),
+        (lambda: shapes.leading_edge_radius(ELLIPSE, LOOP, 500), "must be in the loop"),
+        (lambda: shapes.trailing_edge_angle(ELLIPSE, 3, [1, 2]), "two nodes each"),
+        (
+            lambda: shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.5, 0], [3, 0]], [0, 1]),
+            "1 of 2 lines miss the body, first row 1",
+        ),
+        (lambda: shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "must not be zero"),
+        (lambda: shapes.Stations.on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), "have segments"),
+        (lambda: shapes.wall_faces(bricks(), "roof"), "no patch"),
+    ],
+)
+def test_bad_input_is_refused(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
