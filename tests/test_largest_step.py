@@ -81,7 +81,7 @@ def test_bad_input_is_refused(tmp_path):
         jm.largest_step(plan, u, direction, mesh, min_jacobian_ratio=1.0)
     with pytest.raises(ValueError, match="above 0"):
         jm.largest_step(plan, u, direction, mesh, max_step=0.0)
-    with pytest.raises(ValueError, match="has shape"):
+    with pytest.raises(ValueError, match="`direction` has shape"):
         jm.largest_step(plan, u, direction[:3], mesh)
     with pytest.raises(ValueError, match="`u_dot` has shape"):
         jm.velocity(plan, u, direction[:3])

@@ -35,7 +35,7 @@ LINES3 = shapes.Stations.on(BALL, FACES, [[0.1, 0.2, 0.0]], [0.0, 0.1, 1.0])
 MEASURES = {
     "area": (lambda x: shapes.area(x, LOOP), ELLIPSE),
     "centroid": (lambda x: shapes.centroid(x, LOOP), ELLIPSE),
-    "curvature": (lambda x: shapes.curvature(x, LOOP)[[0, 30]] / 100, ELLIPSE),
+    "curvature": (lambda x: shapes.curvature(x, LOOP)[:31:30] / 100, ELLIPSE),
     "radius": (lambda x: shapes.leading_edge_radius(x, LOOP, 0), ELLIPSE),
     "edge": (lambda x: shapes.trailing_edge_angle(x, [20, 0], [380, 0]), ELLIPSE),
     "chord": (lambda x: shapes.chord(x, 200, [0, 399]), ELLIPSE),

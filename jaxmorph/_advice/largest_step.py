@@ -58,6 +58,8 @@ def largest_step(
     """
     if not (0 <= min_jacobian_ratio < 1 and 0 < max_step < np.inf):
         raise ValueError(f"min_jacobian_ratio={min_jacobian_ratio} lies from 0 to 1, max_step={max_step} above 0.")
+    if np.shape(direction) != np.shape(u):
+        raise ValueError(f"`direction` has shape {np.shape(direction)}, `u` {np.shape(u)}.")
     base = jnp.asarray(mesh.points, plan.points.dtype)
     start = places(mesh, deform(plan, u))
     end = deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction))
