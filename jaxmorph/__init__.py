@@ -42,6 +42,7 @@ from ._methods.basis import Multiquadric as Multiquadric
 from ._methods.basis import ThinPlateSpline as ThinPlateSpline
 from ._methods.basis import WendlandC2 as WendlandC2
 from ._methods.delaunay import DelaunayGraph as DelaunayGraph
+from ._methods.fitted import FittedRBF as FittedRBF
 from ._methods.multiscale import Multiscale as Multiscale
 from ._methods.nearwall import NearWall as NearWall
 from ._methods.rbf import RBF as RBF

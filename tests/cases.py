@@ -79,6 +79,13 @@ CASES = [
         lambda length: jm.SurfaceReconstruction(jm.DelaunayGraph(), jm.DelaunayGraph()),
         dimensions=(2,),
     ),
+    Case(
+        "fitted",
+        lambda length: jm.FittedRBF(few(), ell=0.2 * length, mu=0.1 * length),
+        exact=False,
+        turns=False,
+        dimensions=(3,),
+    ),
     Case("reduced", lambda length: few(), exact=False, turns=False),
     Case("thin-plate-1", lambda length: full(jm.ThinPlateSpline(), 1), dimensions=(3,)),
     Case(

@@ -123,7 +123,7 @@ def test_overshoot_where_all_moves_or_nothing():
     mesh, u = bump_on_one_side("both")
     plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"))
     found = jm.inspect(plan, 0 * u + 0.3)
-    assert found.overshoot <= 1.0 + 1e-9
+    assert found.overshoot <= 1.001
     assert found.overshoot_behind == 0
     still = jm.inspect(plan, 0 * u)
     assert (still.overshoot, still.overshoot_behind) == (0, 0)

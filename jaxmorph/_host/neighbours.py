@@ -6,22 +6,9 @@ from scipy.spatial import KDTree
 from .graph import morton_order
 
 
-def nearest_of(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """(b,) for each point the id of the nearest among the `chosen` ones."""
-    return chosen[np.asarray(KDTree(points[chosen]).query(points)[1])].astype(np.int32)
-
-
-def largest_gap(points: np.ndarray, chosen: np.ndarray, wall: np.ndarray) -> np.ndarray:
-    """(b,) for each point the largest distance that one of its wall has from the one `chosen` for it."""
-    largest = np.zeros(len(points))
-    np.maximum.at(largest, wall, np.linalg.norm(points - points[chosen], axis=1))
-    return largest[wall]
-
-
-def extreme_of_each(points: np.ndarray, wall: np.ndarray) -> np.ndarray:
-    """One node of each wall, the first along its longest side."""
-    members = [np.flatnonzero(wall == label) for label in np.unique(wall)]
-    return np.array([ids[points[ids, np.ptp(points[ids], axis=0).argmax()].argmin()] for ids in members])
+def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """(k,) for each point the id of the nearest among the `chosen` places, whose `ids` are given."""
+    return ids[np.asarray(KDTree(chosen).query(points)[1])]
 
 
 def near_walls(

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.neighbours import extreme_of_each, largest_gap, near_walls, nearest_of
+from .._host.neighbours import near_walls, nearest_of
+from .._host.skin import chords
 from .._host.walls import walls
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
@@ -20,6 +21,9 @@ NEIGHBOURS = 6
 REACH = 0.5
 """Width of the layer, relative to the largest distance from a wall's node to its nearest source."""
 
+CHORD = 0.25
+"""Width of the layer of a wall without sources that are matched, relative to its mean chord."""
+
 
 class NearWall(AbstractMethod):
     """A correction, replaced near the wall by the displacement of the wall itself.
@@ -31,8 +35,9 @@ class NearWall(AbstractMethod):
     place in the layer. The map is one fixed sparse operator, exact at the surface's nodes.
 
     `width` is a length in the mesh's units. By default it is, for each wall, half of the largest distance from a node
-    to the nearest one at which the correction has nothing to do (a source of the coarse field); of a wall without such nodes
-    half of its extent. It ends before half of the gap to another wall.
+    to the nearest one of the same wall at which the correction has nothing to do (a source whose displacement the coarse field
+    takes). Of a wall without such nodes it is a quarter of its mean chord: of half of its length, in 3-D of half of its area
+    over its span. It ends before half of the gap to another wall.
     """
 
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
@@ -49,12 +54,9 @@ class NearWall(AbstractMethod):
 
     def connect(self, surface: Surface, points):
         correction, correction_at_points = self.correction.connect(surface, points)
-        wall = walls(surface.points, surface.moving, surface.faces)
-        matched = nearest_of(
-            surface.points, surface.matched if len(surface.matched) else extreme_of_each(surface.points, wall)
-        )
-        gap = largest_gap(surface.points, matched, wall)
-        width = REACH * gap if self.width is None else np.full(len(gap), self.width)
+        extent = self._extent(surface)
+        width = np.asarray(self._width(extent, jnp.asarray(surface.points)))
+        wall = np.asarray(extent.wall)
         own = surface.rows(len(points))
         inside = np.flatnonzero(own == len(surface.points))
         near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1)
@@ -63,11 +65,11 @@ class NearWall(AbstractMethod):
         nodes[inside[near]] = rows
         reached = own < len(surface.points)
         reached[inside[near]] = True
-        return (correction, matched, wall), (correction_at_points, WallRow(jnp.asarray(nodes), jnp.asarray(reached)))
+        return (correction, extent), (correction_at_points, WallRow(jnp.asarray(nodes), jnp.asarray(reached)))
 
     def fit(self, ids, surface):
-        correction, matched, wall = ids
-        return self.correction.fit(correction, surface), self._width(matched, wall, surface)
+        correction, extent = ids
+        return self.correction.fit(correction, surface), self._width(extent, surface)
 
     def carry(self, ids, factors, surface):
         return self.correction.carry(ids[0], factors[0], surface), factors[1]
@@ -84,15 +86,38 @@ class NearWall(AbstractMethod):
     def check(self, ids, factors, u):
         self.correction.check(ids[0], factors[0], u)
 
-    def _width(
-        self, matched: Int[Array, " b"], wall: Int[Array, " b"], surface: Float[Array, "b d"]
-    ) -> Float[Array, " b"]:
+    def _extent(self, surface: Surface) -> "Extent":
+        wall = walls(surface.points, surface.moving, surface.faces)
+        ends, share = chords(surface.points, wall, surface.faces)
+        matched = np.arange(len(wall))
+        for label in np.unique(wall[surface.matched]):
+            here = np.flatnonzero(wall == label)
+            chosen = surface.matched[wall[surface.matched] == label]
+            matched[here] = nearest_of(surface.points[here], surface.points[chosen], chosen)
+            share[label] = 0
+        ids = (jnp.asarray(each.astype(np.int32)) for each in (wall, matched, ends))
+        return Extent(*ids, share=jnp.asarray(share))
+
+    def _width(self, extent: "Extent", surface: Float[Array, "b d"]) -> Float[Array, " b"]:
         """The width of the layer over each surface node, the same for all of one wall."""
         if self.width is not None:
             return jnp.full(len(surface), self.width.astype(surface.dtype))
-        gap = _norm(surface - surface[matched])
-        widest = jax.ops.segment_max(gap, wall, len(surface))  # there are no more walls than nodes
-        return REACH * widest[wall]
+        gap = _norm(surface - surface[extent.matched])
+        widest = jax.ops.segment_max(gap, extent.wall, len(extent.ends))
+        span = _norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
+        return jnp.maximum(REACH * widest, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
+
+
+class Extent(eqx.Module):
+    """Rows of the surface: each one's wall and nearest matched row of that wall, or itself; each wall's two ends and mean chord.
+
+    The mean chord is relative to the distance of the ends, and zero where the wall has matched rows.
+    """
+
+    wall: Int[Array, " b"]
+    matched: Int[Array, " b"]
+    ends: Int[Array, "w 2"]
+    share: Float[Array, " w"]
 
 
 class WallRow(eqx.Module):

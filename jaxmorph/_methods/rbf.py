@@ -142,13 +142,22 @@ class RBF(AbstractMethod):
         warnings.warn(said, stacklevel=3)
 
     def field(self, ids, factors: "RBFFactors", surface, u):
-        values = u[ids].astype(factors.lu.dtype)
+        return self.through(factors, u[ids].astype(factors.lu.dtype), u.dtype)
+
+    def through(self, factors: "RBFFactors", values: Float[Array, "s d"], dtype) -> "RBFField":
+        """Traced: the field with these values at the sources, in this precision."""
         terms = factors.lu.shape[0] - len(factors.sources)
-        rhs = jnp.concatenate([values, jnp.zeros((terms, u.shape[1]), values.dtype)])
-        weights = jax.scipy.linalg.lu_solve((factors.lu, factors.pivots), rhs).astype(u.dtype)
+        rhs = jnp.concatenate([values, jnp.zeros((terms, values.shape[1]), values.dtype)])
+        weights = jax.scipy.linalg.lu_solve((factors.lu, factors.pivots), rhs).astype(dtype)
         beta, alpha = weights.T[:, : len(factors.sources)], weights.T[:, len(factors.sources) :]
-        sources, centre, scale = (leaf.astype(u.dtype) for leaf in (factors.sources, factors.centre, factors.scale))
+        sources, centre, scale = (leaf.astype(dtype) for leaf in (factors.sources, factors.centre, factors.scale))
         return RBFField(self, sources, centre, scale, beta, alpha)
+
+    def rows(self, factors: "RBFFactors", points: Float[Array, "k d"]) -> Float[Array, "k s+p"]:
+        """Traced: what the weights of functions and polynomial are multiplied with to give the field at any points."""
+        scaled = (points - factors.centre[None]) * factors.scale
+        kernel = self._phi(_squared_distances(scaled, factors.sources), factors.scale)
+        return jnp.concatenate([kernel, polynomial(scaled, self.degree)], axis=1)
 
 
 def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:

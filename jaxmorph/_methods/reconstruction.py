@@ -10,6 +10,7 @@ from .._host.reduction import KDTree
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .blocks import map_points, place_points
 from .delaunay import DelaunayGraph
+from .fitted import FittedRBF
 from .nearwall import NearWall
 from .rbf import RBF
 
@@ -21,7 +22,7 @@ class SurfaceReconstruction(AbstractMethod):
     that of `correction` is. The correction is linear, so several steps of it (section 3.2 of the paper) equal one.
     """
 
-    coarse: AbstractMethod = eqx.field(default_factory=lambda: RBF(reduction=KDTree(64, extremes=True)))
+    coarse: AbstractMethod = eqx.field(default_factory=FittedRBF)
     correction: AbstractMethod = eqx.field(default_factory=NearWall)
 
     def __check_init__(self):

@@ -12,7 +12,7 @@ import jaxmorph as jm
 SEARCHES = 24
 """Reductions tried to find one of about as many sources as asked for."""
 
-LEAVES = 64
+LEAVES = 12
 """Leaves of the wall's k-d tree in the library's own choice."""
 
 
@@ -40,7 +40,7 @@ def choose(method: str, sources: int | None, wall: np.ndarray) -> Choice:
     reduction = about(sources, wall)
     count = len(reduction(wall))
     name = f"reduced radial basis functions ({count} wall sources) + graph"
-    return Choice(jm.SurfaceReconstruction(jm.RBF(reduction=reduction), jm.NearWall()), name, count)
+    return Choice(jm.SurfaceReconstruction(jm.FittedRBF(jm.RBF(reduction=reduction))), name, count)
 
 
 def about(sources: int, wall: np.ndarray) -> jm.AbstractReduction:

@@ -133,6 +133,7 @@ def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
     method = plan.method
     while isinstance(method, jm.SurfaceReconstruction):
         method = method.coarse
+    method = method.rbf if isinstance(method, jm.FittedRBF) else method
     if not isinstance(method, jm.RBF):
         raise ValueError(f"the plan's method has no radial basis functions, and so no sources: {plan.method}.")
     return method

@@ -1,0 +1,112 @@
+"""The skin of the moving walls: which of its nodes are joined by edges, and how large the bodies are."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from .graph import morton_order
+from .reduction import canonical_order, roundoff
+
+Faces = Mapping[str, np.ndarray] | None
+
+
+def edges(points: np.ndarray, moving: int, faces: Faces = None) -> np.ndarray:
+    """(e, 2) pairs of neighbouring rows of the surface, both among the `moving` first ones, each once.
+
+    They are the sides of the `faces` where those are known, else neighbours by distance. None is as short as round-off.
+    """
+    pairs = _sides(faces, moving)
+    if not len(pairs):
+        pairs = _neighbours(points[:moving])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    length = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1)
+    return pairs[length > roundoff(points)]
+
+
+def _sides(faces: Faces, moving: int) -> np.ndarray:
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    for corners in (faces or {}).values():
+        inside = corners[(corners < moving).all(axis=1)]
+        sides = 1 if corners.shape[1] == 2 else corners.shape[1]
+        pairs += [np.stack([inside[:, k], inside[:, (k + 1) % corners.shape[1]]], axis=1) for k in range(sides)]
+    return np.concatenate(pairs)
+
+
+def _neighbours(points: np.ndarray) -> np.ndarray:
+    """In 2-D each node's nearest and the nearest on its other side; in 3-D its six nearest."""
+    unique, first = np.unique(points, axis=0, return_index=True)
+    count = min(6, len(unique) - 1)
+    if count < 1:
+        return np.zeros((0, 2), dtype=np.int64)
+    nearest = np.asarray(KDTree(unique).query(unique, k=count + 1)[1])[:, 1:]
+    start = np.arange(len(unique))
+    if points.shape[1] == 3:
+        return first[np.stack([np.repeat(start, count), nearest.ravel()], axis=1)]
+    arm = unique[nearest] - unique[:, None]
+    behind = np.einsum("kcd,kd->kc", arm, arm[:, 0]) < 0
+    other = np.where(behind.any(axis=1), nearest[start, behind.argmax(axis=1)], nearest[:, 0])
+    return first[np.concatenate([np.stack([start, end], axis=1) for end in (nearest[:, 0], other)])]
+
+
+def thinned(places: np.ndarray, most: int) -> np.ndarray:
+    """Ids of at most so many places, spread as all of them are."""
+    if len(places) <= most:
+        return np.arange(len(places))
+    canonical = canonical_order(places)
+    order = canonical[morton_order(places[canonical])]
+    return np.sort(order[np.linspace(0, len(order) - 1, most).astype(np.int64)])
+
+
+def chords(points: np.ndarray, wall: np.ndarray, faces: Faces = None) -> tuple[np.ndarray, np.ndarray]:
+    """For each wall two nodes far apart (w, 2), and its mean chord (w,) relative to their distance.
+
+    The mean chord is half of a wall's length in 2-D; in 3-D half of its area over the distance of those two nodes: a wing's
+    chord, and about the diameter of a sphere or a fuselage.
+    """
+    count = int(wall.max(initial=-1)) + 1
+    size, ends = np.zeros(count), np.zeros((count, 2), dtype=np.int32)
+    np.add.at(size, wall, _shares(points, faces))
+    order = canonical_order(points)
+    by_wall = order[np.argsort(wall[order], kind="stable")]
+    for label, members in enumerate(np.split(by_wall, np.cumsum(np.bincount(wall, minlength=count))[:-1])):
+        if len(members):
+            first = members[((points[members] - points[members].mean(axis=0)) ** 2).sum(axis=1).argmax()]
+            ends[label] = first, members[((points[members] - points[first]) ** 2).sum(axis=1).argmax()]
+    span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+    safe = np.where(span > 0, span, 1)
+    return ends, size / (2 * safe ** (points.shape[1] - 1))
+
+
+def _shares(points: np.ndarray, faces: Faces) -> np.ndarray:
+    """(b,) the length (in 2-D) or area of the surface around each node: exact with faces, else from the distances of neighbours."""
+    share = np.zeros(len(points))
+    for corners in (faces or {}).values():
+        for column in corners.T:
+            np.add.at(share, column, _measure(points[corners]) / corners.shape[1])
+    left = np.flatnonzero(share == 0)
+    count = min(2 if points.shape[1] == 2 else 6, len(points) - 1)
+    if not left.size or count < 1:
+        return share
+    distance = np.asarray(KDTree(points).query(points[left], k=count + 1)[0])[:, 1:]
+    share[left] = distance.mean(axis=1) if points.shape[1] == 2 else np.pi * distance[:, -1] ** 2 / (count + 0.5)
+    return share
+
+
+def _measure(corners: np.ndarray) -> np.ndarray:
+    if corners.shape[1] == 2:
+        return np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    return np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]), axis=1) / 2
+
+
+def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """(e,) for each edge the nearest row that is fixed, or on another wall; the edge's own first row where there is none."""
+    middle = points[pairs].mean(axis=1)
+    nearest, distance = pairs[:, 0].copy(), np.full(len(pairs), np.inf)
+    own = wall[pairs[:, 0]]
+    for label in np.unique(own):
+        here, others = np.flatnonzero(own == label), np.flatnonzero((wall != label) | (np.arange(len(wall)) >= moving))
+        if others.size:
+            apart, found = KDTree(points[others]).query(middle[here])
+            nearest[here], distance[here] = others[found], apart
+    return nearest

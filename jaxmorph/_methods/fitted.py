@@ -1,0 +1,193 @@
+"""A coarse field that follows the body: radial basis functions fitted to the wall, strained as little as possible."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._host.reduction import KDTree
+from .._host.skin import chords, edges, nearest_held, thinned
+from .._host.walls import walls
+from .base import AbstractMethod, Surface, check_kind
+from .rbf import RBF, RBFFactors, polynomial
+
+ELL, MU = 0.17, 0.1
+"""The two lengths, relative to the mean chord of the wall."""
+
+JOINT = 0.2
+"""The length of strain, at most, relative to the distance of the nearest node that is fixed or of another wall."""
+
+ROWS = 4096
+"""Nodes of the wall, and edges, that the fit looks at, at most."""
+
+
+def _length(value) -> Float[Array, ""] | None:
+    return None if value is None else jnp.asarray(value, dtype=float)
+
+
+class FittedRBF(AbstractMethod):
+    """A field of radial basis functions that follows the body instead of its skin, made to be corrected.
+
+    `RBF` takes the wall's displacement u at its sources. This method chooses the values v at the moving sources (those at the
+    fixed ones are u), so that the field c_v is the best fit, in least squares over nodes i and edges e of the moving walls:
+
+        mean_i |c_v - u|^2  +  mean_e mu^2 |d/ds (c_v - u)|^2  +  mean_e ell^2 2 |dev sym grad c_v|^2
+
+    d/ds is the derivative along an edge, and dev sym grad the deviatoric strain at its middle. The first two terms follow
+    value and slope along the wall. The third lets the field carry the body as rigidly as that allows: grid lines stay at right
+    angles to the wall, and a change of one side of a thin body does not go on beyond its other side. What is left to the
+    correction is the change of the skin itself. Where the whole surface moves by an affine motion, the field is that motion:
+    strain is measured from the affine motion that fits the surface's displacement best.
+
+    `ell` and `mu` are lengths in the mesh's units, 0.17 and 0.1 of each wall's mean chord by default (half of its perimeter; in 3-D
+    half of its area over its span). `ell` is nowhere more than 0.2 of the distance to the nearest node that is held or of
+    another wall. A large `ell` keeps the wall's lines at right angles, a small one follows the skin. `rbf` has basis and
+    sources; few sources are enough. Walls of more than 4,096 nodes or edges are sampled.
+
+    The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s moving sources.
+    """
+
+    rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=KDTree(12, extremes=True)))
+    ell: Float[Array, ""] | None = eqx.field(default=None, converter=_length)
+    mu: Float[Array, ""] | None = eqx.field(default=None, converter=_length)
+
+    def __check_init__(self):
+        check_kind(self.rbf, RBF, "rbf", "jm.RBF()")
+
+    @property
+    def exact(self) -> bool:
+        return False
+
+    def connect(self, surface: Surface, points):
+        sources, at_points = self.rbf.connect(surface, points)
+        is_moving = sources < surface.moving
+        return self._wall(surface, sources[is_moving], sources[~is_moving]), at_points
+
+    def _wall(self, surface: Surface, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
+        nodes = np.union1d(
+            thinned(surface.points[: surface.moving], ROWS), moving
+        )  # regular: each source has its own row
+        pairs = edges(surface.points, surface.moving, surface.faces)
+        pairs = pairs[thinned(surface.points[pairs].mean(axis=1), ROWS)]
+        wall = walls(surface.points, surface.moving, surface.faces)
+        ends, share = chords(surface.points, wall, surface.faces)
+        label = wall[pairs[:, 0]]
+        held = nearest_held(surface.points, surface.moving, wall, pairs)
+        rows = (jnp.asarray(each.astype(np.int32)) for each in (moving, fixed, nodes, pairs, held, ends[label]))
+        return WallIds(*rows, share=jnp.asarray(share[label]))
+
+    def matched(self, ids):
+        return np.asarray(ids.fixed)
+
+    def sources(self, ids):
+        return np.concatenate([ids.moving, ids.fixed])
+
+    def check(self, ids, factors: "FitFactors", u):
+        self.rbf.check(jnp.concatenate([ids.moving, ids.fixed]), factors.rbf, u)
+
+    def fit(self, ids: "WallIds", surface):
+        rbf = self.rbf.fit(jnp.concatenate([ids.moving, ids.fixed]), surface)
+        surface = surface.astype(rbf.lu.dtype)
+        count, moves, dimension = len(rbf.sources), len(ids.moving), surface.shape[1]
+        start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]
+        middle, along = (start + end) / 2, end - start
+        length = jnp.sqrt(jnp.sum(along**2, axis=1))
+        cardinal = jax.scipy.linalg.lu_solve((rbf.lu, rbf.pivots), jnp.eye(len(rbf.lu), count, dtype=surface.dtype))
+
+        def derivative(axis):
+            direction = jnp.broadcast_to(jnp.eye(dimension, dtype=surface.dtype)[axis], middle.shape)
+            return jax.jvp(lambda x: self.rbf.rows(rbf, x), (middle,), (direction,))[1]
+
+        value = _product(self.rbf.rows(rbf, surface[ids.nodes]), cardinal)
+        slopes = jnp.stack([_product(derivative(axis), cardinal) for axis in range(dimension)], axis=1)
+        slope = jnp.einsum("ea,eas->es", along / length[:, None], slopes, precision="highest")
+        ell, mu = self._lengths(ids, surface, middle)
+        node, edge = 1 / len(value), 1 / max(1, len(slope))
+        follow = _product(value.T * node, value) + _product(slope.T * (edge * mu**2)[None], slope)
+        matrix = _system(follow, slopes * (ell * edge**0.5)[:, None, None])
+        inner, outer = matrix[:, :moves, :, :moves], matrix[:, :moves, :, moves:]
+        inner = inner.reshape(dimension * moves, -1)
+        scale = 1 / jnp.sqrt(jnp.diagonal(inner))
+        lower = jnp.linalg.cholesky(inner * scale[:, None] * scale[None])
+        of_edges = (slope * (edge * mu**2 / length)[:, None])[:, :moves]
+        return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *_affine(self.rbf, rbf, surface))
+
+    def _lengths(self, ids: "WallIds", surface, middle):
+        """ell and mu at each edge."""
+        chord = ids.share.astype(surface.dtype) * _distance(surface[ids.ends[:, 0]], surface[ids.ends[:, 1]])
+        ell, mu = (
+            share * chord if given is None else jnp.full_like(chord, given)
+            for share, given in ((ELL, self.ell), (MU, self.mu))
+        )
+        free = ids.held == ids.edges[:, 0]
+        return jnp.where(free, ell, jnp.minimum(ell, JOINT * _distance(surface[ids.held], middle))), mu
+
+    def field(self, ids: "WallIds", factors: "FitFactors", surface, u):
+        values = u.astype(factors.rbf.lu.dtype)
+        affine = self._affine_part(factors, values)
+        rest = values - _product(factors.polynomial, affine)
+        difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]
+        wanted = _product(factors.nodes.T, rest[ids.nodes]) + _product(factors.edges.T, difference)
+        fixed = rest[ids.fixed]
+        wanted = wanted.T - jnp.einsum("aicj,jc->ai", factors.outer, fixed, precision="highest")
+        solved = jax.scipy.linalg.cho_solve((factors.lower, True), wanted.ravel() * factors.scale) * factors.scale
+        moving = solved.reshape(wanted.shape).T + _product(factors.polynomial[ids.moving], affine)
+        return self.rbf.through(factors.rbf, jnp.concatenate([moving, values[ids.fixed]]), u.dtype)
+
+    def _affine_part(self, factors: "FitFactors", values):
+        """Coefficients (p, d) of the affine motion nearest to the surface's displacement."""
+        moments = _product(factors.polynomial.T, values)
+        return jax.scipy.linalg.cho_solve((factors.moments, True), moments)
+
+
+class WallIds(eqx.Module):
+    """Rows of the surface: sources, nodes and edges of the fit; for each edge the nearest held row and its body's extent."""
+
+    moving: Int[Array, " s"]
+    fixed: Int[Array, " t"]
+    nodes: Int[Array, " k"]
+    edges: Int[Array, "e 2"]
+    held: Int[Array, " e"]
+    ends: Int[Array, "e 2"]
+    share: Float[Array, " e"]
+
+
+class FitFactors(eqx.Module):
+    """The solve of the sources, weighted rows of the fit, its factored system, and that of the affine part."""
+
+    rbf: RBFFactors
+    nodes: Float[Array, "k s"]
+    edges: Float[Array, "e s"]
+    outer: Float[Array, "d s d t"]
+    scale: Float[Array, " ds"]
+    lower: Float[Array, "ds ds"]
+    polynomial: Float[Array, "b p"]
+    moments: Float[Array, "p p"]
+
+
+def _system(follow: Float[Array, "s s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d s d s"]:
+    """The normal equations: `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2."""
+    _, d, s = slopes.shape
+    flat = slopes.reshape(len(slopes), d * s)
+    strain = _product(flat.T, flat).reshape(d, s, d, s)
+    each = follow + sum(strain[b, :, b] for b in range(d))
+    same = jnp.einsum("ac,ij->aicj", jnp.eye(d, dtype=follow.dtype), each)
+    return same + strain.transpose(2, 1, 0, 3) - (2 / d) * strain
+
+
+def _affine(method: RBF, rbf: RBFFactors, surface: Float[Array, "b d"]):
+    """The polynomial's terms at the surface, and the factored matrix of their moments."""
+    terms = polynomial((surface - rbf.centre[None]) * rbf.scale, method.degree)
+    return terms, jnp.linalg.cholesky(_product(terms.T, terms))
+
+
+def _product(a: Float[Array, "m k"], b: Float[Array, "k n"]) -> Float[Array, "m n"]:
+    return jnp.matmul(a, b, precision="highest")
+
+
+def _distance(a: Float[Array, "e d"], b: Float[Array, "e d"]) -> Float[Array, " e"]:
+    """Euclidean length, with derivative zero at zero."""
+    squared = jnp.sum((a - b) ** 2, axis=-1)
+    positive = squared > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)

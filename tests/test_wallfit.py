@@ -1,0 +1,174 @@
+"""The default's coarse field follows the body: what the fit is, and what becomes of boundary layers."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, motion
+
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph._host.skin import chords, edges
+
+
+@functools.cache
+def airfoil(code):
+    """A small C-grid with its plan, the places of its wall nodes, and which are on the upper side."""
+    mesh = cases.naca4(code, points=3000, first_cell=1e-6)
+    wall = mesh.patch("airfoil")
+    columns = mesh.cells["quad"][0, 3] - 1  # nodes come from the lower trailing edge round the nose to the upper one
+    along = columns - 2 * wall[0] + 1
+    upper = np.zeros(len(wall), dtype=bool)
+    upper[along // 2 + 1 : along] = True
+    return mesh, jm.prepare(mesh, "airfoil", "farfield"), mesh.points[wall], upper
+
+
+def up(base, height):
+    return np.column_stack([0 * base[:, 0], height])
+
+
+def judged(mesh, points):
+    report = jm.quality(mesh, points)
+    return int(report.inverted), float(report.min_jacobian_ratio)
+
+
+def test_the_fit_is_the_least_of_its_sum():
+    """The sum of squares in the docstring, written out with derivatives of the field by JAX, has no slope at the answer."""
+    mesh, ell, mu = body(2), 0.2, 0.15
+    method = jm.FittedRBF(
+        jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(1)), ell=jnp.asarray(ell), mu=jnp.asarray(mu)
+    )
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method)
+    ids, factors, surface = plan.surface.ids, plan.surface.factors, plan.surface.points
+    u = jnp.zeros_like(surface).at[: plan.n_moving].set(motion(mesh.points[mesh.moving]))
+    # the affine motion that fits the surface's displacement best takes no part
+    terms = np.column_stack([np.ones(len(surface)), surface])
+    affine = np.linalg.lstsq(terms, np.asarray(u), rcond=None)[0]
+    rest = u - terms @ affine
+    first, second = edges(np.asarray(surface), plan.n_moving).T
+    middle, along = (surface[first] + surface[second]) / 2, surface[second] - surface[first]
+    length = jnp.linalg.norm(along, axis=1)[:, None]
+    far = np.linalg.norm(np.asarray(middle)[:, None] - np.asarray(surface)[None, plan.n_moving :], axis=2).min(axis=1)
+    reach = jnp.minimum(ell, 0.2 * far)
+
+    def total(values):
+        field = method.rbf.through(factors.rbf, jnp.concatenate([values, rest[ids.fixed]]), values.dtype)
+        gradient = jax.vmap(jax.jacfwd(lambda x: field(x, None)))(middle)
+        slope = jnp.einsum("eij,ej->ei", gradient, along / length) - (rest[second] - rest[first]) / length
+        strain = (gradient + gradient.transpose(0, 2, 1)) / 2
+        strain = strain - jnp.trace(strain, axis1=1, axis2=2)[:, None, None] * jnp.eye(2) / 2
+        miss = jax.vmap(lambda x: field(x, None))(surface[: plan.n_moving]) - rest[: plan.n_moving]
+        terms = jnp.sum(miss**2, axis=1).mean(), mu**2 * jnp.sum(slope**2, axis=1).mean()
+        return sum(terms) + (2 * reach**2 * jnp.sum(strain**2, axis=(1, 2))).mean()
+
+    fitted = method.field(ids, factors, surface, u)
+    values = jax.vmap(lambda x: fitted(x, None))(surface[ids.moving]) - terms[np.asarray(ids.moving)] @ affine
+    slope, at_zero = jax.grad(total)(values), jax.grad(total)(0 * values)
+    assert np.abs(slope).max() < 1e-8 * np.abs(at_zero).max()
+    assert float(total(values)) < 0.5 * float(total(0 * values))
+
+
+def test_both_lengths_are_differentiable():
+    mesh = body(2)
+    u, w = motion(mesh.points[mesh.moving]), np.random.default_rng(1).normal(size=mesh.points.shape)
+    lengths = jnp.asarray([0.1, 0.07])
+    rbf = jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(1))
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.FittedRBF(rbf, ell=lengths[0], mu=lengths[1]))
+
+    @jax.jit
+    @jax.value_and_grad
+    def objective(lengths):
+        other = eqx.tree_at(lambda plan: (plan.method.ell, plan.method.mu), plan, (lengths[0], lengths[1]))
+        return jnp.vdot(w, jm.deform(jm.refit(other, mesh.points), u))
+
+    gradient = objective(lengths)[1]
+    for k, step in enumerate(1e-5 * np.eye(2)):
+        difference = (objective(lengths + step)[0] - objective(lengths - step)[0]) / 2e-5
+        np.testing.assert_allclose(gradient[k], difference, rtol=1e-6)
+        assert abs(difference) > 1e-3
+
+
+@pytest.mark.parametrize("code", ["8306", "9412"])
+def test_kinks_invert_nothing(code):
+    """The displacement of the lower side is another share of the upper one's: a kink at both edges of a thin section."""
+    mesh, plan, base, upper = airfoil(code)
+    rng = np.random.default_rng(int(code))
+    ratios = []
+    for _ in range(4):
+        amplitudes, share = rng.normal(size=8) * 0.02 / np.arange(1, 9), rng.uniform(-1, 1)
+        height = np.sin(np.pi * base[:, :1] * np.arange(1, 9)) @ amplitudes
+        inverted, ratio = judged(mesh, jm.deform(plan, up(base, np.where(upper, 1, share) * height)))
+        assert inverted == 0
+        ratios.append(ratio)
+    assert np.mean(ratios) > 0.78
+
+
+def test_grid_lines_stay_at_right_angles_to_a_cambered_wall():
+    """10 % of camber turns the wall by up to 22 degrees, and the classic method's grid lines not at all."""
+    mesh, plan, base, _ = airfoil("9412")
+    u = up(base, 0.4 * base[:, 0] * (1 - base[:, 0]))
+    points = jm.deform(plan, u)
+    inverted, ratio = judged(mesh, points)
+    assert inverted == 0
+    assert ratio > 0.75
+    assert float(jm.wall_quality(mesh, "airfoil", points).mean_angle) < 4.5
+    classic = jm.deform(jm.prepare(mesh, "airfoil", "farfield", method=jm.RBF.classic()), u)
+    assert float(jm.wall_quality(mesh, "airfoil", classic).mean_angle) > 9
+
+
+def test_a_bump_stays_on_its_side():
+    mesh, plan, base, upper = airfoil("8306")
+    u = up(base, np.where(upper, 0.1 * np.sin(np.pi * base[:, 0]) ** 3, 0))
+    points = np.asarray(jm.deform(plan, u))
+    moved = np.linalg.norm(points - mesh.points, axis=1) / 0.1
+    inner = np.setdiff1d(np.arange(len(points)), mesh.patch("airfoil"))
+    x, y = mesh.points[inner].T
+    order = np.argsort(base[~upper, 0])
+    below = np.interp(x, *base[~upper][order].T) - y
+    near = (x > 0) & (x < 1) & (below > 0) & (below < 0.3)
+    assert near.sum() > 100
+    assert moved[inner][near].max() < 0.35
+    assert moved[inner].max() < 1.15
+    assert judged(mesh, points)[0] == 0
+
+
+def test_a_channel_whose_walls_touch():
+    """One wall's bump takes half of the gap."""
+    mesh = cases.channel(columns=40, rows=20)
+    base = mesh.points[mesh.patch("inner")]
+    bump = 0.1 * np.exp(-(((base[:, 0] - 0.5) / 0.1) ** 2)) * 16 * (base[:, 0] * (1 - base[:, 0])) ** 2
+    plan = jm.prepare(mesh, "inner", ["outer", "inlet", "outlet"])
+    inverted, ratio = judged(mesh, jm.deform(plan, up(base, bump)))
+    assert inverted == 0
+    assert ratio > 0.4
+
+
+def ring(count):
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def test_edges_and_chord_of_a_circle():
+    """With faces and without: each node has two edges, and half of the length is the chord."""
+    points = np.concatenate([ring(60), 5 * ring(40)])
+    lines = np.stack([np.arange(60), np.roll(np.arange(60), -1)], axis=1)
+    wall = np.repeat([0, 1], [60, 40])
+    for faces in ({"line": lines}, None):
+        found = edges(points, 60, faces)
+        np.testing.assert_array_equal(found, np.unique(np.sort(lines, axis=1), axis=0))
+        ends, share = chords(points, wall, faces)
+        span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+        np.testing.assert_allclose(share * span, [np.pi, 5 * np.pi], rtol=2e-2)
+
+
+def test_chord_of_a_sphere():
+    """Area over twice the span: pi / 2 diameters; from the distances of neighbours alone about as much."""
+    i = np.arange(800) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * i / 800), np.pi * (1 + 5**0.5) * i
+    points = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+    ends, share = chords(points, np.zeros(800, dtype=int))
+    span = np.linalg.norm(points[ends[0, 0]] - points[ends[0, 1]])
+    assert share[0] * span == pytest.approx(np.pi, rel=0.2)
