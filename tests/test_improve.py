@@ -37,12 +37,12 @@ def cell(kind, points=None):
     return jm.Mesh(ideal if points is None else points, {kind: np.arange(len(ideal))[None]})
 
 
-def mean_energy(mesh, points, softness=0.0, size=0.5, ideal=False):
+def mean_energy(mesh, points, softness=0.0, size_weight=0.5, ideal=False):
     """Of the first cell."""
     kind, ids = next(iter(mesh.cells.items()))
     of = target(kind, corners(jnp.asarray(mesh.points), ids), ideal)
     squared, tau = samples(kind, corners(jnp.asarray(points), ids), of)
-    values = of.counts * energy(squared, tau, softness, size, mesh.points.shape[1])
+    values = of.counts * energy(squared, tau, softness, size_weight, mesh.points.shape[1])
     return float(jnp.sum(values) / jnp.sum(of.counts))
 
 
@@ -63,7 +63,9 @@ def test_energy_is_that_of_the_singular_values(kind):
     np.testing.assert_allclose(
         mean_energy(mesh, moved, size_weight=0.0), inverse_mean_ratio - 1, rtol=1e-12, atol=1e-13
     )
-    np.testing.assert_allclose(mean_energy(mesh, moved, size=1.0), (det + 1 / det) / 2 - 1, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        mean_energy(mesh, moved, size_weight=1.0), (det + 1 / det) / 2 - 1, rtol=1e-12, atol=1e-13
+    )
     np.testing.assert_allclose(mean_energy(mesh, 3 * moved @ linear.T, ideal=True, size_weight=0.0) >= 0, True)
     np.testing.assert_allclose(mean_energy(mesh, mesh.points, ideal=True), 0, atol=1e-12)
 

@@ -98,7 +98,7 @@ def test_a_plane_anywhere():
     plane = jm.Plane.through(points, on)
     assert abs(plane.normal @ turn[:, 1]) < 1e-14
     moved = jm.deform(jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane), u @ turn.T)
-    np.testing.assert_allclose(moved, straight @ turn.T + np.array([5.0, -3.0]), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(moved, straight @ turn.T + np.array([[5.0, -3.0]]), rtol=0, atol=1e-10)
     exact = jm.Plane.through(part + np.array([0.1, 0.0]), on)
     assert (exact.normal == [1, 0]).all()
     assert exact.origin[0] == 0.1
@@ -158,4 +158,4 @@ def test_a_symmetry_plane_of_a_float32_mesh():
     exact = jm.deform(jm.prepare(part, moving, fixed, method=METHODS["full"], symmetry=jm.Plane([1, 0], [0, 0])), u)
     plan = jm.prepare(points, moving, fixed, method=METHODS["full"], symmetry=plane)
     moved = jm.deform(plan, (u @ turn.T).astype(np.float32))
-    np.testing.assert_allclose(moved, exact @ turn.T + shift, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(moved, exact @ turn.T + np.atleast_2d(shift), rtol=0, atol=1e-4)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.reduction import KDTree
 from .._mesh.mesh import Mesh
@@ -58,7 +58,7 @@ def choose(
     mesh: Mesh,
     moving: Any,
     fixed: Any,
-    motions: Float[Any, "s m d"],
+    motions: Real[ArrayLike, "s m d"] | Sequence[Any],
     *,
     symmetry: Plane | Sequence[Plane] = (),
     leaves: Sequence[int] = (8, 32, 128),

@@ -1,10 +1,12 @@
 """What to know about a motion before it is tried."""
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy.spatial
-from jaxtyping import Array, Float
+from jaxtyping import ArrayLike, Real
 
 from .._host.errors import MeshError
 from .._plan.plan import Plan
@@ -51,7 +53,7 @@ class Inspection:
         return dataclasses.replace(self, offset_node=node, contradictions=pairs)
 
 
-def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
+def inspect(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Inspection:
     """Host: looks at a displacement (m, d) of the moving nodes, and at the motion that the mesh would make.
 
     Neighbouring surface nodes are contradictory where one moves, the other is fixed and the displacement is larger than their
@@ -77,7 +79,9 @@ def inspect(plan: Plan, u: Float[Array | np.ndarray, "m d"]) -> Inspection:
     torn = nodes[pairs].reshape(-1, 2)
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
-    return Inspection(float(offset[worst]), int(nodes[worst]), ratio, torn, near, *overshoot(plan, u))
+    return Inspection(
+        float(offset[worst]), int(nodes[worst]), ratio, torn, near, *overshoot(plan, np.asarray(u, dtype=float))
+    )
 
 
 def _torn(points: np.ndarray, own: np.ndarray, moves: int) -> np.ndarray:

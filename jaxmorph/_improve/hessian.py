@@ -149,7 +149,7 @@ def _hessian(function, x: Float[Array, "d s k"]) -> Float[Array, "d d s k"]:
     def slope(x):
         return jax.vjp(function, x)[1](ones)[0]
 
-    directions = jnp.eye(len(x), dtype=x.dtype)[:, :, None, None] + jnp.zeros_like(x)
+    directions = jnp.eye(len(x), dtype=x.dtype)[:, :, None, None] + jnp.zeros_like(x)[None]
     return jax.vmap(lambda direction: jax.jvp(slope, (x,), (direction,))[1])(directions)
 
 
@@ -170,7 +170,8 @@ def blocks(
     # a barrier: each is computed once, not for every pair that uses it
     once = jax.lax.optimization_barrier
     g, u, (along, twice, mirrored) = once((g, [column.components for column in u], convex(energy, sigma, floor)))
-    pair = [[g[a][:, None] * g[b] for b in axes] for a in axes]
+    u, along, twice, mirrored = jax.tree.map(lambda entry: entry[None, None], (u, along, twice, mirrored))
+    pair = [[g[a][:, None] * g[b][None] for b in axes] for a in axes]
     inner = [[along[a][e] * pair[a][e] + mirrored[a][e] * pair[e][a] for e in axes] for a in axes]
     for a, b in itertools.permutations(axes, 2):
         inner[a][a] += twice[a][b] * pair[b][b]

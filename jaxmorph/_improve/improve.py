@@ -1,6 +1,6 @@
 """Better cells for given boundary nodes: inner nodes where the distortion of all cells is least."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int, Integer
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Integer, Real
 
 from .._host.adjacency import neighbours
 from .._host.topology import FACES
@@ -55,9 +55,9 @@ class Improvement(eqx.Module):
 
 def improve(
     mesh: Mesh,
-    points: Float[Any, "n d"],
+    points: Real[ArrayLike, "n d"] | Sequence[Any],
     *,
-    fixed: Integer[Any, " f"] | None = None,
+    fixed: Integer[ArrayLike, " f"] | Sequence[int] | None = None,
     ideal: bool = False,
     size_weight: float = 0.5,
     tolerance: float = 0.03,

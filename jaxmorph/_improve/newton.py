@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Integer
 
 from .._host.topology import CORNERS, DIMENSION
 from .._quality import measures
@@ -28,7 +28,7 @@ NEAR = 1.0
 class Distortion(eqx.Module):
     """Computes the energy of a mesh from the free nodes' places y (n, d), in units of `scale` from where they started."""
 
-    cells: dict[str, Int[Array, "k c"]]
+    cells: dict[str, Integer[Array, "_k _c"]]
     targets: dict[str, Target]
     scale: Float[Array, " n"]
     free: Bool[Array, " n"]
@@ -70,13 +70,12 @@ class Distortion(eqx.Module):
         for kind, ids in self.cells.items():
             goal = self.targets[kind]
             edges = measures.frames(kind, corners(points, ids))
-            derivatives = blocks(cell_energy, _stretch(edges, goal), goal.inverse, floor) * (
-                goal.counts / len(goal.counts)
-            )
+            derivatives = blocks(cell_energy, _stretch(edges, goal), goal.inverse, floor)
+            derivatives = derivatives * (goal.counts / len(goal.counts))[None, None, None, None]
             share, scale = _shares(kind), moves[ids].T
             sums = jnp.einsum("sce,szf->czefs", share, share).reshape(scale.shape[0] ** 2, -1)
             whole = jnp.einsum("pq,abqk->abpk", sums, derivatives.reshape(d, d, -1, derivatives.shape[-1]))
-            parts.append((whole * (scale[:, None] * scale).reshape(-1, scale.shape[1])).reshape(d, d, -1))
+            parts.append((whole * (scale[:, None] * scale[None]).reshape(1, 1, -1, scale.shape[1])).reshape(d, d, -1))
         return jnp.concatenate(parts, axis=2)
 
 

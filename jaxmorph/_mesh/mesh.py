@@ -1,17 +1,15 @@
 """The mesh: points, cells, and patches of boundary nodes."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
 from .._host.topology import CORNERS, canonical_type
 from . import exchange, export
-
-# Arrays here are NumPy's or JAX's alike: a mesh is data, and quality traces through its points.
-ArrayLike = Any
 
 
 class Mesh(eqx.Module):
@@ -26,13 +24,13 @@ class Mesh(eqx.Module):
     Raises `ValueError` for an unknown cell type, for corner or patch ids outside of `points`, and for wrong shapes.
     """
 
-    points: Float[ArrayLike, "n d"]
-    cells: dict[str, Integer[ArrayLike, "k corners"]]
-    patches: dict[str, Integer[ArrayLike, " p"]]
+    points: Float[Array | np.ndarray, "n d"]
+    cells: dict[str, Integer[Array | np.ndarray, "_k _corners"]]
+    patches: dict[str, Integer[Array | np.ndarray, "_p"]]
     source: Any = eqx.field(static=True, default=None)
 
     def __init__(self, points, cells=None, patches=None, source=None):
-        self.points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
+        self.points = _floats(points)
         given = {kind: canonical_type(kind) for kind in cells or {}}
         twice = sorted(kind for kind, name in given.items() if list(given.values()).count(name) > 1)
         if twice:
@@ -68,17 +66,17 @@ class Mesh(eqx.Module):
             return np.zeros(0, dtype=np.int64)
         return np.unique(np.concatenate([np.asarray(self.patches[name]) for name in names]))
 
-    def moved(self, points: Float[ArrayLike, "n d"]) -> "Mesh":
+    def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
         """The same mesh with other coordinates; this one stays as it is.
 
         Raises `ValueError` when the shape of `points` differs.
         """
-        points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
-        if tuple(points.shape) != tuple(self.points.shape):
-            raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {tuple(self.points.shape)}.")
+        places = _floats(points)
+        if tuple(places.shape) != tuple(self.points.shape):
+            raise ValueError(f"`points` has shape {tuple(places.shape)}; this mesh has {tuple(self.points.shape)}.")
         moved = object.__new__(Mesh)
         for field in dataclasses.fields(self):
-            object.__setattr__(moved, field.name, points if field.name == "points" else getattr(self, field.name))
+            object.__setattr__(moved, field.name, places if field.name == "points" else getattr(self, field.name))
         return moved
 
     @staticmethod
@@ -136,6 +134,12 @@ class Mesh(eqx.Module):
         cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in self.cells.items()) or "no cells"
         patches = ", ".join(f"{name} ({len(nodes)})" for name, nodes in self.patches.items()) or "none"
         return f"Mesh({n} points in {d}-D; {cells}; patches: {patches})"
+
+
+def _floats(points) -> Any:
+    """Returns coordinates as an array of floats, JAX's where they are JAX's: quality traces through a mesh's points."""
+    points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
+    return points.astype(float) if np.issubdtype(points.dtype, np.integer) else points
 
 
 def _ids(values) -> np.ndarray:

@@ -63,7 +63,7 @@ class Multiscale(AbstractMethod):
         return factors
 
     def place(self, x, ids: "Reach", factors: "MultiscaleFactors", surface):
-        weights = _wendland(_squared(surface[ids.nodes] - x), factors.squared[ids.nodes])
+        weights = _wendland(_squared(surface[ids.nodes] - x[None]), factors.squared[ids.nodes])
         return Interpolation(ids.nodes, jnp.where(ids.reached, weights, 0), ids.reached)
 
     def field(self, ids: "Hierarchy", factors: "MultiscaleFactors", surface, u):
@@ -92,8 +92,8 @@ class Hierarchy(eqx.Module):
 class Reach(eqx.Module):
     """The nodes whose functions reach a point, the widest first; where not `reached`, there is none."""
 
-    nodes: Int[Array, " k"]
-    reached: Bool[Array, " k"]
+    nodes: Int[Array, "*n k"]
+    reached: Bool[Array, "*n k"]
 
 
 class MultiscaleFactors(eqx.Module):

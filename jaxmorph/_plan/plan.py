@@ -79,7 +79,7 @@ class Plan(eqx.Module):
         """The symmetry planes, and the images that they make of the surface; None without planes."""
         return self.surface.mirror
 
-    def offset(self, u: Float[ArrayLike, "m d"]) -> Float[Array, "o d"]:
+    def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """The displacement of the moving, then the fixed nodes that is left to the correction (eq. 5), traced."""
         own, surface = _of_surface(self, u), self.surface
         extended = own if surface.mirror is None else surface.mirror.extended(own)

@@ -7,11 +7,12 @@ regularised as in Garanzha et al., Foldover-free maps in 50 lines of code, ACM T
 """
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.topology import CORNERS, DIMENSION, FRAMES
 from .._mesh.mesh import Mesh
@@ -56,7 +57,7 @@ def target(kind: str, x: list[Vector], ideal: bool) -> Target:
     edges, noise = measures.frames(kind, x), _noise(kind, x)
     volume = measures.volume(kind, [corner - x[0] for corner in x])
     sign = jnp.where(volume < 0, -1.0, 1.0)
-    counts = sign * _determinant(edges) > noise
+    counts = sign[None] * _determinant(edges) > noise
     if ideal:
         shape = [Vector([jnp.full_like(volume, c) for c in corner]) for corner in IDEAL[kind]]
         size = jnp.abs(volume) / jnp.abs(measures.volume(kind, shape))
@@ -71,7 +72,7 @@ def target(kind: str, x: list[Vector], ideal: bool) -> Target:
 
 def _noise(kind: str, x: list[Vector]) -> Scalar:
     reach = jnp.max(jnp.stack([jnp.abs(component) for corner in x for component in corner.components]), axis=0)
-    return 8 * float(jnp.finfo(x[0][0].dtype).eps) * reach * measures.jacobians(kind, [c - x[0] for c in x])[1]
+    return 8 * float(jnp.finfo(x[0][0].dtype).eps) * reach[None] * measures.jacobians(kind, [c - x[0] for c in x])[1]
 
 
 def _determinant(edges: list[Vector]) -> Scalar:
@@ -140,7 +141,7 @@ def solid(cells: dict[str, Any], dimension: int) -> dict[str, Any]:
 
 def distortion(
     mesh: Mesh,
-    points: Float[Any, "n d"] | None = None,
+    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
     *,
     ideal: bool = False,
     size_weight: float = 0.5,

@@ -65,16 +65,16 @@ class QualityReport(eqx.Module):
         return self.volume
 
     @property
-    def inverted(self) -> Int[Array, ""]:
+    def inverted(self) -> Int[Array, "..."]:
         """Number of inverted cells."""
         return jnp.sum(self._counted(self.is_inverted), axis=-1)
 
     @property
-    def degenerate(self) -> Int[Array, ""]:
+    def degenerate(self) -> Int[Array, "..."]:
         """Number of cells that had no sign from the start and are not judged."""
         return jnp.sum(self._counted(self.is_degenerate), axis=-1)
 
-    def mean(self, name: str, *, weighted: bool = True) -> Float[Array, ""]:
+    def mean(self, name: str, *, weighted: bool = True) -> Float[Array, "..."]:
         """Averages the measure called `name` over the cells, weighted by area or volume unless `weighted` is False."""
         values = self._counted(getattr(self, name))
         if not weighted:
@@ -83,52 +83,52 @@ class QualityReport(eqx.Module):
         total = jnp.sum(weight, axis=-1)
         return jnp.sum(jnp.where(weight > 0, values * weight, 0), axis=-1) / jnp.where(total > 0, total, 1)
 
-    def max(self, name: str) -> Float[Array, ""]:
+    def max(self, name: str) -> Float[Array, "..."]:
         """Returns the largest value of the measure called `name`."""
         return jnp.max(self._counted(getattr(self, name)), axis=-1)
 
-    def min(self, name: str) -> Float[Array, ""]:
+    def min(self, name: str) -> Float[Array, "..."]:
         """Returns the smallest value of the measure called `name`."""
         return jnp.min(self._counted(getattr(self, name)), axis=-1)
 
     @property
-    def mean_skewness(self) -> Float[Array, ""]:
+    def mean_skewness(self) -> Float[Array, "..."]:
         return self.mean("skewness")
 
     @property
-    def max_skewness(self) -> Float[Array, ""]:
+    def max_skewness(self) -> Float[Array, "..."]:
         return self.max("skewness")
 
     @property
-    def mean_aspect_ratio(self) -> Float[Array, ""]:
+    def mean_aspect_ratio(self) -> Float[Array, "..."]:
         return self.mean("aspect_ratio")
 
     @property
-    def max_aspect_ratio(self) -> Float[Array, ""]:
+    def max_aspect_ratio(self) -> Float[Array, "..."]:
         return self.max("aspect_ratio")
 
     @property
-    def mean_non_orthogonality(self) -> Float[Array, ""]:
+    def mean_non_orthogonality(self) -> Float[Array, "..."]:
         return self.mean("non_orthogonality")
 
     @property
-    def max_non_orthogonality(self) -> Float[Array, ""]:
+    def max_non_orthogonality(self) -> Float[Array, "..."]:
         return self.max("non_orthogonality")
 
     @property
-    def min_volume(self) -> Float[Array, ""]:
+    def min_volume(self) -> Float[Array, "..."]:
         return self.min("volume")
 
     @property
-    def min_jacobian(self) -> Float[Array, ""]:
+    def min_jacobian(self) -> Float[Array, "..."]:
         return self.min("jacobian")
 
     @property
-    def min_volume_ratio(self) -> Float[Array, ""]:
+    def min_volume_ratio(self) -> Float[Array, "..."]:
         return self.min("volume_ratio")
 
     @property
-    def min_jacobian_ratio(self) -> Float[Array, ""]:
+    def min_jacobian_ratio(self) -> Float[Array, "..."]:
         return self.min("jacobian_ratio")
 
     def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray:

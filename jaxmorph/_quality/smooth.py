@@ -1,13 +1,16 @@
 """Smooth stand-ins for functions with kinks."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float, Real
 
 
-def soft_maximum(values: Float[Array, "..."], sharpness: Any = 50.0, axis: int | None = None) -> Float[Array, "..."]:
+def soft_maximum(
+    values: Real[ArrayLike, "..."] | Sequence[Any], sharpness: Any = 50.0, axis: int | None = None
+) -> Float[Array, "..."]:
     """Computes log(mean(exp(sharpness values))) / sharpness: a smooth stand-in for the largest value.
 
     It is below the largest value by log(count) / sharpness at most. Its derivative is spread over the values near the

@@ -1,12 +1,13 @@
 """Measures of cells without kinks, for objectives and constraints that are differentiated."""
 
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from .._mesh.mesh import Mesh
 from . import measures
@@ -27,7 +28,11 @@ class SmoothQuality(eqx.Module):
 
 
 def smooth_quality(
-    mesh: Mesh, points: Float[Any, "n d"] | None = None, *, sharpness: float = 50.0, softness: float = 1e-6
+    mesh: Mesh,
+    points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
+    *,
+    sharpness: float = 50.0,
+    softness: float = 1e-6,
 ) -> SmoothQuality:
     """Measures cells as `quality` does, with smooth twins of the measures that have kinks.
 
@@ -111,7 +116,7 @@ def _aspect_ratio(kind: str, x: list[Vector], standard: Standard, sharpness, sof
 
 
 def _jacobian_ratio(kind: str, relative: list[Vector], standard: Standard, sharpness) -> Float[Array, " k"]:
-    ratios = standard.sign * measures.jacobians(kind, relative)[0] / standard.jacobian
+    ratios = standard.sign[None] * measures.jacobians(kind, relative)[0] / standard.jacobian[None]
     least = -_soft_maximum_where(-ratios, standard.is_judged, sharpness)
     return jnp.where(standard.is_degenerate, 1, least)
 
@@ -125,6 +130,6 @@ def _largest_angle(degrees: Float[Array, "f k"], is_inner: Bool[Array, "f k"], s
 def _soft_maximum_where(values: Float[Array, "m k"], counts: Bool[Array, "m k"], sharpness) -> Float[Array, " k"]:
     """Computes the soft maximum of the values that count; 0 where none does."""
     number = jnp.sum(counts, axis=0)
-    weights = jnp.where(number > 0, counts, True).astype(values.dtype)
+    weights = jnp.where((number > 0)[None], counts, True).astype(values.dtype)
     largest = jax.scipy.special.logsumexp(sharpness * values, b=weights, axis=0)
     return jnp.where(number > 0, (largest - jnp.log(jnp.maximum(number, 1))) / sharpness, 0)

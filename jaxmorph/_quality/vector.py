@@ -8,7 +8,8 @@ import functools
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Num
+import numpy as np
+from jaxtyping import Array, Float, Int, Integer, Num
 
 Scalar = Float[Array, "*rows k"]
 
@@ -46,7 +47,7 @@ class Vector:
         return Vector([a * factor for a in self.components])
 
 
-def corners(points: Float[Array, "n d"], ids: Int[Array, "k c"]) -> list[Vector]:
+def corners(points: Float[Array, "n d"], ids: Integer[Array | np.ndarray, "k c"]) -> list[Vector]:
     """Gathers one vector for each corner of k cells."""
     axes = [points[:, axis] for axis in range(points.shape[1])]
     return [Vector([axis[ids[:, corner]] for axis in axes]) for corner in range(ids.shape[1])]

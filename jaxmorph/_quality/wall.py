@@ -79,7 +79,8 @@ def wall_quality(
         ids = mesh.patch(*ids.tolist())
     if ids.size and not (ids.min() >= 0 and ids.max() < len(mesh.points)):
         raise ValueError(f"{ids.max() if ids.min() >= 0 else ids.min()} in `wall` is no node of the mesh.")
-    lines = first_lines(mesh.cells, np.asarray(mesh.points), ids)
+    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
+    lines = first_lines(cells, np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
         reference = jnp.asarray(mesh.points, dtype=current.dtype)
     return _measured(lines, reference, current, softness)
