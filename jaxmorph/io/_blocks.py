@@ -5,19 +5,19 @@ from scipy import sparse, spatial
 
 SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
 TOLERANCE = 1e-3
-"""How far apart two nodes of one place may be, as a share of the shortest edge at them."""
+"""Distance that two nodes of one place may be apart, as a share of the shortest edge at them."""
 COPIES = 12
 """Nodes of one place that are looked for around each."""
 
 
 def block_ids(shape: tuple[int, ...], first: int) -> np.ndarray:
-    """Ids of the nodes of a block by i, j[, k], from `first`, i running fastest; indices of one node are left out."""
+    """Numbers the nodes of a block by i, j[, k], from `first`, i running fastest; indices of one node are left out."""
     ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
     return ids.reshape([size for size in shape if size > 1])
 
 
 def block_cells(ids: np.ndarray) -> tuple[str, np.ndarray]:
-    """Type and corners of the cells between the nodes of a block, i running fastest."""
+    """Makes the cells between the nodes of a block, i running fastest: their type and corners."""
     if ids.ndim == 2:
         corners = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
         return "quad", np.stack([corner.ravel(order="F") for corner in corners], axis=1)
@@ -27,7 +27,7 @@ def block_cells(ids: np.ndarray) -> tuple[str, np.ndarray]:
 
 
 def block_sides(ids: np.ndarray) -> list[np.ndarray]:
-    """Corners of the faces (edges in the plane) of each side of a block, in the order of `SIDES`."""
+    """Makes the faces (edges in 2-D) of each side of a block, in the order of `SIDES`."""
     sides = []
     for axis in range(ids.ndim):
         for at in (0, -1):
@@ -40,7 +40,7 @@ def block_sides(ids: np.ndarray) -> list[np.ndarray]:
 
 
 def open_faces(faces: list[np.ndarray], patches: list[np.ndarray], n: int) -> list[np.ndarray]:
-    """The faces that are not inside of a patch: where blocks may meet."""
+    """Selects the faces that are not inside of a patch: where blocks may meet."""
     covered = [np.zeros(len(corners), bool) for corners in faces]
     inside = np.zeros(n, bool)
     for nodes in patches:
@@ -52,7 +52,7 @@ def open_faces(faces: list[np.ndarray], patches: list[np.ndarray], n: int) -> li
 
 
 def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
-    """For each point the id of the first one at the same place, among the nodes of `faces`; else its own.
+    """Finds for each point the id of the first one at the same place, among the nodes of `faces`; else its own.
 
     Two nodes are at one place when they are closer than a thousandth of the shortest edge of `faces` at them.
     """
@@ -68,13 +68,13 @@ def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
     if not len(nodes):
         return np.arange(n)
     count = min(COPIES, len(nodes))
-    found_around = spatial.KDTree(points[nodes]).query(points[nodes], k=count)
-    distance, nearest = (np.asarray(values).reshape(len(nodes), count) for values in found_around)
+    neighbours = spatial.KDTree(points[nodes]).query(points[nodes], k=count)
+    distance, nearest = (np.asarray(values).reshape(len(nodes), count) for values in neighbours)
     limit = TOLERANCE * np.minimum(size[nodes][:, None], size[nodes][nearest])
     row, column = np.nonzero(distance <= limit)
     pairs = (np.ones(len(row), bool), (row, nearest[row, column]))
     parts = sparse.csgraph.connected_components(sparse.coo_matrix(pairs, (len(nodes),) * 2), directed=False)[1]
     _, first = np.unique(parts, return_index=True)
-    found = np.arange(n)
-    found[nodes] = nodes[first[parts]]
-    return found
+    same = np.arange(n)
+    same[nodes] = nodes[first[parts]]
+    return same

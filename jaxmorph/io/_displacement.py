@@ -13,7 +13,7 @@ from ._surface import read_surface
 
 SHAPES = (".stl", ".obj")
 OFF = 0.01
-"""How far a moving node may be off the surface, as a share of the diagonal of its bounding box."""
+"""Distance that a moving node may be off the surface, as a share of the diagonal of its bounding box."""
 
 
 def read_displacement(
@@ -24,16 +24,27 @@ def read_displacement(
     before: str | os.PathLike[str] | None = None,
     is_position: bool = True,
 ) -> Float[np.ndarray, "m d"]:
-    """Displacement of each of the nodes `moving`, in their order.
+    """Reads the displacement of each of the nodes `moving`, in their order.
 
-    With `before`, from one surface to another of the same points in the same order (.stl, .obj, or .npz of `points` and
-    `triangles`, or `lines` in the plane): each node takes the displacement of the place of `before` that is closest to it.
+    With `before` it goes from one surface to another of the same points in the same order (.stl, .obj, or .npz of
+    `points` and `triangles`, in 2-D `lines`). Each node takes the displacement of the place of `before` that is closest
+    to it.
 
-    Without, by node id: a table `id, x, y[, z]` (SU2's `surface_*.dat`, .csv) of new positions, or of displacements
-    if not `is_position`; or .npz of `ids` (without: in the order of `moving`) and `displacement` or `position`.
+    Without `before` it goes by node id. The file is a table `id, x, y[, z]` (SU2's `surface_*.dat`, .csv), or .npz of
+    `displacement` or `position` and `ids` (default: in the order of `moving`).
 
-    Raises `ValueError` for nodes that are missing or foreign, for surfaces of different connectivity, and for nodes
-    further off the surface `before` than 0.01 of its size.
+    **Arguments:**
+
+    - `path`: the file, or the surface after the motion.
+    - `mesh`: the mesh; `mesh.points` is undeformed.
+    - `moving`: ids (m,) of the moving nodes.
+    - `before`: the surface before the motion. Default: none.
+    - `is_position`: a table holds new positions (True, default) or displacements.
+
+    **Returns:** displacements (m, d) in the unit of the mesh.
+
+    **Raises:** `ValueError` for nodes that are missing or foreign, for surfaces of different connectivity, and for
+    nodes further off the surface `before` than 0.01 of its size.
     """
     path, moving = pathlib.Path(path), np.asarray(moving)
     points = np.asarray(mesh.points)
@@ -69,13 +80,13 @@ def _arrays(path: pathlib.Path, moving: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _check_ids(path: pathlib.Path, ids: np.ndarray, moving: np.ndarray) -> None:
     foreign, missing = np.setdiff1d(ids, moving), np.setdiff1d(moving, ids)
-    found = []
+    faults = []
     if foreign.size:
-        found.append(f"{foreign.size} of its {len(ids)} node ids are not of the moving patches (first {foreign[0]})")
+        faults.append(f"{foreign.size} of its {len(ids)} node ids are not of the moving patches (first {foreign[0]})")
     if missing.size:
-        found.append(f"{missing.size} of the {len(moving)} moving nodes are missing (first {missing[0]})")
-    if found:
-        raise ValueError(f"{path}: {', and '.join(found)}.")
+        faults.append(f"{missing.size} of the {len(moving)} moving nodes are missing (first {missing[0]})")
+    if faults:
+        raise ValueError(f"{path}: {', and '.join(faults)}.")
 
 
 def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.ndarray:
@@ -85,9 +96,7 @@ def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.nda
         raise ValueError(f"{before} and {after} have not the same connectivity: {sizes}.")
     d = x.shape[1]
     if old.points.shape[1] < d or (old.simplices.shape[1] != d and d == 2):
-        raise ValueError(
-            f"{before}: a mesh in {d}-D takes {'lines of OBJ or NPZ' if d == 2 else 'a surface in space'}."
-        )
+        raise ValueError(f"{before}: a mesh in {d}-D takes {'lines of OBJ or NPZ' if d == 2 else 'a surface in 3-D'}.")
     values, distance = carried(old, (new.points - old.points)[:, :d], x)
     limit = OFF * np.linalg.norm(np.ptp(old.points, axis=0))
     off = np.flatnonzero(distance > limit)

@@ -1,4 +1,4 @@
-"""What a file format is, and what a mesh remembers of the file it came from."""
+"""File formats, and the memory of a mesh of the file that it came from."""
 
 import dataclasses
 import importlib
@@ -15,9 +15,9 @@ Arrays = Mapping[str, np.ndarray]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Source:
-    """The file a mesh was read from: `content` is whatever its format needs to give the file back as it was.
+    """Keeps the file a mesh was read from, and the `content` that its format needs to give the file back as it was.
 
-    Compared by identity, so that it can be a static field of a pytree however large `content` is.
+    It is compared by identity, so that it can be a static field of a pytree however large `content` is.
     """
 
     path: pathlib.Path
@@ -30,29 +30,29 @@ class Source:
 
 @runtime_checkable
 class Codec(Protocol):
-    """The functions that the module of a format defines."""
+    """Lists the functions that the module of a format defines."""
 
     def read(self, path: pathlib.Path) -> Mesh:
-        """The mesh in a file; `ValueError` with file, place and what was found for a bad one."""
+        """Reads the mesh in a file; raises `ValueError` with file, place and what was found for a bad one."""
         ...
 
     def write(self, path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-        """Write a new file. `cell_data` follows the order of `mesh.cells`, one type after the other."""
+        """Writes a new file. `cell_data` follows the order of `mesh.cells`, one type after the other."""
         ...
 
 
 @runtime_checkable
 class FolderCodec(Codec, Protocol):
-    """Those of a format that writes into folders."""
+    """Lists the functions that the module of a format defines which writes into folders."""
 
     def check(self, path: pathlib.Path, mesh: Mesh) -> None:
-        """`ValueError` for what `write` could not do."""
+        """Raises `ValueError` for what `write` could not do."""
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """A name, the endings it goes by, and the module of this package that reads and writes it.
+    """Describes a format: its name, its endings, and the module of this package that reads and writes it.
 
     The module is imported when it is needed, and with it the extra that it may stand on. A format that is a folder
     writes it complete or not at all by itself.
@@ -69,6 +69,6 @@ class Format:
 
 
 def source_of(mesh: Mesh, format_name: str) -> Source | None:
-    """The source of a mesh when it was read from a file of that format."""
+    """Returns the source of a mesh when it was read from a file of that format."""
     source = mesh.source
     return source if isinstance(source, Source) and source.format == format_name else None

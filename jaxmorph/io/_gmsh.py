@@ -23,21 +23,24 @@ NAME = "gmsh"
 
 
 @dataclasses.dataclass(frozen=True)
-class _Content:
-    """The bytes of a file and the constant z of a mesh in the plane."""
+class _GmshContent:
+    """Keeps the bytes of a file, and its points with the constant z of a 2-D mesh."""
 
     data: bytes
     points: np.ndarray
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """`patches` from the physical groups of lower dimension than the mesh; one without a name is `physical_` and its tag."""
-    found = load(path, ".msh", meshio.gmsh.read)
-    return to_mesh(path, found, Source(path, NAME, _Content(path.read_bytes(), found.points)))
+    """Reads points, cells and patches: the physical groups of lower dimension than the mesh.
+
+    A group without a name is `physical_` and its tag.
+    """
+    mesh = load(path, ".msh", meshio.gmsh.read)
+    return to_mesh(path, mesh, Source(path, NAME, _GmshContent(path.read_bytes(), mesh.points)))
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """The file the mesh came from with new coordinates; for any other mesh a new file of version 2.2, binary.
+    """Writes the file the mesh came from with new coordinates; for any other mesh a new file of version 2.2, binary.
 
     In a new file a patch becomes a physical group, with the boundary faces between its nodes as elements.
     """
@@ -66,7 +69,7 @@ def _new(mesh: Mesh) -> meshio.Mesh:
 
 
 def _replaced(data: bytes, points: np.ndarray) -> Iterator[bytes | memoryview]:
-    """The file with other coordinates, in pieces; meshio numbers the points in the order of the file."""
+    """Yields the file with other coordinates, in pieces; meshio numbers the points in the order of the file."""
     at = data.index(b"$MeshFormat")
     version, binary, _ = data[at:].split(b"\n", 2)[1].split()
     start = data.index(b"\n", data.index(b"$Nodes", at)) + 1
@@ -86,7 +89,7 @@ def _replaced(data: bytes, points: np.ndarray) -> Iterator[bytes | memoryview]:
 
 @dataclasses.dataclass(frozen=True)
 class _Block:
-    """Where coordinates lie in a binary file."""
+    """Locates a block of coordinates in a binary file."""
 
     offset: int
     shape: tuple[int, int]

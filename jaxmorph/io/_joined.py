@@ -13,7 +13,7 @@ from ._blocks import open_faces, shared_nodes
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Zones:
-    """All nodes of a file one zone after the other, cells and patches of their ids, and the outer faces of the zones.
+    """Holds all nodes of a file one zone after the other, cells and patches of their ids, and the outer faces of the zones.
 
     `names` are those of the patches that the faces become where no other zone meets them; without, they are `unnamed`.
     """
@@ -27,14 +27,14 @@ class Zones:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Joined:
-    """`node` is the node of the mesh of each node of the file, `points` are those of the file."""
+    """Maps each node of the file to its node of the mesh (`node`), and keeps the `points` of the file."""
 
     node: np.ndarray
     points: np.ndarray
     is_flat: bool
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Points of the mesh as those of the file; one that has not moved stays as it was, in each of its copies."""
+        """Places the points of the mesh as those of the file; one that has not moved stays as it was, in each of its copies."""
         first = np.unique(self.node, return_index=True)[1]
         new = self.points.copy()
         d = points.shape[1]
@@ -44,11 +44,11 @@ class Joined:
 
 
 def join(zones: Zones) -> tuple[Mesh, Joined]:
-    """The mesh, nodes in the order of the file; in the plane when all its cells are and z is the same everywhere.
+    """Joins zones to one mesh, nodes in the order of the file; 2-D when all its cells are and z is the same everywhere.
 
-    Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are the patch `unnamed`, or
-    `boundary` where there is no other, unless they have a name.
-    `ValueError` for coordinates that are not finite.
+    Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are the patch `unnamed`,
+    or `boundary` where there is no other, unless they have a name. It raises `ValueError` for coordinates that are not
+    finite.
     """
     points = zones.points
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))

@@ -1,4 +1,4 @@
-"""What the formats read by meshio have in common."""
+"""Reading by meshio, for the formats that stand on it."""
 
 try:
     import meshio
@@ -17,26 +17,26 @@ from jaxmorph import Mesh
 
 
 def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.Mesh:
-    """What `reader` reads. Whatever way it fails on a file it cannot read is a `ValueError` here; it prints nothing."""
+    """Reads a file by `reader`, which prints nothing. Any way in which it fails on a file becomes a `ValueError`."""
     path.open("rb").close()
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            found = reader(str(path))
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+            mesh = reader(str(path))
     except (Exception, SystemExit) as error:
-        detail = " ".join(f"{error or said.getvalue()}".split())[:120]
+        detail = " ".join(f"{error or output.getvalue()}".split())[:120]
         message = f"{path}: not a {name} file, or a damaged one ({type(error).__name__}{detail and ': '}{detail})."
         raise ValueError(message) from error
-    cells = sum(len(np.asarray(block.data)) for block in found.cells)
-    if len(found.points) == 0 or cells == 0:
-        raise ValueError(f"{path}: no mesh, the file holds {len(found.points)} points and {cells} cells.")
-    return found
+    cells = sum(len(np.asarray(block.data)) for block in mesh.cells)
+    if len(mesh.points) == 0 or cells == 0:
+        raise ValueError(f"{path}: no mesh, the file holds {len(mesh.points)} points and {cells} cells.")
+    return mesh
 
 
-def to_mesh(path: pathlib.Path, found: Any, source: Any) -> Mesh:
-    """`Mesh.from_meshio`, whose errors name the file."""
+def to_mesh(path: pathlib.Path, mesh: Any, source: Any) -> Mesh:
+    """Makes a `Mesh` by `Mesh.from_meshio`, whose errors then name the file."""
     try:
-        mesh = Mesh.from_meshio(found)
-        return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
+        whole = Mesh.from_meshio(mesh)
+        return Mesh(whole.points, whole.cells, whole.patches, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

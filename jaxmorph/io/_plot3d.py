@@ -1,7 +1,7 @@
-"""PLOT3D grids: one or many blocks, in the plane or in space, text, Fortran records or plain binary, single or double.
+"""PLOT3D grids: one or many blocks, 2-D or 3-D, text, Fortran records or plain binary, single or double.
 
-A file does not say which of these it is; the one whose sizes fit the file to the byte is taken. With or without IBLANK, whose
-values are kept and not looked at. Written back in the same form.
+A file does not say which of these it is; the one whose sizes fit the file to the byte is taken. It may have IBLANK,
+whose values are kept and not looked at. The file is written back in the same form.
 """
 
 import dataclasses
@@ -26,22 +26,22 @@ WORDS = bytes.maketrans(b",Dd", b" ee")
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Sizes of the blocks, and where the coordinates of each begin: a number of a text, a byte of a binary file."""
+    """Holds the sizes of the blocks, and where the coordinates of each begin: a number of a text, a byte of a binary file."""
 
     shapes: tuple[tuple[int, ...], ...]
     starts: tuple[int, ...]
     dtype: np.dtype | None
 
     def coordinates(self, numbers: np.ndarray) -> list[np.ndarray]:
-        """Views (d, nodes) of the coordinates of each block among the numbers of a text, or the bytes of a binary file."""
-        found = []
+        """Returns views (d, nodes) of the coordinates of each block among the numbers of a text, or the bytes of a binary file."""
+        views = []
         for shape, start in zip(self.shapes, self.starts, strict=True):
             d, count = len(shape), int(np.prod(shape))
             if self.dtype is None:
-                found.append(numbers[start : start + d * count].reshape(d, count))
+                views.append(numbers[start : start + d * count].reshape(d, count))
             else:
-                found.append(np.ndarray((d, count), self.dtype, numbers.data, start))
-        return found
+                views.append(np.ndarray((d, count), self.dtype, numbers.data, start))
+        return views
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -52,11 +52,11 @@ class _Content:
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """All blocks; nodes where blocks meet are one.
+    """Reads all blocks; nodes where blocks meet are one.
 
-    `patches` are those of the file beside it that is called as it is, with the ending `.patches`, of lines `NAME BLOCK SIDE`
-    (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes counted from 1. Without it each outer side of a block is one, as
-    `block2_jmin`, or `jmin` in a file of one block.
+    Patches are those of the file beside it that is called as it is, with the ending `.patches`. It holds lines `NAME
+    BLOCK SIDE` (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes counted from 1. Without it each outer side
+    of a block is a patch, as `block2_jmin`, or `jmin` in a file of one block.
     """
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)
@@ -76,7 +76,7 @@ def read(path: pathlib.Path) -> Mesh:
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """The file the mesh was read from with new coordinates. `ValueError` for any other mesh."""
+    """Writes the file the mesh was read from with new coordinates; raises `ValueError` for any other mesh."""
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError("only a mesh that was read from a PLOT3D file can be written to one; write .vtu or .su2.")
@@ -118,7 +118,7 @@ def _text_layout(numbers: np.ndarray) -> Layout | None:
 
 
 def _shapes(count: np.ndarray, sizes: np.ndarray, d: int) -> tuple[tuple[int, ...], ...]:
-    """The sizes of so many blocks; none when the numbers cannot be that."""
+    """Reads the sizes of so many blocks; none when the numbers cannot be that."""
     blocks = int(count[0]) if len(count) and 0 < count[0] <= len(sizes) // d and count[0] == np.floor(count[0]) else 0
     found = sizes[: d * blocks].reshape(blocks, d)
     good = len(found) and (found >= 1).all() and (found < 2**31).all() and (found == np.floor(found)).all()
@@ -155,7 +155,7 @@ def _binary_layout(data: bytes) -> Layout | None:
 
 
 def _are_records(data: bytes, kind: str, lengths: list[int]) -> bool:
-    """Whether Fortran's marks before and after records of these lengths are there."""
+    """Tells whether Fortran's marks before and after records of these lengths are there."""
     at = 0
     for length in filter(None, lengths):
         for place in (at, at + length + 4):

@@ -23,7 +23,10 @@ FORMATS = (
 
 
 def format_of(path: pathlib.Path) -> Format:
-    """The format of a file by its ending, of a folder OpenFOAM; `ValueError`, with those there are, for another ending."""
+    """Finds the format of a file by its ending, of a folder OpenFOAM.
+
+    It raises `ValueError`, with the endings there are, for another one.
+    """
     for candidate in FORMATS:
         if path.suffix.lower() in candidate.suffixes:
             return candidate
@@ -34,18 +37,28 @@ def format_of(path: pathlib.Path) -> Format:
 
 
 def read(path: str | os.PathLike[str]) -> Mesh:
-    """The mesh in a file: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g).
+    """Reads the mesh in a file or an OpenFOAM case.
 
-    Or in an OpenFOAM case: its folder, or a time folder. VTK, gmsh and CGNS need the extra `io`.
+    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g). Of an
+    OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh and CGNS need the extra `io`.
 
-    Coordinates are float64, in the units and the order of the file. Patches are SU2's markers, gmsh's physical groups, CGNS's
-    families or boundary conditions, OpenFOAM's patches, the sides of PLOT3D's blocks (or those that a file beside it names: the
-    grid's name and `.patches`, lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`), and in VTK files the point arrays
-    called `patch:NAME`; a file that names none has the patch `boundary`. A mesh of cells in the plane has two coordinates when
-    all z of the file are equal.
+    Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two coordinates when all z
+    of the file are equal. Patches are
 
-    Raises `ValueError`, with file, line and what was found there, for a file that is not a good mesh; `OSError` for one
-    that cannot be opened; `ImportError` when the extra is missing.
+    - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, OpenFOAM's patches;
+    - the sides of PLOT3D's blocks, or those that a file beside it names. It is called as the grid with the ending
+      `.patches`, and holds lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
+    - in VTK files the point arrays called `patch:NAME`;
+    - the one patch `boundary` for a file that names none.
+
+    **Arguments:**
+
+    - `path`: the file, or the folder of a case.
+
+    **Returns:** a `Mesh` that remembers the file, so that `write` can give it back with other coordinates.
+
+    **Raises:** `ValueError`, with file, line and what was found there, for a file that is not a good mesh. `OSError`
+    for one that cannot be opened. `ImportError` when the extra is missing.
     """
     path = pathlib.Path(path)
     return format_of(path).codec().read(path)
@@ -58,22 +71,30 @@ def write(
     point_data: dict[str, Shaped[np.ndarray, "n ..."]] | None = None,
     cell_data: dict[str, Shaped[np.ndarray, "c ..."]] | None = None,
 ) -> None:
-    """Writes a mesh in the format of the file's ending. `mesh` may be one read from a file and then `moved`.
+    """Writes a mesh in the format of the file's ending. The mesh may be one read from a file and then `moved`.
 
-    Written to the format it came from, everything but the coordinates is kept, byte for byte in SU2, gmsh, OpenFOAM and PLOT3D
-    files, and an unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once where the file is in
-    single precision. Between formats, and for generated meshes, points, cells and patches are written; SU2 and gmsh express a
-    patch by the boundary faces between its nodes. CGNS, PLOT3D and OpenFOAM take back only meshes that came from them.
-
-    `point_data` (one row a point) and `cell_data` (one row a cell, in the order of `mesh.cells`, one type after the other)
-    add arrays to formats that hold any.
+    Written to the format it came from, everything but the coordinates is kept, byte for byte in SU2, gmsh, OpenFOAM and
+    PLOT3D files. An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once where the file is
+    in single precision. Between formats, and for generated meshes, points, cells and patches are written. SU2 and gmsh
+    express a patch by the boundary faces between its nodes. CGNS, PLOT3D and OpenFOAM take back only meshes that came
+    from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its `polyMesh/points`), or into a new
-    folder: a copy of the case's `constant`, `system`, `0` and `0.orig` with other points. The case stays as it is. Cases in
-    the plane (`empty` patches) are meshes in two coordinates, and both planes move alike.
+    folder: a copy of the case's `constant`, `system`, `0` and `0.orig` with other points. The case stays as it is. 2-D
+    cases (`empty` patches) are meshes in two coordinates, and both planes move alike.
 
-    The file appears when it is complete, under a temporary name until then. Raises `ValueError` when `path` is the file
-    that the mesh was read from, for arrays of a wrong length, points that are not finite, and what the format cannot say.
+    The file appears when it is complete, under a temporary name until then.
+
+    **Arguments:**
+
+    - `path`: the file or folder to write; its folder must exist.
+    - `mesh`: the mesh.
+    - `point_data`: arrays by name, one row a point, for formats that hold any. Default: none.
+    - `cell_data`: arrays by name, one row a cell, in the order of `mesh.cells`, one type after the other. Default:
+      none.
+
+    **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a wrong length, points
+    that are not finite, and what the format cannot say.
     """
     path = pathlib.Path(path)
     chosen = _checked(path, mesh)
@@ -95,9 +116,10 @@ def write(
 
 
 def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
-    """What `write` checks of a path, before any work. Returns whether its format holds arrays.
+    """Checks a path as `write` does, before any work; returns whether its format holds arrays.
 
-    Raises `ValueError` for an unknown ending, a folder that does not exist, and the file that the mesh was read from.
+    **Raises:** `ValueError` for an unknown ending, a folder that does not exist, and the file that the mesh was read
+    from.
     """
     return _checked(pathlib.Path(path), mesh).holds_arrays
 
@@ -114,7 +136,7 @@ def _checked(path: pathlib.Path, mesh: Mesh) -> Format:
 
 
 def _same_file(a: pathlib.Path, b: pathlib.Path) -> bool:
-    """Whether two paths lead to one file."""
+    """Tells whether two paths lead to one file."""
     try:
         return os.path.samefile(a, b)
     except OSError:

@@ -17,15 +17,26 @@ NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 
 
 def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
-    """dJ/d(points) for every node of the mesh, in the unit of J over that of the points: what `pullback` takes.
+    """Reads dJ/d(points) for every node of the mesh: what `pullback` takes.
 
-    A table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`] (SU2's volume sensitivities and adjoint
-    restarts, .csv or .dat), or one with rows of node id and as many numbers as the mesh has dimensions, in any order; or .npz
-    of `sensitivity` (n, d), with `ids` where its rows are not in the order of the nodes. Or, for a mesh that was read from an
-    OpenFOAM case, a field of vectors at its points (`pointSensVec...` of `adjointOptimisationFoam`, not divided by areas:
-    `includeSurfaceArea true`), which is zero off the walls; of a case in the plane both planes' are added.
+    The file is one of
 
-    Raises `ValueError` for nodes that are missing, foreign or there twice, and for values that are not finite.
+    - a table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`]: SU2's volume sensitivities
+      and adjoint restarts, .csv or .dat;
+    - a table of rows of node id and as many numbers as the mesh has dimensions, in any order;
+    - .npz of `sensitivity` (n, d), with `ids` where its rows are not in the order of the nodes;
+    - for a mesh that was read from an OpenFOAM case, a field of vectors at its points, `pointSensVec...` of
+      `adjointOptimisationFoam`. It is zero off the walls, and must not be divided by areas (`includeSurfaceArea true`).
+      Of a 2-D case both planes' vectors are added.
+
+    **Arguments:**
+
+    - `path`: the file.
+    - `mesh`: the mesh of whose nodes it speaks.
+
+    **Returns:** sensitivities (n, d), in the unit of J over that of the points.
+
+    **Raises:** `ValueError` for nodes that are missing, foreign or there twice, and for values that are not finite.
     """
     path = pathlib.Path(path)
     n, d = mesh.points.shape
@@ -42,8 +53,8 @@ def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarr
         raise ValueError(f"{path}: {foreign.size} node ids are not of the mesh (0 to {n - 1}), first {foreign[0]}.")
     missing = np.setdiff1d(np.arange(n), ids)
     if missing.size or len(ids) != n:
-        found = f"{missing.size} of {n} nodes are missing (first {missing[0]})" if missing.size else "nodes come twice"
-        raise ValueError(f"{path}: {found}; sensitivities of all nodes of the volume are needed.")
+        fault = f"{missing.size} of {n} nodes are missing (first {missing[0]})" if missing.size else "nodes come twice"
+        raise ValueError(f"{path}: {fault}; sensitivities of all nodes of the volume are needed.")
     result = np.empty((n, d))
     result[ids] = values
     return result

@@ -18,24 +18,24 @@ NEAR = 8
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Shape:
-    """`points` (p, 2 or 3), and `simplices` between them: triangles (t, 3), or the segments (t, 2) of a curve."""
+    """Holds `points` (p, 2 or 3), and `simplices` between them: triangles (t, 3), or the segments (t, 2) of a curve."""
 
     points: np.ndarray
     simplices: np.ndarray
 
 
 def read_shape(path: pathlib.Path) -> Shape:
-    """A surface from .stl (text or binary), .obj (faces or lines), or .npz (`points`, and `triangles` or `lines`).
+    """Reads a surface from .stl (text or binary), .obj (faces or lines), or .npz (`points`, and `triangles` or `lines`).
 
-    `ValueError` for other endings and contents, and for simplices beyond the points.
+    It raises `ValueError` for other endings and contents, and for simplices beyond the points.
     """
     readers = {".stl": _stl, ".obj": _obj, ".npz": _npz}
     if path.suffix.lower() not in readers:
         raise ValueError(f"{path}: a surface is read from {', '.join(readers)}, found the ending {path.suffix!r}.")
     shape = readers[path.suffix.lower()](path)
     if not len(shape.simplices) or shape.points.ndim != 2 or not np.isfinite(shape.points).all():
-        found = f"{len(shape.simplices)} faces between points of shape {shape.points.shape}"
-        raise ValueError(f"{path}: not a surface, or a damaged one: {found}, all finite, expected.")
+        contents = f"{len(shape.simplices)} faces between points of shape {shape.points.shape}"
+        raise ValueError(f"{path}: not a surface, or a damaged one: {contents}, all finite, expected.")
     if shape.simplices.min() < 0 or shape.simplices.max() >= len(shape.points):
         raise ValueError(f"{path}: a face names a point that is not among the {len(shape.points)} of this file.")
     return shape
@@ -74,7 +74,7 @@ def _obj(path: pathlib.Path) -> Shape:
 
 
 def _fans(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Triangles of polygons: each about its first corner."""
+    """Cuts polygons into triangles about their first corner."""
     first = np.cumsum(counts) - counts
     owner = np.repeat(np.arange(len(counts)), counts - 2)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(counts - 2) - counts + 2, counts - 2)
@@ -97,7 +97,7 @@ def _npz(path: pathlib.Path) -> Shape:
 
 
 def load_npz(path: pathlib.Path) -> Any:
-    """The arrays of an NPZ file, without objects. `ValueError` for a file that is none."""
+    """Opens the arrays of an NPZ file, without objects; raises `ValueError` for a file that is none."""
     path.open("rb").close()
     try:
         return np.load(path, allow_pickle=False)
@@ -106,9 +106,9 @@ def load_npz(path: pathlib.Path) -> Any:
 
 
 def carried(before: Shape, values: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`values` (p, k) of the points of `before` at the place of it closest to each of `x` (m, d); and how far that is.
+    """Interpolates `values` (p, k) of the points of `before` at its place closest to each of `x` (m, d); and gives the distance.
 
-    Linear on each triangle or segment, exact at its corners.
+    It is linear on each triangle or segment, and exact at its corners.
     """
     d = x.shape[1]
     corners = before.points[before.simplices][..., :d]
@@ -118,21 +118,21 @@ def carried(before: Shape, values: np.ndarray, x: np.ndarray) -> tuple[np.ndarra
     level = np.floor(np.log2(np.maximum(radius, radius.max() * 1e-9)))
     groups = [np.flatnonzero(level == each) for each in np.unique(level)]
     trees = [(group, spatial.KDTree(centre[group]), radius[group].max()) for group in groups]
-    found, distances = np.empty((len(x), values.shape[1])), np.empty(len(x))
+    result, distances = np.empty((len(x), values.shape[1])), np.empty(len(x))
     for at in range(0, len(x), BLOCK):
         block = slice(at, at + BLOCK)
         pairs = _candidates(trees, corners, x[block])
         weights, distance = _closest(corners[pairs[1]], x[block][pairs[0]])
         order = np.lexsort((distance, pairs[0]))
         best = order[np.unique(pairs[0][order], return_index=True)[1]]
-        mine = values[before.simplices[pairs[1][best]]]
-        found[block] = np.einsum("mc,mck->mk", weights[best], mine)
+        at_corners = values[before.simplices[pairs[1][best]]]
+        result[block] = np.einsum("mc,mck->mk", weights[best], at_corners)
         distances[block] = distance[best]
-    return found, distances
+    return result, distances
 
 
 def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of `x` and simplices that may be the closest ones to them."""
+    """Pairs rows of `x` with the simplices that may be the closest ones to them."""
     bound = np.full(len(x), np.inf)
     for group, tree, _ in trees:
         count = min(NEAR, len(group))
@@ -149,7 +149,10 @@ def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.nda
 
 
 def _closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (m, c) of the corners (m, c, d) of a triangle or segment each at its place closest to `x`, and the distance."""
+    """Computes weights (m, c) of the corners (m, c, d) of a triangle or segment each at its place closest to `x`.
+
+    The distance comes with them.
+    """
     if corners.shape[1] == 2:
         weights = _on_segment(corners[:, 0], corners[:, 1], x)
         return weights, np.linalg.norm(np.einsum("mc,mcd->md", weights, corners) - x, axis=1)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmorph import Mesh
-from jaxmorph._host.topology import VTK
+from jaxmorph._host.topology import CORNERS, VTK
 
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
@@ -18,22 +18,25 @@ from .text.sections import Rows, Section, blank_comments, replace
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
-CORNERS = {1: 1, 3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5}
-"""SU2's element types are VTK's numbers, corners in VTK's order; 1 is the single node of a SEND_RECEIVE marker."""
+SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
+"""Corners of each of SU2's types of elements: VTK's numbers, corners in VTK's order.
+
+Type 1 is the single node of a SEND_RECEIVE marker.
+"""
 ROWS = 1 << 16
 """Rows of a new file formatted together."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _Keyword:
-    """A line `NAME= value`, and the lines up to the next keyword."""
+    """Holds a line `NAME= value`, and the lines up to the next keyword."""
 
     name: str
     value: str
     section: Section
 
     def number(self, least: int = 0) -> int:
-        """The first whole number of the value: `NPOIN= 9 6` counts points with and without halos."""
+        """Reads the first whole number of the value: `NPOIN= 9 6` counts points with and without halos."""
         words = self.value.split()
         if not words or not words[0].isdecimal() or int(words[0]) < least:
             raise self.section.error(f"{self.name}= must be followed by a whole number, found {self.value[:40]!r}.")
@@ -41,8 +44,8 @@ class _Keyword:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Content:
-    """The text of a file, and where its coordinates are."""
+class _SU2Content:
+    """Keeps the text of a file, and where its coordinates are."""
 
     text: bytes
     start: int
@@ -51,7 +54,7 @@ class _Content:
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """Points in the order of the file; `patches` from the markers, those of one name together.
+    """Reads points in the order of the file; `patches` are the markers, those of one name together.
 
     An index column after the coordinates is not looked at, as SU2 itself does not.
     """
@@ -69,19 +72,19 @@ def read(path: pathlib.Path) -> Mesh:
     cells = _elements(_only(path, keywords, "NELEM"), len(points))
     patches = _markers(path, keywords, len(points))
     section = _only(path, keywords, "NPOIN").section
-    content = _Content(text, section.start, section.stop, points.shape)
+    content = _SU2Content(text, section.start, section.stop, points.shape)
     return Mesh(points, cells, patches, source=Source(path, NAME, content))
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """The text the mesh came from with new coordinates; for any other mesh a new file, see `_su2_new`."""
+    """Writes the text the mesh came from with new coordinates; for any other mesh a new file, see `_new_text`."""
     source = source_of(mesh, NAME)
     points = np.asarray(mesh.points)
     with path.open("wb") as file:
         if source is None:
             file.writelines(_new_text(mesh))
             return
-        content: _Content = source.content
+        content: _SU2Content = source.content
         if points.shape != content.shape:
             raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {content.shape}.")
         d = content.shape[1]
@@ -90,27 +93,27 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
 
 
 def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:
-    found = []
+    lines = []
     at = text.find(b"=")
     while at >= 0:
         start = text.rfind(b"\n", 0, at) + 1
         end = text.find(b"\n", at) + 1 or len(text)
         name, _, value = text[start:end].partition(b"=")
         name = name.removeprefix(b"\xef\xbb\xbf").strip().decode(errors="replace")
-        found.append((name, value.strip().decode(errors="replace"), start, end))
+        lines.append((name, value.strip().decode(errors="replace"), start, end))
         at = text.find(b"=", end)
-    for number, (name, value, _, end) in enumerate(found, start=1):
-        stop = found[number][2] if number < len(found) else len(text)
+    for number, (name, value, _, end) in enumerate(lines, start=1):
+        stop = lines[number][2] if number < len(lines) else len(text)
         yield _Keyword(name, value, Section(path, text, end, stop))
 
 
 def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:
-    found = [keyword for keyword in keywords if keyword.name == name]
-    if not found:
+    named = [keyword for keyword in keywords if keyword.name == name]
+    if not named:
         raise ValueError(f"{path}: no {name}= in this file; it is not an SU2 mesh, or it is cut short.")
-    if len(found) > 1:
-        raise found[1].section.error(f"a second {name}=; files of several zones are not read.")
-    return found[0]
+    if len(named) > 1:
+        raise named[1].section.error(f"a second {name}=; files of several zones are not read.")
+    return named[0]
 
 
 def _points(keyword: _Keyword, d: int) -> np.ndarray:
@@ -119,8 +122,8 @@ def _points(keyword: _Keyword, d: int) -> np.ndarray:
     for block in section.blocks(np.float64):
         wrong = np.flatnonzero((block.counts < d) | (block.counts > d + 2))
         if wrong.size:
-            found = block.counts[wrong[0]]
-            raise section.error(f"a point of {d} coordinates expected, found {found} numbers.", row + int(wrong[0]))
+            count = block.counts[wrong[0]]
+            raise section.error(f"a point of {d} coordinates expected, found {count} numbers.", row + int(wrong[0]))
         points = block.columns(slice(None), 0, d)
         finite = np.isfinite(points).all(axis=1)
         if not finite.all():
@@ -157,46 +160,47 @@ def _markers(path: pathlib.Path, keywords: list[_Keyword], n: int) -> dict[str, 
 
 
 def _table(keyword: _Keyword, section: Section, n: int, what: str) -> dict[int, np.ndarray]:
-    """Corners (k, corners) by SU2's number of the type, in order of first appearance."""
+    """Reads corners (k, corners) by SU2's number of the type, in order of first appearance."""
     parts: dict[int, list[np.ndarray]] = {}
     row = 0
     for block in section.blocks(np.int64):
         kinds = block.columns(slice(None), 0, 1).ravel()
         for kind in dict.fromkeys(kinds[np.sort(np.unique(kinds, return_index=True)[1])].tolist()):
-            mine = np.flatnonzero(kinds == kind)
-            corners = _corners(section, block, mine, kind, row)
+            rows = np.flatnonzero(kinds == kind)
+            corners = _corners(section, block, rows, kind, row)
             if ((corners < 0) | (corners >= n)).any():
                 outside = int(np.argmax(((corners < 0) | (corners >= n)).any(axis=1)))
                 nodes = corners[outside].tolist()
-                raise section.error(f"nodes {nodes}, but there are points 0 to {n - 1}.", row + int(mine[outside]))
+                raise section.error(f"nodes {nodes}, but there are points 0 to {n - 1}.", row + int(rows[outside]))
             parts.setdefault(kind, []).append(corners.astype(np.int32 if n < 2**31 else np.int64))
         row += len(kinds)
     _check_count(keyword, keyword.number(), row, what)
     return {kind: np.concatenate(parts.pop(kind)) for kind in list(parts)}
 
 
-def _corners(section: Section, block: Rows, mine: np.ndarray, kind: int, row: int) -> np.ndarray:
-    """Corners of the elements of one kind, which are the rows `mine` of a block that begins with that `row`."""
-    if kind not in CORNERS:
-        known = ", ".join(map(str, CORNERS))
-        raise section.error(f"element type {kind} is not known; SU2's are {known}.", row + int(mine[0]))
-    corners = CORNERS[kind]
-    wrong = mine[(block.counts[mine] < 1 + corners) | (block.counts[mine] > 2 + corners)]
+def _corners(section: Section, block: Rows, rows: np.ndarray, kind: int, row: int) -> np.ndarray:
+    """Reads the corners of elements of one kind: the `rows` of a block that begins with that `row`."""
+    if kind not in SIZES:
+        known = ", ".join(map(str, SIZES))
+        raise section.error(f"element type {kind} is not known; SU2's are {known}.", row + int(rows[0]))
+    corners = SIZES[kind]
+    wrong = rows[(block.counts[rows] < 1 + corners) | (block.counts[rows] > 2 + corners)]
     if wrong.size:
         message = f"an element of type {kind} has {corners} nodes, found {block.counts[wrong[0]]} numbers."
         raise section.error(message, row + int(wrong[0]))
-    return block.columns(slice(None) if len(mine) == len(block.counts) else mine, 1, 1 + corners)
+    return block.columns(slice(None) if len(rows) == len(block.counts) else rows, 1, 1 + corners)
 
 
-def _check_count(keyword: _Keyword, stated: int, found: int, what: str) -> None:
-    if found != stated:
-        raise keyword.section.error(f"{keyword.name}= {stated}, but {found} rows of {what} follow.")
+def _check_count(keyword: _Keyword, stated: int, count: int, what: str) -> None:
+    if count != stated:
+        raise keyword.section.error(f"{keyword.name}= {stated}, but {count} rows of {what} follow.")
 
 
 def _new_text(mesh: Mesh) -> Iterator[bytes]:
-    """The file in pieces. Patches become markers, with the boundary faces between their nodes as elements.
+    """Yields a new file in pieces. Patches become markers, with the boundary faces between their nodes as elements.
 
-    `ValueError` for a patch that boundary faces cannot express, or whose name does not fit on the line of a tag.
+    It raises `ValueError` for a patch that boundary faces cannot express, or whose name does not fit on the line of a
+    tag.
     """
     points = np.asarray(mesh.points)
     n, d = points.shape

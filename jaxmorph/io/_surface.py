@@ -10,16 +10,24 @@ from jaxtyping import Float, Int
 from .text.sections import Section
 
 IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
-"""What headers call the column of node ids, which is the first one otherwise."""
+"""Names that headers give to the column of node ids, which is the first one otherwise."""
 
 
 def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
-    """Node ids and d numbers for each, from lines `id, x, y[, z]`: SU2's surface files, or comma-separated values.
+    """Reads node ids and d numbers for each, from lines `id, x, y[, z]`: SU2's surface files, or comma-separated values.
 
     Numbers stand between blanks, commas or semicolons; a header line and what follows `%` or `#` are skipped. The
     numbers are positions or displacements, as the caller knows.
 
-    Raises `ValueError`, with file and line, for other contents and for ids that come twice or are no whole numbers.
+    **Arguments:**
+
+    - `path`: the file.
+    - `d`: how many numbers follow each id, 2 or 3.
+
+    **Returns:** node ids (m,) and numbers (m, d).
+
+    **Raises:** `ValueError`, with file and line, for other contents and for ids that come twice or are no whole
+    numbers.
     """
     return read_table(pathlib.Path(path), d)
 
@@ -27,7 +35,10 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
 def read_table(
     path: pathlib.Path, d: int, wanted: tuple[str, ...] = ()
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
-    """Node ids and d numbers for each: the columns that a header calls as `wanted`, whatever stands beside them; else all."""
+    """Reads node ids and d numbers for each.
+
+    Columns that a header calls as `wanted` are taken, whatever stands beside them; else all.
+    """
     text = path.read_bytes()
     for mark in (b"%", b"#"):
         text = b"\n".join(line.partition(mark)[0] for line in text.split(b"\n"))
@@ -46,8 +57,8 @@ def read_table(
     wrong = np.flatnonzero(rows.counts != width)
     if wrong.size:
         expected = f"a node id and {d} numbers" if width == d + 1 else f"{width} numbers, as in the header,"
-        found = f"found {rows.counts[wrong[0]]} numbers"
-        raise section.error(f"{expected} expected, {found}.", int(wrong[0]))
+        contents = f"found {rows.counts[wrong[0]]} numbers"
+        raise section.error(f"{expected} expected, {contents}.", int(wrong[0]))
     table = rows.values.reshape(-1, width)[:, columns]
     wrong = np.flatnonzero(~np.isfinite(table).all(axis=1) | (table[:, 0] != np.floor(table[:, 0])) | (table[:, 0] < 0))
     if wrong.size:
@@ -61,7 +72,7 @@ def read_table(
 
 
 def _after_header(text: bytes) -> int:
-    """Where the line after a header begins: a first line that begins with a name instead of a number."""
+    """Finds where the line after a header begins: a first line that begins with a name instead of a number."""
     first = len(text) - len(text.lstrip())
     end = text.find(b"\n", first)
     word = text[first : end if end >= 0 else len(text)].split()[:1]

@@ -11,13 +11,16 @@ NAME = "VTK"
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """`patches` as `Mesh.from_meshio` finds them: from point arrays `patch:NAME`, as `write` leaves them, or from numbers."""
+    """Reads points, cells and patches as `Mesh.from_meshio` finds them.
+
+    Patches are point arrays `patch:NAME`, as `write` leaves them, or come from numbers.
+    """
     reader = meshio.vtu.read if path.suffix.lower() == ".vtu" else meshio.vtk.read
-    found = load(path, path.suffix.lower(), reader)
-    return to_mesh(path, found, Source(path, NAME, found))
+    mesh = load(path, path.suffix.lower(), reader)
+    return to_mesh(path, mesh, Source(path, NAME, mesh))
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """Double precision, compressed. A mesh that came from such a file keeps its other cells and arrays."""
+    """Writes in double precision, compressed. A mesh that came from such a file keeps its other cells and arrays."""
     out = mesh.to_meshio(point_data=dict(point_data), cell_data=dict(cell_data))
     (meshio.vtu.write if path.suffix.lower() == ".vtu" else meshio.vtk.write)(str(path), out)

@@ -24,17 +24,18 @@ LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Content:
-    """The way back to the nodes of the file, and what tells that the file is still the same."""
+class _CGNSContent:
+    """Keeps the way back to the nodes of the file, and what tells that the file is still the same."""
 
     joined: Joined
     stamp: tuple[int, int]
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """All zones of the file's one base; nodes where two zones meet are one. `patches` are the boundary conditions, by family.
+    """Reads all zones of the file's one base; nodes where two zones meet are one.
 
-    Outer faces without a condition are the patch `unnamed`, `boundary` in a file without any.
+    `patches` are the boundary conditions, by family. Outer faces without a condition are the patch `unnamed`,
+    `boundary` in a file without any.
     """
     path.open("rb").close()
     try:
@@ -48,18 +49,21 @@ def read(path: pathlib.Path) -> Mesh:
         ) from error
     try:
         mesh, joined = join(zones)
-        content = _Content(joined, _stamp(path))
+        content = _CGNSContent(joined, _stamp(path))
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=Source(path, NAME, content))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """A copy of the file that the mesh was read from. `ValueError` for any other mesh, or when that file has changed."""
+    """Writes a copy of the file that the mesh was read from.
+
+    It raises `ValueError` for any other mesh, or when that file has changed.
+    """
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError("only a mesh that was read from a CGNS file can be written to one; write .vtu or .su2.")
-    content: _Content = source.content
+    content: _CGNSContent = source.content
     if _stamp(source.path) != content.stamp:
         raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
     with h5py.File(source.path, "r") as file:
@@ -77,8 +81,8 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
 
 
 def _stamp(path: pathlib.Path) -> tuple[int, int]:
-    found = path.stat()
-    return found.st_size, found.st_mtime_ns
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
 
 
 def _refuse_foreign_data(path: pathlib.Path, file: h5py.File) -> None:
@@ -108,7 +112,7 @@ def _refuse_foreign_data(path: pathlib.Path, file: h5py.File) -> None:
 
 
 def _open(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
-    """The zones of the base, and the dimension of its cells."""
+    """Lists the zones of the base, and the dimension of its cells."""
     bases = [base for _, base in children(file, "CGNSBase_t")]
     if len(bases) != 1:
         raise ValueError(f"{path}: {len(bases)} CGNS bases in this file; one is read.")
@@ -131,18 +135,18 @@ def _zones(path: pathlib.Path, file: h5py.File) -> Zones:
     for zone in zones:
         points.append(np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float))
         blocks, sides, elements = zone.cells(points[-1])
-        mine = [(kind, corners) for kind, corners in blocks if LEVEL[kind] == dimension and len(corners)]
-        if not mine:
+        solid = [(kind, corners) for kind, corners in blocks if LEVEL[kind] == dimension and len(corners)]
+        if not solid:
             raise zone.error(f"no cells of {dimension} dimensions")
-        cells += mine
+        cells += solid
         for name, nodes in zone.patches(elements):
             patches.setdefault(name, []).append(nodes)
-        faces += sides or _outer(zone, points[-1], mine)
+        faces += sides or _outer(zone, points[-1], solid)
     return Zones(np.concatenate(points), cells, patches, faces)
 
 
 def _outer(zone: Zone, points: np.ndarray, blocks: list[tuple[str, np.ndarray]]) -> list[np.ndarray]:
-    """Outer faces of an unstructured zone."""
+    """Finds the outer faces of an unstructured zone."""
     cells: dict[str, list[np.ndarray]] = {}
     for kind, corners in blocks:
         cells.setdefault(kind, []).append(corners - zone.first)

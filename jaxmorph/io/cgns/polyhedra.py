@@ -10,7 +10,7 @@ from jaxmorph._mesh.polyhedra import spread, tetrahedra
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ragged:
-    """Rows of different lengths: `values` of all in a row, and where each begins (one more `start` at the end)."""
+    """Holds rows of different lengths: `values` of all in a row, and where each begins (one more `start` at the end)."""
 
     values: np.ndarray
     starts: np.ndarray
@@ -19,17 +19,17 @@ class Ragged:
         return len(self.starts) - 1
 
     def __getitem__(self, rows: np.ndarray) -> np.ndarray:
-        """The values of some rows, one after the other."""
+        """Returns the values of some rows, one after the other."""
         return self.values[spread(self.starts[rows], self.starts[rows + 1])[0]]
 
 
 def polyhedra(
     polygons: dict[int, Ragged], cells: list[Ragged], points: np.ndarray, first: int
 ) -> tuple[list[tuple[str, np.ndarray]], list[np.ndarray]]:
-    """Cells by type, those of no type as tetrahedra between their own nodes, and outer faces by their number of corners.
+    """Makes cells by type, those of no type as tetrahedra between their own nodes, and outer faces by their number of corners.
 
-    `polygons` are faces by the number of the first, vertices from 0; `first` is the id of vertex 0, `points` those of the zone.
-    `ValueError` for cells with faces that are not there, or that more than two cells have.
+    `polygons` are faces by the number of the first, vertices from 0. `first` is the id of vertex 0, `points` those of
+    the zone. It raises `ValueError` for cells with faces that are not there, or that more than two cells have.
     """
     begins = np.concatenate([begin + np.arange(len(rows)) for begin, rows in sorted(polygons.items())])
     each = [rows for _, rows in sorted(polygons.items())]
@@ -57,9 +57,9 @@ def polyhedra(
         np.where(turned, sides[1], sides[0])[kept],
         np.where(turned, -1, sides[1])[kept],
     )
-    found, ids = standard_cells(faces)
-    blocks = [(kind, corners + first) for kind, corners in found.items()]
+    typed, ids = standard_cells(faces)
+    blocks = [(kind, corners + first) for kind, corners in typed.items()]
     if "polyhedron" in ids:
         blocks.append(("tetra", tetrahedra(faces, ids["polyhedron"], points)[0] + first))
     outer = [np.flatnonzero((faces.neighbour < 0) & (sizes == size)) for size in np.unique(sizes).tolist()]
-    return blocks, [faces.corners(mine, int(sizes[mine[0]])) + first for mine in outer if len(mine)]
+    return blocks, [faces.corners(chosen, int(sizes[chosen[0]])) + first for chosen in outer if len(chosen)]

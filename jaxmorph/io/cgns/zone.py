@@ -7,18 +7,20 @@ from typing import Any
 
 import numpy as np
 
+from jaxmorph._host import topology
+
 from .._blocks import block_cells, block_ids, block_sides
 from .polyhedra import Ragged, polyhedra
 
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
-CORNERS = {2: 1, 3: 2, 5: 3, 7: 4, 10: 4, 12: 5, 14: 6, 17: 8}
+CORNERS = {number: topology.CORNERS.get(kind, 1) for number, kind in TYPES.items()}
 MIXED, NGON, NFACE = 20, 22, 23
-DIMENSION = {2: 0, 3: 1, 5: 2, 7: 2, 10: 3, 12: 3, 14: 3, 17: 3}
+DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.items()}
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
 
 
 def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
-    """The nodes of a CGNS label below another one, in the order of the file."""
+    """Yields the nodes of a CGNS label below another one, in the order of the file."""
     for name in group:
         child = group[name]
         if hasattr(child, "keys") and text(child.attrs.get("label", b"")) == label:
@@ -30,18 +32,18 @@ def text(value: Any) -> str:
 
 
 def data(group: Any) -> np.ndarray:
-    """The array of a node."""
+    """Reads the array of a node."""
     return group[" data"][()]
 
 
 def word(group: Any) -> str:
-    """The characters of a node."""
+    """Reads the characters of a node."""
     return text(data(group).tobytes())
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Zone:
-    """A zone: its node in the file, the sizes of its vertices (one number if unstructured), and its first node's id."""
+    """Holds a zone: its node in the file, the sizes of its vertices (one number if unstructured), and its first node's id."""
 
     path: pathlib.Path
     name: str
@@ -58,7 +60,10 @@ class Zone:
         return ValueError(f"{self.path}, zone {self.name}: {message}.")
 
     def coordinates(self) -> list[Any]:
-        """The data sets of x, y[, z]. `ValueError` for other coordinates and for rind planes."""
+        """Returns the data sets of x, y[, z].
+
+        It raises `ValueError` for other coordinates, rind planes, and those of another file.
+        """
         grids = dict(children(self.group, "GridCoordinates_t"))
         if not grids:
             raise self.error("no GridCoordinates")
@@ -74,7 +79,10 @@ class Zone:
         return sets
 
     def cells(self, points: np.ndarray) -> tuple[list[tuple[str, np.ndarray]], list[np.ndarray], dict[int, Any]]:
-        """Cells and boundary elements by type; outer faces where they are known; vertices of elements by their first number."""
+        """Reads cells and boundary elements by type, outer faces where they are known, and vertices of elements.
+
+        The vertices stand by the number of their section's first element.
+        """
         if self.is_structured:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:
@@ -115,7 +123,7 @@ class Zone:
             raise self.error(f"section {name} names vertices beyond 1 to {self.count}")
 
     def _section(self, name: str, kind: int, values: np.ndarray, start: int):
-        """Elements of one type after another: number of the first, type, vertices."""
+        """Yields elements of one type after another: number of the first, type, vertices."""
         if kind != MIXED:
             if kind not in CORNERS:
                 raise self.error(
@@ -136,7 +144,7 @@ class Zone:
             at, start = at + count * width, start + count
 
     def patches(self, elements: dict[int, Any]) -> Iterator[tuple[str, np.ndarray]]:
-        """Name (that of its family, if it has one) and nodes of each boundary condition."""
+        """Yields name (that of its family, if it has one) and nodes of each boundary condition."""
         for _, zone_bc in children(self.group, "ZoneBC_t"):
             for name, condition in children(zone_bc, "BC_t"):
                 family = [word(child) for _, child in children(condition, "FamilyName_t")]
@@ -170,13 +178,13 @@ class Zone:
             if numbers.size and (numbers.min() < 1 or numbers.max() > self.count):
                 raise self.error(f"boundary condition {name} names vertices beyond 1 to {self.count}")
             return numbers - 1 + self.first
-        nodes, found = [np.zeros(0, np.int64)], 0
+        nodes, count = [np.zeros(0, np.int64)], 0
         for begin, corners in elements.items():
-            mine = numbers[(numbers >= begin) & (numbers < begin + len(corners))] - begin
-            found += len(mine)
-            nodes.append(corners[mine].ravel())
-        if found < len(numbers):
+            rows = numbers[(numbers >= begin) & (numbers < begin + len(corners))] - begin
+            count += len(rows)
+            nodes.append(corners[rows].ravel())
+        if count < len(numbers):
             raise self.error(
-                f"boundary condition {name}: {len(numbers) - found} of its {len(numbers)} elements are not there"
+                f"boundary condition {name}: {len(numbers) - count} of its {len(numbers)} elements are not there"
             )
         return np.concatenate(nodes)

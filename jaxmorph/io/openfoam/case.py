@@ -28,20 +28,20 @@ from .topology import Topology, topology_of
 NAME = "OpenFOAM"
 TOPOLOGY = ("faces", "owner", "neighbour", "boundary")
 COPIED = ("constant", "system", "0", "0.orig")
-"""What of a case a new one gets."""
+"""Parts of a case that a new one gets."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class WholeCells:
-    """The faces of a case with polyhedra, and the case's cell that each cell of the mesh is, or is a piece of."""
+    """Holds the faces of a case with polyhedra, and the case's cell that each cell of the mesh is, or is a piece of."""
 
     faces: Faces
     cell: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Content:
-    """The file of points, its values, the folder of the faces, the two planes of a case in the plane, and polyhedra."""
+class _CaseContent:
+    """Keeps the file of points, its values, the folder of the faces, the two planes of a 2-D case, and polyhedra."""
 
     file: FoamFile
     points: np.ndarray
@@ -51,10 +51,10 @@ class _Content:
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """The mesh of a case, of one of its time folders, or of a folder polyMesh; nodes in the order of the file.
+    """Reads the mesh of a case, of one of its time folders, or of a folder polyMesh; nodes in the order of the file.
 
-    `patches` are those of `boundary`. Cells with more or other faces than the standard types are cut into tetrahedra between
-    their own nodes. Of a case with `empty` patches the plane in front is the mesh, in two coordinates.
+    `patches` are those of `boundary`. Cells with more or other faces than the standard types are cut into tetrahedra
+    between their own nodes. Of a case with `empty` patches the plane in front is the mesh, in two coordinates.
     """
     here, topology = _folders(path)
     boundary = patches(load(topology, "boundary"))
@@ -62,22 +62,22 @@ def read(path: pathlib.Path) -> Mesh:
     if wedges:
         raise ValueError(f"{path}: patches of type wedge ({', '.join(wedges)}); axisymmetric cases are not supported.")
     empty = [patch for patch in boundary if patch.type == "empty" and patch.count]
-    found = topology_of(topology, boundary, is_plane=bool(empty))
+    topology_data = topology_of(topology, boundary, is_plane=bool(empty))
     file, points = _points(here)
-    found.check(topology, len(points))
+    topology_data.check(topology, len(points))
     try:
         if empty:
-            (mesh, plane), whole = _in_plane(found, points, boundary, empty), None
+            (mesh, plane), whole = _in_plane(topology_data, points, boundary, empty), None
         else:
-            (mesh, whole), plane = _in_space(found, points), None
+            (mesh, whole), plane = _in_space(topology_data, points), None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    source = Source(file.path, NAME, _Content(file, points, topology, plane, whole))
+    source = Source(file.path, NAME, _CaseContent(file, points, topology, plane, whole))
     return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """`ValueError` for what `write` cannot do, before any work."""
+    """Raises `ValueError` for what `write` cannot do, before any work."""
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError(f"{path}: only a mesh that was read from an OpenFOAM case can be written to one.")
@@ -96,10 +96,10 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """`points` in a time folder of the case, or a new case: `constant`, `system`, `0` and `0.orig` with other points."""
+    """Writes `points` in a time folder of the case, or a new case: `constant`, `system`, `0` and `0.orig` with other points."""
     source = source_of(mesh, NAME)
     assert source is not None
-    content: _Content = source.content
+    content: _CaseContent = source.content
     if _is_time(path):
         folder = path / "polyMesh"
         made = [each for each in (path, folder) if not each.exists()]
@@ -124,7 +124,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         _write_points(folder / content.file.path.name, content, np.asarray(mesh.points))
 
 
-def _write_points(path: pathlib.Path, content: _Content, points: np.ndarray) -> None:
+def _write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray) -> None:
     if content.plane is not None:
         points = content.plane.in_space(content.points, points)
     file = content.file
@@ -136,19 +136,19 @@ def _write_points(path: pathlib.Path, content: _Content, points: np.ndarray) -> 
 
 
 def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes]:
-    """The file with other coordinates, in pieces."""
-    found = file.list_at(file.end)
-    if found.uniform:
+    """Yields the file with other coordinates, in pieces."""
+    place = file.list_at(file.end)
+    if place.uniform:
         raise file.error("a list with one value for all points cannot hold moved ones")
     if file.is_binary:
         values = points.astype(file.dtype("scalar"))
-        yield file.data[: found.start]
+        yield file.data[: place.start]
         yield values.tobytes()
-        yield file.data[found.start + values.nbytes :]
+        yield file.data[place.start + values.nbytes :]
         return
-    stop = file.data.rfind(b")", found.start)
-    yield file.data[: found.start]
-    yield from replace_words(file.data, found.start, stop, points.ravel(), PARENTHESES)
+    stop = file.data.rfind(b")", place.start)
+    yield file.data[: place.start]
+    yield from replace_words(file.data, place.start, stop, points.ravel(), PARENTHESES)
     yield file.data[stop:]
 
 
@@ -157,38 +157,38 @@ def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
     points = file.numbers("scalar", 3)
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size or not len(points):
-        found = f"point {bad[0]} is not finite: {points[bad[0]].tolist()}" if bad.size else "no points"
-        raise file.error(found)
+        fault = f"point {bad[0]} is not finite: {points[bad[0]].tolist()}" if bad.size else "no points"
+        raise file.error(fault)
     return file, points
 
 
-def _in_space(found: Topology, points: np.ndarray) -> tuple[Mesh, WholeCells | None]:
-    cells, ids, faces = found.cells, found.ids, found.faces
+def _in_space(topology: Topology, points: np.ndarray) -> tuple[Mesh, WholeCells | None]:
+    cells, ids, faces = topology.cells, topology.ids, topology.faces
     if faces is None:
-        return Mesh(points, cells, found.nodes), None
+        return Mesh(points, cells, topology.nodes), None
     pieces, owners = tetrahedra(faces, ids.pop("polyhedron"), points)
     cells["tetra"] = np.concatenate([cells["tetra"], pieces]) if "tetra" in cells else pieces
     ids["tetra"] = np.concatenate([ids["tetra"], owners]) if "tetra" in ids else owners
-    mesh = Mesh(points, cells, found.nodes)
+    mesh = Mesh(points, cells, topology.nodes)
     return mesh, WholeCells(faces, np.concatenate([ids[kind] for kind in mesh.cells]))
 
 
 def whole_cells(mesh: Mesh) -> WholeCells | None:
-    """The polyhedra of a mesh that was read from a case which has some."""
+    """Returns the polyhedra of a mesh that was read from a case which has some, else None."""
     source = source_of(mesh, NAME)
     return None if source is None else source.content.whole
 
 
-def _in_plane(found: Topology, points: np.ndarray, boundary: list[Patch], empty: list[Patch]) -> tuple[Mesh, Layer]:
-    assert found.faces is not None
+def _in_plane(topology: Topology, points: np.ndarray, boundary: list[Patch], empty: list[Patch]) -> tuple[Mesh, Layer]:
+    assert topology.faces is not None
     ids = np.concatenate([np.arange(patch.start, patch.start + patch.count) for patch in empty])
-    plane = layer(found.faces, points)
-    nodes = {patch.name: plane.ids(found.nodes[patch.name]) for patch in boundary if patch.type != "empty"}
-    return Mesh(plane.in_plane(points), plane_cells(found.faces, points, ids, plane), nodes), plane
+    plane = layer(topology.faces, points)
+    nodes = {patch.name: plane.ids(topology.nodes[patch.name]) for patch in boundary if patch.type != "empty"}
+    return Mesh(plane.in_plane(points), plane_cells(topology.faces, points, ids, plane), nodes), plane
 
 
 def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
-    """The folder of the points and that of the faces: for a time folder often the latter is the case's."""
+    """Finds the folder of the points and that of the faces: for a time folder often the latter is the case's."""
     if path.name == "polyMesh":
         here = path
     elif (path / "constant" / "polyMesh").is_dir():
@@ -203,7 +203,7 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
 
 
 def _case_of(topology: pathlib.Path) -> pathlib.Path | None:
-    """The folder that holds `constant`, or the time folder, that a polyMesh is in."""
+    """Finds the folder that holds `constant`, or the time folder, that a polyMesh is in."""
     above = topology.resolve().parents
     named = [folder.parent for folder in above if folder.name == "constant"]
     return named[0] if named else next((folder.parent for folder in above if _is_time(folder)), None)

@@ -1,4 +1,4 @@
-"""OpenFOAM's vectors at points: what its adjoint solver writes of dJ/d(points)."""
+"""Vectors at OpenFOAM's points: dJ/d(points) as its adjoint solver writes them."""
 
 import dataclasses
 import pathlib
@@ -18,7 +18,7 @@ _END = re.compile(rb"\)\s*\)\s*;")
 
 
 def is_foam_file(path: pathlib.Path) -> bool:
-    """Whether it is one of OpenFOAM's files, by its ending or its header."""
+    """Tells whether a file is one of OpenFOAM's, by its ending or its header."""
     if path.suffix == ".gz":
         return True
     with path.open("rb") as file:
@@ -26,22 +26,22 @@ def is_foam_file(path: pathlib.Path) -> bool:
 
 
 def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d"]:
-    """A `pointVectorField` for the nodes of a mesh that was read from a case; in the plane both planes' vectors are added.
+    """Reads a `pointVectorField` for the nodes of a mesh that was read from a case; in 2-D both planes' vectors are added.
 
-    `ValueError` for other classes of fields, other numbers of points, and meshes from elsewhere.
+    It raises `ValueError` for other classes of fields, other numbers of points, and meshes from elsewhere.
     """
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError(f"{path}: a file of OpenFOAM; it needs a mesh that was read from an OpenFOAM case.")
     file = load(path.parent, path.name)
     kind = file.header.get("class", "")
-    found = _INTERNAL.search(file.data, file.end)
-    if kind != "pointVectorField" or found is None or found[1] == b"uniform":
+    entry = _INTERNAL.search(file.data, file.end)
+    if kind != "pointVectorField" or entry is None or entry[1] == b"uniform":
         given = f"{kind or 'no class'}{' with one value for all points' if kind == 'pointVectorField' else ''}"
         raise file.error(f"a pointVectorField with a list of vectors expected, found {given}")
-    stop = None if file.is_binary else _END.search(file.data, found.end())
+    stop = None if file.is_binary else _END.search(file.data, entry.end())
     data = file.data if stop is None else file.data[: stop.end()]
-    values = dataclasses.replace(file, data=data, end=found.end()).numbers("scalar", 3)
+    values = dataclasses.replace(file, data=data, end=entry.end()).numbers("scalar", 3)
     content = source.content
     if len(values) != len(content.points):
         raise file.error(f"{len(content.points)} vectors expected, one for each point of the case, found {len(values)}")

@@ -22,7 +22,7 @@ PARENTHESES = bytes.maketrans(b"()", b"  ")
 
 @dataclasses.dataclass(frozen=True)
 class List:
-    """Where a list stands in a file: `count` elements (-1: not said) from `start`; `uniform` holds one for all."""
+    """Locates a list in a file: `count` elements (-1: not said) from `start`; `uniform` holds one for all."""
 
     count: int
     start: int
@@ -31,7 +31,7 @@ class List:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FoamFile:
-    """One file of a mesh: `raw` as it is on disk, `data` unpacked, its header, and where that ends."""
+    """Holds one file of a mesh: `raw` as it is on disk, `data` unpacked, its header, and where that ends."""
 
     path: pathlib.Path
     raw: bytes
@@ -44,7 +44,10 @@ class FoamFile:
         return self.header.get("format", "ascii") == "binary"
 
     def dtype(self, what: str) -> np.dtype:
-        """Type of a binary `label` or `scalar`: width and byte order from the header's `arch`, else 32 and 64, little-endian."""
+        """Returns the type of a binary `label` or `scalar`: width and byte order from the header's `arch`.
+
+        Without it they are 32 and 64 bits, little-endian.
+        """
         arch = self.header.get("arch", "")
         found = re.search(rf"{what}=(\d+)", arch)
         width = int(found[1]) if found else {"label": 32, "scalar": 64}[what]
@@ -56,7 +59,7 @@ class FoamFile:
         return ValueError(f"{self.path}: {message}.")
 
     def list_at(self, at: int) -> List:
-        """The list that begins after `at` and the blanks and comments that follow."""
+        """Finds the list that begins after `at` and the blanks and comments that follow."""
         at = _end_of_space(self.data, at)
         found = _COUNT.match(self.data, at)
         if found is None or not found[0]:
@@ -65,7 +68,7 @@ class FoamFile:
         return List(count if found[2] else 0, found.end(), found[2] == b"{")
 
     def numbers(self, what: str, width: int = 1) -> np.ndarray:
-        """The file's list of `label`s or `scalar`s, `width` in each element: (count, width), int32 or float64."""
+        """Reads the file's list of `label`s or `scalar`s, `width` in each element: (count, width), int32 or float64."""
         found = self.list_at(self.end)
         kind = np.dtype(np.int64 if what == "label" else np.float64)
         if found.uniform and found.count * width * 8 > UNIFORM + 10 * len(self.raw):
@@ -84,7 +87,7 @@ class FoamFile:
         return values.reshape(-1, width)
 
     def binary(self, found: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
-        """The numbers of a binary list, not copied, and where it ends."""
+        """Views the numbers of a binary list, not copied, and tells where it ends."""
         dtype = self.dtype(what)
         count = found.count * width
         stored = width if found.uniform else count
@@ -98,7 +101,7 @@ class FoamFile:
         return (np.tile(values, found.count) if found.uniform else values), end + 1
 
     def faces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Labels of all faces in a row, and where each face begins among them (one more at the end)."""
+        """Reads the labels of all faces in a row, and where each face begins among them (one more at the end)."""
         if not self.is_binary:
             return self._text_faces()
         if "Compact" not in self.header.get("class", ""):
@@ -111,7 +114,7 @@ class FoamFile:
         return labels.astype(_narrow(labels)), starts
 
     def _separate_faces(self) -> tuple[np.ndarray, np.ndarray]:
-        """From a binary list of lists, as older versions write it: each face with its number of labels, one after the other."""
+        """Reads a binary list of lists, as older versions write it: each face with its number of labels, one after the other."""
         found = self.list_at(self.end)
         at, parts = found.start, [np.zeros(0, self.dtype("label"))]
         for _ in range(found.count):
@@ -160,7 +163,7 @@ class FoamFile:
         return values[keep], np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
 
     def _table(self, found: List, stop: int) -> np.ndarray | None:
-        """Labels (faces, corners) of a text whose faces are all of one size; None for any other."""
+        """Reads labels (faces, corners) of a text whose faces are all of one size; None for any other."""
         done, labels = 0, np.zeros((0, 0), np.int32)
         for part in map(_one_size, chunks(self.data, found.start, stop)):
             if not done and len(part) and found.count * part.shape[1] <= len(self.data):
@@ -180,7 +183,7 @@ class FoamFile:
 
 
 def _one_size(chunk: bytes) -> np.ndarray:
-    """Labels (faces, corners) of a piece of text with whole faces, all of one size; empty for any other."""
+    """Reads labels (faces, corners) of a piece of text with whole faces, all of one size; empty for any other."""
     faces = chunk.count(b"(")
     labels = parse(chunk.translate(PARENTHESES), np.int64)
     width, rest = divmod(len(labels), max(faces, 1))
@@ -199,9 +202,9 @@ def _end_of_space(data: bytes, at: int) -> int:
 
 
 def load(folder: pathlib.Path, name: str) -> FoamFile:
-    """The file of that name in a folder, plain or with the ending .gz.
+    """Opens the file of that name in a folder, plain or with the ending .gz.
 
-    `FileNotFoundError` where there is neither, `ValueError` for a file without OpenFOAM's header.
+    It raises `FileNotFoundError` where there is neither, `ValueError` for a file without OpenFOAM's header.
     """
     path = folder / name
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
@@ -229,7 +232,7 @@ class Patch:
 
 
 def patches(file: FoamFile) -> list[Patch]:
-    """The patches of a file `boundary`; `ValueError` for an entry without type, nFaces or startFace."""
+    """Reads the patches of a file `boundary`; raises `ValueError` for an entry without type, nFaces or startFace."""
     text = re.sub(r"//[^\n]*|/\*.*?\*/", " ", file.data[file.end :].decode(errors="replace"), flags=re.DOTALL)
     found = []
     for name, body in re.findall(r"(\"[^\"]*\"|[^\s(){};\"]+)\s*\{((?:[^{}]|\{[^{}]*\})*)\}", text):

@@ -1,4 +1,4 @@
-"""OpenFOAM's cases in the plane: one layer of cells between two `empty` planes, which move alike."""
+"""OpenFOAM's 2-D cases: one layer of cells between two `empty` planes, which move alike."""
 
 import dataclasses
 
@@ -8,14 +8,14 @@ from jaxmorph._mesh.faces import Faces
 from jaxmorph._mesh.polyhedra import triangles
 
 TOLERANCE = 1e-6
-"""How far a node may be off its plane, as a share of the distance between the two."""
+"""Distance that a node may be off its plane, as a share of the distance between the two."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Layer:
-    """`front` and `back` are the nodes of the two planes, row by row one behind the other; `axes` are those of the plane.
+    """Pairs the nodes of two planes: `front` and `back`, row by row one behind the other; `axes` are the two along them.
 
-    Node i of the mesh in the plane is `front[i]`; ids ascend, so nodes keep the order of the file.
+    Node i of the 2-D mesh is `front[i]`; ids ascend, so nodes keep the order of the file.
     """
 
     front: np.ndarray
@@ -26,7 +26,7 @@ class Layer:
         return np.ascontiguousarray(points[self.front][:, self.axes])
 
     def in_space(self, old: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        """`old` with both planes at `plane`; a node behind one that has not moved stays where it is."""
+        """Places both planes of `old` at `plane`; a node behind one that has not moved stays where it is."""
         new = old.copy()
         rows = np.ix_(self.front, np.array(self.axes))
         moved = plane != old[rows]
@@ -36,19 +36,19 @@ class Layer:
         return new
 
     def added(self, values: np.ndarray) -> np.ndarray:
-        """(n, 2) from (N, 3) at all nodes: those of both planes added, as both move; the transpose of `in_space`."""
+        """Adds the values (N, 3) of both planes to (n, 2), as both move: the transpose of `in_space`."""
         return (values[self.front] + values[self.back])[:, self.axes]
 
     def ids(self, nodes: np.ndarray) -> np.ndarray:
-        """Ids in the plane of those of `nodes` that are in the front."""
+        """Returns the 2-D mesh's ids of those of `nodes` that are in the front."""
         at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
         return at[self.front[at] == nodes]
 
 
 def layer(faces: Faces, points: np.ndarray) -> Layer:
-    """The two planes of a case with patches of type empty.
+    """Finds the two planes of a case with patches of type empty.
 
-    `ValueError` where the nodes are not on two planes across one axis, or not in pairs.
+    It raises `ValueError` where the nodes are not on two planes across one axis, or not in pairs.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     away = np.minimum(points - low, high - points).max(axis=0)
@@ -60,7 +60,7 @@ def layer(faces: Faces, points: np.ndarray) -> Layer:
         )
     normal = int(normals[0])
     axes = [(1, 2), (0, 2), (0, 1)][normal]
-    # seen from outside, the faces of the front run counterclockwise in the plane's two coordinates
+    # seen from outside, the faces of the front run counterclockwise in its two coordinates
     is_high = points[:, normal] - low[normal] > high[normal] - points[:, normal]
     is_front = ~is_high if normal == 1 else is_high
     front = np.flatnonzero(is_front)
@@ -80,22 +80,22 @@ def layer(faces: Faces, points: np.ndarray) -> Layer:
         )
     off = np.abs(points[front][:, axes] - points[back][:, axes]).max()
     if off > TOLERANCE * 1e3 * (high - low).max():
-        raise ValueError(f"patches of type empty, but nodes of the two planes are {off:.3g} apart in the plane.")
+        raise ValueError(f"patches of type empty, but nodes of the two planes are {off:.3g} apart along them.")
     return Layer(front, back, axes)
 
 
 def plane_cells(faces: Faces, points: np.ndarray, empty: np.ndarray, plane: Layer) -> dict[str, np.ndarray]:
-    """Triangles and quads of the front, in the order of their cells; a face of more corners becomes triangles."""
+    """Makes triangles and quads of the front, in the order of their cells; a face of more corners becomes triangles."""
     is_front = np.zeros(len(points), bool)
     is_front[plane.front] = True
-    mine = empty[is_front[faces.labels[faces.starts[empty]]]]
-    mine = mine[np.argsort(faces.owner[mine], kind="stable")]
-    sizes = faces.sizes[mine]
+    front = empty[is_front[faces.labels[faces.starts[empty]]]]
+    front = front[np.argsort(faces.owner[front], kind="stable")]
+    sizes = faces.sizes[front]
     cells = {}
-    quads = faces.corners(mine[sizes == 4], 4)
-    others = [faces.corners(mine[sizes == 3], 3)]
+    quads = faces.corners(front[sizes == 4], 4)
+    others = [faces.corners(front[sizes == 3], 3)]
     if (sizes > 4).any():
-        others.append(triangles(faces, mine[sizes > 4], points)[0])
+        others.append(triangles(faces, front[sizes > 4], points)[0])
     for kind, corners in (("triangle", np.concatenate(others)), ("quad", quads)):
         if len(corners):
             cells[kind] = np.searchsorted(plane.front, corners)

@@ -1,4 +1,4 @@
-"""What OpenFOAM's `faces`, `owner` and `neighbour` say of the cells before the points are known.
+"""Cells that OpenFOAM's `faces`, `owner` and `neighbour` describe, before the points are known.
 
 The points are read afterwards: the tables of the faces, the largest of a mesh, are gone by then.
 """
@@ -15,10 +15,10 @@ from .file import Patch, load
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Topology:
-    """Cells and their ids by type as `standard_cells` gives them, and the nodes of each patch.
+    """Holds cells and their ids by type as `standard_cells` gives them, and the nodes of each patch.
 
-    `lowest` and `highest` are the ends of the nodes' numbers. `faces` is None where cells and patches say it all: not in the
-    plane, and not with polyhedra.
+    `lowest` and `highest` are the ends of the nodes' numbers. `faces` is None where cells and patches say it all: not
+    in 2-D, and not with polyhedra.
     """
 
     cells: dict[str, np.ndarray]
@@ -29,14 +29,14 @@ class Topology:
     faces: Faces | None
 
     def check(self, folder: pathlib.Path, n: int) -> None:
-        """`ValueError` for nodes that are not among `n` points."""
+        """Raises `ValueError` for nodes that are not among `n` points."""
         if self.lowest < 0 or self.highest >= n:
             bad = self.highest if self.highest >= n else self.lowest
             raise ValueError(f"{folder}: a face names node {bad}, but there are points 0 to {n - 1}.")
 
 
 def topology_of(folder: pathlib.Path, boundary: list[Patch], is_plane: bool) -> Topology:
-    """From the files of a folder; of a case in the plane, faces and patches alone."""
+    """Reads the topology from the files of a folder; of a 2-D case, faces and patches alone."""
     faces = _faces(folder)
     _check(folder, boundary, faces)
     cells, ids = ({}, {}) if is_plane else standard_cells(faces)

@@ -15,23 +15,23 @@ from .digits import lines, parse, parse_rows
 from .splice import spliced
 
 CHUNK = 1 << 20
-"""Bytes looked at together: what is made of them stays in a core's own cache."""
+"""Bytes looked at together: all tables made of them stay in a core's own cache."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Rows:
-    """The numbers of the lines that hold any: `values` of all in a row, `counts` of them on each line."""
+    """Holds the numbers of the lines that hold any: `values` of all in a row, `counts` of them on each line."""
 
     values: np.ndarray
     counts: np.ndarray
 
     @property
     def first(self) -> np.ndarray:
-        """Where each row begins in `values`."""
+        """Place in `values` at which each row begins."""
         return np.cumsum(self.counts) - self.counts
 
     def columns(self, rows: np.ndarray | slice, start: int, stop: int) -> np.ndarray:
-        """The numbers from `start` up to `stop` of some rows, which have as many."""
+        """Returns the numbers from `start` up to `stop` of some rows, which have as many."""
         width = int(self.counts[0])
         if len(self.values) == width * len(self.counts) and (self.counts == width).all():
             return self.values.reshape(-1, width)[rows, start:stop]
@@ -40,7 +40,7 @@ class Rows:
 
 @dataclasses.dataclass(frozen=True)
 class Section:
-    """The bytes from `start` to `stop` of a file's text; knows how to say where something stands in it."""
+    """Marks the bytes from `start` to `stop` of a file's text, and names the line of anything in it."""
 
     path: pathlib.Path
     text: bytes
@@ -48,7 +48,7 @@ class Section:
     stop: int
 
     def error(self, message: str, row: int | None = None) -> ValueError:
-        """A `ValueError` naming the file and the line: of the row with that number, or the one before the section."""
+        """Makes a `ValueError` that names the file and the line: of the row with that number, or the one before the section."""
         return ValueError(f"{self.path}, line {self._line(row)}: {message}")
 
     def _line(self, row: int | None) -> int:
@@ -62,7 +62,10 @@ class Section:
         return line
 
     def blocks(self, dtype: type) -> Iterator[Rows]:
-        """All numbers of the section, some lines at a time. `ValueError` for anything that is not a number of type `dtype`."""
+        """Yields all numbers of the section, some lines at a time.
+
+        It raises `ValueError` for anything that is not a number of type `dtype`.
+        """
         for chunk in chunks(self.text, self.start, self.stop):
             values, width = parse_rows(chunk, dtype)
             if width:
@@ -75,7 +78,7 @@ class Section:
                 yield Rows(values, counts)
 
     def rows(self, dtype: type) -> Rows:
-        """`blocks`, together."""
+        """Returns all `blocks` together."""
         values, counts = [np.zeros(0, dtype)], [np.zeros(0, np.int64)]
         for block in self.blocks(dtype):
             values.append(block.values)
@@ -94,14 +97,14 @@ class Section:
 
 
 def blank_comments(text: bytes) -> bytes:
-    """The text with every `%` comment overwritten by spaces: what remains stands where it stood."""
+    """Overwrites every `%` comment by spaces: what remains stands where it stood."""
     if b"%" not in text:
         return text
-    return re.sub(rb"%[^\r\n]*", lambda found: b" " * len(found[0]), text)
+    return re.sub(rb"%[^\r\n]*", lambda comment: b" " * len(comment[0]), text)
 
 
 def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
-    """The text from `start` to `stop` in pieces of whole lines, about `CHUNK` bytes each."""
+    """Yields the text from `start` to `stop` in pieces of whole lines, about `CHUNK` bytes each."""
     while start < stop:
         end = text.find(b"\n", min(start + CHUNK, stop - 1), stop) + 1 or stop
         yield text[start:end]
@@ -109,7 +112,7 @@ def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
 
 
 def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the words of a chunk begin and end, and how many stand on each line that holds any."""
+    """Finds where the words of a chunk begin and end, and how many stand on each line that holds any."""
     codes = np.frombuffer(chunk, np.uint8)
     blank = np.ones(len(codes) + 2, bool)
     np.less_equal(codes, 32, out=blank[1:-1])
@@ -123,10 +126,11 @@ def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def replace(
     text: bytes, part: slice, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
 ) -> Iterator[bytes | memoryview]:
-    """The text with the coordinates of `points` in place of those that a part of it holds, in pieces.
+    """Yields the text with the coordinates of `points` in place of those that a part of it holds, in pieces.
 
-    `is_row` tells from the number of words on a line whether it holds a point; its coordinates begin with word `column`.
-    A coordinate that has not changed keeps its digits; a changed one gets the shortest that read back bit for bit.
+    `is_row` tells from the number of words on a line whether it holds a point; its coordinates begin with word
+    `column`. A coordinate that has not changed keeps its digits; a changed one gets the shortest that read back bit for
+    bit.
     """
     d = points.shape[1]
     done = 0
@@ -142,7 +146,7 @@ def replace(
 
 
 def replace_words(text: bytes, start: int, stop: int, values: np.ndarray, blanks: bytes) -> Iterator[bytes]:
-    """The text from `start` to `stop` with `values` in place of all the numbers that it holds, as `replace` does.
+    """Yields the text from `start` to `stop` with `values` in place of all the numbers that it holds, as `replace` does.
 
     `blanks` is the table (of `bytes.translate`) that turns what stands between the numbers into blanks.
     """
@@ -155,7 +159,7 @@ def replace_words(text: bytes, start: int, stop: int, values: np.ndarray, blanks
 
 
 def _changed(original: bytes, chunk: bytes, starts: np.ndarray, ends: np.ndarray, words: Any, new: np.ndarray) -> bytes:
-    """A chunk with `new` in place of those of its words that stand between `starts` and `ends`, where it differs."""
+    """Puts `new` in place of those words of a chunk that stand between `starts` and `ends`, where it differs."""
     changed = np.flatnonzero(new != parse(chunk, np.float64)[words].astype(new.dtype))
     if not len(changed):
         return original
