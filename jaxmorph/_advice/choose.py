@@ -31,12 +31,18 @@ COLUMNS = ("leaves", "sources", "radius", "error", "rounding", "inverted", "jaco
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """What `choose` found: the `method`, its `plan`, and a table of all that were tried, as text by `str`.
+    """Holds the result of `choose`: the `method`, its `plan`, and a table of all that were tried, as text by `str`.
 
-    Each row of `table` has `leaves` of the k-d tree on the moving nodes, `sources` in all, the `radius` of the Wendland C2
-    function (None for a thin plate spline), `error`, the root mean square over surface and motions of what the coarse field
-    misses, relative to the largest displacement, `rounding`, what float64 makes of the system's condition, relative to it too,
-    `inverted` cells in all motions and the smallest `jacobian` ratio in any; NaN where `prepare` refused. `chosen` is its row.
+    `chosen` is the method's row of `table`. Each row has
+
+    - `leaves`: those of the k-d tree on the moving nodes;
+    - `sources`: how many control points in all;
+    - `radius`: that of the Wendland C2 function, None for a thin plate spline;
+    - `error`: the coarse field's error on the surface, relative to the largest displacement: root mean square over
+      surface and motions;
+    - `rounding`: the error that float64 makes of the system's condition, relative to it too;
+    - `inverted`: inverted cells in all motions;
+    - `jacobian`: the smallest Jacobian ratio in any; NaN where `prepare` refused.
     """
 
     method: AbstractMethod
@@ -64,19 +70,26 @@ def choose(
     leaves: Sequence[int] = (8, 32, 128),
     tolerance: float = 0.01,
 ) -> Choice:
-    """Host: picks the number of sources and the support radius for a family of motions, by trying.
+    """Chooses the number of sources and the support radius for a family of motions, by trying, on the host.
 
-    `motions` (s, m, d) are displacements of the moving nodes that the mesh is to bear: modes, or samples; `moving`, `fixed` and
-    `symmetry` are `prepare`'s. For each number of
-    `leaves` a thin plate spline and a Wendland C2 function are tried, whose radius optimistix's golden section search finds between
-    a fifth of the moving nodes' extent and ten times it: least sum of `error` and `rounding`, see `Choice`. Among those that
-    invert fewest cells, miss the surface by no more than `tolerance`, and keep 98 % of the best smallest Jacobian ratio, the one
-    with fewest sources is chosen; where none is that good, the one with the largest Jacobian ratio.
+    For each number of leaves a thin plate spline and a Wendland C2 function are tried. The radius of the second
+    minimises the sum of `error` and `rounding` (see `Choice`), by optimistix's golden section search between a fifth of
+    the moving nodes' extent and ten times it. Candidates are good that invert fewest cells, miss the surface by no more
+    than `tolerance`, and keep 98 % of the best smallest Jacobian ratio. Of these the one with fewest sources is chosen;
+    where none is that good, the one with the largest Jacobian ratio. Every motion is deformed and judged once for each
+    of the 2 len(`leaves`) candidates.
 
-    Every motion is deformed and judged once for each of the 2 len(`leaves`) candidates.
+    **Arguments:**
 
-    Raises `ValueError` when `motions` is not (s, m, d) or is zero, for no `leaves`, and what `prepare` raises where it
-    refuses every candidate.
+    - `mesh`, `moving`, `fixed`, `symmetry`: those of `prepare`.
+    - `motions`: displacements (s, m, d) of the moving nodes that the mesh is to bear: modes, or samples.
+    - `leaves`: numbers of leaves of the k-d tree to try, default 8, 32, 128.
+    - `tolerance`: the error on the surface that is allowed, relative to the largest displacement. Default 0.01.
+
+    **Returns:** a `Choice`.
+
+    **Raises:** `ValueError` when `motions` is not (s, m, d) or is zero, for no `leaves`, and what `prepare` raises
+    where it refuses every candidate.
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(f"call choose(mesh, moving, fixed, motions) with a Mesh, not {type(mesh).__name__}.")
@@ -139,7 +152,7 @@ def _candidate(surface: Surface, columns: np.ndarray, count: int, with_radius: b
 
 @eqx.filter_jit
 def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
-    """Logarithm of the radius over the extent."""
+    """Searches the logarithm of the radius over the extent."""
 
     def loss(log_radius, _):
         wide = eqx.tree_at(lambda it: it.basis, rbf, WendlandC2(extent * jnp.exp(log_radius)))
@@ -152,7 +165,7 @@ def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
 
 @eqx.filter_jit
 def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Root mean square of what is missed on the surface; and the size of the weights times the unit of rounding."""
+    """Computes the root mean square of the error on the surface; and the size of the weights times the unit of rounding."""
     field = rbf.field(ids, rbf.fit(ids, points), points, values)
     missed = values - jax.lax.map(lambda x: field(x, None), points, batch_size=256)
     unit = float(jnp.finfo(field.beta.dtype).eps)
@@ -179,7 +192,7 @@ def _judged(mesh: Mesh, plan: Plan | None, motions: np.ndarray) -> dict[str, Any
 
 
 def _best(rows: list[dict[str, Any]], error: float) -> int:
-    """The row with fewest sources among the good ones."""
+    """Picks the row with fewest sources among the good ones."""
     usable = [i for i, row in enumerate(rows) if not math.isnan(row["jacobian"])]
     fewest = min(rows[i]["inverted"] for i in usable)
     sound = [i for i in usable if rows[i]["inverted"] == fewest]

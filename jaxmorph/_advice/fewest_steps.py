@@ -1,4 +1,4 @@
-"""A large motion in the fewest steps that leave no cell inverted."""
+"""The fewest steps in which a large motion leaves no cell inverted."""
 
 import dataclasses
 from collections.abc import Callable
@@ -15,10 +15,12 @@ from .._quality.report import QualityReport
 
 @dataclasses.dataclass(frozen=True)
 class Steps:
-    """What `fewest_steps` found.
+    """Holds the result of `fewest_steps`.
 
-    `count` steps reach `fraction` of the motion (1 when all of it) on `points` (n, d), with `report` of their quality; `plans`
-    replays them along `path` (count, m, d).
+    - `count`: how many steps.
+    - `fraction`: how much of the motion they reach, 1 when all of it.
+    - `points`: the points (n, d) at the end, with `report` of their quality.
+    - `plans`: one plan a step; `replay` repeats them along `path` (count, m, d).
     """
 
     count: int

@@ -1,4 +1,4 @@
-"""What to know about a motion before it is tried."""
+"""Checks of a surface displacement before the mesh is moved."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -15,15 +15,16 @@ from .overshoot import overshoot
 
 @dataclasses.dataclass(frozen=True)
 class Inspection:
-    """What `inspect` found, lengths in the mesh's units.
+    """Holds the findings of `inspect`, lengths in the mesh's units.
 
-    `offset` is the largest displacement that the correction has to carry (eq. 5; 0 for a method without one), at node
-    `offset_node`; `offset_ratio` is the largest ratio of a node's offset to the distance of its nearest mesh node.
-    `contradictions` (k, 2) are pairs of neighbouring surface nodes that are torn apart, the worst first, and `near` (d,) is where
-    the worst pair lies. `warnings` says so in words.
-
-    `overshoot` is the largest motion of a node off the surface over the largest one of the surface; `overshoot_behind` is the same
-    behind a thin body's part that rests while its other side moves (below an airfoil with a bump on its upper side).
+    - `offset`: the largest displacement that the correction has to carry (eq. 5; 0 for a method without one).
+    - `offset_node`: the node with that offset.
+    - `offset_ratio`: the largest ratio of a node's offset to the distance of its nearest mesh node.
+    - `contradictions`: pairs (k, 2) of neighbouring surface nodes that are torn apart, the worst first.
+    - `near`: where the worst pair lies (d,). `warnings` says so in words.
+    - `overshoot`: the largest motion of a node off the surface over the largest one of the surface.
+    - `overshoot_behind`: the same behind a thin body's part that rests while its other side moves (below an airfoil
+      with a bump on its upper side).
     """
 
     offset: float
@@ -54,13 +55,20 @@ class Inspection:
 
 
 def inspect(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Inspection:
-    """Host: looks at a displacement (m, d) of the moving nodes, and at the motion that the mesh would make.
+    """Checks a surface displacement on the host, and the motion that the mesh would make.
 
-    Neighbouring surface nodes are contradictory where one moves, the other is fixed and the displacement is larger than their
-    distance (a wall sliding along a boundary that is held), or where both move and their distance more than
-    doubles. No method moves such a mesh well.
+    Neighbouring surface nodes are contradictory where one moves, the other is fixed and the displacement is larger than
+    their distance: a wall slides along a boundary that is held. They are also where both move and their distance more
+    than doubles. No method moves such a mesh well.
 
-    Raises `ValueError` when the shape of `u` is not (m, d), or a component is not finite.
+    **Arguments:**
+
+    - `plan`: what `prepare` returned.
+    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
+
+    **Returns:** an `Inspection`.
+
+    **Raises:** `ValueError` when the shape of `u` is not (m, d), or a component is not finite.
     """
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
     points, nodes = np.asarray(plan.points), np.asarray(plan.surface.nodes)

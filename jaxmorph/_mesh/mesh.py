@@ -13,15 +13,19 @@ from . import exchange, export
 
 
 class Mesh(eqx.Module):
-    """Points, the cells between them, and named patches of boundary nodes.
+    """Holds points, the cells between them, and named patches of boundary nodes.
 
-    `points` is (n, d) with d = 2 or 3, in the units of the file. `cells` maps a cell type to its corner ids (k, corners),
-    numbered as VTK numbers them; the types are `triangle`, `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron` (`tri`,
-    `tet`, `prism` and `hex` are understood too); types stand in alphabetical order, whatever order they came in, so that arrays
-    per cell mean the same under `jit`. `patches` maps a name to the ids of its nodes, without repetition.
-    `source` is what `jaxmorph.io.write` needs to give the file back as it was.
+    **Arguments:**
 
-    Raises `ValueError` for an unknown cell type, for corner or patch ids outside of `points`, and for wrong shapes.
+    - `points`: coordinates (n, d) with d = 2 or 3, in the units of the file.
+    - `cells`: corner ids (k, corners) by type, numbered as VTK numbers them. Types are `triangle`, `quad`, `tetra`,
+      `pyramid`, `wedge` and `hexahedron`; `tri`, `tet`, `prism` and `hex` are understood too. They stand in
+      alphabetical order, whatever order they came in, so that arrays per cell mean the same under `jit`. Default: none.
+    - `patches`: node ids by name, without repetition. Default: none.
+    - `source`: what `jaxmorph.io.write` needs to give the file back as it was. Default: none.
+
+    **Raises:** `ValueError` for an unknown cell type, for corner or patch ids outside of `points`, and for wrong
+    shapes.
     """
 
     points: Float[Array | np.ndarray, "n d"]
@@ -54,9 +58,9 @@ class Mesh(eqx.Module):
                 raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
 
     def patch(self, *names: str) -> np.ndarray:
-        """Ids of the nodes of one patch, or of several together, each node once, ascending.
+        """Returns the ids of the nodes of one patch, or of several together, each node once, ascending.
 
-        Raises `ValueError`, with the names there are, for one that is not among them.
+        **Raises:** `ValueError`, with the names there are, for one that is not among them.
         """
         for name in names:
             if name not in self.patches:
@@ -67,9 +71,9 @@ class Mesh(eqx.Module):
         return np.unique(np.concatenate([np.asarray(self.patches[name]) for name in names]))
 
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
-        """The same mesh with other coordinates; this one stays as it is.
+        """Returns the same mesh with other coordinates `points` (n, d); this one stays as it is.
 
-        Raises `ValueError` when the shape of `points` differs.
+        **Raises:** `ValueError` when the shape of `points` differs.
         """
         places = _floats(points)
         if tuple(places.shape) != tuple(self.points.shape):
@@ -81,34 +85,40 @@ class Mesh(eqx.Module):
 
     @staticmethod
     def from_meshio(mesh: Any) -> "Mesh":
-        """A `meshio.Mesh` as one of ours: its cells of highest dimension, in two coordinates where all z are equal.
+        """Makes a mesh of a `meshio.Mesh`: its cells of highest dimension, in two coordinates where all z are equal.
 
-        Patches are cell sets of lower dimension, gmsh's physical groups and point arrays `patch:NAME`; else what an array
-        `patch`, `marker`, `boundary` ... of whole numbers tells apart, on the boundary's cells or on points; else the one
-        patch `boundary`. Point ids stay. The result remembers where it came from, for `to_meshio`.
+        Patches are cell sets of lower dimension, gmsh's physical groups and point arrays `patch:NAME`. Without them an
+        array `patch`, `marker`, `boundary` ... of whole numbers, on the boundary's cells or on points, tells patches
+        apart. Without it the one patch is `boundary`. Point ids stay. The result remembers where it came from, for
+        `to_meshio`.
 
-        Raises `ValueError` for types of cells that are not supported (polyhedra, cells with nodes between corners), for
-        points that are not finite, and where there are no cells of an area or a volume.
+        **Raises:** `ValueError` for types of cells that are not supported (polyhedra, cells with nodes between
+        corners). Also for points that are not finite, and where there are no cells of an area or a volume.
         """
         return Mesh(*exchange.parts(exchange.of_meshio(mesh)), source=exchange.Origin(mesh))
 
     def to_meshio(
         self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
     ) -> Any:
-        """As a `meshio.Mesh`: the one that this mesh came from with other points, all else as it was, or a new one.
+        """Makes a `meshio.Mesh`: the one that this mesh came from with other points, all else as it was, or a new one.
 
-        Patches are point arrays `patch:NAME` of zeros and ones. `point_data` (one row a point) and `cell_data` (one row a
-        cell, in the order of `cells`) are added; other cells of the mesh it came from get NaN.
+        Patches are point arrays `patch:NAME` of zeros and ones.
 
-        Raises `ValueError` for arrays of a wrong length, `ImportError` where meshio is missing.
+        **Arguments:**
+
+        - `point_data`: arrays to add, one row a point. Default: none.
+        - `cell_data`: arrays to add, one row a cell, in the order of `cells`. Other cells of the mesh that this one
+          came from get NaN. Default: none.
+
+        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where meshio is missing.
         """
         return export.to_meshio(self._parts, self.source, point_data, cell_data)
 
     @staticmethod
     def from_pyvista(grid: Any) -> "Mesh":
-        """A `pyvista.UnstructuredGrid`, or any other data set of PyVista made one, as `from_meshio` takes a mesh.
+        """Makes a mesh of a `pyvista.UnstructuredGrid`, or any other data set of PyVista made one, as `from_meshio` does.
 
-        Raises `ValueError` as that does, and for a `MultiBlock`.
+        **Raises:** `ValueError` as that does, and for a `MultiBlock`.
         """
         if not hasattr(type(grid), "cells_dict"):
             if not hasattr(grid, "cast_to_unstructured_grid"):
@@ -119,9 +129,9 @@ class Mesh(eqx.Module):
     def to_pyvista(
         self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
     ) -> Any:
-        """As a `pyvista.UnstructuredGrid`, with patches and arrays as `to_meshio` has them.
+        """Makes a `pyvista.UnstructuredGrid`, with patches and arrays as `to_meshio` has them.
 
-        Raises `ValueError` for arrays of a wrong length, `ImportError` where PyVista is missing.
+        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where PyVista is missing.
         """
         return export.to_pyvista(self._parts, self.source, point_data, cell_data)
 

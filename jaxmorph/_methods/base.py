@@ -64,7 +64,7 @@ class Surface:
         return rows[np.isin(self.images[rows], chosen)], closest
 
     def among(self, points: np.ndarray) -> tuple["Surface", np.ndarray]:
-        """The same surface with each of its rows among the points: those that are not (mirror images) are added at the end."""
+        """Returns the surface with each of its rows among the points: rows that are not (mirror images) are added at the end."""
         absent = np.flatnonzero(self.nodes < 0)
         if not absent.size:
             return self, points
@@ -73,7 +73,7 @@ class Surface:
         return dataclasses.replace(self, nodes=nodes), np.concatenate([points, self.points[absent]])
 
     def rows(self, n: int) -> np.ndarray:
-        """(n,) the surface's row of each of n points; b for one that is not on the surface."""
+        """Finds the surface's row of each of n points (n,); b for a point that is not on the surface."""
         rows = np.full(n, len(self.points), dtype=np.int32)
         present = np.flatnonzero(self.nodes >= 0)
         rows[self.nodes[present]] = present
@@ -81,7 +81,7 @@ class Surface:
 
 
 class Located(eqx.Module):
-    """How the location of a mesh's points went: how many answers were `repaired`, how many points lie `outside` by round-off."""
+    """Counts how the location of a mesh's points went: answers `repaired`, and points that lie `outside` by round-off."""
 
     repaired: Int[Array, ""]
     outside: Int[Array, ""]
@@ -95,7 +95,7 @@ class AbstractRows(eqx.Module):
 
     @abc.abstractmethod
     def with_table(self, count: int, parts: int) -> "AbstractRows":
-        """Host: adds a table for rows of many points over `count` surface nodes, which lie in `parts` equal shares.
+        """Adds a table, on the host, for rows of many points over `count` surface nodes, which lie in `parts` equal shares.
 
         Each share's table has positions within the share, and as many rows as the others.
         """
@@ -106,18 +106,18 @@ class AbstractRows(eqx.Module):
 
     @abc.abstractmethod
     def with_table_of(self, old: Any) -> "AbstractRows":
-        """Traced: takes over the table of rows with the same ids, with the weights of these."""
+        """Takes over the table of rows with the same ids, with the weights of these. Traced."""
 
 
 class AbstractField(eqx.Module):
-    """A displacement field, written for one point."""
+    """Evaluates a displacement field, written for one point."""
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """The displacement at `x`; `ids` is what the method's `connect` found for this point, or `place` made of it."""
+        """Computes the displacement at `x`; `ids` is what the method's `connect` chose for this point, or `place` made of it."""
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
-        """The displacements of a block of points. Equal to the mapped one-point form; there for speed alone."""
+        """Computes the displacements of a block of points. Equal to the mapped one-point form; there for speed alone."""
         return jax.vmap(self)(points, ids)
 
     @property
@@ -135,44 +135,48 @@ class AbstractMethod(eqx.Module):
 
     @abc.abstractmethod
     def connect(self, surface: Surface, points: Float[np.ndarray, "n d"]) -> tuple[PyTree, PyTree]:
-        """Host, once: ids for the surface, and ids for every point (each leaf has n rows)."""
+        """Finds ids for the surface, and ids for every point (each leaf has n rows). Called once, on the host."""
 
     @abc.abstractmethod
     def fit(self, ids: PyTree, surface: Float[Array, "b d"]) -> PyTree:
-        """Traced: the part of the solve that does not depend on `u`."""
+        """Computes the part of the solve that does not depend on `u`. Traced."""
 
     @abc.abstractmethod
     def field(
         self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], u: Float[Array, "b d"]
     ) -> AbstractField:
-        """Traced, and linear in `u`."""
+        """Makes the displacement field. Traced, and linear in `u`."""
 
     def place(self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
-        """Traced: what a point's own place adds to its ids (barycentric coordinates), whatever `u` is; the ids by default.
+        """Adds to a point's ids what its own place gives (barycentric coordinates), whatever `u` is. Traced.
 
-        Computed once per base mesh. The steps of `march` keep it: a graph stands on the undeformed mesh.
+        By default it returns the ids. It is computed once per base mesh. The steps of `march` keep it: a graph stands
+        on the undeformed mesh.
         """
         return ids
 
     def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
-        """Traced: factors on the mesh that a step of `march` left; those of `fit` by default.
+        """Computes factors on the mesh that a step of `march` left; those of `fit` by default. Traced.
 
         What goes with the places that points keep (see `place`) stays as it is.
         """
         return self.fit(ids, surface)
 
     def matched(self, ids: PyTree) -> np.ndarray:
-        """Host: the surface's rows whose displacement the field takes, of those that `connect` chose (a coarse field's sources)."""
+        """Returns the surface's rows whose displacement the field takes, of those that `connect` chose, on the host.
+
+        They are a coarse field's sources.
+        """
         return np.zeros(0, dtype=np.int32)
 
     def sources(self, ids: PyTree) -> np.ndarray:
-        """Host: the surface's rows that are control points of the field (its centres); none by default."""
+        """Returns the surface's rows that are the field's sources, its control points, on the host; none by default."""
         return np.zeros(0, dtype=np.int32)
 
     def offset(
         self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], u: Float[Array, "b d"]
     ) -> Float[Array, "b d"]:
-        """Traced: the displacement of the surface that is left to a correction (eq. 5); zero by default."""
+        """Computes the displacement of the surface that is left to a correction (eq. 5); zero by default. Traced."""
         return jnp.zeros_like(u)
 
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:

@@ -10,7 +10,7 @@ from .base import BLOCK, AbstractField, AbstractMethod, AbstractRows
 
 
 def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
-    """The field at every point, block by block, each block recomputed instead of stored for derivatives."""
+    """Evaluates the field at every point, block by block, each block recomputed instead of stored for derivatives."""
     if field.block_size is None:
         return field.evaluate(points, ids)
     return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size)

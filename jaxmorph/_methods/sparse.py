@@ -21,7 +21,7 @@ from .base import AbstractField, AbstractMethod, AbstractRows
 
 
 class Table(eqx.Module):
-    """Where in the flattened weights (n, k) the entries of each column stand; see `jaxmorph._host.transpose.tabulate`.
+    """Locates the entries of each column in the flattened weights (n, k); see `jaxmorph._host.transpose.tabulate`.
 
     `weights` are those entries, gathered once per base mesh: that gather costs more than all else in a transpose.
     """
@@ -32,10 +32,10 @@ class Table(eqx.Module):
 
 
 class Interpolation(AbstractRows):
-    """Points' displacements as weighted sums of those of surface nodes: rows of a sparse operator.
+    """Interpolates points' displacements as weighted sums of those of surface nodes: rows of a sparse operator.
 
-    For one point, `nodes` and `weights` are (k,); for many (n, k), with a table of the transpose. Where `reached` is given and
-    False, the row, or the entry, is empty for good, whatever the coordinates.
+    For one point, `nodes` and `weights` are (k,); for many (n, k), with a table of the transpose. Where `reached` is
+    given and False, the row, or the entry, is empty for good, whatever the coordinates.
     """
 
     nodes: Int[Array, "*n k"]
@@ -72,7 +72,7 @@ def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
 
 
 def _rounded(rows: int) -> int:
-    """A little more, by 3 % at most: alike parts of a mesh then have tables of one shape, and compiled code in common."""
+    """Rounds up by 3 % at most: alike parts of a mesh then have tables of one shape, and compiled code in common."""
     step = 2 ** max(0, rows.bit_length() - 6)
     return -(-rows // step) * step
 
@@ -100,7 +100,7 @@ class InterpolatedField(AbstractField):
 
 
 def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Array, "n c"]:
-    """The operator applied to values at the b surface nodes; `rows` must have a table."""
+    """Applies the operator to values at the b surface nodes; `rows` must have a table."""
     table = rows.table
     assert table is not None
     ids = (rows.nodes, table.entries, table.owner)
@@ -108,7 +108,12 @@ def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Arra
 
 
 def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool, count: int):
-    """Row i: the sum over k of weights[i, k] values[nodes[i, k]]. Turned: row j sums the entries of column j."""
+    """Sums over k weights[i, k] values[nodes[i, k]] for row i. Turned: sums the entries of column j for row j.
+
+    Turned is the transpose. A scatter would add each entry to its column one by one. Instead `tabulate` has sorted the
+    entries by column, in rows of fixed width: each row is summed by gathers, and the rows of one column, which stand
+    next to each other, by one sum over sorted segments. Empty places of the table have the weight 0.
+    """
     k = weights.shape[1]
     values = jax.lax.optimization_barrier(values)  # else what makes them is done again for each gather
     if not turned:
@@ -119,7 +124,7 @@ def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool
 
 
 def _rows(values: Float[Array, "b c"], ids: Int[Array, " n"]) -> Float[Array, "n c"]:
-    """`values[ids]` for ids that are known to be rows."""
+    """Gathers `values[ids]` for ids that are known to be rows."""
     return values.at[ids].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 

@@ -18,7 +18,7 @@ from .symmetry import Mirror
 
 
 class SurfaceHalf(eqx.Module):
-    """What every device holds whole: the surface (b rows: moving, then fixed, each with its images) and the solve."""
+    """Holds the half that every device has whole: the surface (b rows: moving, then fixed, each with its images) and the solve."""
 
     points: Float[Array, "b d"]
     nodes: Int[Array, " o"]
@@ -28,7 +28,7 @@ class SurfaceHalf(eqx.Module):
 
 
 class VolumeHalf(eqx.Module):
-    """What is laid over devices: each leaf has one row per point of the mesh, but for tables of transposes."""
+    """Holds the half that is laid over devices: each leaf has one row per point of the mesh, but for tables of transposes."""
 
     points: Float[Array, "n d"]
     on_plane: Bool[Array, "n p"] | None
@@ -37,9 +37,9 @@ class VolumeHalf(eqx.Module):
 
 
 class Plan(eqx.Module):
-    """Everything that `deform` needs to know about a mesh: an immutable pytree of arrays.
+    """Holds everything that `deform` needs to know about a mesh: an immutable pytree of arrays.
 
-    Made by `prepare`, which says what may move. It survives `jax.tree` round trips, pickling and
+    `prepare` makes it, and says what may move. It survives `jax.tree` round trips, pickling and
     `equinox.tree_serialise_leaves`, and may be passed through `jit`, `vmap` and `grad` like any array.
     """
 
@@ -52,7 +52,7 @@ class Plan(eqx.Module):
 
     @property
     def points(self) -> Float[Array, "n d"]:
-        """The base coordinates: those that a zero displacement gives back."""
+        """Base coordinates: those that a zero displacement gives back."""
         return self.volume.points if self.layout is None else self.volume.points[: self.layout.count]
 
     @property
@@ -67,7 +67,10 @@ class Plan(eqx.Module):
 
     @property
     def sources(self) -> Int[np.ndarray, " s"]:
-        """Host: node ids of the coarse field's sources (its control points), moving ones first, without mirror images."""
+        """Node ids of the coarse field's sources, on the host: moving ones first, without mirror images.
+
+        A source is a control point of the field: the centre of one radial basis function.
+        """
         rows = np.asarray(self.method.sources(self.surface.ids), dtype=np.int64)
         if self.mirror is not None:
             is_image, own = np.any(self.mirror.mirrored, axis=1), np.asarray(self.mirror.rows)
@@ -76,11 +79,11 @@ class Plan(eqx.Module):
 
     @property
     def mirror(self) -> Mirror | None:
-        """The symmetry planes, and the images that they make of the surface; None without planes."""
+        """Symmetry planes, and the images that they make of the surface; None without planes."""
         return self.surface.mirror
 
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """The displacement of the moving, then the fixed nodes that is left to the correction (eq. 5), traced."""
+        """Computes the displacement of the moving, then the fixed nodes that is left to the correction (eq. 5), traced."""
         own, surface = _of_surface(self, u), self.surface
         extended = own if surface.mirror is None else surface.mirror.extended(own)
         offset = self.method.offset(surface.ids, surface.factors, surface.points, extended)
@@ -90,7 +93,7 @@ class Plan(eqx.Module):
         return jnp.zeros_like(own).at[rows].set(offset, mode="drop")
 
     def __repr__(self) -> str:
-        """Of whatever the leaves are: arrays, stacked or traced ones, shapes, or nothing."""
+        """Must work for any leaves: concrete, stacked or traced arrays, shapes, or None."""
         points, nodes = self.volume.points, self.surface.nodes
         parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):
@@ -110,12 +113,19 @@ def _is_located(leaf: Any) -> bool:
 
 @eqx.filter_jit
 def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """The same plan on other base coordinates (n, d): ids are kept, floats computed anew. Traced and differentiable.
+    """Computes a plan anew on other base coordinates: ids are kept, floats computed. Traced and differentiable.
 
-    For another mesh of the same family; the steps of one motion are those of `march`, for points that a large motion has
-    carried out of their simplices extrapolate.
+    It is meant for another mesh of the same family. The steps of one motion are those of `march`: points that a large
+    motion has carried out of their simplices extrapolate.
 
-    Raises `ValueError` when the shape of `points` differs from the plan's.
+    **Arguments:**
+
+    - `plan`: the plan.
+    - `points`: the new base coordinates (n, d), in the unit of the old ones.
+
+    **Returns:** a `Plan`.
+
+    **Raises:** `ValueError` when the shape of `points` differs from the plan's.
     """
     plan = _fitted(plan, points)
 
@@ -129,7 +139,10 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
 @eqx.filter_jit
 def carry(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """The plan on the mesh that one of its own steps left: the solve is made anew, each point keeps its place in the graph."""
+    """Moves a plan to the mesh that one of its own steps left.
+
+    The solve is made anew, and each point keeps its place in the graph.
+    """
     return _fitted(plan, points, carried=True)
 
 
@@ -157,14 +170,20 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
 
 @compiled
 def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "n d"]:
-    """The mesh's points, moved: row i of `u` (m, d) displaces node `plan.moving[i]`, fixed nodes stay.
+    """Moves the mesh: row i of `u` displaces node `plan.moving[i]`, fixed nodes stay, all others follow.
 
-    Both hold exactly for a method that is `exact`; a reduced `RBF` alone follows both approximately, and moves fixed nodes.
+    Both hold exactly for a method that is `exact`. A reduced `RBF` alone follows both approximately, and moves fixed
+    nodes. It is one step, linear in `u`. Traced: `jit`, `grad`, `jvp`, `vmap` and `scan` apply. Judge the result with
+    `quality`: nothing here knows about cells.
 
-    One step, linear in `u`, in the mesh's own node order and units. Traced: `jit`, `grad`, `jvp`, `vmap` and `scan` apply.
-    Judge the result with `quality`: nothing here knows about cells.
+    **Arguments:**
 
-    Raises `ValueError` when the shape of `u` is not (m, d).
+    - `plan`: what `prepare` returned.
+    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
+
+    **Returns:** all points (n, d), in the mesh's own node order and unit.
+
+    **Raises:** `ValueError` when the shape of `u` is not (m, d).
     """
     return deform_surface(plan, _of_surface(plan, u))
 
@@ -183,7 +202,7 @@ def _of_surface(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 
 def deform_surface(plan: Plan, own: Float[Array, "o d"]) -> Float[Array, "n d"]:
-    """`deform` with a displacement for the fixed nodes too, whose rows follow those of the moving ones."""
+    """Moves the mesh as `deform` does, with displacements for the fixed nodes too, whose rows follow those of the moving ones."""
     surface = plan.surface
     u = own
     if surface.mirror is not None:
@@ -214,12 +233,20 @@ def _moved(layout: Layout | None, exact: bool) -> Callable[[PyTree, VolumeHalf],
 def pullback(
     plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any], cotangent: Real[ArrayLike, "n d"] | Sequence[Any]
 ) -> Float[Array, "m d"]:
-    """Sensitivities with respect to all points (n, d), pulled back to the moving ones: (m, d).
+    """Pulls sensitivities with respect to all points back to the moving ones.
 
-    The transpose of `deform`, for an adjoint solver that gives dJ/d(points); often called warpDeriv. `deform` is linear in `u`,
-    which says only where the derivative is taken and does not change it.
+    This is the transpose of `deform`, for an adjoint solver that gives dJ/d(points); often called warpDeriv.
 
-    Raises `ValueError` when the shape of `u` is not (m, d) or that of `cotangent` not (n, d).
+    **Arguments:**
+
+    - `plan`: what `prepare` returned.
+    - `u`: displacements (m, d) of the moving nodes. It only sets the shape: `deform` is linear, so the result does not
+      depend on its value.
+    - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
+
+    **Returns:** dJ/du (m, d).
+
+    **Raises:** `ValueError` when the shape of `u` is not (m, d) or that of `cotangent` not (n, d).
     """
     cotangent = jnp.asarray(cotangent, plan.points.dtype)
     if cotangent.shape != plan.points.shape:
@@ -231,11 +258,18 @@ def pullback(
 def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     """Lays the volume's points over devices; `deform` and all else are called as before, with equal results.
 
-    Each device holds an equal share of the points (the last one padded where n is not a multiple) and the surface whole; a
-    gradient with respect to `u` costs one all-reduce. The devices may belong to several processes (`jax.distributed`),
-    each of which calls this with the same plan.
+    Each device holds the surface whole and an equal share of the points; the last one is padded where n is not a
+    multiple. A gradient with respect to `u` costs one all-reduce. The devices may belong to several processes
+    (`jax.distributed`), each of which calls this with the same plan.
 
-    Raises `ValueError` when there are no devices, or the plan is laid over devices already.
+    **Arguments:**
+
+    - `plan`: what `prepare` returned.
+    - `devices`: JAX's devices.
+
+    **Returns:** a `Plan`.
+
+    **Raises:** `ValueError` when there are no devices, or the plan is laid over devices already.
     """
     if plan.layout is not None:
         raise ValueError("this plan is laid over devices already: shard the plan that `prepare` returned.")

@@ -27,22 +27,22 @@ def prepare(
     method: AbstractMethod | None = None,
     symmetry: Plane | str | Sequence[Plane | str] = (),
 ) -> Plan:
-    """Finds, once per mesh and on the host, everything that does not depend on the displacement.
+    """Prepares a plan, once per mesh and on the host: all that does not depend on the displacement.
 
     **Arguments:**
 
-    - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see which nodes its boundary
-      faces connect, patches may be named, and boundary faces in no list are warned of. Precision and device are those of
-      the points: float64 needs JAX's x64 mode.
+    - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see which nodes its
+      boundary faces connect, patches may be named, and boundary faces in no list are warned of. Precision and device
+      are those of the points: float64 needs JAX's x64 mode.
     - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both moves. All others follow.
     - `method`: `SurfaceReconstruction()` by default.
     - `symmetry`: planes, or names of the patches that lie in them. Nodes on a plane stay in it, moving ones too.
 
     **Returns:** a `Plan`.
 
-    **Raises:** `ValueError` for ids out of range or named twice in `moving`, coordinates that are not finite, points outside of
-    the hull of the surface (graph mapping), planes that hold no node or have nodes on both sides, and sources that do not
-    determine the interpolation.
+    **Raises:** `ValueError` for ids out of range or named twice in `moving`, and coordinates that are not finite. Also
+    for points outside of the hull of the surface (graph mapping), planes that hold no node or have nodes on both sides,
+    and sources that do not determine the interpolation.
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     named = boundary(mesh, moving, fixed, symmetry)

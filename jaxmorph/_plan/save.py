@@ -34,12 +34,19 @@ Steps = Plan | Sequence[Plan]
 def save(path: str | os.PathLike[str], plan: Steps) -> None:
     """Writes a plan, or the plans of several steps that `march` returned, to a file that `load` reads.
 
-    Every array keeps its bits, so the loaded plan's `deform` gives the same. Besides arrays, fields may hold None, booleans,
-    numbers, strings, members of an `enum`, tuples, lists, dictionaries by string, and objects of dataclasses (`equinox.Module`s
-    among them). The file appears when it is complete, under a temporary name until then, and replaces one of that name.
+    Every array keeps its bits, so the loaded plan's `deform` gives the same. Besides arrays, fields may hold None,
+    booleans, numbers, strings, members of an `enum`, tuples, lists, dictionaries by string, and objects of dataclasses
+    (`equinox.Module`s among them). The file appears when it is complete, under a temporary name until then, and
+    replaces one of that name.
 
-    Raises `ValueError`, with the place in the plan, for anything else (functions, say), for a class of one's own called like one
-    of jaxmorph's, and for a plan laid over devices: save the one that `prepare` returned, and `shard` what is loaded.
+    **Arguments:**
+
+    - `path`: the file to write.
+    - `plan`: a `Plan`, or a sequence of them.
+
+    **Raises:** `ValueError`, with the place in the plan, for anything else (functions, say), and for a class of your
+    own that is called like one of jaxmorph's. Also for a plan laid over devices: save the one that `prepare` returned,
+    and `shard` what is loaded.
     """
     path = pathlib.Path(path)
     if not _is_plans(plan):
@@ -53,13 +60,17 @@ def save(path: str | os.PathLike[str], plan: Steps) -> None:
 
 
 def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
-    """The plan, or the tuple of plans, that `save` wrote.
+    """Reads the plan, or the tuple of plans, that `save` wrote. Arrays go to JAX's default device.
 
-    `classes` are those of your own that the plan may hold: a basis, a method and its factors, a reduction. The file cannot name
-    any but these and jaxmorph's, so one from elsewhere does no harm. Arrays go to JAX's default device.
+    **Arguments:**
 
-    Raises `ValueError` for a file that is no plan, is damaged or cut short, was written by a later version, or holds a class that
-    is not known or has other fields here; and for float64 while JAX's x64 mode is off. `OSError` for one that cannot be opened.
+    - `path`: the file.
+    - `classes`: classes of your own that the plan may hold: a basis, a method and its factors, a reduction. Default:
+      none. The file cannot name any but these and jaxmorph's, so one from elsewhere does no harm.
+
+    **Raises:** `ValueError` for a file that is no plan, is damaged or cut short, or was written by a later version.
+    Also for a class that is not known or has other fields here, and for float64 while JAX's x64 mode is off. `OSError`
+    for a file that cannot be opened.
     """
     path = pathlib.Path(path)
     with path.open("rb") as file:

@@ -18,17 +18,21 @@ def march(
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
     """Follows a path of total surface displacements, each step refitted on the mesh that the last one left.
 
-    The radial basis functions are solved for anew at each step; a Delaunay graph goes on standing on the undeformed mesh.
+    The radial basis functions are solved for anew at each step; a Delaunay graph goes on standing on the undeformed
+    mesh.
 
-    `path` (k, m, d): `path[j]` displaces the moving nodes from the plan's base coordinates to where step j ends, so a
-    rotation is a path of rotated positions, not a straight line. Returns one plan a step, for `replay`, and the points
-    (n, d) at the end.
+    **Arguments:**
 
-    With `rebuild=True` the ids (sources, graph) are found again before each step, as the paper does. The result then
-    jumps wherever the graph of the moved surface changes, by as much as a step: a line search or a finite difference
-    meets cliffs.
+    - `plan`: what `prepare` returned.
+    - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` displaces the moving nodes from the plan's base
+      coordinates to where step j ends, so a rotation is a path of rotated positions, not a straight line.
+    - `rebuild`: choose the ids (sources, graph) again before each step, as the paper does. Default False. The result
+      then jumps wherever the graph of the moved surface changes, by as much as a step. A line search or a finite
+      difference meets cliffs.
 
-    Raises `ValueError` when `path` is not (k, m, d), and whatever `prepare` raises.
+    **Returns:** one plan a step, for `replay`, and the points (n, d) at the end.
+
+    **Raises:** `ValueError` when `path` is not (k, m, d), and whatever `prepare` raises.
     """
     points, plans = plan.points, []
     for j, target in enumerate(_targets(plan, path)):
@@ -39,11 +43,18 @@ def march(
 
 
 def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]) -> Float[Array, "n d"]:
-    """The steps of a `march` once more, with the ids that it recorded: traced, differentiable, equal to its points.
+    """Repeats the steps of a `march` with the ids that it recorded: traced, differentiable, equal to its points.
 
-    Differentiable with respect to `path` (k, m, d), and to the base coordinates through `refit(plans[0], points)`.
+    It is differentiable with respect to `path`, and to the base coordinates through `refit(plans[0], points)`.
 
-    Raises `ValueError` when `path` does not have one entry a plan, each (m, d).
+    **Arguments:**
+
+    - `plans`: the plans that `march` returned.
+    - `path`: displacements (k, m, d), one entry a plan, as for `march`.
+
+    **Returns:** the points (n, d) at the end.
+
+    **Raises:** `ValueError` when `path` does not have one entry a plan, each (m, d).
     """
     if not plans:
         raise ValueError("`plans` is empty: pass those that `march` returned.")
@@ -60,7 +71,7 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
 
 
 def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
-    """Where the surface's own rows are to be at the end of each step."""
+    """Computes where the surface's own rows are to be at the end of each step."""
     path = jnp.asarray(path, plan.points.dtype)
     m, d = plan.n_moving, plan.points.shape[1]
     if path.ndim != 3 or path.shape[1:] != (m, d):
