@@ -97,8 +97,13 @@ def shapes(points: int) -> Iterator[Case]:
     yield airfoil("shapes", "naca0015", cases.naca0015(points=points), motions)
 
     def few(base):
-        raised = 0.01 * ((np.abs(base[:, 0] - 0.5) < 0.1) & (base[:, 1] > 0))
-        return {"camber 10 %": camber(base), "bump 0.03": bump(base, 0.03), "step 0.01": up(base, raised)}
+        raised = 0.01 * ((np.abs(base[:, 0] - 0.225) < 0.025) & (base[:, 1] > 0))
+        return {
+            "camber 10 %": camber(base),
+            "bump 0.03": bump(base, 0.03),
+            "step 0.01": up(base, raised),
+            "flap 45": flap(base, 45),
+        }
 
     yield airfoil("shapes", "naca4412", cases.naca4("4412", points=points, first_cell=1e-6), few)
     for name, file in (("euler", "naca0012-euler/naca0012_inv.su2"), ("viscous", "naca0012-cgrid/n0012_225-65.su2")):
@@ -126,10 +131,10 @@ def passages(points: int) -> Iterator[Case]:
     """A blade that turns in its passage, in 5 steps; a bump of half the gap in a channel whose walls touch."""
     mesh = cases.cascade()
     moving, sides = mesh.patch("blade"), mesh.patch("inlet", "outlet", "lower", "upper")
-    base = mesh.points[moving]
+    base = mesh.points[moving] - [0, 0.08]
     steps = {
-        f"turn {degrees}": np.concatenate([pitch(base, degrees * (j + 1) / 5) for j in range(5)])
-        for degrees in (20, 38, 42)
+        f"turn {degrees}": np.concatenate([turned(base, 0.5, degrees * (j + 1) / 5) for j in range(5)])
+        for degrees in (38, 42, 44)
     }
     yield Case("passages", "cascade", mesh, moving, sides, steps)
     mesh = cases.channel()
@@ -159,7 +164,7 @@ def bricks(points: int) -> Iterator[Case]:
 
 def wing(points: int) -> Iterator[Case]:
     """The AGARD 445.6 wing in its modes, and with a bump on its upper side."""
-    mesh = cases.agard445(points=16_230)
+    mesh = cases.agard445(points=16_000)
     moving = mesh.patch("wing")
     base = mesh.points[moving]
     motions = {}

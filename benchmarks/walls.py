@@ -1,6 +1,6 @@
 """What each method does to the cells at a wall: inverted cells, wall orthogonality, first-cell height, overshoot, limits.
 
-python benchmarks/walls.py [--part shapes --part kinks ...] [--method default ...] [--points 12000] [--json walls.json]
+python benchmarks/walls.py [--part shapes --part kinks ...] [--method default ...] [--points 39666] [--json walls.json]
 
 Columns: inverted cells (18 runs together for the kinks); the smallest corner Jacobian over its undeformed value; degrees by which
 the first grid line has left its own angle to the wall, mean and largest; smallest and largest height of a first cell over its
@@ -25,8 +25,8 @@ from _walls import PARTS, Case, camber, flap, pitch
 import jaxmorph as jm
 from jaxmorph import cases
 
-COARSE = jm.RBF(reduction=jm.KDTree(64, extremes=True))
-"""Interpolates at sources that cover the wall: the coarse field of the corrections that are compared."""
+COARSE, FEW = (jm.RBF(reduction=jm.KDTree(leaves, extremes=True)) for leaves in (64, 16))
+"""Coarse fields of the corrections that are compared: they interpolate at many sources, and at about half as many."""
 
 
 def on_default(correction: jm.AbstractMethod) -> jm.AbstractMethod:
@@ -45,6 +45,9 @@ METHODS: dict[str, Callable[[float], jm.AbstractMethod]] = {
     "layer": lambda size: jm.SurfaceReconstruction(COARSE, jm.NearWall()),
     "multiscale": lambda size: jm.SurfaceReconstruction(COARSE, jm.Multiscale()),
     "multiscale, layer": lambda size: jm.SurfaceReconstruction(COARSE, jm.NearWall(jm.Multiscale())),
+    "few, layer": lambda size: jm.SurfaceReconstruction(FEW, jm.NearWall()),
+    "few, multiscale": lambda size: jm.SurfaceReconstruction(FEW, jm.Multiscale()),
+    "few, both": lambda size: jm.SurfaceReconstruction(FEW, jm.NearWall(jm.Multiscale())),
     "multiscale, whole": lambda size: jm.Multiscale.whole(2 * size, 0.1),
 }
 """By name, for a body of a size. "layer" is `NearWall`; "both" and "multiscale, layer" are it around `Multiscale`."""
@@ -60,7 +63,7 @@ def prepared(case: Case, name: str) -> jm.Plan:
 
 def measured(case: Case, plan: jm.Plan, path: np.ndarray) -> dict[str, float]:
     """All columns for one motion."""
-    points = jm.march(plan, jnp.asarray(path))[1]
+    points = jm.march(plan, jnp.asarray(path))[1] if len(path) > 1 else jm.deform(plan, jnp.asarray(path[0]))
     report, wall = jm.quality(case.mesh, points), jm.wall_quality(case.mesh, case.moving, points)
     seen = jm.inspect(plan, path[-1])
     return {
@@ -152,7 +155,7 @@ def main() -> None:
         "--part", action="append", choices=[*PARTS, "limits"], help="all of them by default; may repeat"
     )
     parser.add_argument("--method", action="append", choices=list(METHODS), help="all of them by default; may repeat")
-    parser.add_argument("--points", type=int, default=12_000, help="of the generated airfoils")
+    parser.add_argument("--points", type=int, default=39_666, help="of the generated airfoils")
     parser.add_argument("--json", type=pathlib.Path, help="a file for all figures")
     options = parser.parse_args()
     methods, results = options.method or list(METHODS), {}

@@ -24,12 +24,17 @@ def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
     if not size.max() or not inner.size:
         return 0.0, 0.0
     share = np.linalg.norm(np.asarray(deform(plan, jnp.asarray(u)) - plan.points)[inner], axis=1) / size.max()
-    base, active = points[moving], np.flatnonzero(size > size.max() / 2)
+    largest, base, active = float(share.max()), points[moving], np.flatnonzero(size > size.max() / 2)
+    extent = np.ptp(base, axis=0).max()
+    is_near = ((points[inner] > base.min(axis=0) - extent) & (points[inner] < base.max(axis=0) + extent)).all(axis=1)
+    inner, share = inner[is_near & (share > RESTS)], share[is_near & (share > RESTS)]
+    if not inner.size:
+        return largest, 0.0
     nearest = np.asarray(scipy.spatial.KDTree(base).query(points[inner])[1])
     towards = base[active[np.asarray(scipy.spatial.KDTree(base[active]).query(base)[1])]] - base
     away = points[inner] - base[nearest]
     towards = towards[nearest]
     product, lengths = np.sum(away * towards, axis=1), (np.linalg.norm(away, axis=1), np.linalg.norm(towards, axis=1))
     is_opposite = product < -lengths[0] * lengths[1] / 2
-    behind = (size[nearest] <= RESTS * size.max()) & is_opposite & (lengths[0] < np.ptp(base, axis=0).max())
-    return float(share.max()), float(share[behind].max(initial=0.0))
+    behind = (size[nearest] <= RESTS * size.max()) & is_opposite & (lengths[0] < extent)
+    return largest, float(share[behind].max(initial=0.0))
