@@ -11,12 +11,6 @@ from jaxmorph.io.text import digits, sections
 from jaxmorph.io.text.splice import spliced
 
 
-@pytest.fixture
-def always(monkeypatch):
-    """The way for large files, for small ones too."""
-    monkeypatch.setattr(digits, "ENOUGH", 1)
-
-
 def as_python_reads(words):
     values = []
     for word in words:
@@ -27,7 +21,6 @@ def as_python_reads(words):
     return values, True
 
 
-@pytest.mark.usefixtures("always")
 def test_words_are_read_as_python_reads_them():
     """Numbers of all lengths and signs, and words that only begin like one, of which none may pass."""
     rng = random.Random(1)
@@ -52,7 +45,6 @@ def test_words_are_read_as_python_reads_them():
     assert min(good, bad) > 400
 
 
-@pytest.mark.usefixtures("always")
 @pytest.mark.parametrize(
     "word", ["1.5.2", "1-2", "1.5-300", "1e5.3", "1e5e3", "5e", "5e+", "--1", "1..2", "1d5", "1x", "0x10", "1,2"]
 )
@@ -62,7 +54,6 @@ def test_what_begins_like_a_number_is_none(word):
     assert len(digits.parse(text, np.float64)) < 6
 
 
-@pytest.mark.usefixtures("always")
 def test_rows_of_other_forms_are_left_to_the_general_way():
     for text in (
         b"1 2\n3\n",
