@@ -48,7 +48,7 @@ class FittedRBF(AbstractMethod):
     The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s moving sources.
     """
 
-    rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=KDTree(12, extremes=True)))
+    rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=KDTree(16, extremes=True)))
     ell: Float[Array, ""] | None = eqx.field(default=None, converter=_length)
     mu: Float[Array, ""] | None = eqx.field(default=None, converter=_length)
 

@@ -12,7 +12,7 @@ import jaxmorph as jm
 SEARCHES = 24
 """Reductions tried to find one of about as many sources as asked for."""
 
-LEAVES = 12
+LEAVES = 16
 """Leaves of the wall's k-d tree in the library's own choice."""
 
 
