@@ -153,7 +153,7 @@ class RBF(AbstractMethod):
         sources, centre, scale = (leaf.astype(dtype) for leaf in (factors.sources, factors.centre, factors.scale))
         return RBFField(self, sources, centre, scale, beta, alpha)
 
-    def rows(self, factors: "RBFFactors", points: Float[Array, "k d"]) -> Float[Array, "k s+p"]:
+    def rows(self, factors: "RBFFactors", points: Float[Array, "k d"]) -> Float[Array, "k t"]:
         """Traced: what the weights of functions and polynomial are multiplied with to give the field at any points."""
         scaled = (points - factors.centre[None]) * factors.scale
         kernel = self._phi(_squared_distances(scaled, factors.sources), factors.scale)
