@@ -39,14 +39,24 @@ def fewest_steps(
     min_jacobian_ratio: float = 0.05,
     max_steps: int = 16,
 ) -> Steps:
-    """Host: marches a motion in the fewest equal steps that leave no cell inverted.
+    """Marches a motion, on the host, in the fewest equal steps that leave no cell inverted.
 
-    `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes: `motion(1)` is all of it. A number of
-    steps is good when no cell of `mesh` is inverted and the smallest corner Jacobian stays above `min_jacobian_ratio` of its
-    initial value. When even `max_steps` steps are not good, the result holds the largest fraction of the motion that they
-    reach, found by bisection to 1/1000, and its `fraction` is below 1.
+    A number of steps is good when no cell is inverted and the smallest corner Jacobian stays above `min_jacobian_ratio`
+    of its initial value. When even `max_steps` steps are not good, the result holds the largest fraction of the motion
+    that they reach, by bisection to 1/1000, and its `fraction` is below 1.
 
-    Raises `ValueError` when `max_steps` is less than 1 or `plan` and `mesh` differ in their points.
+    **Arguments:**
+
+    - `plan`: what `prepare` returned.
+    - `mesh`: the mesh whose cells are judged.
+    - `motion`: `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes; `motion(1)` is all
+      of it.
+    - `min_jacobian_ratio`: the least corner Jacobian, relative to its initial value, default 0.05.
+    - `max_steps`: the most steps to try, default 16.
+
+    **Returns:** a `Steps`.
+
+    **Raises:** `ValueError` when `max_steps` is less than 1 or `plan` and `mesh` differ in their points.
     """
     if not (isinstance(plan, Plan) and isinstance(mesh, Mesh) and callable(motion)):
         given = ", ".join(type(each).__name__ for each in (plan, mesh, motion))

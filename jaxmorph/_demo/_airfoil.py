@@ -59,7 +59,7 @@ class Outcome:
 
 
 def run(output: pathlib.Path, *, points: int | None = None) -> int:
-    """The whole comparison; returns 1 when a cell was inverted."""
+    """Runs the whole comparison; returns 1 when a cell was inverted."""
     mesh = cases.naca0015() if points is None else cases.naca0015(points=points)
     studies = compare(mesh)
     output.mkdir(parents=True, exist_ok=True)
@@ -85,7 +85,7 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
 
 
 def compare(mesh: jm.Mesh) -> list[Study]:
-    """The paper's three methods; the third with four numbers of sources on the wall."""
+    """Compares the paper's three methods; the third with four numbers of sources on the wall."""
     wall, far = mesh.points[mesh.patch("airfoil")], mesh.points[mesh.patch("farfield")]
     every = jm.RBF.classic()
     studies = [
@@ -150,7 +150,7 @@ def near_wall(mesh: jm.Mesh) -> np.ndarray:
 
 
 def _write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, report: jm.QualityReport) -> list[pathlib.Path]:
-    """A mesh for SU2, and one to look at."""
+    """Writes a mesh for SU2, and one to look at."""
     moved, picture = mesh.moved(points), path.with_suffix(".vtu")
     io.write(path, moved)
     skewness = np.asarray(report.skewness)

@@ -29,7 +29,7 @@ REDUCED = ("#08306b", "#2171b5", "#6baed6", "#9ecae1")
 
 
 def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"]) -> None:
-    """The deformed meshes of some methods side by side: the whole airfoil above, trailing edge and wake below."""
+    """Draws the deformed meshes of some methods side by side: the whole airfoil above, trailing edge and wake below."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(13.33, 7.5), dpi=150, layout="constrained")
         axes = figure.subplots(2, len(outcomes), squeeze=False)
@@ -58,7 +58,7 @@ def _frame(axis: Axes, window: plot.Window) -> None:
 def figure6(
     path: pathlib.Path, start: jm.QualityReport, outcomes: Sequence["Outcome"], angles: Sequence[float]
 ) -> None:
-    """Mean and largest skewness against the angle."""
+    """Draws mean and largest skewness against the angle."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(13.33, 5.6), dpi=150, layout="constrained")
         axes = figure.subplots(1, 2)
@@ -77,7 +77,7 @@ def figure6(
 
 
 def _styles(outcomes: Sequence["Outcome"]) -> list[dict]:
-    """Colour by family of methods, told apart by markers and dashes too."""
+    """Chooses colours by family of methods, told apart by markers and dashes too."""
     styles, shades, markers = [], iter(REDUCED), iter("o^vD")
     for outcome in outcomes:
         method = outcome.study.method

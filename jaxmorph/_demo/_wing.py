@@ -50,7 +50,7 @@ class Outcome:
 
 
 def run(output: pathlib.Path, *, points: int | None = None) -> int:
-    """The whole comparison; returns 1 when the paper's method or the default has inverted a cell."""
+    """Runs the whole comparison; returns 1 when the paper's method or the default has inverted a cell."""
     output.mkdir(parents=True, exist_ok=True)
     studies = compare()
     with progress(len(studies) + 5) as say:
@@ -78,7 +78,7 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
 
 
 def compare() -> list[Study]:
-    """Graph mapping alone, the paper's method with its sources, and what `prepare` does when it is told nothing."""
+    """Compares graph mapping alone, the paper's method with its sources, and what `prepare` does when it is told nothing."""
     paper = jm.SurfaceReconstruction(
         jm.RBF(reduction=jm.KDTree(64), fixed_reduction=jm.AllPoints()), jm.DelaunayGraph()
     )
@@ -115,7 +115,7 @@ def _sources(plan: jm.Plan) -> tuple[int, int]:
 
 
 def _write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, report: jm.QualityReport) -> list[pathlib.Path]:
-    """A mesh for SU2, and one to look at."""
+    """Writes a mesh for SU2, and one to look at."""
     moved, picture = mesh.moved(points), path.with_suffix(".vtu")
     io.write(path, moved)
     displacement, aspect_ratio = points - mesh.points, np.asarray(report.aspect_ratio)

@@ -40,7 +40,7 @@ MARGIN = 1.04
 
 
 def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome: "Outcome", motion: Any) -> None:
-    """The wing before and after, each face coloured by its cell's aspect ratio."""
+    """Draws the wing before and after, each face coloured by its cell's aspect ratio."""
     views = [
         ("undeformed", mesh.points, start),
         (f"mode {motion[0]}, tip up by {motion[1]:g} semi-spans", outcome.points, outcome.reports[motion]),
@@ -79,7 +79,7 @@ def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"], motion
 
 
 def _across(mesh: jm.Mesh, points: np.ndarray) -> tuple:
-    """A camera that sees x to the right and z up, round the section that is cut."""
+    """Makes a camera that sees x to the right and z up, round the section that is cut."""
     wing, y = points[mesh.patch("wing")], _span_of_cut(mesh)
     section = wing[np.abs(wing[:, 1] - y) < 0.02]
     x, _, z = (section.min(axis=0) + section.max(axis=0)) / 2
@@ -104,7 +104,7 @@ def whole(points: np.ndarray, viewer: tuple[float, float, float]) -> tuple[tuple
 
 
 def _show(axis: Any, plotter: Any, camera: tuple, half: tuple[float, float], title: str) -> None:
-    """A picture in space on an axis in the plane, without perspective, so that sizes compare; `half` its width and height."""
+    """Puts a 3-D picture on a 2-D axis, without perspective, so that sizes compare; `half` its width and height."""
     plotter.window_size = round(HEIGHT * half[0] / half[1]), HEIGHT
     plotter.set_background("white")
     plotter.camera_position = [tuple(map(float, vector)) for vector in camera]

@@ -13,7 +13,7 @@ from .._kernels.log import half_x_log_x
 
 
 def _length(value: Any) -> Float[Array, ""]:
-    """A floating point array; what is concrete must be finite and positive, what is traced passes."""
+    """Makes a floating point array; what is concrete must be finite and positive, what is traced passes."""
     value = jnp.asarray(value)
     if not jnp.issubdtype(value.dtype, jnp.floating):
         value = value.astype(float)
@@ -45,7 +45,7 @@ class AbstractBasis(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, r2: Float[Array, "..."]) -> Float[Array, "..."]:
-        """phi, elementwise. It must be finite, derivatives included, at r2 = 0."""
+        """Computes phi, elementwise. It must be finite, derivatives included, at r2 = 0."""
 
 
 class ThinPlateSpline(AbstractBasis):
@@ -87,7 +87,7 @@ class Multiquadric(AbstractBasis):
 
 
 def _relative_radius(r2, support_radius):
-    """r / R, but never less than round-off: its derivative would be infinite at 0."""
+    """Computes r / R, but never less than round-off: its derivative would be infinite at 0."""
     return jnp.sqrt(r2 * (1 / support_radius**2) + float(jnp.finfo(r2.dtype).eps) ** 2)
 
 

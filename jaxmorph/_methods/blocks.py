@@ -19,7 +19,7 @@ def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -
 def place_points(
     method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
 ) -> PyTree:
-    """`method.place` for every point."""
+    """Calls `method.place` for every point."""
     if not jax.tree.leaves(ids):
         return ids
     place = jax.checkpoint(jax.vmap(lambda x, ids: method.place(x, ids, factors, surface)))

@@ -29,7 +29,7 @@ class Multiscale(AbstractMethod):
 
     @staticmethod
     def whole(radius, fraction: float = 0.05) -> SurfaceReconstruction:
-        """The method with both of its stages: a dense system for some of the nodes, this correction for all others.
+        """Returns the method with both of its stages: a dense system for some of the nodes, this correction for all others.
 
         `radius` is that of the Wendland C2 functions of the first stage, a length in the mesh's units, of the order of the
         body's size or beyond. `fraction` is the share of the nodes that stands in it, spread evenly over the surface.

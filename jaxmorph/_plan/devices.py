@@ -43,7 +43,7 @@ class Layout:
 
 
 def pad_rows(leaf: Array, layout: Layout) -> Array:
-    """A leaf with its last row repeated until the devices share its rows evenly."""
+    """Returns a leaf with its last row repeated until the devices share its rows evenly."""
     if not layout.padding:
         return leaf
     return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (layout.padding, *leaf.shape[1:]))])

@@ -90,7 +90,7 @@ def surface_of(named: Boundary) -> tuple[Surface, Mirror | None, Bool[np.ndarray
 
 
 def _faces_between(named: Boundary) -> dict[str, np.ndarray] | None:
-    """Boundary faces all of whose nodes are moving or fixed, as rows of the surface."""
+    """Lists boundary faces all of whose nodes are moving or fixed, as rows of the surface."""
     if named.faces is None:
         return None
     row = np.full(len(named.points), -1, dtype=np.int32)
@@ -100,13 +100,13 @@ def _faces_between(named: Boundary) -> dict[str, np.ndarray] | None:
 
 
 def _with_tables(plan: Plan) -> Plan:
-    """The plan with a table of the transpose for each of its interpolations."""
+    """Returns the plan with a table of the transpose for each of its interpolations."""
     placed = with_tables(plan.volume.placed, len(plan.surface.points))
     return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
 
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:
-    """A smooth displacement of the moving nodes that no polynomial gives, of size one, fixed nodes at rest."""
+    """Makes a smooth displacement of the moving nodes that no polynomial gives, of size one, fixed nodes at rest."""
     own, mirror = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.surface.mirror
     moving = own[: plan.n_moving]
     arms = moving - moving.mean(axis=0)
@@ -118,6 +118,6 @@ def _trial(plan: Plan) -> Float[Array, "b d"]:
 
 
 def _first(rows: np.ndarray) -> np.ndarray:
-    """For each row, the first one with the same value."""
+    """Finds for each row the first one with the same value."""
     _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
     return first[inverse]

@@ -36,7 +36,7 @@ class Plane(eqx.Module):
 
     @staticmethod
     def through(points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"]) -> "Plane":
-        """The plane in which the `nodes` of a mesh lie.
+        """Finds the plane in which the `nodes` of a mesh lie.
 
         Raises `ValueError` with the deviation and the worst node where they do not lie in one plane.
         """

@@ -116,7 +116,7 @@ def _stack_limit_kept() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _session(gmsh: Any) -> Iterator[None]:
-    """A fresh model under OPTIONS; a caller's own session keeps its options, its models and the one it works on.
+    """Opens a fresh model under OPTIONS; a caller's own session keeps its options, its models and the one it works on.
 
     Neither configuration files nor signal handlers are touched. An option that this gmsh does not have is left out.
     """
@@ -149,7 +149,7 @@ def _session(gmsh: Any) -> Iterator[None]:
 
 
 def _wing(geo: Any) -> tuple[list[int], dict[str, list[int]], list[int]]:
-    """Upper, lower and tip surface; the curves that refine the mesh; upper and lower contour of the root."""
+    """Makes upper, lower and tip surface; the curves that refine the mesh; upper and lower contour of the root."""
     root_front, root_back, root_upper, root_lower = _section(geo, 0.0, 0.0, ROOT_CHORD)
     tip_front, tip_back, tip_upper, tip_lower = _section(geo, TIP_LEADING_EDGE, SEMI_SPAN, TIP_CHORD)
     leading, trailing = geo.addLine(root_front, tip_front), geo.addLine(root_back, tip_back)
@@ -163,7 +163,7 @@ def _wing(geo: Any) -> tuple[list[int], dict[str, list[int]], list[int]]:
 
 
 def _section(geo: Any, front: float, y: float, chord: float) -> tuple[int, int, int, int]:
-    """Leading and trailing edge (points), upper and lower contour (curves) of a section whose nose is at `front`.
+    """Makes leading and trailing edge (points), upper and lower contour (curves) of a section whose nose is at `front`.
 
     Even along the arc: surfaces are meshed in their parameters, and cells are bad where those are uneven.
     """
@@ -177,7 +177,7 @@ def _section(geo: Any, front: float, y: float, chord: float) -> tuple[int, int, 
 
 
 def _outside(geo: Any, root: list[int]) -> tuple[list[int], int]:
-    """Four patches of the hemisphere, and the symmetry plane from its rim to the root's contour."""
+    """Makes four patches of the hemisphere, and the symmetry plane from its rim to the root's contour."""
     centre, pole = geo.addPoint(CENTRE, 0.0, 0.0), geo.addPoint(CENTRE, RADIUS, 0.0)
     rim = [geo.addPoint(CENTRE + RADIUS * x, 0.0, RADIUS * z) for x, z in ((1, 0), (0, 1), (-1, 0), (0, -1))]
     arcs = [geo.addCircleArc(rim[k], centre, rim[(k + 1) % 4]) for k in range(4)]
@@ -191,7 +191,7 @@ def _outside(geo: Any, root: list[int]) -> tuple[list[int], int]:
 
 
 def _set_sizes(field: Any, sizes: Sizes, wing: list[int], edges: dict[str, list[int]]) -> None:
-    """min(far, min(mid chord, edge + ramp x distance to it, ...) + growth x distance to the wing)."""
+    """Sets sizes to min(far, min(mid chord, edge + ramp x distance to it, ...) + growth x distance to the wing)."""
 
     def distance(kind: str, tags: list[int]) -> str:
         tag = field.add("Distance")

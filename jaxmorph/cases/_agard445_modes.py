@@ -49,7 +49,7 @@ CHORD_POWERS = range(4)
 
 
 def structural_nodes() -> np.ndarray:
-    """The (121, 3) nodes of the table in metres, on the plane z = 0."""
+    """Returns the (121, 3) nodes of the table in metres, on the plane z = 0."""
     eta, xi = np.meshgrid(np.arange(11) / 10, np.arange(11) / 10, indexing="ij")
     x = TIP_LEADING_EDGE * eta + (ROOT_CHORD + (TIP_CHORD - ROOT_CHORD) * eta) * xi
     x[:, 5] = np.asarray(SIXTH_NODE) * INCH
@@ -57,13 +57,13 @@ def structural_nodes() -> np.ndarray:
 
 
 def deflections(mode: int) -> np.ndarray:
-    """The (121,) deflections of the table along z, 1 at the tip's trailing edge."""
+    """Returns the (121,) deflections of the table along z, 1 at the tip's trailing edge."""
     table = np.asarray(DEFLECTIONS[mode], dtype=float).ravel()
     return table / table[-1]
 
 
 def planform_coordinates(points):
-    """`eta` along the span and `xi` along the chord, each (m,) and from 0 to 1 on the wing, of (m, 3) points."""
+    """Computes `eta` along the span and `xi` along the chord, each (m,) and from 0 to 1 on the wing, of (m, 3) points."""
     eta = points[:, 1] / SEMI_SPAN
     xi = (points[:, 0] - TIP_LEADING_EDGE * eta) / (ROOT_CHORD + (TIP_CHORD - ROOT_CHORD) * eta)
     return eta, xi
@@ -83,7 +83,7 @@ def coefficients(mode: int) -> tuple[tuple[float, ...], ...]:
 
 
 def mode_shape(points, mode: int):
-    """The fitted polynomial at (m, 3) points: (m,), NumPy's or JAX's as they are."""
+    """Evaluates the fitted polynomial at (m, 3) points: (m,), NumPy's or JAX's as they are."""
     eta, xi = planform_coordinates(points)
     along_span = 0.0
     for row in reversed(coefficients(mode)):

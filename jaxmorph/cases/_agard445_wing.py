@@ -23,7 +23,7 @@ LEADING_EDGE_RADIUS = 0.102
 
 
 def half_thickness(x: np.ndarray) -> np.ndarray:
-    """Half thickness of the section at `x` along the chord, both in chords.
+    """Computes the half thickness of the section at `x` along the chord, both in chords.
 
     A cubic spline through the published ordinates in t = sqrt(x), in which a round nose is smooth: z = t sqrt(2 r) at
     the leading edge, r its radius.
@@ -35,7 +35,7 @@ def half_thickness(x: np.ndarray) -> np.ndarray:
 
 
 def upper_contour(intervals: int) -> np.ndarray:
-    """(intervals + 1, 2) points of the upper contour from leading to trailing edge, evenly along its arc, in chords."""
+    """Places (intervals + 1, 2) points of the upper contour from leading to trailing edge, evenly along its arc, in chords."""
     x = np.linspace(0, 1, 20_001) ** 2
     z = half_thickness(x)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(z)))])

@@ -19,7 +19,7 @@ PARTS = {
 def wing(
     code: str = "6409", *, points: int = 2000, stations: int = 13, span: float = 2.0, first_cell: float = 1e-5
 ) -> jm.Mesh:
-    """A swept and tapered wing of hexahedra between two planes, its first cell in chords of the root.
+    """Makes a swept and tapered wing of hexahedra between two planes, its first cell in chords of the root.
 
     The C-grid `naca4(code, points=points, first_cell=first_cell)` at `stations` along y, from the root of chord 1 to the tip
     of chord 0.7, whose leading edge lies half a chord behind. Nodes on the wall lie much closer along the section than along
@@ -46,7 +46,7 @@ def wing(
 
 
 def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None = None) -> jm.Mesh:
-    """The unit cube, divided into `cells` by `cells` by `cells` bricks, each of them divided into cells of one type.
+    """Makes the unit cube, divided into `cells` by `cells` by `cells` bricks, each of them divided into cells of one type.
 
     `kind` is `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick), `pyramid` (6 a brick, around a node in its middle) or
     `mixed`: hexahedra at the floor, a layer of pyramids above them, and wedges. The layers of bricks grow from `first_cell`

@@ -34,7 +34,7 @@ REFERENCE = Counts(half=80, wake=50, normal=150, base=6)
 
 
 def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-5) -> jm.Mesh:
-    """A C-grid around a section of unit chord: straight rays of 15 chords, a wake to x = 17 chords.
+    """Makes a C-grid around a section of unit chord: straight rays of 15 chords, a wake to x = 17 chords.
 
     `points` is how many are wanted; the mesh has about as many, and exactly as many for 39,666 (260 x 150 cells and
     50 x 6 behind the base). Other numbers sample the same spacing laws along wall and wake, and scale the four counts
@@ -103,7 +103,7 @@ def _half(section: Section, end: float, cells: int) -> np.ndarray:
 
 
 def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarray:
-    """[0, 1] divided with given relative spacings at both ends were it into `cells`, sampled by `samples` cells.
+    """Returns [0, 1] divided with given relative spacings at both ends were it into `cells`, sampled by `samples` cells.
 
     Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J. Comput. Phys. 50 (1983).
     """
@@ -115,7 +115,7 @@ def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarra
 
 
 def _geometric(samples: int, cells: int, first: float) -> np.ndarray:
-    """[0, 1] divided with a constant growth and a given first spacing were it into `cells`, sampled by `samples`."""
+    """Returns [0, 1] divided with a constant growth and a given first spacing were it into `cells`, sampled by `samples`."""
     growth = _root(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0)
     return np.expm1(growth * np.linspace(0, 1, samples + 1)) / np.expm1(growth)
 
@@ -125,7 +125,7 @@ def _root(function: Callable[[float], float], lower: float, upper: float) -> flo
 
 
 def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
-    """The innermost line of the C: lower wake, wall, upper wake; and on each ray the wake distribution's weight."""
+    """Makes the innermost line of the C: lower wake, wall, upper wake; and on each ray the wake distribution's weight."""
     first = TRAILING_EDGE_SPACING / (FARFIELD_X - 1)
     along = _geometric(counts.wake, REFERENCE.wake, first)[1:]
     rows = []
@@ -151,7 +151,7 @@ def _wake_strip(inner: np.ndarray, counts: Counts) -> np.ndarray:
 
 
 def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
-    """The mesh of the C's nodes alone, those of the upper wake and of the edge being those of the lower."""
+    """Makes the mesh of the C's nodes alone, those of the upper wake and of the edge being those of the lower."""
     places = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
     places[0, -counts.wake - 1 :] = places[0, counts.wake :: -1]
     kept, ids = np.unique(places, return_inverse=True)
@@ -167,7 +167,7 @@ def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
 
 
 def _assemble(rays: np.ndarray, strip: np.ndarray, counts: Counts) -> jm.Mesh:
-    """The mesh of the C's nodes (normal + 1, rays, 2) and of those between the two wakes."""
+    """Makes the mesh of the C's nodes (normal + 1, rays, 2) and of those between the two wakes."""
     ids = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
     between = ids.size + np.arange(strip.shape[0] * strip.shape[1]).reshape(strip.shape[:2])
     lower, upper = ids[0, counts.wake :: -1], ids[0, -counts.wake - 1 :]

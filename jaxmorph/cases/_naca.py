@@ -10,7 +10,7 @@ from ._c_grid import REFERENCE_POINTS, c_grid
 
 
 def naca0015(*, points: int = REFERENCE_POINTS) -> jm.Mesh:
-    """The C-grid around the NACA0015 of the paper's section 3.1, in chords.
+    """Makes the C-grid around the NACA0015 of the paper's section 3.1, in chords.
 
     39,666 points, none coincident, and 39,300 convex quads; patches `airfoil` (166 nodes) and `farfield` (566). Mean
     skewness (weighted by area) 0.0710, largest 0.1750, the paper's values. The first cell is 1e-5 chords, the trailing
@@ -25,7 +25,7 @@ def naca0015(*, points: int = REFERENCE_POINTS) -> jm.Mesh:
 
 
 def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6, sharp: bool = False) -> jm.Mesh:
-    """A C-grid around an airfoil of the NACA 4-digit family, in chords: `cases.naca4("4412")`.
+    """Makes a C-grid around an airfoil of the NACA 4-digit family, in chords: `cases.naca4("4412")`.
 
     The digits are the camber in percent, its place in tenths and the thickness in percent of the chord; thickness is
     laid off normal to the camber line and the trailing edge is blunt, as published (Jacobs, Ward and Pinkerton, NACA
@@ -54,7 +54,7 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
 
 
 def _section(camber: float, place: float, thickness: float, last: float, t: np.ndarray) -> np.ndarray:
-    """The contour, x = t^2 along the chord: t < 0 below, t > 0 above. Report 460, pages 4 and 5."""
+    """Computes the contour, x = t^2 along the chord: t < 0 below, t > 0 above. Report 460, pages 4 and 5."""
     x = t**2
     half = 5 * thickness * (0.2969 * np.abs(t) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - last * x**4)
     line, slope = np.zeros_like(x), np.zeros_like(x)

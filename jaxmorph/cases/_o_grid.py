@@ -13,7 +13,7 @@ SAMPLES = 600  # along each ray, to measure its length
 def sharp_o_grid(
     *, around: int = 128, layers: int = 64, first_cell: float = 1.7e-7, camber: float = 0.0, edge: float = 12.0
 ) -> jm.Mesh:
-    """An O-grid of quads around a section of unit chord whose trailing edge is sharp, at (1, 0).
+    """Makes an O-grid of quads around a section of unit chord whose trailing edge is sharp, at (1, 0).
 
     The section is a circle under the map of Karman and Trefftz, its trailing edge `edge` degrees open, its mean line an arc
     of height `camber` chords or so. `around` cells go round it and `layers` from it to the far field, a circle of 20 chords.
@@ -45,7 +45,7 @@ class Section:
         self.nose = wall.real.min()
 
     def __call__(self, radius: np.ndarray | float, turn: np.ndarray) -> np.ndarray:
-        """Complex places at `radius` (1 on the wall) and `turn` (0 to 1, counter-clockwise from the edge), in chords."""
+        """Computes the complex places at `radius` (1 on the wall) and `turn` (0 to 1, counter-clockwise from the edge), in chords."""
         return 1 + self._map(radius, turn) / -self.nose
 
     def _map(self, radius, turn):
@@ -56,7 +56,7 @@ class Section:
 
 
 def rays(section: Section, around: int, layers: int, first_cell: float, outermost: float) -> np.ndarray:
-    """(layers + 1, around, 2) nodes on the rays from radius 1 to `outermost`, spaced geometrically along each."""
+    """Places (layers + 1, around, 2) nodes on the rays from radius 1 to `outermost`, spaced geometrically along each."""
     turn = np.arange(around) / around
     radius = 1 + np.concatenate([[0.0], np.geomspace(1e-7, outermost - 1, SAMPLES)])[:, None]
     places = section(radius, turn)

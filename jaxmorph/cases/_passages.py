@@ -12,7 +12,7 @@ OUTERMOST = 2.2  # the last ray node's radius about the blade's circle, before i
 
 
 def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pitch: float = 1.0) -> jm.Mesh:
-    """An O-grid of quads around a cambered turbine blade of unit chord, in a passage `pitch` chords wide.
+    """Makes an O-grid of quads around a cambered turbine blade of unit chord, in a passage `pitch` chords wide.
 
     The blade's trailing edge is sharp, at (1, 0); the passage is 1.7 chords long. Its sides run straight and half a pitch
     from the blade's middle: a blade that turns by 45 degrees comes close to them. `around` cells go round the blade,
@@ -45,7 +45,7 @@ def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pi
 
 
 def _box(directions: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Complex points of a rectangle's boundary in the given directions; the nearest to each corner is put there."""
+    """Places complex points of a rectangle's boundary in the given directions; the nearest to each corner is put there."""
     reach = np.minimum(half[0] / np.abs(np.real(directions)), half[1] / np.abs(np.imag(directions)))
     points = directions * reach
     for corner in (complex(x, y) for x in (-half[0], half[0]) for y in (-half[1], half[1])):
@@ -54,7 +54,7 @@ def _box(directions: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 
 def channel(*, columns: int = 60, rows: int = 40, gap: float = 0.2, first_cell: float = 1e-5) -> jm.Mesh:
-    """A straight channel of unit length between two walls, of quads that are finest at both.
+    """Makes a straight channel of unit length between two walls, of quads that are finest at both.
 
     Its four patches `inner` (y = 0), `outer` (y = gap), `inlet` (x = 0) and `outlet` (x = 1) share their corners. `first_cell`
     is the height of the cells at both walls.

@@ -5,23 +5,23 @@ from scipy.optimize import brentq
 
 
 def ids_of(*shape: int) -> np.ndarray:
-    """Node ids of a block of the given shape, the last index running fastest."""
+    """Numbers the nodes of a block of the given shape, the last index running fastest."""
     return np.arange(np.prod(shape)).reshape(shape)
 
 
 def quads(ids: np.ndarray) -> np.ndarray:
-    """(k, 4) the cells between the nodes of a block (rows along y, columns along x), counter-clockwise."""
+    """Makes the cells (k, 4) between the nodes of a block (rows along y, columns along x), counter-clockwise."""
     return np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(-1, 4)
 
 
 def hexahedra(ids: np.ndarray) -> np.ndarray:
-    """(k, 8) the cells between the nodes of a block (layers, rows, columns) that run along z, y and x."""
+    """Makes the cells (k, 8) between the nodes of a block (layers, rows, columns) that run along z, y and x."""
     floor, lid = ids[:-1], ids[1:]
     return np.concatenate([np.stack([quads(layer) for layer in part]) for part in (floor, lid)], axis=-1).reshape(-1, 8)
 
 
 def geometric(cells: int, first: float) -> np.ndarray:
-    """[0, 1] divided into `cells` that grow by a constant factor from `first`; evenly where that is 1 / cells and more."""
+    """Returns [0, 1] divided into `cells` that grow by a constant factor from `first`; evenly where that is 1 / cells and more."""
     if first * cells >= 1:
         return np.linspace(0, 1, cells + 1)
     growth = float(brentq(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0))  # pyright: ignore[reportArgumentType]
@@ -29,7 +29,7 @@ def geometric(cells: int, first: float) -> np.ndarray:
 
 
 def two_sided(cells: int, first: float) -> np.ndarray:
-    """[0, 1] divided into `cells`, the first and the last of them about `first` high, by a hyperbolic tangent."""
+    """Returns [0, 1] divided into `cells`, the first and the last of them about `first` high, by a hyperbolic tangent."""
     if first * cells >= 1:
         return np.linspace(0, 1, cells + 1)
 
