@@ -45,7 +45,7 @@ class Section:
         self.nose = wall.real.min()
 
     def __call__(self, radius: np.ndarray | float, turn: np.ndarray) -> np.ndarray:
-        """Computes the complex places at `radius` (1 on the wall) and `turn` (0 to 1, counter-clockwise from the edge), in chords."""
+        """Computes complex places at `radius` (1 on the wall) and `turn` (0 to 1, counter-clockwise from the edge) in chords."""
         return 1 + self._map(radius, turn) / -self.nose
 
     def _map(self, radius, turn):
