@@ -4,9 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import body
 from scipy.interpolate import BSpline
 from scipy.special import comb
 
+import jaxmorph as jm
 from jaxmorph import io, shapes
 
 
@@ -149,3 +151,23 @@ def test_many_points_are_summed_in_blocks(name):
     np.testing.assert_allclose(several[1], operator(other), atol=1e-13)
     squares = jax.jvp(jax.grad(lambda c: jnp.sum(operator(c) ** 2)), (control,), (other,))[1]
     np.testing.assert_allclose(squares, 2 * jax.linear_transpose(operator, control)(operator(other))[0], atol=1e-11)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_points_by_control_points_forward_and_reverse(d):
+    """d(points)/d(control) through `deform`, component by component; the map is linear, so differences are exact."""
+    mesh = body(d)
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.DelaunayGraph())
+    box = shapes.FreeForm.around(mesh.points[mesh.moving], (3, 2, 2)[:d], margin=0.1)
+
+    @jax.jit
+    def moved(control):
+        return jm.deform(plan, shapes.displacement(box, plan, control))
+
+    zero = box.neutral()
+    forward = np.asarray(jax.jit(jax.jacfwd(moved))(zero)).reshape(*mesh.points.shape, -1)
+    exact = [moved(0.1 * e.reshape(zero.shape)) - moved(-0.1 * e.reshape(zero.shape)) for e in np.eye(zero.size)]
+    np.testing.assert_allclose(forward, np.stack(exact, axis=-1) / 0.2, atol=1e-12)
+    cotangent = np.random.default_rng(0).normal(size=mesh.points.shape)
+    back = jax.jit(jax.grad(lambda control: jnp.vdot(moved(control), cotangent)))(zero)
+    np.testing.assert_allclose(back.ravel(), np.einsum("nd,ndk->k", cotangent, forward), atol=1e-11)

@@ -21,7 +21,7 @@ class LinkedOperator(AbstractOperator):
     matrix: Float[Array, "p q"]
     like: PyTree
 
-    def __call__(self, parameters: Float[Array, " q"]) -> Float[Array, "m d"]:
+    def __call__(self, parameters: Numbers) -> Float[Array, "m d"]:
         parameters = jnp.asarray(parameters, self.matrix.dtype)
         if parameters.shape != self.matrix.shape[1:]:
             raise ValueError(f"parameters have shape {parameters.shape}; this shape has {self.matrix.shape[1]}.")
@@ -143,7 +143,7 @@ class MatrixOperator(AbstractOperator):
     along: Float[Array, " d"] | None = None
     count: int = eqx.field(static=True, default=0)
 
-    def __call__(self, parameters: Float[Array, "..."]) -> Float[Array, "m d"]:
+    def __call__(self, parameters: Numbers) -> Float[Array, "m d"]:
         parameters = jnp.asarray(parameters, self.weights.dtype)
         expected = (self.weights.shape[1],) + (() if self.along is not None else (self.count,))
         if parameters.shape != expected:

@@ -176,7 +176,7 @@ class ModesOperator(AbstractOperator):
 
     fields: Float[Array, "k m d"]
 
-    def __call__(self, parameters: Float[Array, " k"]) -> Float[Array, "m d"]:
+    def __call__(self, parameters: Numbers) -> Float[Array, "m d"]:
         parameters = jnp.asarray(parameters, self.fields.dtype)
         if parameters.shape != self.fields.shape[:1]:
             raise ValueError(f"parameters have shape {parameters.shape}; there are {len(self.fields)} modes.")

@@ -116,12 +116,12 @@ class FreeForm(AbstractLinearShape):
         slack = float(jnp.finfo(t.dtype).eps) ** 0.75
         return jnp.all((t >= -slack) & (t <= 1 + slack), axis=1)
 
-    def lattice(self, control: Float[Array, "..."] | None = None) -> Float[Array, "..."]:
+    def lattice(self, control: Numbers | None = None) -> Float[Array, "..."]:
         """Computes the positions (*counts, d) of the control points, displaced where `control` is given."""
         shares = [jnp.linspace(0, 1, count) for count in self.counts]
         t = jnp.stack(jnp.meshgrid(*shares, indexing="ij"), axis=-1)
         points = t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
-        return points if control is None else points + control
+        return points if control is None else points + jnp.asarray(control)
 
     def linked(
         self,

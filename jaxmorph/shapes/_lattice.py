@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ._blocks import Blocks
+from ._door import Numbers
 from ._shape import AbstractOperator
 
 
@@ -45,7 +46,7 @@ class LatticeOperator(AbstractOperator):
     free: Bool[Array, "..."] | None
     counts: tuple[int, ...] = eqx.field(static=True)
 
-    def __call__(self, parameters: Float[Array, "..."]) -> Float[Array, "m d"]:
+    def __call__(self, parameters: Numbers) -> Float[Array, "m d"]:
         """Computes displacements (m, d) from those of the control points (*counts, d)."""
         control, d = jnp.asarray(parameters), len(self.counts)
         if control.shape != (*self.counts, d):

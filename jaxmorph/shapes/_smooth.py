@@ -30,7 +30,7 @@ class Factor:
             options={"SymmetricMode": True},
         )
 
-    def __call__(self, right: np.ndarray) -> np.ndarray:
+    def __call__(self, right: Any) -> np.ndarray:
         """Solves for right-hand sides (..., m, d)."""
         right = np.asarray(right)
         columns = np.moveaxis(right, -2, 0).reshape(self.size, -1).astype(float)
@@ -175,5 +175,5 @@ class SmoothOperator(AbstractOperator):
 
     smoother: Smoother
 
-    def __call__(self, parameters: Float[Array, "m d"]) -> Float[Array, "m d"]:
+    def __call__(self, parameters: Numbers) -> Float[Array, "m d"]:
         return self.smoother.apply(parameters)
