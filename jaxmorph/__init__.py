@@ -5,67 +5,40 @@ approach*; the copy that we worked from names no authors. It builds on radial ba
 Schoot and Bijl, Computers and Structures 85, 2007; Rendall and Allen, Journal of Computational Physics 228, 2009) and on
 Delaunay graph mapping (Liu, Qin and Xia, Journal of Computational Physics 211, 2006). The documentation's page on theory prints
 the equations that docstrings cite.
+
+The public names stand in `_public.py`. The first use of one imports all of them, and JAX with them: the command line shows its
+help without. Submodules are imported when they are first used.
 """
 
-from importlib.metadata import version as _version
+import importlib
+import typing
 
-from . import shapes as shapes
-from ._advice.choose import Choice as Choice
-from ._advice.choose import choose as choose
-from ._advice.fewest_steps import Steps as Steps
-from ._advice.fewest_steps import fewest_steps as fewest_steps
-from ._advice.inspect import Inspection as Inspection
-from ._advice.inspect import inspect as inspect
-from ._advice.largest_step import LargestStep as LargestStep
-from ._advice.largest_step import largest_step as largest_step
-from ._host.errors import MeshError as MeshError
-from ._host.farthest import FarthestPoints as FarthestPoints
-from ._host.graded import Graded as Graded
-from ._host.greedy import Greedy as Greedy
-from ._host.reduction import AbstractReduction as AbstractReduction
-from ._host.reduction import AbstractSearchPoints as AbstractSearchPoints
-from ._host.reduction import AllPoints as AllPoints
-from ._host.reduction import Centre as Centre
-from ._host.reduction import Corners as Corners
-from ._host.reduction import GaussPoints as GaussPoints
-from ._host.reduction import KDTree as KDTree
-from ._improve.improve import Improvement as Improvement
-from ._improve.improve import improve as improve
-from ._improve.improve import untangle as untangle
-from ._mesh.mesh import Mesh as Mesh
-from ._methods.base import AbstractField as AbstractField
-from ._methods.base import AbstractMethod as AbstractMethod
-from ._methods.base import Surface as Surface
-from ._methods.basis import AbstractBasis as AbstractBasis
-from ._methods.basis import Gaussian as Gaussian
-from ._methods.basis import Multiquadric as Multiquadric
-from ._methods.basis import ThinPlateSpline as ThinPlateSpline
-from ._methods.basis import WendlandC2 as WendlandC2
-from ._methods.delaunay import DelaunayGraph as DelaunayGraph
-from ._methods.fitted import FittedRBF as FittedRBF
-from ._methods.multiscale import Multiscale as Multiscale
-from ._methods.nearwall import NearWall as NearWall
-from ._methods.rbf import RBF as RBF
-from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
-from ._plan.plan import Plan as Plan
-from ._plan.plan import deform as deform
-from ._plan.plan import pullback as pullback
-from ._plan.plan import refit as refit
-from ._plan.plan import shard as shard
-from ._plan.prepare import prepare as prepare
-from ._plan.save import load as load
-from ._plan.save import save as save
-from ._plan.steps import march as march
-from ._plan.steps import replay as replay
-from ._plan.symmetry import Plane as Plane
-from ._plan.velocity import velocity as velocity
-from ._quality.distortion import distortion as distortion
-from ._quality.quality import quality as quality
-from ._quality.report import QualityReport as QualityReport
-from ._quality.smooth import soft_maximum as soft_maximum
-from ._quality.smooth_quality import SmoothQuality as SmoothQuality
-from ._quality.smooth_quality import smooth_quality as smooth_quality
-from ._quality.wall import WallQuality as WallQuality
-from ._quality.wall import wall_quality as wall_quality
+if typing.TYPE_CHECKING:
+    from . import cases as cases
+    from . import cli as cli
+    from . import integrations as integrations
+    from . import io as io
+    from . import plot as plot
+    from ._public import *  # noqa: F403
 
-__version__ = _version("jaxmorph")
+__version__: str
+
+_SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
+
+
+def __getattr__(name: str) -> typing.Any:
+    if name in _SUBMODULES:
+        return importlib.import_module(f"{__name__}.{name}")
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version(__name__)
+    if name == "__all__" or not name.startswith("_"):
+        public = importlib.import_module(f"{__name__}._public")
+        names = {key: value for key, value in vars(public).items() if not key.startswith("_")}
+        globals().update(names, __all__=sorted({*names, *_SUBMODULES}))
+        if name in globals():
+            return globals()[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*__getattr__("__all__"), "__version__", *(name for name in globals() if name.startswith("__"))})

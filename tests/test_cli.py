@@ -1,5 +1,6 @@
 """The command line, as a user calls it: what it writes, what it says, how it ends."""
 
+import json
 import re
 import subprocess
 import sys
@@ -69,7 +70,7 @@ def test_order_of_the_motions_and_steps_along_the_circle(here):
     shifted = (before.points[:24] + np.array([0.125, -0.25])) * [2, 1]
     expected = np.column_stack([-shifted[:, 1], shifted[:, 0]]) + np.array([0.25, 0])
     np.testing.assert_allclose(io.read("a.su2").points[:24], expected, atol=1e-14)
-    assert deform("b.su2", "--rotate", "45", "--steps", "3", "--method", "dgm") == 0
+    assert deform("b.su2", "--rotate", "45", "--steps", "3", "--method", "graph") == 0
     turns = np.radians([15, 30, 45])
     turn = np.array([[np.cos(turns), np.sin(turns)], [-np.sin(turns), np.cos(turns)]]).transpose(2, 0, 1)
     path = before.points[:24] @ turn - before.points[:24]
@@ -89,7 +90,7 @@ def test_new_positions_from_a_file_in_any_order_and_arrays_for_paraview(here):
 
 
 def test_inverted_cells_end_with_1_and_no_file_unless_allowed(here, capsys):
-    motion = ("--translate", "4.5", "0", "--method", "dgm")
+    motion = ("--translate", "4.5", "0", "--method", "graph")
     assert deform("inverted.su2", *motion) == 1
     assert not (here / "inverted.su2").exists()
     said = capsys.readouterr().err
@@ -124,7 +125,10 @@ MOTIONS = {
     "axis in the plane": (["--rotate", "1", "--axis", "0", "0", "1"], "--axis is for meshes in 3-D"),
     "no steps": (["--rotate", "1", "--steps", "0"], "--steps must be 1 or more, found 0"),
     "few sources": (["--rotate", "1", "--sources", "2"], "--sources must be 3 or more in 2-D, found 2"),
-    "sources of what": (["--rotate", "1", "--sources", "9", "--method", "dgm"], "--sources is for --method paper"),
+    "sources of what": (
+        ["--rotate", "1", "--sources", "9", "--method", "graph"],
+        "--sources is for the methods default and",
+    ),
 }
 WRONG |= {name: (["--moving", "wall", "--fixed", "far", *motion], said) for name, (motion, said) in MOTIONS.items()}
 
@@ -158,12 +162,29 @@ def test_bad_files_are_answered_in_one_line(here, capsys, arguments, message):
     assert_one_line(capsys, message)
 
 
-@pytest.mark.parametrize("arguments", [[], ["dance"], ["deform", "ring.su2"], ["quality", "a", "b", "c"]])
+@pytest.mark.parametrize("arguments", [["dance"], ["deform", "ring.su2"], ["quality", "a", "b", "c"], ["--dance"]])
 def test_bad_arguments_are_answered_in_one_line(capsys, arguments):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
     assert_one_line(capsys, r"^jaxmorph.*--help\)$")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["defrom"], "there is no command defrom; did you mean deform?"),
+        (["deform", "ring.su2", "a.su2", "--movng", "wall"], "there is no flag --movng; did you mean --moving?"),
+        (["quality", "ring.su2", "--max-skewnes=1"], "there is no flag --max-skewnes; did you mean --max-skewness?"),
+        (["deform", "ring.su2", "a.su2", "--method", "paper"], "'paper' is now called 'default'"),
+        (["deform", "ring.su2", "a.su2", "--method", "dgm"], "'dgm' is now called 'graph'"),
+    ],
+)
+def test_what_was_perhaps_meant(capsys, arguments, message):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert_one_line(capsys, re.escape(message))
 
 
 def test_no_input_is_overwritten(here, capsys):
@@ -187,7 +208,7 @@ def test_info(here, capsys):
 def test_a_process_of_its_own_computes_in_double_precision(here):
     command = [sys.executable, "-m", "jaxmorph", "deform", "ring.su2", "own.su2", "--moving", "wall", "--fixed", "far"]
     done = subprocess.run(
-        [*command, "--translate", "1e-9", "0", "--method", "dgm"], capture_output=True, text=True, check=False
+        [*command, "--translate", "1e-9", "0", "--method", "graph"], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
     moved = io.read("own.su2").points[:24] - io.read("ring.su2").points[:24]
@@ -254,7 +275,7 @@ def test_symmetry_planes_on_the_command_line(tmp_path):
 
 def test_patches_left_out_of_the_hull_are_named(tmp_path, capsys):
     file, _, _ = _box(tmp_path)
-    arguments = ["--moving", "z0", "--fixed", "x0", "--translate", "0", "0", "0.1", "--method", "dgm"]
+    arguments = ["--moving", "z0", "--fixed", "x0", "--translate", "0", "0", "0.1", "--method", "graph"]
     assert main(["deform", str(file), str(tmp_path / "out.su2"), *arguments]) == 2
     error = capsys.readouterr().err
     assert "outside of the convex hull" in error
@@ -272,3 +293,59 @@ def test_a_symmetry_patch_that_is_not_plane(tmp_path, capsys):
     assert main(["deform", str(tmp_path / "bent.su2"), str(tmp_path / "out.su2"), *arguments]) == 2
     assert "--symmetry x0: these 25 nodes do not lie in one plane: node" in capsys.readouterr().err
     assert file.read_text() == text
+
+
+@pytest.fixture
+def ranked(tmp_path):
+    """The box with patches of other names: two walls, and the rest."""
+    file, _, sides = _box(tmp_path)
+    mesh = io.read(file)
+    names = {"z0": "wall.low", "z1": "wall.high", "x0": "in", "x1": "out", "y0": "left", "y1": "right"}
+    named = jm.Mesh(mesh.points, mesh.cells, {names[side]: nodes for side, nodes in sides.items()})
+    io.write(tmp_path / "ranked.su2", named)
+    return tmp_path / "ranked.su2", named
+
+
+def test_patches_by_pattern(ranked, capsys):
+    """Of a pattern for fixed patches those that move are left out; what is written is what the names give."""
+    file, mesh = ranked
+    motion = ["--translate", "0", "0", "0.1", "--json", "--method", "graph"]
+    for name, flags in (
+        ("patterns", ["--moving", r"wall\.l.*", "--fixed", ".*"]),
+        ("names", ["--moving", "wall.low", "--fixed", "wall.high", "in", "out", "left", "right"]),
+    ):
+        assert main(["deform", str(file), str(file.with_name(f"{name}.su2")), *flags, *motion]) == 0
+        assert json.loads(capsys.readouterr().out)["moving"] == {"wall.low": 25}
+    assert file.with_name("patterns.su2").read_bytes() == file.with_name("names.su2").read_bytes()
+    assert mesh.patch_names("wall.*", "in", "wall.low") == ("wall.low", "wall.high", "in")
+    np.testing.assert_array_equal(mesh.patch("wall.*"), mesh.patch("wall.low", "wall.high"))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("wall.hihg", r"no patch is called 'wall.hihg' (did you mean 'wall.high'?); this mesh has: '"),
+        ("wall*", r"no patch is called 'wall*' (patterns are regular expressions: 'wall.*'); this mesh has"),
+        ("(wing", r"no patch is called '(wing'; this mesh has"),
+        ("q+", r"no patch is called 'q+'; this mesh has"),
+    ],
+)
+def test_a_name_that_no_patch_has(ranked, name, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        ranked[1].patch(name)
+
+
+def test_of_many_patches_an_error_lists_some():
+    mesh = jm.Mesh(np.eye(3), {}, {f"part{k}": [0] for k in range(30)})
+    with pytest.raises(ValueError, match=r"has: 'part0', .*'part11' and 18 more\.$"):
+        mesh.patch("wing")
+
+
+def test_help_and_version_without_a_command(capsys):
+    assert main([]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("usage: jaxmorph")
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert re.fullmatch(r"jaxmorph \d\S* \(jax .*, numpy .*, scipy .*, Python .*\)\n", capsys.readouterr().out)

@@ -1,7 +1,5 @@
 """`jaxmorph deform --chunk`: the same mesh as without, some nodes at a time."""
 
-import argparse
-import json
 import pickle
 import re
 import tomllib
@@ -12,13 +10,8 @@ from ring import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._plan import chunks as _chunks
 from jaxmorph.cli import main
-from jaxmorph.cli._chunks import chunks
-from jaxmorph.cli._deform import Run
-from jaxmorph.cli._estimate import estimate
-from jaxmorph.cli._groups import Group
-from jaxmorph.cli._method import Choice
-from jaxmorph.cli._motion import motions
 
 MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0", "--rotate", "30"]
 
@@ -32,13 +25,13 @@ def here(tmp_path, monkeypatch):
 @pytest.fixture
 def sizes(monkeypatch):
     """How many points each call of `prepare` is given."""
-    prepare, called = jm.prepare, []
+    prepare, called = _chunks.prepare, []
 
     def counted(points, *arguments, **keywords):
         called.append(len(points))
         return prepare(points, *arguments, **keywords)
 
-    monkeypatch.setattr(jm, "prepare", counted)
+    monkeypatch.setattr(_chunks, "prepare", counted)
     return called
 
 
@@ -70,40 +63,36 @@ def brick():
 
 def test_nodes_slide_in_their_planes_in_every_chunk(sizes):
     """Without the judging of cells, which takes ten times longer to compile."""
-    mesh, patches = brick(), ["z1", "x1", "y1"]
-    bump = {
-        "low": [-1, -1, -1],
-        "high": [1, 1, 1],
-        "points": [3, 3, 3],
-        "moved": [{"at": [1, 1, 1], "by": [0.1, 0.2, 0.3]}],
-    }
-    arguments = argparse.Namespace(symmetry=["x0", "y0"], fixed=patches, dtype="float64")
-    moving, choice = mesh.patch("z0"), Choice(None, "", 0)
-    motion = motions([Group(["z0"], box=json.dumps(bump))], mesh, moving)
+    mesh, sides = brick(), ["x0", "y0"]
+    moving, fixed = mesh.patch("z0"), mesh.patch("z1", "x1", "y1")
+    planes = [jm.Plane.through(mesh.points, mesh.patch(side)) for side in sides]
+    x, y, _ = mesh.points[moving].T
+    u = (np.cos(np.pi * x / 2) * np.cos(np.pi * y / 2))[:, None] * [0.1, 0.2, 0.3]
     moved = []
     for size in (None, 50):
-        parts = chunks(mesh, mesh.patch("z0", *patches), arguments.symmetry, size)
-        run = Run(arguments, mesh, ["z0"], moving, motion, [], None, parts)
-        moved.append(run.points(run.prepare(choice), 1))
+        chunks = jm.prepare_in_chunks(mesh.points, moving, fixed, size=size, symmetry=planes)
+        moved.append(chunks.march(u[None]))
     assert sizes[0] == 216
     assert len(sizes) == 3
     assert sizes[1] == sizes[2] < 200
     np.testing.assert_allclose(moved[1], moved[0], rtol=0, atol=1e-14)
-    for axis, side in enumerate(arguments.symmetry):
-        inner = np.setdiff1d(mesh.patch(side), mesh.patch("z0", *patches))
+    for axis, side in enumerate(sides):
+        inner = np.setdiff1d(mesh.patch(side), mesh.patch("z0", "z1", "x1", "y1"))
         np.testing.assert_array_equal(moved[1][mesh.patch(side), axis], 0)
         assert np.abs(moved[1] - mesh.points)[inner].max() > 0.003
 
 
 def test_chunks_cover_the_mesh_and_have_one_length(here):
     mesh = write_ring(here / "ring.su2")
-    surface = np.union1d(mesh.patch("wall"), mesh.patch("far"))
+    wall, far = mesh.patch("wall"), mesh.patch("far")
     for size in (1, 10, 50, 167, 168, 1000, None):
-        parts = list(chunks(mesh, surface, [], size))
-        assert len(parts) == (1 if size is None else -(-168 // size))
-        assert len({len(part) for part in parts}) == 1
-        assert all(np.isin(surface, part).all() for part in parts)
-        np.testing.assert_array_equal(np.unique(np.concatenate(parts)), np.arange(216))
+        chunks = jm.prepare_in_chunks(mesh.points, wall, far, size=size)
+        assert len(chunks) == (1 if size is None else -(-168 // size))
+        assert len({len(nodes) for nodes in chunks.nodes}) == 1
+        assert all(np.isin([*wall, *far], nodes).all() for nodes in chunks.nodes)
+        np.testing.assert_array_equal(np.unique(np.concatenate(chunks.nodes)), np.arange(216))
+    with pytest.raises(ValueError, match="`size` must be 1 or more, not 0"):
+        jm.prepare_in_chunks(mesh.points, wall, far, size=0)
 
 
 def test_a_job_carries_it_and_a_bad_number_is_answered(here, capsys):
@@ -155,13 +144,21 @@ def test_an_error_carries_its_nodes():
 
 def test_the_estimate_is_of_one_chunk():
     mesh = brick()
-    large = jm.Mesh(np.zeros((100_000, 3)), {}, mesh.patches)
-    whole, parts = (
-        estimate(
-            large, 1000, Choice(None, "", 200), argparse.Namespace(method="paper", dtype="float64", steps=1, chunk=n)
-        )
-        for n in (None, 9000)
-    )
+    large = jm.Mesh(np.random.default_rng(0).random((100_000, 3)), {}, mesh.patches)
+    moving, fixed = mesh.patch("z0"), mesh.patch("z1", "x1", "y1")
+    whole, parts = (jm.estimate(large, moving, fixed, chunk=size) for size in (None, 9000))
     assert parts.memory < whole.memory - 40e6
     assert parts.seconds > whole.seconds
     assert parts.judging == whole.judging
+    half = jm.estimate(large.moved(large.points.astype(np.float32)), moving, fixed)
+    assert half.memory < whole.memory - 40e6
+
+
+def test_the_estimate_knows_the_sources():
+    """Of the method's own reductions: what the plan then has."""
+    mesh = brick()
+    moving, fixed = mesh.patch("z0"), mesh.patch("z1", "x1", "y1")
+    for method in (jm.SurfaceReconstruction.published(), jm.RBF.classic(), jm.DelaunayGraph()):
+        estimated = jm.estimate(mesh, moving, fixed, method=method)
+        assert estimated.sources == len(jm.prepare(mesh.points, moving, fixed, method=method).sources)
+        assert estimated.surface == len(np.union1d(moving, fixed))

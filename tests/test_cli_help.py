@@ -1,13 +1,16 @@
 """Help: one short page for each command, and everything on a second one."""
 
-import argparse
+import os
 import re
+import subprocess
+import sys
 
 import pytest
 
 from jaxmorph.cli import main
-from jaxmorph.cli._arguments import parser
+from jaxmorph.cli._flags import parser
 
+MEASURES = ("aspect-ratio", "non-orthogonality", "skewness", "face-skewness", "face-aspect-ratio")
 COMMANDS = ("deform", "modes", "sensitivity", "quality", "info", "demo")
 
 
@@ -31,8 +34,7 @@ def said(capsys, monkeypatch):
 
 def flags_of(command):
     """The long flags of a command, as its parser knows them."""
-    commands = next(each for each in parser()._actions if isinstance(each, argparse._SubParsersAction)).choices
-    return {flag for action in commands[command]._actions for flag in action.option_strings if flag.startswith("--")}
+    return set(parser()[1][command].flags)
 
 
 def described(text):
@@ -57,3 +59,21 @@ def test_every_flag_is_described(said, command):
         assert f"jaxmorph {command} --help-all" in said(command, "-h")
         short = described(said(command, "--help-all"))
     assert short == flags
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("jaxmorph de", {"deform", "demo"}),
+        ("jaxmorph deform a.su2 b.su2 --ma", {f"--max-{name}" for name in MEASURES}),
+        ("jaxmorph deform a.su2 b.su2 --method ", {"default", "published", "rbf", "graph"}),
+    ],
+)
+def test_a_shell_completes(tmp_path, line, expected):
+    """As bash asks through argcomplete: the words come back on descriptor 8."""
+    code = "import os, sys; from jaxmorph.cli import main; os.dup2(1, 8); sys.argv = ['jaxmorph']; main()"
+    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | asked, capture_output=True, text=True, cwd=tmp_path, check=False
+    )
+    assert {word.strip() for word in done.stdout.split("\n") if word.strip()} == expected

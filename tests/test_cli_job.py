@@ -1,6 +1,7 @@
 """Job files, and what machines and impatient people get from the command line."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -14,6 +15,7 @@ from ring import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._plan import chunks as _chunks
 from jaxmorph.cli import _progress, main
 
 
@@ -83,12 +85,32 @@ def test_flags_beside_a_job_win(here):
     np.testing.assert_allclose(a - b, weight * [[0.2, 0]], atol=1e-13)
 
 
+def test_paths_in_a_job_are_relative_to_its_folder(here, monkeypatch):
+    """From another folder the job reads and writes the same; one saved elsewhere names the files from there."""
+    (here / "jobs").mkdir()
+    (here / "jobs" / "job.toml").write_text(
+        JOB.replace('"ring.su2"', '"../ring.su2"').replace('"shift.csv"', '"../shift.csv"')
+    )
+    (here / "elsewhere").mkdir()
+    monkeypatch.chdir(here / "elsewhere")
+    assert main(["deform", "--job", "../jobs/job.toml", "--save-job", "../jobs/saved.toml"]) == 0
+    assert not list((here / "elsewhere").iterdir())
+    first = (here / "jobs" / "from_job.su2").read_bytes()
+    (here / "jobs" / "from_job.su2").unlink()
+    saved = tomllib.loads((here / "jobs" / "saved.toml").read_text())
+    assert (saved["file"], saved["output"]) == ("../ring.su2", "from_job.su2")
+    assert saved["moving"][0]["mode"] == [["../shift.csv", 0.5]]
+    monkeypatch.chdir(here / "jobs")
+    assert main(["deform", "--job", "saved.toml"]) == 0
+    assert (here / "jobs" / "from_job.su2").read_bytes() == first
+
+
 BAD_JOBS = {
     "not TOML": ("file = ring.su2", "job.toml: not TOML"),
-    "unknown": ("fille = 'ring.su2'", "job.toml: a job has no fille; it may have file, output"),
+    "unknown": ("fille = 'ring.su2'", r"job.toml: a job has no fille; did you mean file\? It may have file, output"),
     "unknown motion": (
         "[[moving]]\npatches = ['wall']\nrotat = 1",
-        r"job.toml: \[\[moving\]\] has no rotat; it may have",
+        r"job.toml: \[\[moving\]\] has no rotat; did you mean rotate\? It may have",
     ),
     "no patches": ("[[moving]]\nrotate = 1", r"job.toml: a \[\[moving\]\] without patches"),
     "no list": ("moving = 'wall'", r"job.toml: moving is a list of tables: begin each with \[\[moving\]\]"),
@@ -127,7 +149,7 @@ def test_running_out_of_memory_is_one_line(here, capsys, monkeypatch):
     def greedy(*_, **__):
         raise MemoryError
 
-    monkeypatch.setattr(jm, "prepare", greedy)
+    monkeypatch.setattr(_chunks, "prepare", greedy)
     assert main(["deform", "ring.su2", "out.su2", *MOVE]) == 2
     assert capsys.readouterr().err == "jaxmorph deform: out of memory; fewer --sources and --dtype float32 need less.\n"
     assert not (here / "out.su2").exists()
@@ -171,14 +193,15 @@ def test_verbose_tells_the_time_of_each_stage(here, capsys):
 
 
 def test_what_may_not_fit_into_memory_is_told_before_the_work(here, capsys, monkeypatch):
-    from jaxmorph.cli import _estimate
+    from jaxmorph._advice import estimate as _estimate
+    from jaxmorph.cli import _deform
 
     monkeypatch.setattr(_estimate, "_physical_memory", lambda: 1e8)
-    assert main(["deform", "ring.su2", "out.su2", *MOVE, "--method", "dgm"]) == 0
+    assert main(["deform", "ring.su2", "out.su2", *MOVE, "--method", "graph"]) == 0
     said = capsys.readouterr()
     assert re.search(r"^jaxmorph deform: warning: \S+ GB may not fit into memory", said.err)
     assert "estimate" not in said.out
-    monkeypatch.setattr(_estimate, "LARGE", 200)
+    monkeypatch.setattr(_deform, "LARGE", 200)
     assert main(["deform", "ring.su2", "out.su2", *MOVE, "--method", "rbf"]) == 0
     assert re.search(
         r"estimate 216 points, 48 surface nodes, 48 sources: about \S+ GB, \S+ s\n", capsys.readouterr().out
@@ -218,9 +241,68 @@ def interrupted(self, target):
     os.kill(os.getpid(), signal.SIGINT)
     return replace(self, target)
 pathlib.Path.replace = interrupted
-sys.exit(main(["deform", "ring.su2", "out.su2", *{MOVE!r}, "--method", "dgm"]))
+sys.exit(main(["deform", "ring.su2", "out.su2", *{MOVE!r}, "--method", "graph"]))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr == "jaxmorph deform: interrupted; no file is half written.\n"
     assert done.returncode == 128 + signal.SIGINT
     assert sorted(path.name for path in here.iterdir()) == ["ring.su2", "shift.csv"]
+
+
+INTERRUPTED = """
+import os, runpy, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+{how}
+sys.argv = ["jaxmorph", "info", "ring.su2"]
+runpy.run_module("jaxmorph", run_name="__main__", alter_sys=False)
+"""
+WHILE_IMPORTING = """
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "{module}":
+            interrupt()
+sys.meta_path.insert(0, Finder())
+"""
+IN_A_CALLBACK = """
+import gc, jaxmorph.io
+read = jaxmorph.io.read
+def reading(file):
+    def callback(*_):
+        gc.callbacks.remove(callback)
+        interrupt()
+        sum(range(1000))
+    gc.callbacks.append(callback)
+    gc.collect()
+    while True:
+        pass
+jaxmorph.io.read = reading
+"""
+
+
+@pytest.mark.parametrize(
+    "how",
+    [WHILE_IMPORTING.format(module="jax"), WHILE_IMPORTING.format(module="jaxmorph.cli._modes"), IN_A_CALLBACK],
+    ids=["importing JAX", "importing the last", "collecting garbage"],
+)
+def test_an_interrupt_at_any_time_is_one_line(here, how):
+    """While a module is imported, and in a callback of the garbage collector, which loses exceptions."""
+    code = INTERRUPTED.format(how=how)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert re.fullmatch(r"jaxmorph info: interrupted(; no file is half written)?\.\n", done.stderr)
+    assert (done.returncode, done.stdout) == (128 + signal.SIGINT, "")
+
+
+def test_text_is_utf_8_under_any_locale(here):
+    """A patch with other letters, in a process whose locale knows ASCII alone: files are read and written, the name is shown."""
+    mesh = (here / "ring.su2").read_text(encoding="utf-8").replace("wall", "flügel")
+    (here / "ring.su2").write_text(mesh, encoding="utf-8")
+    (here / "job.toml").write_text(JOB.replace("wall", "flügel"), encoding="utf-8")
+    environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-m", "jaxmorph", "deform", "--job", "job.toml", "--save-job", "saved.toml"]
+    done = subprocess.run(command, capture_output=True, env=environment, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert rb"moving   fl\xfcgel: 24 nodes" in done.stdout
+    assert "flügel" in (here / "from_job.su2").read_text(encoding="utf-8")
+    assert 'patches = ["flügel"]' in (here / "saved.toml").read_text(encoding="utf-8")

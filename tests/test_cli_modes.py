@@ -92,7 +92,7 @@ def test_a_series_opens_in_paraview_at_its_amplitudes(here):
 
 
 def test_bad_cases_are_left_out_and_told(here, capsys):
-    flags = ("bump.csv", "--amplitude", "0", "9", "0.1", "--method", "dgm")
+    flags = ("bump.csv", "--amplitude", "0", "9", "0.1", "--method", "graph")
     assert modes("bad.pvd", *flags, "--json") == 1
     said = capsys.readouterr()
     found = json.loads(said.out)

@@ -35,7 +35,7 @@ def moved(brick, *flags) -> tuple[np.ndarray, np.ndarray, jm.Mesh]:
     out = brick.with_name("out.su2")
     fixed = ["rest"] if "low" in flags else ["rest", "low"]
     words = ["deform", str(brick), str(out), "--fixed", *fixed, *flags, "--allow-inverted", "--no-dry-run"]
-    assert main([*words, "--method", "dgm"]) in (0, 1)
+    assert main([*words, "--method", "graph"]) in (0, 1)
     mesh = io.read(brick)
     return np.asarray(mesh.points), np.asarray(io.read(out).points), mesh
 

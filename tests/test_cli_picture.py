@@ -30,11 +30,11 @@ def here(tmp_path, monkeypatch):
 
 
 def ring(*more):
-    return main(["deform", "ring.su2", "out.su2", "--moving", "wall", "--fixed", "far", "--method", "dgm", *more])
+    return main(["deform", "ring.su2", "out.su2", "--moving", "wall", "--fixed", "far", "--method", "graph", *more])
 
 
 def block(*more):
-    motion = ["--moving", "roof", "--fixed", "floor", "--method", "dgm", "--translate", "0", "0", "0.5"]
+    motion = ["--moving", "roof", "--fixed", "floor", "--method", "graph", "--translate", "0", "0", "0.5"]
     return main(["deform", "block.su2", "out.su2", *motion, *more])
 
 

@@ -159,6 +159,33 @@ def test_gates_measure_polyhedra_whole(tmp_path, capsys):
         "max_face_aspect_ratio": 2.0,
     }
     assert found == pytest.approx(expected, rel=1e-9)
+    mesh = io.read(tmp_path / "a")
+    measured = jm.face_quality(mesh)
+    assert measured.skewness.shape == (sum(map(len, mesh.cells.values())),)
+    assert set(measured.skewness[4:]) == {measured.skewness.max()}  # pieces of the one cube
+    bars = jm.face_quality(mesh, mesh.points * [1.0, 2.0, 2.0]).aspect_ratio  # then cubes
+    np.testing.assert_allclose(bars[:4], 1, rtol=1e-12)
+    assert jm.face_quality(jm.Mesh(mesh.points, mesh.cells)).skewness[4:].max() != pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    "entry", ["inGroups 1(wall);", "inGroups List<word> 2(wall near);", 'inGroups ( "wall" );', ""]
+)
+def test_patches_by_the_groups_of_the_case(tmp_path, capsys, entry):
+    foam.write_case(tmp_path / "a", *split(), PATCHES)
+    boundary = tmp_path / "a" / "constant" / "polyMesh" / "boundary"
+    boundary.write_text(boundary.read_text().replace("inGroups 1(wall);", entry))
+    mesh = io.read(tmp_path / "a")
+    walls = {"wall": ("floor",)} if entry else {}
+    near = {"near": ("floor",)} if "near" in entry else {}
+    assert mesh.groups == walls | near | {"patch": ("rest", "none")}
+    for group, names in mesh.groups.items():
+        np.testing.assert_array_equal(mesh.patch(group), mesh.patch(*names))
+        assert mesh.patch_names(group, "floor")[: len(names)] == names
+    with pytest.raises(ValueError, match=r"this mesh has: 'floor', 'rest', 'none', and the groups .*'patch'"):
+        mesh.patch("roof")
+    assert main(["info", str(tmp_path / "a"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["groups"] == {group: list(names) for group, names in mesh.groups.items()}
 
 
 @pytest.mark.parametrize("normal", [0, 1, 2])

@@ -18,13 +18,14 @@ FLOORS = (
     ("_plan", "_quality"),
     ("_improve", "_advice"),
     ("shapes",),
+    ("_public",),
     ("",),
     ("io", "plot", "cases", "integrations"),
     ("_demo",),
     ("cli",),
     ("__main__",),
 )
-"""Rooms by floor: each may import from the floors below it, and from itself. "" is the package, the public names."""
+"""Rooms by floor: each may import from the floors below it, and from itself. "" is the package, whose names `_public` has."""
 
 FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 NEIGHBOURS = {("cases", "io"), ("integrations", "io")}
@@ -59,7 +60,7 @@ def imports(file: pathlib.Path, types: bool = True) -> list[Import]:
     package = file.relative_to(ROOT).with_suffix("").parts[:-1]
     tree, listed, hidden = ast.parse(file.read_text()), [], set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not types:
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING") and not types:
             hidden |= {id(inner) for inner in ast.walk(node)}
     for node in ast.walk(tree):
         if id(node) in hidden:
@@ -78,7 +79,7 @@ def imports(file: pathlib.Path, types: bool = True) -> list[Import]:
 
 OWN = [each for file in FILES for each in imports(file) if each.module.split(".")[0] == "jaxmorph"]
 BETWEEN = [
-    each for each in OWN if each.rooms[0] != each.rooms[1] and module_of(PACKAGE / "__init__.py") != each.importer
+    each for each in OWN if each.rooms[0] != each.rooms[1] and each.importer not in ("jaxmorph", "jaxmorph._public")
 ]
 
 
@@ -156,6 +157,7 @@ def test_importing_leaves_no_trace():
 import jax, logging, sys
 before = dict(jax.config.values)
 import jaxmorph
+jaxmorph.prepare
 changed = {{key for key, value in jax.config.values.items() if before.get(key) != value}}
 assert not changed, changed
 assert not jax.config.jax_enable_x64
@@ -163,6 +165,32 @@ loaded = set(sys.modules) & set({OPTIONAL!r})
 assert not loaded, loaded
 assert not [name for name in logging.root.manager.loggerDict if name.startswith("jaxmorph")]
 assert not jax.live_arrays()
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_importing_the_package_does_not_import_jax():
+    """Help and version of the command line come at once; names and submodules are there when they are used."""
+    code = """
+import sys
+import jaxmorph.cli
+from jaxmorph.cli import _door
+assert not {"jax", "numpy", "scipy"} & set(sys.modules)
+from jaxmorph import Mesh, io
+assert jaxmorph.prepare and jaxmorph.shapes.rotate and io.read and "jax" in sys.modules
+assert {"prepare", "io", "__version__"} <= set(dir(jaxmorph))
+star = {}
+exec("from jaxmorph import *", star)
+assert {"prepare", "Mesh", "shapes"} <= set(star)
+try:
+    jaxmorph.nothing
+except AttributeError as error:
+    assert str(error) == "module 'jaxmorph' has no attribute 'nothing'"
+else:
+    raise AssertionError
 """
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, cwd=ROOT, check=False

@@ -1,7 +1,7 @@
 """The mesh: points, cells, and patches of boundary nodes."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -10,6 +10,8 @@ from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
 from .._host.topology import CORNERS, canonical_type
 from . import exchange, export
+from .patches import patch_names
+from .polyhedra import Polyhedra
 
 
 class Mesh(eqx.Module):
@@ -58,17 +60,31 @@ class Mesh(eqx.Module):
                 raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
 
     def patch(self, *names: str) -> np.ndarray:
-        """Returns the ids of the nodes of one patch, or of several together, each node once, ascending.
+        """Lists the node ids of one patch, or of several together, each node once, ascending.
 
-        **Raises:** `ValueError`, with the names there are, for one that is not among them.
+        Each name is that of a patch, that of a group, or a regular expression for whole names of patches, `"motorBike.*"`.
+
+        **Raises:** `ValueError`, with the names there are, for one that means no patch.
         """
-        for name in names:
-            if name not in self.patches:
-                known = ", ".join(map(repr, self.patches)) or "none"
-                raise ValueError(f"no patch is called {name!r}; this mesh has: {known}.")
         if not names:
             return np.zeros(0, dtype=np.int64)
-        return np.unique(np.concatenate([np.asarray(self.patches[name]) for name in names]))
+        return np.unique(np.concatenate([np.asarray(self.patches[name]) for name in self.patch_names(*names)]))
+
+    def patch_names(self, *names: str) -> tuple[str, ...]:
+        """Lists the patches that names mean, as `patch` takes them."""
+        return patch_names(names, self.patches, self.groups)
+
+    @property
+    def groups(self) -> Mapping[str, tuple[str, ...]]:
+        """The groups of patches that the file has, by name: an OpenFOAM case's `inGroups`."""
+        groups = getattr(self.source, "groups", {})
+        within = {name: tuple(each for each in patches if each in self.patches) for name, patches in groups.items()}
+        return {name: patches for name, patches in within.items() if patches}
+
+    @property
+    def polyhedra(self) -> Polyhedra | None:
+        """The whole cells of a mesh that was read with polyhedra, of which `cells` has pieces; None for other meshes."""
+        return getattr(self.source, "polyhedra", None)
 
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
         """Returns the same mesh with other coordinates `points` (n, d); this one stays as it is.

@@ -13,6 +13,14 @@ ENOUGH = 0.05
 """Share of the mean piece from which on no better apex is looked for."""
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Polyhedra:
+    """The whole cells of a mesh with polyhedra: all faces, and the whole cell that each cell of the mesh is, or is a piece of."""
+
+    faces: Faces
+    cell: np.ndarray
+
+
 def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cuts the faces `chosen` into triangles (t, 3), each in the sense of its face; and gives the place in `chosen` of its face.
 

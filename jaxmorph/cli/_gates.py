@@ -1,30 +1,16 @@
 """Quality gates: limits that a mesh must keep, and which cells are beyond them."""
 
-import argparse
 import dataclasses
 import functools
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from jaxmorph import Mesh, QualityReport
-from jaxmorph.io.openfoam.case import whole_cells
+from jaxmorph import FaceQuality, Mesh, QualityReport, face_quality
 
-from ._faces import face_aspect_ratio, face_non_orthogonality, face_skewness
+from ._flags import GATES, PRESETS
 from ._tables import place
-
-GATES = {
-    "max_aspect_ratio": "largest aspect ratio",
-    "max_non_orthogonality": "largest non-orthogonality in degrees",
-    "max_skewness": "largest skewness of a cell, 0 to 1",
-    "max_face_skewness": "largest skewness of a face, as checkMesh's",
-    "max_face_aspect_ratio": "largest aspect ratio from areas of faces, as checkMesh's",
-    "min_jacobian_ratio": "smallest corner Jacobian over its initial value",
-}
-"""The flags, by their names, and what they say in the help."""
-
-PRESETS = {"checkmesh": {"max_face_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
-"""OpenFOAM's checkMesh: `primitiveMesh::aspectThreshold_`, `nonOrthThreshold_`, `skewThreshold_`."""
 
 WORST = 5
 """Cells named for each gate that fails."""
@@ -41,26 +27,31 @@ class Judged:
     @functools.cached_property
     def counted(self) -> np.ndarray:
         """Ids of the cells that count: those of the highest dimension."""
-        return np.sort(self.report.worst(len(self.report.volume)))
+        return np.flatnonzero(self.report.counted)
 
     @functools.cached_property
+    def faces(self) -> FaceQuality:
+        """The measures of checkMesh."""
+        return face_quality(self.mesh, self.points)
+
+    @property
     def face_skewness(self) -> np.ndarray:
-        return face_skewness(self.mesh, self.points)
+        return self.faces.skewness
 
-    @functools.cached_property
+    @property
     def face_aspect_ratio(self) -> np.ndarray:
-        return face_aspect_ratio(self.mesh, self.points)
+        return self.faces.aspect_ratio
 
-    @functools.cached_property
+    @property
     def non_orthogonality(self) -> np.ndarray:
         """Of the cells that a file has, where the mesh has pieces of them."""
-        is_cut = whole_cells(self.mesh) is not None
-        return face_non_orthogonality(self.mesh, self.points) if is_cut else np.asarray(self.report.non_orthogonality)
+        is_cut = self.mesh.polyhedra is not None
+        return self.faces.non_orthogonality if is_cut else np.asarray(self.report.non_orthogonality)
 
     def values(self, measure: str) -> np.ndarray:
         """One value for each cell that counts."""
-        found = getattr(self if hasattr(type(self), measure) else self.report, measure)
-        return np.asarray(found)[self.counted]
+        values = getattr(self if hasattr(type(self), measure) else self.report, measure)
+        return np.asarray(values)[self.counted]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,17 +82,16 @@ class Gate:
         return judged.counted[rows[np.argsort(-badness[rows], kind="stable")]]
 
 
-def gates(arguments: argparse.Namespace) -> list[Gate]:
+def gates(given: Mapping[str, float | None], preset: str | None) -> tuple[Gate, ...]:
     """Those of the preset, and those given by themselves, which win. `ValueError` for limits that are no numbers."""
-    limits = dict(PRESETS.get(arguments.preset, {}))
-    limits |= {flag: getattr(arguments, flag) for flag in GATES if getattr(arguments, flag) is not None}
+    limits = dict(PRESETS.get(preset or "", {})) | {flag: limit for flag, limit in given.items() if limit is not None}
     wrong = [flag for flag, limit in limits.items() if np.isnan(limit)]
     if wrong:
         raise ValueError(f"--{wrong[0].replace('_', '-')} needs a number, found nan.")
-    return [Gate(flag, limits[flag]) for flag in GATES if flag in limits]
+    return tuple(Gate(flag, limits[flag]) for flag in GATES if flag in limits)
 
 
-def table(chosen: list[Gate], before: Judged | None, after: Judged) -> str:
+def table(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> str:
     """A row for each gate, then the worst cells of those that fail; nothing without gates."""
     if not chosen:
         return ""
@@ -128,17 +118,19 @@ def _cell(gate: Gate, judged: Judged, cell: int) -> str:
     return f"  {cell:<22}{judged.values(gate.measure)[row]:>12.5g}   near {place(judged.report, cell)}"
 
 
-def failures(chosen: list[Gate], before: Judged | None, after: Judged) -> list[str]:
+def failures(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> list[str]:
     """One sentence for each gate that fails; with how many cells did before, where any did."""
-    said = []
+    sentences = []
     for gate in chosen:
         bad = gate.beyond(after)
         if len(bad):
             are = "cell is" if len(bad) == 1 else "cells are"
             limit = f"--{gate.flag.replace('_', '-')} {gate.limit:g}"
             old = "" if before is None else _before(gate, before)
-            said.append(f"{len(bad)} of {len(after.counted)} {are} beyond {limit}{old}, the worst is cell {bad[0]}.")
-    return said
+            sentences.append(
+                f"{len(bad)} of {len(after.counted)} {are} beyond {limit}{old}, the worst is cell {bad[0]}."
+            )
+    return sentences
 
 
 def _before(gate: Gate, before: Judged) -> str:
@@ -146,18 +138,18 @@ def _before(gate: Gate, before: Judged) -> str:
     return f" ({count} before the motion)" if count else ""
 
 
-def hopeless(chosen: list[Gate], before: Judged) -> bool:
+def hopeless(chosen: Sequence[Gate], before: Judged) -> bool:
     """Whether the mesh was beyond a limit before it moved, which no other way of moving it can cure."""
     return any(len(gate.beyond(before)) for gate in chosen)
 
 
-def facts(chosen: list[Gate], before: Judged | None, after: Judged) -> list[dict[str, Any]]:
+def facts(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> list[dict[str, Any]]:
     """The same for machines."""
-    found = []
+    rows = []
     for gate in chosen:
         bad = gate.beyond(after)
         cells = [{"cell": int(cell), "near": after.report.centroid[cell].tolist()} for cell in bad[:WORST]]
-        found.append(
+        rows.append(
             {
                 "gate": gate.flag,
                 "limit": gate.limit,
@@ -167,4 +159,4 @@ def facts(chosen: list[Gate], before: Judged | None, after: Judged) -> list[dict
                 "worst": cells,
             }
         )
-    return found
+    return rows

@@ -1,19 +1,17 @@
-"""The pages of help: what stands below the flags, and which flags a short page has."""
+"""The pages of help: what stands above and below the flags."""
 
-DEFORM_EVERYDAY = (
-    "file",
-    "output",
-    "picture",
-    "moving",
-    "fixed",
-    "symmetry",
-    "displacement",
-    "rotate",
-    "translate",
-    "about",
-)
-DEFORM_EVERYDAY += ("axis", "sources", "steps")
-MODES_EVERYDAY = ("file", "output", "moving", "fixed", "symmetry", "mode", "amplitude", "sources")
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """What a command does, how it is called, and what stands below its flags: on the long page, and on the short one if any."""
+
+    summary: str
+    usage: str
+    long: str
+    short: str = ""
+
 
 MAIN = """\
 examples:
@@ -22,7 +20,8 @@ examples:
   jaxmorph deform airfoil.su2 rotated.su2 --moving airfoil --fixed farfield \\
       --rotate -5 --about 0.25 0
 
-exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input"""
+exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input;
+130 when interrupted"""
 
 DEFORM = """\
 Each --moving begins a motion of its own; the flags after it, up to the next,
@@ -31,13 +30,17 @@ modes, box, scaling, twisting, bending, rotation and translation. Patches named
 again by another --moving go on from there. With --steps N the mesh follows in N
 steps, each with 1/N of every angle, factor, translation and displacement.
 
+NAME is a patch, a regular expression for the whole of a name ("motorBike.*"),
+or a group that the file has (inGroups of an OpenFOAM case).
+
 A box is a TOML file: low and high (two corners), points (how many control
 points each way), and for each that moves a [[moved]] with at (its numbers, from
 0) and by (its displacement). Nodes outside of it stay.
 
 A job is a TOML file with the names of the flags: file, output, fixed, ..., and
 a [[moving]] (patches, rotate, about, ...) for each motion; in it modes are
-[["FILE", AMPLITUDE], ...], a box a file or a table. Flags beside --job win.
+[["FILE", AMPLITUDE], ...], a box a file or a table. Paths in it are relative to
+its folder. Flags beside --job win.
 
 examples:
   pitch nose-up about the quarter chord, in three steps:
@@ -134,3 +137,31 @@ DEMO = """\
 examples:
   jaxmorph demo
   jaxmorph demo agard445 --output results"""
+
+PAGES = {
+    "deform": Page(
+        "move patches of a mesh, and the mesh with them",
+        """IN OUT --moving NAME ... MOTION ... [--moving ...]
+           --fixed NAME ... [--symmetry NAME ...] [METHOD ...] [GATE ...]
+       jaxmorph deform --job FILE""",
+        DEFORM,
+        DEFORM_SHORT,
+    ),
+    "modes": Page(
+        "move a mesh by many shapes or amplitudes at once",
+        """IN OUT --moving NAME ... --fixed NAME ... --mode FILE ...
+           [--amplitude A ...] [--symmetry NAME ...] [METHOD ...] [GATE ...]""",
+        MODES,
+        MODES_SHORT,
+    ),
+    "sensitivity": Page(
+        "pull an adjoint solver's dJ/d(volume nodes) back to the moving nodes",
+        """IN SENS OUT --moving NAME ... --fixed NAME ...
+           [--symmetry NAME ...] [METHOD ...]""",
+        SENSITIVITY,
+    ),
+    "quality": Page("quality of a mesh's cells", "FILE [FILE2] [GATE ...]", QUALITY),
+    "info": Page("what a mesh file holds", "FILE", INFO),
+    "demo": Page("a test case of the paper: tables, pictures, meshes", "[CASE] [-o DIR]", DEMO),
+}
+"""By the name of the command."""

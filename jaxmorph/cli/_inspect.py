@@ -1,6 +1,7 @@
 """`jaxmorph quality` and `jaxmorph info`."""
 
-import argparse
+import pathlib
+import textwrap
 
 import numpy as np
 
@@ -10,22 +11,23 @@ from jaxmorph import Mesh, io
 from . import _gates
 from ._gates import Judged
 from ._output import Output
+from ._requests import Quality
 from ._tables import alone, compared, inverted_cells, numbers
 
 
-def quality(arguments: argparse.Namespace, out: Output) -> int:
+def quality(request: Quality, out: Output) -> int:
     """Prints the quality of a mesh, or of two with the same cells. Returns the exit status."""
-    limits = _gates.gates(arguments)
+    limits = request.gates
     with out.progress("reading"):
-        mesh = io.read(arguments.file)
-        moved = None if arguments.moved is None else io.read(arguments.moved)
+        mesh = io.read(request.file)
+        moved = None if request.moved is None else io.read(request.moved)
     if moved is None and any(gate.measure == "jacobian_ratio" for gate in limits):
         raise ValueError("--min-jacobian-ratio compares two meshes: give FILE2.")
     with out.progress("judging the cells"):
         before, after = None, Judged(mesh, mesh.points, jm.quality(mesh))
         text = alone(after.report)
         if moved is not None:
-            _check_same(arguments, mesh, moved)
+            _check_same(request, mesh, moved)
             before, after = after, Judged(mesh, moved.points, jm.quality(mesh, moved.points))
             text = compared(before.report, after.report)
         gates = _gates.table(limits, before, after)
@@ -39,14 +41,14 @@ def quality(arguments: argparse.Namespace, out: Output) -> int:
     return 1 if bad else 0
 
 
-def info(arguments: argparse.Namespace, out: Output) -> int:
+def info(file: pathlib.Path, out: Output) -> int:
     """Prints what a mesh file holds. Returns the exit status."""
     with out.progress("reading"):
-        mesh = io.read(arguments.file)
+        mesh = io.read(file)
     points = np.asarray(mesh.points)
     n, d = points.shape
     cells = {kind: len(corners) for kind, corners in mesh.cells.items()}
-    out.say(f"{arguments.file.name}: {d}-D, {n} points", dimension=d, points=n)
+    out.say(f"{file.name}: {d}-D, {n} points", dimension=d, points=n)
     out.say("cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items()), cells=cells)
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     for name, least, most in zip("xyz", low, high, strict=False):
@@ -56,15 +58,20 @@ def info(arguments: argparse.Namespace, out: Output) -> int:
     width = max(map(len, patches), default=0)
     for name, number in patches.items():
         out.say(f"  {name:<{width}}  {number:>9} nodes")
+    if mesh.groups:
+        out.say("groups", groups={name: list(names) for name, names in mesh.groups.items()})
+    for name, names in mesh.groups.items():
+        text = f"  {name}: {', '.join(names)}"
+        out.say(textwrap.fill(text, 80, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
     return 0
 
 
-def _check_same(arguments: argparse.Namespace, mesh: Mesh, moved: Mesh) -> None:
+def _check_same(request: Quality, mesh: Mesh, moved: Mesh) -> None:
     a, b = tuple(mesh.points.shape), tuple(moved.points.shape)
     if a != b:
-        raise ValueError(f"{arguments.moved} has points of shape {b}, {arguments.file} of {a}: not the same mesh.")
+        raise ValueError(f"{request.moved} has points of shape {b}, {request.file} of {a}: not the same mesh.")
     same = mesh.cells.keys() == moved.cells.keys() and all(
         np.array_equal(corners, moved.cells[kind]) for kind, corners in mesh.cells.items()
     )
     if not same:
-        raise ValueError(f"{arguments.moved} has other cells than {arguments.file}: not the same mesh, moved.")
+        raise ValueError(f"{request.moved} has other cells than {request.file}: not the same mesh, moved.")

@@ -3,13 +3,15 @@
 import argparse
 import dataclasses
 import json
+import os
 import pathlib
 import tomllib
 from collections.abc import Sequence
 from typing import Any
 
-from ._gates import GATES
+from ._flags import GATES
 from ._groups import Group
+from ._parser import meant
 
 LISTS = ("fixed", "symmetry")
 VALUES = ("method", "sources", "steps", "chunk", "dtype", "preset", "picture", *GATES)
@@ -17,6 +19,9 @@ SWITCHES = {"allow_inverted": True, "dry_run": False}
 """Those that are either true or false, and the value that has a flag."""
 
 FILES = ("file", "output")
+PATHS = (*FILES, "picture", "displacement", "displacement_from", "box", "mode")
+"""What names files, relative to the folder of the job; of a mode the first word does, and a box may be a table."""
+
 MOTION = tuple(field.name for field in dataclasses.fields(Group) if field.name != "given")
 
 
@@ -41,7 +46,7 @@ def with_job(arguments: Sequence[str]) -> list[str]:
 
 def _flags(path: pathlib.Path) -> tuple[list[str], list[str]]:
     try:
-        job = tomllib.loads(path.read_text())
+        job = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not TOML ({error}).") from None
     job = _known(path, "a job", job, (*FILES, *LISTS, *VALUES, *SWITCHES, "moving"))
@@ -66,14 +71,15 @@ def _flags(path: pathlib.Path) -> tuple[list[str], list[str]]:
             flags += ["--mode", *_words(path, "mode", mode)]
         for name, value in group.items():
             flags += [_flag(name), *_words(path, name, value)]
-    return [str(job[name]) for name in FILES if name in job], flags
+    return [word for name in FILES if name in job for word in _words(path, name, job[name])], flags
 
 
 def _known(path: pathlib.Path, what: str, table: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
     table = {key.replace("-", "_"): value for key, value in table.items()}
     foreign = [key for key in table if key not in names]
     if foreign:
-        raise ValueError(f"{path}: {what} has no {foreign[0]}; it may have {', '.join(names)}.")
+        hint = meant(foreign[0], names) or "."
+        raise ValueError(f"{path}: {what} has no {foreign[0]}{hint} It may have {', '.join(names)}.")
     return table
 
 
@@ -82,36 +88,47 @@ def _flag(name: str) -> str:
 
 
 def _words(path: pathlib.Path, name: str, value: Any) -> list[str]:
+    """A value as words; a path as it is seen from here."""
     if name == "box" and isinstance(value, dict):
         return [json.dumps(value)]
     values = value if isinstance(value, list) else [value]
     if not values or any(type(each) not in (str, int, float) for each in values):
         raise ValueError(f"{path}: {name} cannot be {value!r}.")
-    return [str(each) for each in values]
+    words = [str(each) for each in values]
+    if name in PATHS and not words[0].lstrip().startswith("{"):
+        words[0] = str(path.parent / words[0])
+    return words
 
 
-def text_of(arguments: argparse.Namespace) -> str:
-    """The job that these arguments of `jaxmorph deform` are."""
-    job: dict[str, Any] = {name: str(getattr(arguments, name)) for name in FILES}
-    for name in (*LISTS, *VALUES):
+def text_of(arguments: argparse.Namespace, folder: pathlib.Path) -> str:
+    """The job that these arguments of `jaxmorph deform` are, with paths as they are seen from a folder."""
+    job: dict[str, Any] = {}
+    for name in (*FILES, *LISTS, *VALUES):
         value = getattr(arguments, name)
         if value not in (None, []):
-            job[name] = value
+            job[name] = _seen(name, value, folder)
     for name, value in SWITCHES.items():
         if getattr(arguments, name) is value:
             job[name] = value
     lines = [f"{name} = {_toml(value)}" for name, value in job.items()]
-    for group in arguments.moving:
+    for group in arguments.moving or ():
         lines += ["", "[[moving]]"]
         for name in MOTION:
             value = getattr(group, name)
             if value not in (None, []) and not (name == "displacement_is" and group.displacement is None):
-                lines.append(f"{name} = {_toml(_table(name, value))}")
+                lines.append(f"{name} = {_toml(_seen(name, value, folder))}")
     return "\n".join(lines) + "\n"
 
 
-def _table(name: str, value: Any) -> Any:
-    return json.loads(value) if name == "box" and value.lstrip().startswith("{") else value
+def _seen(name: str, value: Any, folder: pathlib.Path) -> Any:
+    """A value with paths relative to the folder, as far as they were not absolute; a box in JSON as a table."""
+    if name == "mode":
+        return [(_seen("displacement", file, folder), amplitude) for file, amplitude in value]
+    if name not in PATHS:
+        return value
+    if str(value).lstrip().startswith("{"):
+        return json.loads(value)
+    return str(value) if os.path.isabs(value) else os.path.relpath(value, folder)
 
 
 def _toml(value: Any) -> str:

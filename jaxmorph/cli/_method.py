@@ -1,49 +1,50 @@
-"""The method that the command line asks for."""
+"""The method and the boundary that the command line asks for."""
 
-import argparse
 import dataclasses
 
-import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
+
+from ._requests import Method, Surface
 
 SEARCHES = 24
 """Reductions tried to find one of about as many sources as asked for."""
 
-LEAVES = 16
-"""Leaves of the wall's k-d tree in the library's own choice."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """A method (None: the library's own choice), what to call it, and how many sources it has on the moving patches."""
+    """A method, what to call it, how many sources it has on the moving patches; the precision of the calculation."""
 
-    method: jm.AbstractMethod | None
+    method: jm.AbstractMethod
     name: str
     sources: int
+    dtype: str
 
 
-def choose(method: str, sources: int | None, wall: np.ndarray) -> Choice:
+def choose(asked: Method, wall: Float[np.ndarray, "m d"]) -> Choice:
     """The method asked for. `ValueError` for sources where they mean nothing."""
-    if sources is not None and method != "paper":
-        raise ValueError(f"--sources is for --method paper; {method} has no sources to choose.")
-    if method == "rbf":
-        full = jm.RBF(reduction=jm.AllPoints(), fixed_reduction=jm.AllPoints())
-        return Choice(full, "full radial basis functions", len(wall))
-    if method == "dgm":
-        return Choice(jm.DelaunayGraph(), "Delaunay graph mapping", 0)
-    if sources is None:
-        count = len(jm.KDTree(LEAVES, extremes=True)(wall))
-        return Choice(None, "reduced radial basis functions + graph", count)
-    reduction = about(sources, wall)
-    count = len(reduction(wall))
-    name = f"reduced radial basis functions ({count} wall sources) + graph"
-    return Choice(jm.SurfaceReconstruction(jm.FittedRBF(jm.RBF(reduction=reduction))), name, count)
+    if asked.sources is not None and asked.name not in ("default", "published"):
+        raise ValueError(f"--sources is for the methods default and published; {asked.name} has no sources to choose.")
+    if asked.name == "rbf":
+        return Choice(jm.RBF.classic(), "full radial basis functions", len(wall), asked.dtype)
+    if asked.name == "graph":
+        return Choice(jm.DelaunayGraph(), "Delaunay graph mapping", 0, asked.dtype)
+    is_default, number = asked.name == "default", ""
+    method = jm.SurfaceReconstruction() if is_default else jm.SurfaceReconstruction.published()
+    if asked.sources is not None:
+        rbf = jm.RBF(reduction=about(asked.sources, wall))
+        method = jm.SurfaceReconstruction(jm.FittedRBF(rbf) if is_default else rbf, method.correction)
+    rbf = method.coarse.rbf if isinstance(method.coarse, jm.FittedRBF) else method.coarse
+    sources = len(rbf.reduction(wall)) if isinstance(rbf, jm.RBF) else 0
+    if asked.sources is not None:
+        number = f" ({sources} wall sources)"
+    name = f"reduced radial basis functions{number} + {'near-wall correction' if is_default else 'graph'}"
+    return Choice(method, name, sources, asked.dtype)
 
 
-def about(sources: int, wall: np.ndarray) -> jm.AbstractReduction:
+def about(sources: int, wall: Float[np.ndarray, "m d"]) -> jm.AbstractReduction:
     """The k-d tree whose number of leaves gives the number of sources closest to the one asked for."""
     d = wall.shape[1]
     if sources < d + 1:
@@ -62,63 +63,86 @@ def about(sources: int, wall: np.ndarray) -> jm.AbstractReduction:
     return jm.KDTree(best, extremes=True)
 
 
-def prepare(
-    arguments: argparse.Namespace,
-    mesh: jm.Mesh,
-    moving: list[str],
-    method: jm.AbstractMethod | None,
-    nodes: Int[np.ndarray, " c"] | None = None,
-) -> jm.Plan:
-    """The plan of the mesh, or of some of its nodes (ascending ids).
+@dataclasses.dataclass(frozen=True)
+class Boundary:
+    """A mesh, the names of the patches that move, stay and slide, and the planes of the last."""
 
-    An error names the symmetry patch that is not plane, and the patches left out that hold nodes outside of the hull.
-    """
-    planes = []
-    for name in arguments.symmetry:
-        try:
-            planes.append(jm.Plane.through(mesh.points, mesh.patch(name)))
-        except ValueError as error:
-            raise ValueError(f"--symmetry {name}: {error}") from None
-    nodes = np.arange(len(mesh.points)) if nodes is None else nodes
-    points = np.asarray(mesh.points)[nodes].astype(arguments.dtype, copy=False)
-    moves, stays = (np.searchsorted(nodes, mesh.patch(*names)) for names in (moving, arguments.fixed))
-    try:
-        return jm.prepare(points, moves, stays, method=method, symmetry=planes)
-    except jm.MeshError as caught:
-        error = caught.renumbered(nodes)
-        left = [name for name in mesh.patches if name not in {*moving, *arguments.fixed, *arguments.symmetry}]
-        left = [name for name in left if np.isin(error.nodes, mesh.patch(name)).any()]
+    mesh: jm.Mesh
+    moving: tuple[str, ...]
+    fixed: tuple[str, ...]
+    symmetry: tuple[str, ...]
+    planes: tuple[jm.Plane, ...]
+
+    @property
+    def nodes(self) -> Int[np.ndarray, " m"]:
+        """Ids of the moving nodes."""
+        return self.mesh.patch(*self.moving)
+
+    @property
+    def fixed_nodes(self) -> Int[np.ndarray, " f"]:
+        return self.mesh.patch(*self.fixed)
+
+    def explained(self, error: jm.MeshError) -> ValueError:
+        """The error, with the patches that hold the nodes at fault and were left out."""
+        left = [name for name in self.mesh.patches if name not in {*self.moving, *self.fixed, *self.symmetry}]
+        left = [name for name in left if np.isin(error.nodes, self.mesh.patch(name)).any()]
         others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
-        raise ValueError(f"{error}{others}") from None
+        return ValueError(f"{error}{others}")
+
+    def points(self, choice: Choice) -> Float[np.ndarray, "n d"]:
+        """The mesh's points in the precision of the calculation."""
+        return np.asarray(self.mesh.points).astype(choice.dtype, copy=False)
+
+    def prepare(self, choice: Choice) -> jm.Plan:
+        """The plan of the mesh. `ValueError` as `explained`."""
+        try:
+            return jm.prepare(
+                self.points(choice), self.nodes, self.fixed_nodes, method=choice.method, symmetry=self.planes
+            )
+        except jm.MeshError as error:
+            raise self.explained(error) from None
 
 
-def check_patches(arguments: argparse.Namespace, mesh: jm.Mesh, moving: list[str]) -> None:
-    """`ValueError` for what can be known of the patches before any work."""
+def boundary(surface: Surface, mesh: jm.Mesh, file: object) -> Boundary:
+    """The patches of a mesh that the names mean; of a pattern for fixed ones, those that neither move nor slide.
+
+    `ValueError` for what can be known of them before any work.
+    """
     known = ", ".join(mesh.patches) or "none"
-    for option, names, do in (("--moving", moving, "move"), ("--fixed", arguments.fixed, "stay")):
+    for option, names, do in (("--moving", surface.moving, "move"), ("--fixed", surface.fixed, "stay")):
         if not names:
             raise ValueError(f"{option} is missing: name the patches that {do}; this mesh has: {known}.")
         if not len(mesh.patch(*names)):
             raise ValueError(f"{option} {' '.join(names)}: there are no nodes in it.")
-    for name in arguments.symmetry:
-        mesh.patch(name)
-    if getattr(arguments, "chunk", None) is not None and arguments.chunk < 1:
-        raise ValueError(f"--chunk must be 1 or more, found {arguments.chunk}.")
-    both = sorted(set(moving) & set(arguments.fixed))
+    moving, symmetry = mesh.patch_names(*surface.moving), mesh.patch_names(*surface.symmetry)
+    both = sorted(set(moving) & set(surface.fixed))
     if both:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
+    fixed = mesh.patch_names(*surface.fixed)
+    fixed = tuple(name for name in fixed if name in surface.fixed or name not in {*moving, *symmetry})
     if not len(mesh.cells):
-        raise ValueError(f"{arguments.file}: the mesh has no cells.")
+        raise ValueError(f"{file}: the mesh has no cells.")
+    planes = []
+    for name in symmetry:
+        try:
+            planes.append(jm.Plane.through(np.asarray(mesh.points), mesh.patch(name)))
+        except ValueError as error:
+            raise ValueError(f"--symmetry {name}: {error}") from None
+    return Boundary(mesh, moving, fixed, symmetry, tuple(planes))
 
 
 def in_double(
-    base: Float[np.ndarray, "n d"], plan: jm.Plan, moved: jax.Array | np.ndarray, u: Float[np.ndarray, "m d"]
+    base: Float[np.ndarray, "n d"],
+    moved: Float[ArrayLike, "n d"],
+    nodes: Int[np.ndarray, " m"],
+    u: Float[np.ndarray, "m d"],
+    is_exact: bool,
 ) -> Float[np.ndarray, "n d"]:
-    """Moved points in double precision: nodes that a plan in single precision leaves alone keep all their digits."""
+    """Moved points in double precision: nodes that a calculation in single precision leaves alone keep all their digits."""
+    moved = np.asarray(moved)
     if moved.dtype == np.float64:
-        return np.asarray(moved)
-    nodes = np.asarray(plan.moving)
-    points = base + (np.asarray(moved, float) - np.asarray(plan.points, float))
-    if plan.method.exact:
+        return moved
+    points = base + (moved.astype(float) - base.astype(moved.dtype).astype(float))
+    if is_exact:
         points[nodes] = base[nodes] + u
     return points

@@ -1,6 +1,5 @@
 """`jaxmorph modes`: many motions of one mesh through one plan."""
 
-import argparse
 import contextlib
 import dataclasses
 import itertools
@@ -18,8 +17,9 @@ from jaxmorph import Mesh, io
 from . import _gates
 from ._files import save, write_moved
 from ._gates import Judged
-from ._method import check_patches, choose, in_double, prepare
+from ._method import Boundary, boundary, choose, in_double
 from ._output import Output
+from ._requests import Modes
 from ._tables import count, inverted_cells, numbers
 from ._xdmf import Series
 
@@ -38,70 +38,69 @@ class Case:
     time: float
 
 
-def modes(arguments: argparse.Namespace, out: Output) -> int:
+def modes(request: Modes, out: Output) -> int:
     """Each mode file at each amplitude: moves, judges, writes. Returns the exit status."""
-    with out.progress(f"reading {arguments.file.name}"):
-        mesh = io.read(arguments.file)
-    cases = _cases(arguments)
-    _check(arguments, mesh, cases)
-    limits, moving = _gates.gates(arguments), mesh.patch(*arguments.moving)
+    with out.progress(f"reading {request.file.name}"):
+        mesh = io.read(request.file)
+    cases = _cases(request)
+    patches = _check(request, mesh, cases)
     with out.progress("reading the modes"):
-        shapes = np.stack([io.read_displacement(file, mesh, moving, is_position=False) for file in arguments.mode])
+        shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.modes]
     with out.progress("preparing"):
-        choice = choose(arguments.method, arguments.sources, np.asarray(mesh.points)[moving])
-        plan = prepare(arguments, mesh, arguments.moving, choice.method)
-    what = f"{count(len(shapes), 'mode')} at {count(len(arguments.amplitude), 'amplitude')}"
-    out.say(f"{arguments.file.name}: {len(mesh.points)} points, {what}", points=len(mesh.points))
+        choice = choose(request.method, np.asarray(mesh.points)[patches.nodes])
+        plan = patches.prepare(choice)
+    what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitudes), 'amplitude')}"
+    out.say(f"{request.file.name}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)
     out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{'min J/J0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
-    before = Judged(mesh, mesh.points, jm.quality(mesh)) if limits else None
-    xdmf = Series(arguments.output, mesh) if _is_xdmf(arguments) else None
+    before = Judged(mesh, mesh.points, jm.quality(mesh)) if request.gates else None
+    xdmf = Series(request.output, mesh) if _is_xdmf(request) else None
     with xdmf or contextlib.nullcontext(), out.progress("moving") as stage:
-        for case, points in _moved(mesh, plan, shapes, cases):
+        for case, points in _moved(mesh, plan, np.stack(shapes), cases):
             report = jm.quality(mesh, points)
-            failed = [inverted_cells(report), *_gates.failures(limits, before, Judged(mesh, points, report))]
+            failed = [inverted_cells(report), *_gates.failures(request.gates, before, Judged(mesh, points, report))]
             failed = [sentence for sentence in failed if sentence]
             bad += bool(failed)
-            _tell(case, arguments.mode[case.mode], report, failed, out)
-            if not failed or arguments.allow_inverted:
+            _tell(case, request.modes[case.mode], report, failed, out)
+            if not failed or request.allow_inverted:
                 if xdmf:
                     xdmf.add(case.time, mesh.moved(points), report)
                 else:
                     write_moved(case.output, mesh, mesh.moved(points), report)
                 good.append(case)
             stage.done(case.number / len(cases))
-    return _end(arguments, good, bad, len(cases), out)
+    return _end(request, good, bad, len(cases), out)
 
 
-def _cases(arguments: argparse.Namespace) -> list[Case]:
+def _cases(request: Modes) -> list[Case]:
     """Files beside OUT with the case's number in their names; times are amplitudes where these go up."""
-    amplitudes, pairs = arguments.amplitude, []
-    for mode in range(len(arguments.mode)):
-        pairs += [(mode, amplitude) for amplitude in amplitudes]
-    go_up = len(arguments.mode) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
-    suffix = ".vtu" if arguments.output.suffix == ".pvd" else arguments.output.suffix
-    name = arguments.output.stem
+    amplitudes = request.amplitudes
+    pairs = [(mode, amplitude) for mode in range(len(request.modes)) for amplitude in amplitudes]
+    go_up = len(request.modes) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
+    suffix = ".vtu" if request.output.suffix == ".pvd" else request.output.suffix
+    name = request.output.stem
     cases = []
     for k, (mode, a) in enumerate(pairs, start=1):
-        output = arguments.output if _is_xdmf(arguments) else arguments.output.with_name(f"{name}_{k:04d}{suffix}")
+        output = request.output if _is_xdmf(request) else request.output.with_name(f"{name}_{k:04d}{suffix}")
         cases.append(Case(k, mode, a, output, a if go_up else float(k)))
     return cases
 
 
-def _is_xdmf(arguments: argparse.Namespace) -> bool:
-    return arguments.output.suffix == ".xdmf"
+def _is_xdmf(request: Modes) -> bool:
+    return request.output.suffix == ".xdmf"
 
 
-def _check(arguments: argparse.Namespace, mesh: Mesh, cases: list[Case]) -> None:
-    """`ValueError` for what can be known to fail before any work."""
-    check_patches(arguments, mesh, arguments.moving)
-    if not np.isfinite(arguments.amplitude).all():
+def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Boundary:
+    """The patches; `ValueError` for what can be known to fail before any work."""
+    patches = boundary(request.surface, mesh, request.file)
+    if not np.isfinite(request.amplitudes).all():
         raise ValueError("--amplitude needs finite numbers.")
-    if _is_xdmf(arguments) and not arguments.output.parent.is_dir():
-        raise ValueError(f"{arguments.output}: there is no folder {arguments.output.parent}.")
-    for case in cases if not _is_xdmf(arguments) else ():
+    if _is_xdmf(request) and not request.output.parent.is_dir():
+        raise ValueError(f"{request.output}: there is no folder {request.output.parent}.")
+    for case in cases if not _is_xdmf(request) else ():
         io.check_output(case.output, mesh)
+    return patches
 
 
 def _moved(
@@ -116,7 +115,7 @@ def _moved(
         u[: len(some)] = [case.amplitude * shapes[case.mode] for case in some]
         moved = np.asarray(together(u))
         for k, case in enumerate(some):
-            yield case, in_double(np.asarray(mesh.points), plan, moved[k], u[k])
+            yield case, in_double(np.asarray(mesh.points), moved[k], np.asarray(plan.moving), u[k], plan.method.exact)
 
 
 def _tell(case: Case, file: pathlib.Path, report: jm.QualityReport, failed: list[str], out: Output) -> None:
@@ -129,17 +128,17 @@ def _tell(case: Case, file: pathlib.Path, report: jm.QualityReport, failed: list
         out.complain(f"case {case.number}: {sentence}")
 
 
-def _end(arguments: argparse.Namespace, good: list[Case], bad: int, total: int, out: Output) -> int:
+def _end(request: Modes, good: list[Case], bad: int, total: int, out: Output) -> int:
     out.say("")
     if good:
         files = good[0].output if len(good) == 1 else f"{good[0].output} to {good[-1].output.name}"
-        if _is_xdmf(arguments):
-            files = f"{arguments.output} and {arguments.output.with_suffix('.h5').name}"
-            out.facts["output"] = str(arguments.output)
+        if _is_xdmf(request):
+            files = f"{request.output} and {request.output.with_suffix('.h5').name}"
+            out.facts["output"] = str(request.output)
         out.say(f"wrote {files} ({out.seconds:.1f} s)")
-    if arguments.output.suffix == ".pvd" and good:
-        save(arguments.output, _series(good).encode())
-        out.say(f"wrote {arguments.output}", output=str(arguments.output))
+    if request.output.suffix == ".pvd" and good:
+        save(request.output, _series(good).encode())
+        out.say(f"wrote {request.output}", output=str(request.output))
     if len(good) < total:
         missing = f"{total - len(good)} of {count(total, 'case')}"
         out.complain(f"{missing} not written; --allow-inverted writes all the same.")

@@ -1,48 +1,34 @@
-"""The motion of a surface that the command line describes."""
+"""The motion of a surface that the command line describes, made of the library's shapes."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
+from jaxtyping import Array, Float, Int
 
-from jaxmorph import Mesh, io
+from jaxmorph import Mesh, io, shapes
 
+from ._box import read_box
 from ._groups import MOTIONS, Group
-from ._shapes import Box, Line, Points, bent, read_box, twisted
+
+Points = Float[np.ndarray, "m d"]
+Shape = Callable[[Float[Array | np.ndarray, "m d"], float], Float[Array | np.ndarray, "m d"]]
+"""Moves points by a share, from 0 to 1, of a motion."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """Displacements from files, then box, scaling, twisting, bending, rotation (all but the first about one point), translation.
-
-    `up` is where the line of bending turns to.
-    """
+    """Displacements from files, then shapes one after the other."""
 
     displacement: Points
-    box: Box | None
-    scale: Float[np.ndarray, " d"]
-    twist: Line | None
-    bend: Line | None
-    up: Float[np.ndarray, " d"]
-    rotation: Float[np.ndarray, " 3"]
-    about: Float[np.ndarray, " d"]
-    translation: Float[np.ndarray, " d"]
+    shapes: tuple[Shape, ...]
 
     def at(self, x: Points, share: float) -> Points:
-        """Where points are when that share of each motion is made."""
-        d = x.shape[1]
-        x = x + share * self.displacement
-        if self.box is not None:
-            x = self.box.moved(x, share)
-        x = self.about + (x - self.about) * (1 + share * (self.scale - 1))
-        if self.twist is not None:
-            x = twisted(x, self.twist, share)
-        if self.bend is not None:
-            x = bent(x, self.bend, self.up, share)
-        rotation = Rotation.from_rotvec(share * self.rotation).as_matrix()[:d, :d]
-        return self.about + (x - self.about) @ rotation.T + share * self.translation
+        """Where points are when that share of each part is made."""
+        moved: Float[Array | np.ndarray, "m d"] = x + share * self.displacement
+        for shape in self.shapes:
+            moved = shape(moved, share)
+        return np.asarray(moved)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,24 +66,68 @@ def _motion(group: Group, mesh: Mesh, nodes: np.ndarray) -> Motion:
     if not group.mode and all(getattr(group, name) is None for name in MOTIONS if name != "mode"):
         raise ValueError(f"no motion: give one of {', '.join(f'--{name}' for name in MOTIONS)}.")
     _check_used(group)
-    scale = [1.0] * d if group.scale is None else group.scale
     about = _vector("--about", group.about, d)
-    surface = points[nodes]
-    axis = _axis(group, d)
-    up = np.cross(axis, _direction("--along", group.along, d, 3))[:d] if group.bend is not None else np.zeros(d)
-    if group.bend is not None and not np.isclose(np.linalg.norm(up), 1, atol=1e-6):
+    parts = [
+        _box(group, d),
+        _scale(group, about),
+        _twist(group, points[nodes], about),
+        _bend(group, points[nodes], about),
+        _rotate(group, about),
+        _translate(group, d),
+    ]
+    displacement = _from_file(group, mesh, nodes) + _from_modes(group, mesh, nodes)
+    return Motion(displacement, tuple(part for part in parts if part is not None))
+
+
+def _box(group: Group, d: int) -> Shape | None:
+    if group.box is None:
+        return None
+    box, control = read_box(group.box, d)
+    return lambda x, share: box(x, share * control)
+
+
+def _scale(group: Group, about: np.ndarray) -> Shape | None:
+    if group.scale is None:
+        return None
+    d = len(about)
+    factors = _vector("--scale", group.scale * d if len(group.scale) == 1 else group.scale, d)
+    return lambda x, share: shapes.scale(x, 1 + share * (factors - 1), about)
+
+
+def _twist(group: Group, surface: Points, about: np.ndarray) -> Shape | None:
+    if group.twist is None:
+        return None
+    if len(about) == 2:
+        raise ValueError("--twist is for meshes in 3-D; this one is in 2-D.")
+    angle, along = _angle("--twist", group.twist), _direction("--along", group.along, 3)
+    length = _length("--twist", group.length, surface, about, along)
+    return lambda x, share: shapes.twist(x, share * angle, about, along, length)
+
+
+def _bend(group: Group, surface: Points, about: np.ndarray) -> Shape | None:
+    if group.bend is None:
+        return None
+    d = len(about)
+    angle, axis = _angle("--bend", group.bend), _axis("--bend", group, d)
+    along = _direction("--along", group.along, d)
+    if axis is not None and abs(axis @ along) > 1e-3:
         raise ValueError("--bend needs --axis and --along at right angles.")
-    return Motion(
-        displacement=_from_file(group, mesh, nodes) + _from_modes(group, mesh, nodes),
-        box=None if group.box is None else read_box(group.box, d),
-        scale=_vector("--scale", scale * d if len(scale) == 1 else scale, d),
-        twist=_line("--twist", group.twist, group, surface, about),
-        bend=_line("--bend", group.bend, group, surface, about),
-        up=up,
-        rotation=axis * np.radians(_angle("--rotate", group.rotate)),
-        about=about,
-        translation=_vector("--translate", group.translate, d),
-    )
+    length = _length("--bend", group.length, surface, about, along)
+    return lambda x, share: shapes.bend(x, share * angle, about, along, length, axis)
+
+
+def _rotate(group: Group, about: np.ndarray) -> Shape | None:
+    if group.rotate is None:
+        return None
+    angle, axis = _angle("--rotate", group.rotate), _axis("--rotate", group, len(about))
+    return lambda x, share: shapes.rotate(x, share * angle, about, axis)
+
+
+def _translate(group: Group, d: int) -> Shape | None:
+    if group.translate is None:
+        return None
+    vector = _vector("--translate", group.translate, d)
+    return lambda x, share: shapes.translate(x, share * vector)
 
 
 def _check_used(group: Group) -> None:
@@ -119,55 +149,47 @@ def _vector(option: str, values: list[float] | None, d: int) -> np.ndarray:
     if values is None:
         return np.zeros(d)
     if len(values) != d or not np.isfinite(values).all():
-        found = " ".join(f"{value:g}" for value in values)
-        raise ValueError(f"{option} needs {d} numbers for a mesh in {d}-D, found: {found}.")
+        given = " ".join(f"{value:g}" for value in values)
+        raise ValueError(f"{option} needs {d} numbers for a mesh in {d}-D, found: {given}.")
     return np.array(values)
 
 
-def _direction(option: str, values: list[float] | None, d: int, size: int) -> np.ndarray:
-    """A vector of length 1, filled up with zeros to `size` components; the first axis where none is given in the plane."""
+def _direction(option: str, values: list[float] | None, d: int) -> np.ndarray:
+    """A vector of length 1; the first axis where none is given in 2-D."""
     if values is None and d == 3:
         raise ValueError(f"{option} X Y Z is missing.")
     vector = _vector(option, values if values is not None else [1.0, 0.0], d)
     length = np.linalg.norm(vector)
     if length == 0:
         raise ValueError(f"{option} needs a direction, found {' '.join(['0'] * d)}.")
-    return np.append(vector / length, np.zeros(size - d))
+    return vector / length
 
 
-def _angle(option: str, degrees: float | None) -> float:
-    if degrees is not None and not np.isfinite(degrees):
+def _angle(option: str, degrees: float) -> float:
+    """In radians."""
+    if not np.isfinite(degrees):
         raise ValueError(f"{option} needs an angle in degrees, found {degrees}.")
-    return degrees or 0.0
+    return float(np.radians(degrees))
 
 
-def _axis(group: Group, d: int) -> np.ndarray:
-    """The axis of rotation and bending, of length 1 (or 0 where neither is asked for)."""
-    if group.axis is not None and d == 2:
-        raise ValueError("--axis is for meshes in 3-D; this one is in the plane.")
+def _axis(option: str, group: Group, d: int) -> np.ndarray | None:
+    """The axis of rotation and bending, of length 1; None in 2-D."""
     if d == 2:
-        return np.array([0.0, 0.0, 1.0])
-    if group.rotate is None and group.bend is None:
-        return np.zeros(3)
-    if group.axis is None:
-        raise ValueError(f"{'--rotate' if group.bend is None else '--bend'} needs --axis X Y Z for a mesh in 3-D.")
-    return _direction("--axis", group.axis, 3, 3)
-
-
-def _line(option: str, degrees: float | None, group: Group, surface: np.ndarray, about: np.ndarray) -> Line | None:
-    if degrees is None:
+        if group.axis is not None:
+            raise ValueError("--axis is for meshes in 3-D; this one is in 2-D.")
         return None
-    d = surface.shape[1]
-    if option == "--twist" and d == 2:
-        raise ValueError("--twist is for meshes in 3-D; this one is in the plane.")
-    along = _direction("--along", group.along, d, d)
-    length = float(((surface - about) @ along).max()) if group.length is None else group.length
+    if group.axis is None:
+        raise ValueError(f"{option} needs --axis X Y Z for a mesh in 3-D.")
+    return _direction("--axis", group.axis, 3)
+
+
+def _length(option: str, given: float | None, surface: Points, about: np.ndarray, along: np.ndarray) -> float:
+    """The length of the line along which a surface is bent or twisted: as far as it reaches, where none is given."""
+    length = float(((surface - about) @ along).max()) if given is None else given
     if not (np.isfinite(length) and length > 0):
-        found = (
-            f"found {length:g}" if group.length is not None else "and no node lies ahead of --about in that direction"
-        )
-        raise ValueError(f"{option} needs a --length above 0, {found}.")
-    return Line(about, along, length, float(np.radians(_angle(option, degrees))))
+        reason = "and no node lies ahead of --about in that direction" if given is None else f"found {length:g}"
+        raise ValueError(f"{option} needs a --length above 0, {reason}.")
+    return length
 
 
 def _from_file(group: Group, mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
@@ -182,9 +204,9 @@ def _from_file(group: Group, mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
 
 def _from_modes(group: Group, mesh: Mesh, nodes: np.ndarray) -> np.ndarray | float:
     """Mode shapes, each times its amplitude."""
-    shapes = []
+    parts = []
     for file, amplitude in group.mode:
         if not np.isfinite(amplitude):
             raise ValueError(f"--mode {file} needs an amplitude, found {amplitude}.")
-        shapes.append(amplitude * io.read_displacement(file, mesh, nodes, is_position=False))
-    return sum(shapes, 0.0)
+        parts.append(amplitude * io.read_displacement(file, mesh, nodes, is_position=False))
+    return sum(parts, 0.0)

@@ -1,50 +1,53 @@
-"""The parser of one command: its errors, and its two pages of help."""
+"""The parser of one command: sections of flags, errors in one line, and a short page of help."""
 
 import argparse
+import difflib
 import re
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 
 class Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong with the arguments, and takes -1e-3 for a number.
+    """Says in one line what is wrong with the arguments, and what was perhaps meant.
 
-    Where `everyday` names arguments, `--help` tells of these alone and ends with `short_epilog`, and `--help-all` of everything.
+    A short page of help leaves out all flags that are not for every day. `flags` are the long flags of this command.
     """
 
-    def __init__(self, *, everyday: Sequence[str] = (), short_epilog: str = "", **settings):
+    def __init__(self, *, is_short: bool = False, **settings: Any):
         super().__init__(**settings, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
-        self._negative_number_matcher = re.compile(r"-\.?\d")
-        self._everyday, self._short_epilog = (*everyday, "help", "help_all"), short_epilog
-        if everyday:
-            self.add_argument("--help-all", action=HelpAll, nargs=0, help="show all flags and more examples")
+        self.is_short, self.flags = is_short, ["--help"]
 
-    def error(self, message):
+    def section(self, title: str | None = None) -> Callable[..., argparse.Action]:
+        """Begins a section of the page of help; returns the function that adds a flag or argument to it."""
+        group = self if title is None else self.add_argument_group(title)
+
+        def add(*names: str, everyday: bool = False, **settings: Any) -> argparse.Action:
+            self.flags += [name for name in names if name.startswith("--")]
+            if self.is_short and not everyday:
+                settings["help"] = argparse.SUPPRESS
+            return group.add_argument(*names, **settings)
+
+        return add
+
+    def check_flags(self, words: Sequence[str]) -> None:
+        """Ends with status 2 for a flag that this command does not have."""
+        for word in words:
+            flag = word.partition("=")[0]
+            if word == "--":
+                return
+            if flag.startswith("--") and flag not in self.flags:
+                self.error(f"there is no flag {flag}{meant(flag, self.flags)}")
+
+    def error(self, message: str):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
-    def print_help(self, file=None):
-        """What `--help` shows."""
-        self._print_message(self.format_short() if self._short_epilog else self.format_help(), file or sys.stdout)
 
-    def format_short(self) -> str:
-        """The page of help with the everyday flags."""
-        formatter = self._get_formatter()
-        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
-        formatter.add_text(self.description)
-        for group in self._action_groups:
-            formatter.start_section(group.title)
-            formatter.add_arguments([action for action in group._group_actions if action.dest in self._everyday])
-            formatter.end_section()
-        formatter.add_text(self._short_epilog)
-        return formatter.format_help()
+def meant(word: str, known: Iterable[str]) -> str:
+    """`; did you mean ...?`, or nothing where no known word is like it."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
-class HelpAll(argparse.Action):
-    """Prints all there is to tell, and ends."""
-
-    def __init__(self, option_strings, dest, **settings):
-        super().__init__(option_strings, dest, default=argparse.SUPPRESS, **settings)
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        parser._print_message(parser.format_help(), sys.stdout)
-        parser.exit()
+def quoted(words: Sequence[str]) -> list[str]:
+    """The words, with a space before negative numbers: argparse takes -1e-3 for a flag."""
+    return [f" {word}" if re.match(r"-\.?\d", word) else word for word in words]

@@ -1,6 +1,5 @@
 """`jaxmorph sensitivity`: dJ/d(points of the volume) to dJ/d(moving nodes), for adjoint solvers elsewhere."""
 
-import argparse
 import io as streams
 import pathlib
 
@@ -11,42 +10,43 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from ._files import save
-from ._method import check_patches, choose, prepare
+from ._method import boundary, choose
 from ._output import Output
+from ._requests import Sensitivity
 from ._tables import count
 
 ENDINGS = (".csv", ".npz")
 
 
-def sensitivity(arguments: argparse.Namespace, out: Output) -> int:
+def sensitivity(request: Sensitivity, out: Output) -> int:
     """Reads, pulls back, writes. Returns the exit status."""
-    if arguments.output.suffix.lower() not in ENDINGS:
-        raise ValueError(f"{arguments.output}: {' or '.join(ENDINGS)} expected.")
-    if arguments.output.resolve() == arguments.sensitivity.resolve():
-        raise ValueError(f"{arguments.output}: the sensitivities are read from this file; write to another one.")
-    if not arguments.output.parent.is_dir():
-        raise ValueError(f"{arguments.output}: there is no folder {arguments.output.parent}.")
-    with out.progress(f"reading {arguments.file.name}"):
-        mesh = io.read(arguments.file)
-    check_patches(arguments, mesh, arguments.moving)
-    with out.progress(f"reading {arguments.sensitivity.name}"):
-        given = io.read_sensitivity(arguments.sensitivity, mesh)
-    moving = mesh.patch(*arguments.moving)
+    if request.output.suffix.lower() not in ENDINGS:
+        raise ValueError(f"{request.output}: {' or '.join(ENDINGS)} expected.")
+    if request.output.resolve() == request.sensitivity.resolve():
+        raise ValueError(f"{request.output}: the sensitivities are read from this file; write to another one.")
+    if not request.output.parent.is_dir():
+        raise ValueError(f"{request.output}: there is no folder {request.output.parent}.")
+    with out.progress(f"reading {request.file.name}"):
+        mesh = io.read(request.file)
+    patches = boundary(request.surface, mesh, request.file)
+    with out.progress(f"reading {request.sensitivity.name}"):
+        given = io.read_sensitivity(request.sensitivity, mesh)
+    moving = patches.nodes
     with out.progress("preparing"):
-        choice = choose(arguments.method, arguments.sources, np.asarray(mesh.points)[moving])
-        plan = prepare(arguments, mesh, arguments.moving, choice.method)
+        choice = choose(request.method, np.asarray(mesh.points)[moving])
+        plan = patches.prepare(choice)
     with out.progress("pulling back"):
-        found = np.asarray(jm.pullback(plan, np.zeros((len(moving), given.shape[1])), given), float)
-    out.say(f"{arguments.file.name}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
+        slope = np.asarray(jm.pullback(plan, np.zeros((len(moving), given.shape[1])), given), float)
+    out.say(f"{request.file.name}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
     out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
-    size = np.linalg.norm(found, axis=1)
+    size = np.linalg.norm(slope, axis=1)
     worst = int(size.argmax())
     place = ", ".join(f"{x:.3g}" for x in np.asarray(mesh.points)[moving[worst]])
     out.say(f"largest  {size[worst]:.5g}, at node {moving[worst]} near ({place})", largest=float(size[worst]))
-    out.say(f"sum      {', '.join(f'{x:.5g}' for x in found.sum(axis=0))}", sum=found.sum(axis=0).tolist())
-    with out.progress(f"writing {arguments.output.name}"):
-        save(arguments.output, _file(arguments.output, moving, found))
-    out.say(f"wrote {arguments.output} ({out.seconds:.1f} s)", output=str(arguments.output))
+    out.say(f"sum      {', '.join(f'{x:.5g}' for x in slope.sum(axis=0))}", sum=slope.sum(axis=0).tolist())
+    with out.progress(f"writing {request.output.name}"):
+        save(request.output, _file(request.output, moving, slope))
+    out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 0
 
 

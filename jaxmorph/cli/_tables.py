@@ -40,7 +40,7 @@ def inverted_cells(report: QualityReport) -> str:
         return ""
     are = "cell is" if bad == 1 else "cells are"
     worst = int(report.worst(1)[0])
-    return f"{bad} of {_total(report)} {are} inverted, the worst is cell {worst} near {place(report, worst)}."
+    return f"{bad} of {report.count} {are} inverted, the worst is cell {worst} near {place(report, worst)}."
 
 
 def place(report: QualityReport, cell: int) -> str:
@@ -56,11 +56,7 @@ def count(number: int, what: str) -> str:
 def _heading(report: QualityReport) -> str:
     degenerate = int(report.degenerate)
     note = f", {degenerate} degenerate from the start" if degenerate else ""
-    return f"quality of {_total(report)} cells{note}"
-
-
-def _total(report: QualityReport) -> int:
-    return len(report.worst(len(report.volume)))
+    return f"quality of {report.count} cells{note}"
 
 
 def _number(report: QualityReport, kind: str, name: str) -> str:
@@ -77,7 +73,7 @@ def _row(report: QualityReport, kind: str, name: str, numbers: str) -> str:
 
 def numbers(report: QualityReport) -> dict[str, Any]:
     """The tables' numbers for machines."""
-    found: dict[str, Any] = {"cells": _total(report), "inverted": int(report.inverted)}
+    found: dict[str, Any] = {"cells": report.count, "inverted": int(report.inverted)}
     for kind, name in (*ROWS, *RATIOS, ("min", "volume")):
         found[f"{kind}_{name}"] = float(getattr(report, kind)(name))
     for name in ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio"):

@@ -9,6 +9,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._mesh.polyhedra import Polyhedra
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -17,12 +18,15 @@ Arrays = Mapping[str, np.ndarray]
 class Source:
     """Keeps the file a mesh was read from, and the `content` that its format needs to give the file back as it was.
 
-    It is compared by identity, so that it can be a static field of a pytree however large `content` is.
+    It is compared by identity, so that it can be a static field of a pytree however large `content` is. `polyhedra` and `groups`
+    are those of `Mesh`.
     """
 
     path: pathlib.Path
     format: str
     content: Any
+    polyhedra: Polyhedra | None = None
+    groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Source({str(self.path)!r}, {self.format})"

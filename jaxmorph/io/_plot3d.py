@@ -185,7 +185,7 @@ def _zones(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...], points: np.n
 def _named(path: pathlib.Path, shapes: tuple[tuple[int, ...], ...]) -> Iterator[tuple[str, np.ndarray]]:
     """Names and nodes from lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`."""
     firsts = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
-    for number, line in enumerate(path.read_text().splitlines(), start=1):
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         words = line.partition("#")[0].split()
         if not words:
             continue

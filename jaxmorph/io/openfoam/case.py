@@ -16,8 +16,7 @@ import numpy as np
 
 from jaxmorph import Mesh
 from jaxmorph._host.files import complete
-from jaxmorph._mesh.faces import Faces
-from jaxmorph._mesh.polyhedra import tetrahedra
+from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
 from .._format import Arrays, Source, source_of
 from ..text.sections import replace_words
@@ -32,29 +31,20 @@ COPIED = ("constant", "system", "0", "0.orig")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class WholeCells:
-    """Holds the faces of a case with polyhedra, and the case's cell that each cell of the mesh is, or is a piece of."""
-
-    faces: Faces
-    cell: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class _CaseContent:
-    """Keeps the file of points, its values, the folder of the faces, the two planes of a 2-D case, and polyhedra."""
+    """Keeps the file of points, its values, the folder of the faces, and the two planes of a 2-D case."""
 
     file: FoamFile
     points: np.ndarray
     topology: pathlib.Path
     plane: Layer | None
-    whole: WholeCells | None
 
 
 def read(path: pathlib.Path) -> Mesh:
     """Reads the mesh of a case, of one of its time folders, or of a folder polyMesh; nodes in the order of the file.
 
-    `patches` are those of `boundary`. Cells with more or other faces than the standard types are cut into tetrahedra
-    between their own nodes. Of a case with `empty` patches the plane in front is the mesh, in two coordinates.
+    `patches` are those of `boundary`, `groups` of their `inGroups`. Cells with more or other faces than the standard types are
+    cut into tetrahedra between their own nodes. Of a case with `empty` patches the plane in front is the mesh, in two coordinates.
     """
     here, topology = _folders(path)
     boundary = patches(load(topology, "boundary"))
@@ -72,7 +62,10 @@ def read(path: pathlib.Path) -> Mesh:
             (mesh, whole), plane = _in_space(topology_data, points), None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    source = Source(file.path, NAME, _CaseContent(file, points, topology, plane, whole))
+    groups: dict[str, tuple[str, ...]] = {}
+    for patch in boundary:
+        groups |= {group: (*groups.get(group, ()), patch.name) for group in patch.groups}
+    source = Source(file.path, NAME, _CaseContent(file, points, topology, plane), whole, groups)
     return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
 
 
@@ -162,7 +155,7 @@ def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
     return file, points
 
 
-def _in_space(topology: Topology, points: np.ndarray) -> tuple[Mesh, WholeCells | None]:
+def _in_space(topology: Topology, points: np.ndarray) -> tuple[Mesh, Polyhedra | None]:
     cells, ids, faces = topology.cells, topology.ids, topology.faces
     if faces is None:
         return Mesh(points, cells, topology.nodes), None
@@ -170,13 +163,7 @@ def _in_space(topology: Topology, points: np.ndarray) -> tuple[Mesh, WholeCells 
     cells["tetra"] = np.concatenate([cells["tetra"], pieces]) if "tetra" in cells else pieces
     ids["tetra"] = np.concatenate([ids["tetra"], owners]) if "tetra" in ids else owners
     mesh = Mesh(points, cells, topology.nodes)
-    return mesh, WholeCells(faces, np.concatenate([ids[kind] for kind in mesh.cells]))
-
-
-def whole_cells(mesh: Mesh) -> WholeCells | None:
-    """Returns the polyhedra of a mesh that was read from a case which has some, else None."""
-    source = source_of(mesh, NAME)
-    return None if source is None else source.content.whole
+    return mesh, Polyhedra(faces, np.concatenate([ids[kind] for kind in mesh.cells]))
 
 
 def _in_plane(topology: Topology, points: np.ndarray, boundary: list[Patch], empty: list[Patch]) -> tuple[Mesh, Layer]:

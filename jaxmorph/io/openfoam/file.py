@@ -223,12 +223,13 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
 
 @dataclasses.dataclass(frozen=True)
 class Patch:
-    """An entry of `boundary`: its faces are those from `start`, `count` in number."""
+    """An entry of `boundary`: its faces are those from `start`, `count` in number; `groups` has it in its `inGroups`."""
 
     name: str
     type: str
     start: int
     count: int
+    groups: tuple[str, ...] = ()
 
 
 def patches(file: FoamFile) -> list[Patch]:
@@ -238,7 +239,10 @@ def patches(file: FoamFile) -> list[Patch]:
     for name, body in re.findall(r"(\"[^\"]*\"|[^\s(){};\"]+)\s*\{((?:[^{}]|\{[^{}]*\})*)\}", text):
         entries = {key: value.strip() for key, value in _ENTRY.findall(body)}
         try:
-            found.append(Patch(name.strip('"'), entries["type"], int(entries["startFace"]), int(entries["nFaces"])))
+            groups = re.search(r"\(([^()]*)\)", entries.get("inGroups", ""))  # List<word> 2(wall wing), or (wall wing)
+            words = tuple(word.strip('"') for word in groups[1].split()) if groups else ()
+            faces = int(entries["startFace"]), int(entries["nFaces"])
+            found.append(Patch(name.strip('"'), entries["type"], *faces, words))
         except (KeyError, ValueError) as error:
             raise file.error(f"patch {name} has no good type, nFaces and startFace ({error})") from error
     return found

@@ -1,20 +1,70 @@
-"""Aspect ratio and skewness as OpenFOAM's checkMesh measures them: from the faces of cells, and skewness without upper bound.
-
-Cells of a case that are cut into pieces are measured whole, and each piece has the value of its cell.
-"""
+"""Skewness, aspect ratio and non-orthogonality from the faces of cells, as OpenFOAM's checkMesh measures them."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxmorph import Mesh
-from jaxmorph._host.pairs import columns_of, sorted_columns, twins
-from jaxmorph._host.topology import CORNERS, DIMENSION, FACES
-from jaxmorph.io.openfoam.case import WholeCells, whole_cells
+from .._host.pairs import columns_of, sorted_columns, twins
+from .._host.topology import CORNERS, DIMENSION, FACES
+from .._mesh.mesh import Mesh
+from .._mesh.polyhedra import Polyhedra
 
 Vectors = Float[np.ndarray, "t d"]
 FLOOR = 1e-300
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FaceQuality:
+    """Measures (k,) of each cell by its faces, in the order of the mesh's cells; faces are edges in 2-D.
+
+    `skewness` has no upper bound: how far the line between the centres of two cells passes by the centre of their face, over
+    the face's reach in that direction (at least 0.2 of the line's length; at the boundary 0.4 of the distance from the cell's
+    centre to the plane of the face). `aspect_ratio` is the largest of the sums of the faces' areas as seen along the axes,
+    over the smallest; in 3-D at least a sixth of those sums together over the volume to the power of 2/3. It depends on how a
+    cell lies in the axes. `non_orthogonality` is in degrees, the largest over the inner faces.
+
+    Each piece of a polyhedron has the value of the whole. Boundary elements have 0, and aspect ratio 1.
+    """
+
+    skewness: Float[np.ndarray, " k"]
+    aspect_ratio: Float[np.ndarray, " k"]
+    non_orthogonality: Float[np.ndarray, " k"]
+
+
+def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQuality:
+    """Measures cells by their faces on the host, as OpenFOAM's checkMesh does.
+
+    `quality` has the measures that are traced; of polyhedra it sees the pieces, this the whole.
+
+    **Arguments:**
+
+    - `mesh`: cells that fill a region in 2-D or 3-D.
+    - `points`: where the nodes are (n, d); None for where the mesh has them.
+
+    **Returns:** a `FaceQuality`.
+
+    **Raises:** `ValueError` for a mesh without cells, for surfaces in 3-D, and for another shape of `points`.
+    """
+    points = np.asarray(mesh.points if points is None else points, dtype=float)
+    if points.shape != tuple(mesh.points.shape):
+        raise ValueError(f"`points` has shape {points.shape}; this mesh has {tuple(mesh.points.shape)}.")
+    if not any(len(ids) for ids in mesh.cells.values()):
+        raise ValueError("the mesh has no cells; its quality is not defined.")
+    sides = _standard(mesh) if mesh.polyhedra is None else _whole(mesh.polyhedra)
+    if sides.faces.shape[1] < points.shape[1] + (points.shape[1] == 3):
+        raise ValueError(
+            "OpenFOAM's measures are for meshes that fill a region in 2-D or 3-D, not for surfaces in 3-D."
+        )
+    corners = sides.corners(points)
+    centre, area = _edges(corners) if points.shape[1] == 2 else _polygons(corners, sides.faces >= 0)
+    middle, volume = _cell_centres(centre, area, sides)
+    return FaceQuality(
+        _skewness(sides, corners, centre, area, middle),
+        _aspect_ratio(sides, area, volume),
+        _non_orthogonality(sides, area, middle),
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,22 +91,13 @@ class _Sides:
         return result[self.cell]
 
 
-def face_skewness(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " k"]:
-    """For each cell the largest over its faces; 0 for boundary elements.
-
-    How far the line between the centres of two cells passes by the centre of their face, over the face's reach in that
-    direction (at least 0.2 of the line's length; at the boundary 0.4 of the distance from the cell's centre to the plane of
-    the face). In the plane faces are edges.
-
-    Raises `ValueError` for surfaces in space.
-    """
-    sides, corners = _sides_at(mesh, points)
-    centre, area = _centres_and_areas(sides, corners)
-    own = _cell_centres(centre, area, sides)[0]
-    arm = centre - own[sides.owner]
+def _skewness(
+    sides: _Sides, corners: Float[np.ndarray, "t c d"], centre: Vectors, area: Vectors, middle: Vectors
+) -> Float[np.ndarray, " k"]:
+    arm = centre - middle[sides.owner]
     inside = sides.behind >= 0
     normal = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), FLOOR)
-    across = np.where(inside[:, None], _between(own, sides), normal * _dot(normal, arm)[:, None])
+    across = np.where(inside[:, None], _between(middle, sides), normal * _dot(normal, arm)[:, None])
     along = _dot(area, across)
     along = np.where(along == 0, FLOOR, along)
     by = arm - (_dot(area, arm) / along)[:, None] * across
@@ -67,49 +108,20 @@ def face_skewness(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndar
     return sides.largest(size / np.maximum(np.maximum(reach, least), FLOOR))
 
 
-def face_non_orthogonality(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " k"]:
-    """For each cell the largest over its inner faces, in degrees; `QualityReport` has the same of cells that are not cut.
-
-    Raises `ValueError` for surfaces in space.
-    """
-    sides, corners = _sides_at(mesh, points)
-    centre, area = _centres_and_areas(sides, corners)
-    between = _between(_cell_centres(centre, area, sides)[0], sides)
-    sizes = np.linalg.norm(area, axis=1) * np.linalg.norm(between, axis=1)
-    cosine = np.clip(_dot(area, between) / np.maximum(sizes, FLOOR), -1, 1)
-    return sides.largest(np.where(sides.behind >= 0, np.degrees(np.arccos(cosine)), 0))
-
-
-def face_aspect_ratio(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " k"]:
-    """For each cell the largest of the sums of its faces' areas as seen along the axes, over the smallest; 1 for boundary elements.
-
-    In space at least a sixth of those sums together over the volume to the power of 2/3. Depends on how a cell lies in the axes.
-
-    Raises `ValueError` for surfaces in space.
-    """
-    sides, corners = _sides_at(mesh, points)
-    centre, area = _centres_and_areas(sides, corners)
+def _aspect_ratio(sides: _Sides, area: Vectors, volume: Float[np.ndarray, " c"]) -> Float[np.ndarray, " k"]:
     seen = _summed(np.abs(area), sides.owner, sides.total)
     counted = np.bincount(sides.owner, minlength=sides.total) > 0
     ratio = seen.max(axis=1) / np.maximum(seen.min(axis=1), FLOOR)
     if area.shape[1] == 3:
-        volume = np.abs(_cell_centres(centre, area, sides)[1]) / 3
-        ratio = np.maximum(ratio, seen.sum(axis=1) / 6 / np.maximum(volume, FLOOR) ** (2 / 3))
+        ratio = np.maximum(ratio, seen.sum(axis=1) / 6 / np.maximum(np.abs(volume) / 3, FLOOR) ** (2 / 3))
     return np.where(counted, ratio, 1.0)[sides.cell]
 
 
-def _sides_at(mesh: Mesh, points: Float[np.ndarray, "n d"]) -> tuple[_Sides, np.ndarray]:
-    """The sides of all cells, and the places of their corners."""
-    points = np.asarray(points, float)
-    whole = whole_cells(mesh)
-    sides = _standard(mesh) if whole is None else _whole(whole)
-    if sides.faces.shape[1] < points.shape[1] + (points.shape[1] == 3):
-        raise ValueError("OpenFOAM's measures are for meshes that fill the plane or space, not for surfaces in space.")
-    return sides, sides.corners(points)
-
-
-def _centres_and_areas(sides: _Sides, corners: Float[np.ndarray, "t c d"]) -> tuple[Vectors, Vectors]:
-    return _edges(corners) if corners.shape[2] == 2 else _polygons(corners, sides.faces >= 0)
+def _non_orthogonality(sides: _Sides, area: Vectors, middle: Vectors) -> Float[np.ndarray, " k"]:
+    between = _between(middle, sides)
+    sizes = np.linalg.norm(area, axis=1) * np.linalg.norm(between, axis=1)
+    cosine = np.clip(_dot(area, between) / np.maximum(sizes, FLOOR), -1, 1)
+    return sides.largest(np.where(sides.behind >= 0, np.degrees(np.arccos(cosine)), 0))
 
 
 def _standard(mesh: Mesh) -> _Sides:
@@ -131,8 +143,8 @@ def _standard(mesh: Mesh) -> _Sides:
     )
 
 
-def _whole(whole: WholeCells) -> _Sides:
-    """Of the cells of a case: its faces as their owners see them, then the inner ones as their neighbours do."""
+def _whole(whole: Polyhedra) -> _Sides:
+    """Of whole polyhedra: faces as their owners see them, then the inner ones as their neighbours do."""
     faces = whole.faces
     count, inner = len(faces.owner), np.flatnonzero(faces.neighbour >= 0)
     signed = np.concatenate([np.arange(count), ~inner])
@@ -169,7 +181,7 @@ def _polygons(corners: Float[np.ndarray, "t c 3"], is_corner: Bool[np.ndarray, "
 
 
 def _cell_centres(centre: Vectors, area: Vectors, sides: _Sides) -> tuple[Vectors, np.ndarray]:
-    """Centres of mass, by pyramids (triangles in the plane) from the faces to the mean of their centres; volumes times d."""
+    """Centres of mass, by pyramids (triangles in 2-D) from the faces to the mean of their centres; volumes times d."""
     d, owner, total = centre.shape[1], sides.owner, sides.total
     count = np.maximum(np.bincount(owner, minlength=total), 1)[:, None]
     middle = (_summed(centre, owner, total) / count)[owner]

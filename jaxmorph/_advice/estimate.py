@@ -1,0 +1,116 @@
+"""Memory and time, foreseen before the work starts."""
+
+import dataclasses
+import os
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import ArrayLike, Int
+
+from .._host.topology import FACES
+from .._mesh.mesh import Mesh
+from .._methods.base import AbstractMethod
+from .._methods.fitted import FittedRBF
+from .._methods.rbf import RBF
+from .._methods.reconstruction import SurfaceReconstruction
+
+START = 0.3e9
+"""Bytes of the process before it has read anything."""
+
+PAIR, POINT, CELL, SOURCES = 1.8e-9, {2: 5e-6, 3: 15e-6}, 8e-6, 1e-10
+"""Seconds: of the sum for a pair of point and source, of preparing a point in 2-D and 3-D, of judging a cell; for sources cubed."""
+
+FACE = 200
+"""Bytes for each face of each cell while cells are judged: neighbours are found by sorting them."""
+
+COMPILING = 2.0
+"""Seconds that each stage takes on the smallest mesh."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Memory and time of moving and judging a mesh, to the order of magnitude.
+
+    `memory` is in bytes, at the most; `preparing`, `deforming` and `judging` are seconds. `str` says it in a line.
+    """
+
+    points: int
+    surface: int
+    sources: int
+    memory: float
+    preparing: float
+    deforming: float
+    judging: float
+
+    @property
+    def seconds(self) -> float:
+        """The three stages together."""
+        return self.preparing + self.deforming + self.judging
+
+    @property
+    def is_too_large(self) -> bool:
+        """True where this machine has less memory."""
+        return self.memory > _physical_memory()
+
+    def __str__(self) -> str:
+        return (
+            f"estimate {self.points} points, {self.surface} surface nodes, {self.sources} sources: about "
+            f"{self.memory / 1e9:.2g} GB, {self.seconds:.2g} s"
+        )
+
+
+def estimate(
+    mesh: Mesh,
+    moving: Int[ArrayLike, " m"] | Sequence[int],
+    fixed: Int[ArrayLike, " f"] | Sequence[int] = (),
+    *,
+    method: AbstractMethod | None = None,
+    steps: int = 1,
+    chunk: int | None = None,
+) -> Estimate:
+    """Estimates the memory and the time that moving and judging a mesh will take, from measurements on one core of a server.
+
+    **Arguments:**
+
+    - `mesh`: the precision of its points is that of the calculation.
+    - `moving`, `fixed`, `method`: as `prepare` takes them.
+    - `steps`: of `march`.
+    - `chunk`: the `size` of `prepare_in_chunks`; None for the mesh as a whole.
+
+    **Returns:** an `Estimate`.
+    """
+    n, d = mesh.points.shape
+    moving, fixed = np.asarray(moving, dtype=np.int64), np.asarray(fixed, dtype=np.int64)
+    b = len(np.union1d(moving, fixed))
+    method = SurfaceReconstruction() if method is None else method
+    s = _sources(method, np.asarray(mesh.points), moving, fixed)
+    planned = n if chunk is None else min(n, b + chunk)
+    parts = 1 if chunk is None else max(1, -(-(n - b) // chunk))
+    size = np.dtype(mesh.points.dtype).itemsize / 8
+    quality = FACE * sum(len(ids) * len(FACES[kind]) for kind, ids in mesh.cells.items())
+    memory = START + size * (500 * (n + planned) + 24 * s**2) + quality
+    solve = SOURCES * s**3
+    located = 0 if isinstance(method, RBF) else n + (parts - 1) * b  # points to be found in a graph or near a wall
+    return Estimate(
+        *(n, b, s, memory),
+        preparing=COMPILING + located * POINT[d] + parts * solve,
+        deforming=COMPILING + steps * (n * s * PAIR + parts * solve),
+        judging=COMPILING + 2 * CELL * sum(len(ids) for ids in mesh.cells.values()),
+    )
+
+
+def _sources(method: AbstractMethod, points: np.ndarray, moving: np.ndarray, fixed: np.ndarray) -> int:
+    """How many sources the reductions choose, without symmetry planes; a `FittedRBF` adds some of its own."""
+    coarse = method.coarse if isinstance(method, SurfaceReconstruction) else method
+    rbf = coarse.rbf if isinstance(coarse, FittedRBF) else coarse
+    if not isinstance(rbf, RBF):
+        return 0
+    fixed = np.setdiff1d(fixed, moving)
+    return len(rbf.reduction(points[moving])) + (len(rbf.fixed_reduction(points[fixed])) if len(fixed) else 0)
+
+
+def _physical_memory() -> float:
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return float("inf")

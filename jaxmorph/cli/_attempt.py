@@ -1,0 +1,64 @@
+"""One mesh and one motion, to be tried by several methods and in several numbers of steps."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+import jaxmorph as jm
+
+from . import _gates
+from ._gates import Judged
+from ._method import Boundary, Choice, in_double
+from ._motion import Motions
+from ._requests import Deform
+from ._tables import inverted_cells
+
+
+@dataclasses.dataclass(frozen=True)
+class Attempt:
+    """All that one attempt needs but the method and the number of steps."""
+
+    request: Deform
+    patches: Boundary
+    motion: Motions
+    before: Judged
+
+    @property
+    def base(self) -> Float[np.ndarray, "n d"]:
+        """The undeformed points."""
+        return np.asarray(self.patches.mesh.points, dtype=float)
+
+    @property
+    def wall(self) -> Float[np.ndarray, "m d"]:
+        """The undeformed points of the moving nodes."""
+        return self.base[self.patches.nodes]
+
+    def chunks(self, choice: Choice) -> jm.Chunks:
+        """The mesh in parts as large as asked for, in the precision asked for."""
+        patches = self.patches
+        surface = (patches.points(choice), patches.nodes, patches.fixed_nodes)
+        return jm.prepare_in_chunks(*surface, size=self.request.chunk, method=choice.method, symmetry=patches.planes)
+
+    def plan(self, chunks: jm.Chunks) -> jm.Plan:
+        """The plan of the first part. `ValueError` with the patches that were left out."""
+        try:
+            return chunks.plan(0)
+        except jm.MeshError as error:
+            raise self.patches.explained(error) from None
+
+    def points(
+        self, chunks: jm.Chunks, plan: jm.Plan, steps: int, done: Callable[[float], None] | None = None
+    ) -> Float[np.ndarray, "n d"]:
+        """The moved points in double precision; `done` hears the share that is done."""
+        path = self.motion.path(self.wall, steps)
+        moved = chunks.march(path, first=plan, done=done if len(chunks) > 1 else None)
+        return in_double(self.base, moved, self.patches.nodes, path[-1], plan.method.exact)
+
+    def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, list[str]]:
+        """The quality of the moved mesh, and a sentence for each thing that is wrong with it."""
+        mesh = self.patches.mesh
+        after = Judged(mesh, points, jm.quality(mesh, points))
+        bad = inverted_cells(after.report)
+        return after, [*([bad] if bad else []), *_gates.failures(self.request.gates, self.before, after)]

@@ -1,0 +1,72 @@
+"""From words to a command: parses them, runs it, and says in one line what went wrong.
+
+Nothing of JAX is imported before the words are understood.
+"""
+
+import os
+import warnings
+from collections.abc import Sequence
+
+from ._flags import COMMANDS, parser
+from ._interrupt import STATUS, raise_again
+from ._job import with_job
+from ._output import Output
+from ._parser import Parser, meant, quoted
+
+
+def answer(words: Sequence[str]) -> int:
+    """Runs one command and returns its exit status, as `main` says."""
+    top, parsers = parser(is_short="--help-all" not in words and "_ARGCOMPLETE" not in os.environ)
+    _complete(top)
+    if not words:
+        top.print_help()
+        return 0
+    name = _checked(words, top, parsers)
+    out = Output(name, as_json="--json" in words)
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_: out.warn(one_line(message))
+        try:
+            arguments = top.parse_args(quoted(with_job(words)))
+            from . import _commands
+
+            raise_again()
+            out.verbose = getattr(arguments, "verbose", False)
+            return out.end(_commands.run(arguments, out))
+        except OSError as error:
+            named = f"{error.filename}: {error.strerror}" if error.filename else error
+            out.complain(one_line(named))
+        except (ValueError, ImportError) as error:
+            out.complain(one_line(error))
+        except (MemoryError, RuntimeError) as error:  # JaxRuntimeError is a RuntimeError
+            if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
+                raise
+            out.complain("out of memory; fewer --sources and --dtype float32 need less.")
+        except KeyboardInterrupt:
+            out.complain("interrupted; no file is half written.")
+            return out.end(STATUS)
+    return out.end(2)
+
+
+def one_line(message: object) -> str:
+    """A message with single spaces between its words."""
+    return " ".join(str(message).split())
+
+
+def _checked(words: Sequence[str], top: Parser, parsers: dict[str, Parser]) -> str:
+    """The command's name, empty for a flag of the program itself; ends with status 2 for unknown commands and flags."""
+    name = words[0]
+    if name.startswith("-"):
+        top.check_flags(words)
+        return ""
+    if name not in COMMANDS:
+        top.error(f"there is no command {name}{meant(name, COMMANDS)}")
+    parsers[name].check_flags(words[1:])
+    return name
+
+
+def _complete(top: Parser) -> None:
+    """Answers a shell that asks how the words go on, and ends; see argcomplete."""
+    if "_ARGCOMPLETE" in os.environ:
+        import argcomplete
+
+        argcomplete.autocomplete(top)

@@ -1,0 +1,165 @@
+"""What is asked of each command: values with types, made of what the flags say."""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+from ._flags import GATES
+from ._gates import Gate, gates
+from ._groups import Group
+from ._job import text_of
+
+
+@dataclasses.dataclass(frozen=True)
+class Surface:
+    """Patches that move, stay and slide: names, patterns or groups."""
+
+    moving: tuple[str, ...]
+    fixed: tuple[str, ...]
+    symmetry: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """The method by its name, how many sources it has on the moving patches (None: its own choice), and the precision."""
+
+    name: str = "default"
+    sources: int | None = None
+    dtype: str = "float64"
+
+
+@dataclasses.dataclass(frozen=True)
+class Deform:
+    """What `jaxmorph deform` is asked for. `job` is a file to write and its text."""
+
+    file: Path
+    output: Path
+    surface: Surface
+    groups: tuple[Group, ...]
+    method: Method
+    steps: int
+    chunk: int | None
+    gates: tuple[Gate, ...]
+    picture: Path | None
+    job: tuple[Path, str] | None
+    allow_inverted: bool
+    dry_run: bool
+    verbose: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Modes:
+    """What `jaxmorph modes` is asked for."""
+
+    file: Path
+    output: Path
+    surface: Surface
+    method: Method
+    modes: tuple[Path, ...]
+    amplitudes: tuple[float, ...]
+    gates: tuple[Gate, ...]
+    allow_inverted: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensitivity:
+    """What `jaxmorph sensitivity` is asked for."""
+
+    file: Path
+    sensitivity: Path
+    output: Path
+    surface: Surface
+    method: Method
+
+
+@dataclasses.dataclass(frozen=True)
+class Quality:
+    """What `jaxmorph quality` is asked for; `moved` is the file of the same mesh, moved."""
+
+    file: Path
+    moved: Path | None
+    gates: tuple[Gate, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Info:
+    """What `jaxmorph info` is asked for."""
+
+    file: Path
+
+
+@dataclasses.dataclass(frozen=True)
+class Demo:
+    """What `jaxmorph demo` is asked for."""
+
+    case: str
+    output: Path
+
+
+Request = Deform | Modes | Sensitivity | Quality | Info | Demo
+
+
+def request_of(arguments: argparse.Namespace) -> Request:
+    """Makes the request of the command that the flags name."""
+    return _REQUESTS[arguments.command](arguments)
+
+
+def _deform(arguments: argparse.Namespace) -> Deform:
+    groups: list[Group] = arguments.moving or []
+    names = tuple(dict.fromkeys(name for group in groups for name in group.patches))
+    job = arguments.save_job
+    return Deform(
+        arguments.file,
+        arguments.output,
+        Surface(names, tuple(arguments.fixed), tuple(arguments.symmetry)),
+        tuple(groups),
+        _method(arguments),
+        arguments.steps,
+        arguments.chunk,
+        _gates(arguments),
+        arguments.picture,
+        None if job is None else (job, text_of(arguments, job.parent)),
+        arguments.allow_inverted,
+        arguments.dry_run,
+        arguments.verbose,
+    )
+
+
+def _modes(arguments: argparse.Namespace) -> Modes:
+    return Modes(
+        arguments.file,
+        arguments.output,
+        _surface(arguments),
+        _method(arguments),
+        tuple(arguments.mode),
+        tuple(arguments.amplitude),
+        _gates(arguments),
+        arguments.allow_inverted,
+    )
+
+
+def _sensitivity(arguments: argparse.Namespace) -> Sensitivity:
+    surface, method = _surface(arguments), _method(arguments)
+    return Sensitivity(arguments.file, arguments.sensitivity, arguments.output, surface, method)
+
+
+def _surface(arguments: argparse.Namespace) -> Surface:
+    return Surface(tuple(arguments.moving), tuple(arguments.fixed), tuple(arguments.symmetry))
+
+
+def _method(arguments: argparse.Namespace) -> Method:
+    return Method(arguments.method, arguments.sources, arguments.dtype)
+
+
+def _gates(arguments: argparse.Namespace) -> tuple[Gate, ...]:
+    return gates({name: getattr(arguments, name) for name in GATES}, arguments.preset)
+
+
+_REQUESTS = {
+    "deform": _deform,
+    "modes": _modes,
+    "sensitivity": _sensitivity,
+    "quality": lambda arguments: Quality(arguments.file, arguments.moved, _gates(arguments)),
+    "info": lambda arguments: Info(arguments.file),
+    "demo": lambda arguments: Demo(arguments.case, arguments.output),
+}

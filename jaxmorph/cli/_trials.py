@@ -1,0 +1,78 @@
+"""After a bad mesh: what another attempt finds to be right."""
+
+import dataclasses
+import warnings
+
+from . import _gates
+from ._attempt import Attempt
+from ._method import Choice, choose
+from ._output import Output
+from ._requests import Method
+
+MORE = "more --sources or --steps"
+HINTS = {
+    "default": MORE,
+    "published": f"--method default, or {MORE}",
+    "rbf": "more --steps",
+    "graph": "--method default",
+}
+"""What to try when cells are bad."""
+
+PATIENCE = 120.0
+"""Seconds that an attempt may have taken for others to be tried after it."""
+
+
+def explain(attempt: Attempt, choice: Choice, bad: list[str], out: Output) -> None:
+    """Says what is wrong, and what another attempt has found to be right."""
+    request = attempt.request
+    for sentence in bad[:-1]:
+        out.complain(sentence)
+    if _gates.hopeless(request.gates, attempt.before):
+        out.complain(bad[-1])
+        return
+    hint = HINTS[request.method.name]
+    if out.seconds > PATIENCE or not request.dry_run:
+        out.complain(f"{bad[-1]} Try {hint}.")
+        return
+    worked = _tried(attempt, choice, out)
+    advice = f"With {worked} all is well." if worked else f"A dry run with {hint} does not cure it."
+    out.complain(f"{bad[-1]} {advice}")
+    out.say(suggestion=worked)
+
+
+def _tried(attempt: Attempt, choice: Choice, out: Output) -> str:
+    """The flags, beside those asked for, of the first attempt whose mesh is good; nothing when none is."""
+    asked, steps = attempt.request.method, attempt.request.steps
+    trials = _trials(asked, steps, choice.sources, len(attempt.wall))
+    with out.progress("trying others") as stage:
+        for k, (method, count) in enumerate(trials):
+            if _works(attempt, method, count):
+                flags = [f"--method {method.name}"] if method.name != asked.name else []
+                flags += [f"--sources {method.sources}"] if method.sources != asked.sources else []
+                return " ".join([*flags, *([f"--steps {count}"] if count != steps else [])])
+            stage.done((k + 1) / len(trials))
+    return ""
+
+
+def _trials(asked: Method, steps: int, sources: int, most: int) -> list[tuple[Method, int]]:
+    """Methods and numbers of steps, in the order in which they are tried."""
+    if asked.name in ("graph", "published"):
+        better = dataclasses.replace(asked, name="default")
+        return [(better, steps), (better, 4 * steps)]
+    if asked.name == "rbf":
+        return [(asked, 2 * steps), (asked, 4 * steps)]
+    more = [dataclasses.replace(asked, sources=min(factor * sources, most)) for factor in (2, 4)]
+    trials = [(more[0], steps), (asked, 2 * steps), (more[1], 4 * steps)]
+    return [trial for trial in trials if trial != (asked, steps)]
+
+
+def _works(attempt: Attempt, method: Method, steps: int) -> bool:
+    """Whether the mesh is good by another method; not so where that one refuses."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            chunks = attempt.chunks(choose(method, attempt.wall))
+            points = attempt.points(chunks, attempt.plan(chunks), steps)
+        except ValueError:
+            return False
+        return not attempt.judge(points)[1]
