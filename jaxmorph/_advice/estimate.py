@@ -106,7 +106,8 @@ def _sources(method: AbstractMethod, points: np.ndarray, moving: np.ndarray, fix
     if not isinstance(rbf, RBF):
         return 0
     fixed = np.setdiff1d(fixed, moving)
-    return len(rbf.reduction(points[moving])) + (len(rbf.fixed_reduction(points[fixed])) if len(fixed) else 0)
+    on_wall = rbf.reduction.beside(points[moving], points[fixed])
+    return len(on_wall) + (len(rbf.fixed_reduction.beside(points[fixed], points[moving][on_wall])) if len(fixed) else 0)
 
 
 def _physical_memory() -> float:

@@ -19,7 +19,7 @@ class AbstractReduction(abc.ABC):
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """As `__call__`, for a boundary on whose other side sources are chosen already, `others` (s, d); ignored by default."""
+        """Chooses as `__call__` does, given `others` (k, d): the fixed nodes, or the moving sources. Ignored by default."""
         return self(points)
 
     def closest(self, points: np.ndarray) -> float:
@@ -79,7 +79,8 @@ class KDTree(AbstractReduction):
     conditioning of the solve, and derivatives with it. A fixed source that close to a moving one is dropped too, by the
     smaller one of their distances. `extremes=True` adds the points at which the bounding box of all
     points is touched: a blunt trailing edge, a wing's tip. `smallest_box` and `largest_box` are lengths in the mesh's
-    units. The result depends on the set of points, not on their order.
+    units. `crowded` is the number of leaves where the other boundary is nearer to a point than the longest side of the box of all
+    points: in a passage, at a joint. The result depends on the set of points, not on their order.
     """
 
     leaves: int | None = None
@@ -90,11 +91,12 @@ class KDTree(AbstractReduction):
     largest_box: float = np.inf
     separation: float = 1e-3
     extremes: bool = False
+    crowded: int | None = None
 
     def __post_init__(self):
         if self.leaves is None and self.points_per_leaf is None and not np.isfinite(self.largest_box):
             raise ValueError("KDTree needs one of `leaves`, `points_per_leaf`, `largest_box` to know when to stop.")
-        for name in ("leaves", "points_per_leaf"):
+        for name in ("leaves", "points_per_leaf", "crowded"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
                 raise ValueError(f"`{name}` must be a whole number of at least 1, not {value!r}.")
@@ -119,6 +121,17 @@ class KDTree(AbstractReduction):
         if self.extremes:
             found = np.concatenate([extreme_points(ordered), found])
         return np.sort(order[drop_close(ordered, found, self.closest(points))])
+
+    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        return self.given(points, others)(points)
+
+    def given(self, points: np.ndarray, others: np.ndarray) -> "KDTree":
+        """Returns the tree that is built beside the `others`: with `crowded` leaves where one of them is near."""
+        if self.crowded is None or not len(points) or not len(others):
+            return self
+        near = float(np.ptp(points, axis=0).max())
+        distance = scipy.spatial.KDTree(others).query(points, distance_upper_bound=near)[0]
+        return dataclasses.replace(self, leaves=self.crowded) if np.isfinite(distance).any() else self
 
     def closest(self, points: np.ndarray) -> float:
         return least_distance(points, self.separation)

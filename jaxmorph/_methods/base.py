@@ -38,7 +38,7 @@ class Surface:
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
         """Chooses rows among the moving nodes, then among the fixed ones, each with its mirror images; no two of them too close."""
-        first, closest = self._chosen(moving, np.arange(self.moving), self.points[:0])
+        first, closest = self._chosen(moving, np.arange(self.moving), self.points[self.moving :])
         rows = np.arange(self.moving, len(self.points))
         second, closest_fixed = self._chosen(fixed, rows, self.points[first])
         return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])

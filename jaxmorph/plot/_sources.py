@@ -142,9 +142,11 @@ def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
 def of_plan(plan: jm.Plan, fixed: bool = True) -> tuple[list[tuple[np.ndarray, jm.AbstractReduction]], np.ndarray]:
     """Returns moving and fixed nodes with their reductions; and the sources, without their images in symmetry planes."""
     rbf, points, sources = radial_basis_functions(plan), np.asarray(plan.points, dtype=float), plan.sources
-    parts = [(points[np.asarray(plan.moving)], rbf.reduction)]
+    on_wall, other = points[np.asarray(plan.moving)], points[np.asarray(plan.fixed)]
+    reduction = rbf.reduction.given(on_wall, other) if isinstance(rbf.reduction, jm.KDTree) else rbf.reduction
+    parts = [(on_wall, reduction)]
     if fixed:
-        parts.append((points[np.asarray(plan.fixed)], rbf.fixed_reduction))
+        parts.append((other, rbf.fixed_reduction))
     else:
         sources = sources[np.isin(sources, plan.moving)]
     return parts, points[sources]
