@@ -43,7 +43,8 @@ class FittedRBF(AbstractMethod):
     `ell` and `mu` are lengths in the mesh's units, 0.17 and 0.1 of each wall's mean chord by default (half of its perimeter; in 3-D
     half of its area over its span). `ell` is nowhere more than 0.2 of the distance to the nearest node that is held or of
     another wall. A large `ell` keeps the wall's lines at right angles, a small one follows the skin. `rbf` has basis and
-    sources; few sources are enough, twice as many leaves where another boundary is near. Walls of more than 4,096 nodes or edges are sampled.
+    sources. Few sources are enough; where another boundary is near there are twice as many leaves. Walls of more than 4,096
+    nodes or edges are sampled.
 
     The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s moving sources.
     """

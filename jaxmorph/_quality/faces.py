@@ -12,6 +12,7 @@ from .._mesh.mesh import Mesh
 from .._mesh.polyhedra import Polyhedra
 
 Vectors = Float[np.ndarray, "t d"]
+Centres = Float[np.ndarray, "cells d"]
 FLOOR = 1e-300
 
 
@@ -92,7 +93,7 @@ class _Sides:
 
 
 def _skewness(
-    sides: _Sides, corners: Float[np.ndarray, "t c d"], centre: Vectors, area: Vectors, middle: Vectors
+    sides: _Sides, corners: Float[np.ndarray, "t c d"], centre: Vectors, area: Vectors, middle: Centres
 ) -> Float[np.ndarray, " k"]:
     arm = centre - middle[sides.owner]
     inside = sides.behind >= 0
@@ -108,7 +109,7 @@ def _skewness(
     return sides.largest(size / np.maximum(np.maximum(reach, least), FLOOR))
 
 
-def _aspect_ratio(sides: _Sides, area: Vectors, volume: Float[np.ndarray, " c"]) -> Float[np.ndarray, " k"]:
+def _aspect_ratio(sides: _Sides, area: Vectors, volume: Float[np.ndarray, " cells"]) -> Float[np.ndarray, " k"]:
     seen = _summed(np.abs(area), sides.owner, sides.total)
     counted = np.bincount(sides.owner, minlength=sides.total) > 0
     ratio = seen.max(axis=1) / np.maximum(seen.min(axis=1), FLOOR)
@@ -117,7 +118,7 @@ def _aspect_ratio(sides: _Sides, area: Vectors, volume: Float[np.ndarray, " c"])
     return np.where(counted, ratio, 1.0)[sides.cell]
 
 
-def _non_orthogonality(sides: _Sides, area: Vectors, middle: Vectors) -> Float[np.ndarray, " k"]:
+def _non_orthogonality(sides: _Sides, area: Vectors, middle: Centres) -> Float[np.ndarray, " k"]:
     between = _between(middle, sides)
     sizes = np.linalg.norm(area, axis=1) * np.linalg.norm(between, axis=1)
     cosine = np.clip(_dot(area, between) / np.maximum(sizes, FLOOR), -1, 1)
@@ -159,7 +160,7 @@ def _whole(whole: Polyhedra) -> _Sides:
     return _Sides(corners, owner, behind, int(owner.max()) + 1, whole.cell)
 
 
-def _between(centres: Vectors, sides: _Sides) -> Vectors:
+def _between(centres: Centres, sides: _Sides) -> Vectors:
     """From the centre of each face's cell to that of the cell behind it; anything where there is none."""
     return centres[sides.owner[sides.behind]] - centres[sides.owner]
 
@@ -180,7 +181,7 @@ def _polygons(corners: Float[np.ndarray, "t c 3"], is_corner: Bool[np.ndarray, "
     return (weights * (corners + after + middle) / 3).sum(axis=1) / total, areas.sum(axis=1)
 
 
-def _cell_centres(centre: Vectors, area: Vectors, sides: _Sides) -> tuple[Vectors, np.ndarray]:
+def _cell_centres(centre: Vectors, area: Vectors, sides: _Sides) -> tuple[Centres, np.ndarray]:
     """Centres of mass, by pyramids (triangles in 2-D) from the faces to the mean of their centres; volumes times d."""
     d, owner, total = centre.shape[1], sides.owner, sides.total
     count = np.maximum(np.bincount(owner, minlength=total), 1)[:, None]
