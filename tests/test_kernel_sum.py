@@ -204,7 +204,7 @@ def test_many_fields_share_one_kernel():
 
 def test_product_of_few_rows():
     rng = np.random.default_rng(0)
-    rows, block = rng.normal(size=(3, 20)), rng.normal(size=(20, 7))
+    rows, block = jnp.asarray(rng.normal(size=(3, 20))), jnp.asarray(rng.normal(size=(20, 7)))
     close = functools.partial(np.testing.assert_allclose, rtol=1e-13, atol=1e-13)
     close(few_rows_times(rows, block), rows @ block)
     many_rows, many_blocks = rng.normal(size=(5, 3, 20)), rng.normal(size=(5, 20, 7))

@@ -2,7 +2,6 @@
 
 import importlib
 import sys
-import types
 
 import matplotlib
 
@@ -210,8 +209,15 @@ def test_histogram_counts_every_cell(airfoil):
 
 
 def test_histogram_counts_cells_of_the_highest_dimension_alone():
-    report = types.SimpleNamespace(
-        types=(("line", 2), ("quad", 1), ("triangle", 2)), volume=np.array([7, 8, 1, 2, np.inf])
+    none = np.zeros(5)
+    flags = dict.fromkeys(("is_inverted", "is_degenerate"), none > 0)
+    names = ("skewness", "aspect_ratio", "jacobian", "non_orthogonality", "volume_ratio", "jacobian_ratio")
+    report = jm.QualityReport(
+        volume=np.array([7, 8, 1, 2, np.inf]),
+        centroid=np.zeros((5, 2)),
+        types=(("line", 2), ("quad", 1), ("triangle", 2)),
+        **dict.fromkeys(names, none),
+        **flags,
     )
     axis = plot.histogram({"all": report}, measure="volume")
     assert sum(bar.get_height() for bar in axis.containers[0]) == 2

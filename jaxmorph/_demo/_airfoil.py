@@ -66,7 +66,7 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
     with progress(len(studies) + 4) as say:
         say("generating the mesh, judging it")
         start, outcomes = jm.quality(mesh), []
-        written = _write(output / "naca0015-undeformed.su2", mesh, mesh.points, start)
+        written = _write(output / "naca0015-undeformed.su2", mesh, np.asarray(mesh.points), start)
         for study in studies:
             say(f"moving the mesh, {study.name}")
             outcomes.append(measure(mesh, start, study))
@@ -86,7 +86,8 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
 
 def compare(mesh: jm.Mesh) -> list[Study]:
     """Compares the paper's three methods; the third with four numbers of sources on the wall."""
-    wall, far = mesh.points[mesh.patch("airfoil")], mesh.points[mesh.patch("farfield")]
+    points = np.asarray(mesh.points)
+    wall, far = points[mesh.patch("airfoil")], points[mesh.patch("farfield")]
     every = jm.RBF.classic()
     studies = [
         Study(f"full RBF, {len(wall)} + {len(far)}", every, file="full-rbf"),
@@ -105,7 +106,7 @@ def compare(mesh: jm.Mesh) -> list[Study]:
 def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
     """Prepares and marches twice, the second time without compiling, and judges the mesh after each step."""
     moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
-    path = np.stack([rotation(mesh.points[moving], angle) for angle in ANGLES])
+    path = np.stack([rotation(np.asarray(mesh.points)[moving], angle) for angle in ANGLES])
     begin = time.perf_counter()
     plan = jm.prepare(mesh.points, moving, fixed, method=study.method)
     plans, points = _march(plan, path, study.rebuild)

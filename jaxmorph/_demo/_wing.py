@@ -62,7 +62,7 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
             say(f"moving the mesh, {study.name}")
             outcomes.append(measure(mesh, study))
         say("writing meshes")
-        written = _write(output / "agard445-undeformed.su2", mesh, mesh.points, start)
+        written = _write(output / "agard445-undeformed.su2", mesh, np.asarray(mesh.points), start)
         for outcome in outcomes:
             written += _write(
                 output / f"agard445-{outcome.study.file}.su2", mesh, outcome.points, outcome.reports[SHOWN]

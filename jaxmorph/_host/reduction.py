@@ -83,15 +83,15 @@ class KDTree(AbstractReduction):
     points: in a passage, at a joint. The result depends on the set of points, not on their order.
     """
 
-    leaves: int | None = None
+    leaves: int | np.integer | None = None
     search_points: AbstractSearchPoints = Corners()
     _: dataclasses.KW_ONLY
-    points_per_leaf: int | None = None
+    points_per_leaf: int | np.integer | None = None
     smallest_box: float = 0.0
     largest_box: float = np.inf
     separation: float = 1e-3
     extremes: bool = False
-    crowded: int | None = None
+    crowded: int | np.integer | None = None
 
     def __post_init__(self):
         if self.leaves is None and self.points_per_leaf is None and not np.isfinite(self.largest_box):
@@ -159,7 +159,7 @@ class KDTree(AbstractReduction):
 
     def _too_few(self, count: int, leaves: int) -> bool:
         wanted = self.leaves is not None and leaves < self.leaves
-        return wanted or (self.points_per_leaf is not None and count > self.points_per_leaf)
+        return bool(wanted or (self.points_per_leaf is not None and count > self.points_per_leaf))
 
 
 def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:

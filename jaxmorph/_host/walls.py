@@ -127,7 +127,7 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
     label = _components(np.nonzero(near)[0], nearest[near], len(unique))
     if points.shape[1] == 3 and label.max() > 0:
         first, second = _next_to_curves(unique, label, distance[:, 1])
-        label = _components(first, second, label.max() + 1)[label]
+        label = _components(first, second, int(label.max()) + 1)[label]
     return label[inverse.ravel()]
 
 

@@ -21,8 +21,8 @@ from .symmetry import Mirror, Plane, check_planes, mirror
 
 def prepare(
     mesh: Mesh | Real[ArrayLike, "n d"] | Sequence[Any],
-    moving: str | Sequence[str] | Integer[ArrayLike, " m"] | Sequence[int],
-    fixed: str | Sequence[str] | Integer[ArrayLike, " f"] | Sequence[int] = (),
+    moving: str | Sequence[str] | Integer[ArrayLike, " m"] | Sequence[int | np.integer],
+    fixed: str | Sequence[str] | Integer[ArrayLike, " f"] | Sequence[int | np.integer] = (),
     *,
     method: AbstractMethod | None = None,
     symmetry: Plane | str | Sequence[Plane | str] = (),

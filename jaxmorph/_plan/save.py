@@ -28,7 +28,7 @@ FORMAT, VERSION = "jaxmorph plan", 2
 _HEADER = "description"
 _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, TypeError, IndexError, EOFError, AttributeError, RecursionError)
 
-Steps = Plan | Sequence[Plan]
+Steps = Plan | Sequence[Any]
 
 
 def save(path: str | os.PathLike[str], plan: Steps) -> None:

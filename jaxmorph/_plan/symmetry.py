@@ -63,7 +63,7 @@ class Plane(eqx.Module):
         """Tells whether both are one plane, to the tolerance within which nodes lie on it."""
         if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
             return False
-        return abs(float(self.height(other.origin))) <= _tolerance(points)
+        return abs(float(self.height(other.origin[None])[0])) <= _tolerance(points)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """(n,) whether each point lies on the plane."""

@@ -176,7 +176,7 @@ class QualityReport(eqx.Module):
             lines.append(f"{name:<17}{numbers}  {cell:<8}{self._place(cell)}")
         return "\n".join(lines)
 
-    def _place(self, cell: int) -> str:
+    def _place(self, cell: int | np.integer) -> str:
         place = np.asarray(self.centroid[cell], dtype=float)
         place = np.where(np.abs(place) < 1e-4 * np.abs(place).max(), 0.0, place)
         return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"

@@ -40,7 +40,7 @@ def animate(
     draw: Callable[[Float[np.ndarray, "n d"]], Any],
     frames: Sequence[Float[Any, "n d"]] | Float[Any, "f n d"],
     *,
-    rate: float = 12,
+    rate: float | int = 12,
 ) -> pathlib.Path:
     """Makes a film: one picture for each of `frames`, the points of a mesh at successive times, as `swing` or `march` give them.
 
@@ -106,7 +106,7 @@ def _picture(drawn: Any, view: Any) -> Picture:
     return pixels
 
 
-def _gif(path: pathlib.Path, pictures: list[Picture], rate: float) -> None:
+def _gif(path: pathlib.Path, pictures: list[Picture], rate: float | int) -> None:
     """Writes a GIF with one palette for all frames, so that what does not move does not flicker."""
     from PIL import Image  # comes with matplotlib
 
@@ -127,7 +127,7 @@ def _mp4() -> Callable[[pathlib.Path, list[Picture], float], None]:
             raise ImportError("MP4 needs ffmpeg: pip install imageio-ffmpeg; a .gif needs nothing more") from error
         program = get_ffmpeg_exe()
 
-    def write(path: pathlib.Path, pictures: list[Picture], rate: float) -> None:
+    def write(path: pathlib.Path, pictures: list[Picture], rate: float | int) -> None:
         height, width = (size // 2 * 2 for size in pictures[0].shape[:2])  # the codec takes even sizes alone
         given = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
         wanted = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"]

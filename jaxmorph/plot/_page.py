@@ -16,7 +16,7 @@ from jaxmorph._host.files import complete
 
 from ._plane import plt
 from ._space import outside, view_axes
-from ._style import COLOURS, DARK, DISPLACEMENT, check_suffix, colour_scale
+from ._style import COLOURS, DARK, DISPLACEMENT, Limits, Values, check_suffix, colour_scale
 
 SLIDER = """
 const panel = document.createElement("form");
@@ -40,8 +40,8 @@ def page(
     mesh: jm.Mesh,
     points: Float[Any, "n 3"],
     *,
-    values: Float[Any, " k"] | None = None,
-    limits: tuple[float, float] | None = None,
+    values: Values | None = None,
+    limits: Limits | None = None,
     label: str | None = None,
     patch: str | None = None,
 ) -> pathlib.Path:
@@ -128,7 +128,7 @@ class _Surface:
             None if values is None else np.asarray(faces.cell_data["values"], np.float32)[np.concatenate(owners)],
         )
 
-    def camera(self) -> list[float]:
+    def camera(self) -> list[float | int]:
         """Returns its position, what it looks at, upwards: far enough away to see both ends of the motion."""
         corners = np.concatenate([self.before, self.after])
         middle, size = (corners.min(axis=0) + corners.max(axis=0)) / 2, np.linalg.norm(np.ptp(corners, axis=0))
@@ -136,7 +136,7 @@ class _Surface:
         return [*(middle + distance * view_axes()[0]).tolist(), *middle.tolist(), 0, 0, 1]
 
     @property
-    def range(self) -> tuple[float, float]:
+    def range(self) -> Limits:
         """Returns the smallest and the largest value, or zero and the largest displacement."""
         shown = self.length if self.values is None else self.values[np.isfinite(self.values)]
         low, high = 0.0 if self.values is None else float(shown.min()), float(shown.max())

@@ -8,7 +8,7 @@ from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 
-from ._style import BLUE, DARK, GREY, ORANGE, check_values, colour_scale
+from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, check_values, colour_scale
 
 try:
     import matplotlib.pyplot as plt
@@ -32,8 +32,8 @@ def mesh(
     mesh: jm.Mesh,
     points: Float[Any, "n 2"] | None = None,
     *,
-    values: Float[Any, " k"] | None = None,
-    limits: tuple[float, float] | None = None,
+    values: Values | None = None,
+    limits: Limits | None = None,
     label: str | None = None,
     bar: bool = True,
     window: Window | None = None,

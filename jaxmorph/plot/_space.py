@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 
-from ._style import BLUE, DARK, GREY, ORANGE, check_values, colour_scale
+from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, check_values, colour_scale
 
 VIEWER = -1.0, -2.5, 1.8
 """The direction towards the viewer: x to the right, y away, z up."""
@@ -31,8 +31,8 @@ def surface(
     mesh: jm.Mesh,
     points: Float[Any, "n 3"] | None = None,
     *,
-    values: Float[Any, " k"] | None = None,
-    limits: tuple[float, float] | None = None,
+    values: Values | None = None,
+    limits: Limits | None = None,
     label: str | None = None,
     bar: bool = True,
     patch: str | None = None,
@@ -74,8 +74,8 @@ def cut(
     points: Float[Any, "n 3"] | None = None,
     *,
     plane: jm.Plane,
-    values: Float[Any, " k"] | None = None,
-    limits: tuple[float, float] | None = None,
+    values: Values | None = None,
+    limits: Limits | None = None,
     label: str | None = None,
     bar: bool = True,
     plotter: Any = None,

@@ -2,9 +2,14 @@
 
 import os
 import pathlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Real
+
+Limits = tuple[float | int, float | int]
+Values = Real[Any, " k"] | Sequence[float | int]
 
 DARK, GREY, BLUE, ORANGE, GREEN = "#1b1b1b", "#9a9a9a", "#0072b2", "#d55e00", "#009e73"
 """Colours of Okabe and Ito, told apart by colour-blind readers."""
@@ -22,7 +27,7 @@ def check_values(values: Any, cells: int) -> None:
         raise ValueError(f"`values` has shape {np.shape(values)}; this mesh has {cells} cells.")
 
 
-def colour_scale(limits: tuple[float, float] | None, colours: str = COLOURS) -> tuple[str, tuple[float, float] | None]:
+def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Limits | None]:
     """The colour map and its limits, ascending: the map is turned round where the dark end is the smaller one.
 
     Raises `ValueError` unless the limits are two finite numbers that differ.

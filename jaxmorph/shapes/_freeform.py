@@ -50,7 +50,7 @@ class FreeForm(AbstractLinearShape):
         axes: Numbers,
         counts: Sequence[int],
         *,
-        degree: int | Sequence[int] | None = None,
+        degree: int | Sequence[int | None] | None = None,
         continuity: int | None = None,
     ):
         origin, axes = jnp.asarray(origin, float), jnp.asarray(axes, float)
@@ -73,7 +73,7 @@ class FreeForm(AbstractLinearShape):
         counts: Sequence[int],
         *,
         margin: float = 0.05,
-        degree: int | Sequence[int] | None = None,
+        degree: int | Sequence[int | None] | None = None,
         continuity: int | None = None,
     ) -> "FreeForm":
         """Makes the box along the axes that holds all points, with a margin relative to its longest edge.

@@ -14,7 +14,7 @@ from ._shape import AbstractOperator
 class Rows(eqx.Module):
     """Weights of points, one array for each direction: a point takes part in `k` functions from `first` on."""
 
-    weights: tuple[Float[Array, "m k"], ...]
+    weights: tuple[Float[Array, "m _"], ...]
     first: tuple[Int[Array, " m"], ...]
     counts: tuple[int, ...] = eqx.field(static=True)
 

@@ -2,12 +2,14 @@
 
 try:
     import h5py
+    from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 except ImportError as error:
     raise ImportError("CGNS files need h5py: pip install 'jaxmorph[io]'") from error
 
 import dataclasses
 import pathlib
 import shutil
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +87,7 @@ def _stamp(path: pathlib.Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-def _refuse_foreign_data(path: pathlib.Path, file: h5py.File) -> None:
+def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
     """Raises `ValueError` where anything in the file has its data in another one: writing would go through to it.
 
     Links to other files, data sets in external storage and virtual ones are refused, wherever they stand.
@@ -105,7 +107,7 @@ def _refuse_foreign_data(path: pathlib.Path, file: h5py.File) -> None:
                     other = child.external[0][0] if child.external else "other data sets"
                     raise ValueError(_FOREIGN.format(path, group.name, name, f"keeps its values in {other}"))
             elif isinstance(child, h5py.Group):
-                address = h5py.h5o.get_info(child.id).addr
+                address = h5o.get_info(child.id).addr
                 if address not in seen:  # groups may hold each other
                     seen.add(address)
                     groups.append(child)

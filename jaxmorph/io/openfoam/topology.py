@@ -40,7 +40,7 @@ def topology_of(folder: pathlib.Path, boundary: list[Patch], is_plane: bool) -> 
     faces = _faces(folder)
     _check(folder, boundary, faces)
     cells, ids = ({}, {}) if is_plane else standard_cells(faces)
-    ajar = open_cells(faces, ids["polyhedron"]) if "polyhedron" in ids else ()
+    ajar = open_cells(faces, ids["polyhedron"]) if "polyhedron" in ids else np.zeros(0, int)
     if len(ajar):
         raise ValueError(
             f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: faces, owner or neighbour are damaged."
