@@ -33,7 +33,7 @@ def __getattr__(name: str) -> typing.Any:
         return importlib.import_module("importlib.metadata").version(__name__)
     if name == "__all__" or not name.startswith("_"):
         public = importlib.import_module(f"{__name__}._public")
-        names = {key: value for key, value in vars(public).items() if not key.startswith("_")}
+        names = {key: value for key, value in vars(public).items() if not key.startswith("_") and key != "jaxtyping"}
         globals().update(names, __all__=sorted({*names, *_SUBMODULES}))
         if name in globals():
             return globals()[name]

@@ -214,7 +214,7 @@ def test_progress_and_choice_of_fixed_nodes():
     [
         ({"points": np.zeros((3, 2))}, "shape"),
         ({"fixed": [99]}, "1 ids in `fixed` are not nodes"),
-        ({"size": 2.0}, "shape alone"),
+        ({"size_weight": 2.0}, "shape alone"),
         ({"max_steps": 0}, "at least 1"),
         ({"mesh": jm.Mesh(np.zeros((4, 2)), {})}, "nothing to improve"),
     ],

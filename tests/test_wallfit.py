@@ -172,3 +172,19 @@ def test_chord_of_a_sphere():
     ends, share = chords(points, np.zeros(800, dtype=int))
     span = np.linalg.norm(points[ends[0, 0]] - points[ends[0, 1]])
     assert share[0] * span == pytest.approx(np.pi, rel=0.2)
+
+
+def test_a_free_side_stays_flat():
+    """Half of a body with its plane named nowhere: no displacement across the plane, so none of the plane's nodes."""
+    mesh = cases.wing(points=1000, stations=7)
+    wing = mesh.patch("wing")
+    u = np.zeros((len(wing), 3))
+    u[:, 2] = 0.1 * mesh.points[wing, 1] ** 2
+    named = np.union1d(wing, mesh.patch("farfield"))
+    side = np.setdiff1d(np.flatnonzero(np.abs(mesh.points[:, 1] - mesh.points[:, 1].min()) < 1e-9), named)
+    assert len(side) > 10
+    free = jm.prepare(mesh.points, wing, mesh.patch("farfield"))
+    np.testing.assert_array_equal(np.asarray(jm.deform(free, u))[side, 1], mesh.points[side, 1])
+    plane = jm.Plane(normal=(0, 1, 0), origin=(0, float(mesh.points[:, 1].min()), 0))
+    fitted = jm.prepare(mesh.points, wing, mesh.patch("farfield"), symmetry=plane)
+    assert len(fitted.sources) < len(free.sources)

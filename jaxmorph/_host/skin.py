@@ -110,3 +110,18 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
             apart, found = KDTree(points[others]).query(middle[here])
             nearest[here], distance[here] = others[found], apart
     return nearest
+
+
+def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
+    """Tells whether a side of the points' bounding box holds nodes that are not on the surface, and the surface ends there.
+
+    `surface` (b, d) has the images in symmetry planes; `is_free` (n,) says which of the `points` (n, d) are not on it.
+    """
+    slack = 1e-8 * float(np.ptp(points, axis=0).max())
+    for axis in range(points.shape[1]):
+        for sign in (-1, 1):
+            along = sign * points[:, axis]
+            end = along.max()
+            if (sign * surface[:, axis]).max() <= end + slack and (is_free & (along >= end - slack)).sum() > 1:
+                return True
+    return False

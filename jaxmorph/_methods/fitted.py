@@ -1,5 +1,7 @@
 """A coarse field that follows the body: radial basis functions fitted to the wall, strained as little as possible."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.reduction import KDTree
-from .._host.skin import chords, edges, nearest_held, thinned
+from .._host.skin import chords, edges, has_free_sides, nearest_held, thinned
 from .._host.walls import walls
 from .base import AbstractMethod, Surface, check_kind
 from .rbf import RBF, RBFFactors, polynomial
@@ -17,6 +19,9 @@ ELL, MU = 0.17, 0.1
 
 JOINT = 0.2
 """The length of strain, at most, relative to the distance of the nearest node that is fixed or of another wall."""
+
+SOURCES_ALONE = 64
+"""Leaves of the k-d tree, at least, where the field interpolates instead of being fitted."""
 
 ROWS = 4096
 """Nodes of the wall, and edges, that the fit looks at, at most."""
@@ -46,6 +51,9 @@ class FittedRBF(AbstractMethod):
     sources. Few sources are enough; where another boundary is near there are twice as many leaves. Walls of more than 4,096
     nodes or edges are sampled.
 
+    A mesh with a free side, a flat one that is neither moving, fixed nor a symmetry plane, gets the interpolation of many sources
+    instead of the fit: a field that turns with the body would carry the side out of its plane.
+
     The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s moving sources.
     """
 
@@ -61,9 +69,27 @@ class FittedRBF(AbstractMethod):
         return False
 
     def connect(self, surface: Surface, points):
+        if has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points):
+            sources = self._denser.connect(surface, points)[0]
+            return self._sources_alone(surface, sources), None
         sources, at_points = self.rbf.connect(surface, points)
         is_moving = sources < surface.moving
         return self._wall(surface, sources[is_moving], sources[~is_moving]), at_points
+
+    @property
+    def _denser(self) -> RBF:
+        """The field for meshes with free sides: as many sources as an interpolation needs."""
+        reduction = self.rbf.reduction
+        if isinstance(reduction, KDTree) and reduction.leaves is not None:
+            reduction = dataclasses.replace(reduction, leaves=max(SOURCES_ALONE, reduction.leaves), crowded=None)
+        return RBF(self.rbf.basis, reduction, self.rbf.fixed_reduction, self.rbf.degree)
+
+    def _sources_alone(self, surface: Surface, sources: np.ndarray) -> "WallIds":
+        """No edges and no nodes but the sources: the fit is then the interpolation, each component by itself."""
+        moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
+        none = np.zeros((0, 2))
+        rows = (jnp.asarray(each.astype(np.int32)) for each in (moving, fixed, moving, none, none[:, 0], none))
+        return WallIds(*rows, share=jnp.zeros(0))
 
     def _wall(self, surface: Surface, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
         nodes = np.union1d(
@@ -79,7 +105,7 @@ class FittedRBF(AbstractMethod):
         return WallIds(*rows, share=jnp.asarray(share[label]))
 
     def matched(self, ids):
-        return np.asarray(ids.fixed)
+        return self.sources(ids) if not len(ids.edges) else np.asarray(ids.fixed)
 
     def sources(self, ids):
         return np.concatenate([ids.moving, ids.fixed])
