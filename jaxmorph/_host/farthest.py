@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from .reduction import AbstractReduction, canonical_order, extreme_points, least_distance
+from .reduction import AbstractReduction, canonical_order, check_separation, extreme_points, least_distance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,10 +35,7 @@ class FarthestPoints(AbstractReduction):
     def __post_init__(self):
         if self.count < 1:
             raise ValueError(f"`count` must be at least 1, not {self.count}.")
-        if not 0 <= self.separation < 1:
-            raise ValueError(
-                f"`separation` is relative to the extent of the points, from 0 to 1; not {self.separation}."
-            )
+        check_separation(self.separation)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         points = np.asarray(points, dtype=float)

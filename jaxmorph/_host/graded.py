@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from .farthest import farthest
-from .reduction import AbstractReduction, canonical_order, least_distance
+from .reduction import AbstractReduction, canonical_order, check_separation, least_distance
 
 SHARE = {2: 0.25, 3: 0.4}
 """A circle far away gets 16 sources, a sphere about 50."""
@@ -40,10 +40,7 @@ class Graded(AbstractReduction):
             raise ValueError(f"`share` must be above 0, not {self.share}.")
         if self.most < 1:
             raise ValueError(f"`most` must be at least 1, not {self.most}.")
-        if not 0 <= self.separation < 1:
-            raise ValueError(
-                f"`separation` is relative to the extent of the points, from 0 to 1; not {self.separation}."
-            )
+        check_separation(self.separation)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         return self.beside(points, np.zeros((0, np.shape(points)[1])))

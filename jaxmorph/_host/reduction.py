@@ -102,10 +102,7 @@ class KDTree(AbstractReduction):
                 raise ValueError(f"`{name}` must be a whole number of at least 1, not {value!r}.")
         if not 0 <= self.smallest_box <= self.largest_box:
             raise ValueError(f"need 0 <= smallest_box <= largest_box, not {self.smallest_box}, {self.largest_box}.")
-        if not 0 <= self.separation < 1:
-            raise ValueError(
-                f"`separation` is relative to the extent of the points, from 0 to 1; not {self.separation}."
-            )
+        check_separation(self.separation)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         points = np.asarray(points, dtype=float)
@@ -174,6 +171,12 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndar
 def canonical_order(points: np.ndarray) -> np.ndarray:
     """A permutation that sorts points by their coordinates: what follows does not depend on the order they came in."""
     return np.lexsort(points.T[::-1])
+
+
+def check_separation(separation: float) -> None:
+    """Raises `ValueError` for a least distance between sources that is no share of the extent of the points."""
+    if not 0 <= separation < 1:
+        raise ValueError(f"`separation` is relative to the extent of the points, from 0 to 1; not {separation}.")
 
 
 def least_distance(points: np.ndarray, separation: float) -> float:

@@ -12,6 +12,7 @@ from .._host.reduction import KDTree
 from .._host.skin import chords, edges, has_free_sides, nearest_held, thinned
 from .._host.walls import walls
 from .base import AbstractMethod, Surface, check_kind
+from .nearwall import norm
 from .rbf import RBF, RBFFactors, polynomial
 
 ELL, MU = 0.17, 0.1
@@ -142,13 +143,13 @@ class FittedRBF(AbstractMethod):
 
     def _lengths(self, ids: "WallIds", surface, middle):
         """ell and mu at each edge."""
-        chord = ids.share.astype(surface.dtype) * _distance(surface[ids.ends[:, 0]], surface[ids.ends[:, 1]])
+        chord = ids.share.astype(surface.dtype) * norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
         ell, mu = (
             share * chord if given is None else jnp.full_like(chord, given)
             for share, given in ((ELL, self.ell), (MU, self.mu))
         )
         free = ids.held == ids.edges[:, 0]
-        return jnp.where(free, ell, jnp.minimum(ell, JOINT * _distance(surface[ids.held], middle))), mu
+        return jnp.where(free, ell, jnp.minimum(ell, JOINT * norm(surface[ids.held] - middle))), mu
 
     def field(self, ids: "WallIds", factors: "FitFactors", surface, u):
         values = u.astype(factors.rbf.lu.dtype)
@@ -211,10 +212,3 @@ def _affine(method: RBF, rbf: RBFFactors, surface: Float[Array, "b d"]):
 
 def _product(a: Float[Array, "m k"], b: Float[Array, "k n"]) -> Float[Array, "m n"]:
     return jnp.matmul(a, b, precision="highest")
-
-
-def _distance(a: Float[Array, "e d"], b: Float[Array, "e d"]) -> Float[Array, " e"]:
-    """Euclidean length, with derivative zero at zero."""
-    squared = jnp.sum((a - b) ** 2, axis=-1)
-    positive = squared > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)

@@ -102,9 +102,9 @@ class NearWall(AbstractMethod):
         """The width of the layer over each surface node, the same for all of one wall."""
         if self.width is not None:
             return jnp.full(len(surface), self.width.astype(surface.dtype))
-        gap = _norm(surface - surface[extent.matched])
+        gap = norm(surface - surface[extent.matched])
         widest = jax.ops.segment_max(gap, extent.wall, len(extent.ends))
-        span = _norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
+        span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
         return jnp.maximum(REACH * widest, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
 
 
@@ -150,7 +150,7 @@ class NearWallField(AbstractField):
 def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]):
     """chi, and the weights of the nearest wall nodes."""
     nearest, other = row.nodes[:-1], row.nodes[-1]
-    distance = _norm(surface[nearest] - x[None])
+    distance = norm(surface[nearest] - x[None])
     reach = distance.max() * (1 + 1e-6)
     at_node = distance[0] == 0
     safe = jnp.where(at_node, 1, distance)
@@ -159,7 +159,7 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     )  # Franke and Little, times the first distance
     weights = jnp.where(at_node, jnp.zeros_like(weights).at[0].set(1), weights)[:-1]
     layer = jnp.where(width[nearest[0]] > 0, width[nearest[0]], 1)
-    gap = _norm(surface[other] - x)
+    gap = norm(surface[other] - x)
     alone = (other == nearest[0]) | (gap == 0)
     halfway = jnp.where(alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap)))  # 1 between two walls
     # the layer ends at its width or half way, whichever is nearer, without a kink
@@ -169,7 +169,7 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     return jnp.where(row.reached & (width[nearest[0]] > 0), chi, 0), weights / weights.sum()
 
 
-def _norm(vectors: Float[Array, "... d"]) -> Float[Array, "..."]:
+def norm(vectors: Float[Array, "... d"]) -> Float[Array, "..."]:
     """Euclidean length, with derivative zero at zero."""
     squared = jnp.sum(vectors**2, axis=-1)
     positive = squared > 0
