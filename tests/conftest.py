@@ -26,6 +26,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         jax.config.update(option, value)
 
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
 MEMORY = {}
 """Largest resident memory of each worker, bytes."""
 

@@ -65,7 +65,7 @@ def test_blocks_are_the_second_derivatives(d, floor):
     values, vectors = np.linalg.eigh(jax.jit(jax.vmap(jax.hessian(flat)))(stack.reshape(-1, d * d)))
     hessian = np.einsum("nip,np,njp->nij", vectors, np.maximum(values, floor), vectors).reshape(-1, d, d, d, d)
     expected = np.einsum("nabef,cbn,zfn->aeczn", hessian, inverse, inverse)
-    found = jax.jit(lambda: blocks(of, columns(stack), [[row[None] for row in rows] for rows in inverse], floor))()[
-        :, :, :, :, 0
-    ]
+    found = jax.jit(
+        lambda: blocks(of, columns(stack), [[jnp.asarray(row[None]) for row in rows] for rows in inverse], floor)
+    )()[:, :, :, :, 0]
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())

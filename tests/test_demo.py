@@ -61,9 +61,9 @@ def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys, monkeypatc
 
 def test_rotation_is_nose_up():
     nose, tail = np.array([[0.0, 0.0]]), np.array([[1.0, 0.0]])
-    assert _airfoil.rotation(nose, 15)[0, 1] > 0 > _airfoil.rotation(tail, 15)[0, 1]
+    assert _airfoil.rotation(nose, 15.0)[0, 1] > 0 > _airfoil.rotation(tail, 15.0)[0, 1]
     points = np.random.default_rng(1).normal(size=(9, 2))
-    np.testing.assert_allclose(points + _airfoil.rotation(points, 15), turned(points, 15), atol=1e-14)
+    np.testing.assert_allclose(points + _airfoil.rotation(points, 15.0), turned(points, 15), atol=1e-14)
 
 
 def test_cells_next_to_the_wall():

@@ -29,7 +29,7 @@ def planned(mesh, basis):
 
 def bump(mesh, a):
     x = mesh.points[mesh.patch("airfoil")][:, :1]
-    return a * jnp.sin(jnp.pi * x) * jnp.array([0.0, 1.0])
+    return a * jnp.sin(jnp.pi * x) * jnp.array([[0.0, 1.0]])
 
 
 def noise(shape):

@@ -7,6 +7,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -209,12 +210,12 @@ def test_histogram_counts_every_cell(airfoil):
 
 
 def test_histogram_counts_cells_of_the_highest_dimension_alone():
-    none = np.zeros(5)
+    none = jnp.zeros(5)
     flags = dict.fromkeys(("is_inverted", "is_degenerate"), none > 0)
     names = ("skewness", "aspect_ratio", "jacobian", "non_orthogonality", "volume_ratio", "jacobian_ratio")
     report = jm.QualityReport(
-        volume=np.array([7, 8, 1, 2, np.inf]),
-        centroid=np.zeros((5, 2)),
+        volume=jnp.array([7, 8, 1, 2, jnp.inf]),
+        centroid=jnp.zeros((5, 2)),
         types=(("line", 2), ("quad", 1), ("triangle", 2)),
         **dict.fromkeys(names, none),
         **flags,

@@ -81,7 +81,7 @@ def test_sources_of_a_plan_with_a_symmetry_plane_are_its_own_nodes():
 
 def test_window_and_given_axis():
     given = plt.subplots()[1]
-    assert plot.sources(planned(), window=((-2, 2), (-1, 1)), ax=given) is given
+    assert plot.sources(planned(), window=((-2.0, 2.0), (-1.0, 1.0)), ax=given) is given
     assert given.get_xlim() == (-2, 2)
 
 

@@ -372,7 +372,7 @@ def test_gradients_are_those_of_differences(kind):
     direction, step, function = random.normal(size=points.shape), 1e-6, jax.jit(weighted)
     difference = (function(points + step * direction) - function(points - step * direction)) / (2 * step)
     gradient = jax.jit(jax.jacrev(weighted))(points)
-    np.testing.assert_allclose(jnp.sum(gradient * direction, axis=(1, 2)), difference, rtol=1e-5)
+    np.testing.assert_allclose(jnp.sum(gradient * direction[None], axis=(1, 2)), difference, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("kind", "dtype"), DEGENERATE)

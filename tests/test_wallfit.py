@@ -59,7 +59,7 @@ def test_the_fit_is_the_least_of_its_sum():
         gradient = jax.vmap(jax.jacfwd(lambda x: field(x, None)))(middle)
         slope = jnp.einsum("eij,ej->ei", gradient, along / length) - (rest[second] - rest[first]) / length
         strain = (gradient + gradient.transpose(0, 2, 1)) / 2
-        strain = strain - jnp.trace(strain, axis1=1, axis2=2)[:, None, None] * jnp.eye(2) / 2
+        strain = strain - jnp.trace(strain, axis1=1, axis2=2)[:, None, None] * jnp.eye(2)[None] / 2
         miss = jax.vmap(lambda x: field(x, None))(surface[: plan.n_moving]) - rest[: plan.n_moving]
         terms = jnp.sum(miss**2, axis=1).mean(), mu**2 * jnp.sum(slope**2, axis=1).mean()
         return sum(terms) + (2 * reach**2 * jnp.sum(strain**2, axis=(1, 2))).mean()

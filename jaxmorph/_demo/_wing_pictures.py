@@ -29,7 +29,7 @@ CUT = 0.92
 HALF_CUT = (0.36, 0.25)
 """Half width and half height of what is shown of the cut, in metres."""
 
-ABOVE = (-1, -3, 2.2)
+ABOVE = (-1.0, -3.0, 2.2)
 """Where the viewer of the whole wing is, seen from the wing: above its root."""
 
 HEIGHT = 1400

@@ -61,11 +61,11 @@ def areas(x: Any) -> Any:
     """(f, d) area vectors of faces (f, c, d), the length of an edge in 2-D; not turned. Works on JAX's arrays too."""
     if x.shape[2] == 2:
         along = x[:, 1] - x[:, 0]
-        return along[:, ::-1] * np.array([-1.0, 1.0], dtype=x.dtype)
+        return along[:, ::-1] * np.array([[-1.0, 1.0]], dtype=x.dtype)
     a, b = x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]
     columns = [a[:, i] * b[:, j] - a[:, j] * b[:, i] for i, j in ((1, 2), (2, 0), (0, 1))]
     units = np.eye(3, dtype=x.dtype) / 2
-    return sum(column[:, None] * unit for column, unit in zip(columns, units, strict=True))
+    return sum(column[:, None] * unit[None] for column, unit in zip(columns, units, strict=True))
 
 
 def _sides(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -131,7 +131,7 @@ class RBF(AbstractMethod):
             return
         useless = not error <= USELESS  # NaN too
         how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
-        sources = np.asarray(factors.sources / factors.scale + factors.centre)
+        sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
         said = (
             f"the interpolation matrix of {len(sources)} sources is {how if np.isfinite(error) else 'singular'}"
             f"{_nearest_two(sources)}. Try a smaller radius of the basis, fewer sources or a larger `separation` in the "
@@ -144,7 +144,7 @@ class RBF(AbstractMethod):
     def field(self, ids, factors: "RBFFactors", surface, u):
         return self.through(factors, u[ids].astype(factors.lu.dtype), u.dtype)
 
-    def through(self, factors: "RBFFactors", values: Float[Array, "s d"], dtype) -> "RBFField":
+    def through(self, factors: "RBFFactors", values: Float[Array, "s k"], dtype) -> "RBFField":
         """Traced: the field with these values at the sources, in this precision."""
         terms = factors.lu.shape[0] - len(factors.sources)
         rhs = jnp.concatenate([values, jnp.zeros((terms, values.shape[1]), values.dtype)])
@@ -219,8 +219,8 @@ class RBFField(AbstractField):
     sources: Float[Array, "s d"]
     centre: Float[Array, " d"]
     scale: Float[Array, ""]
-    beta: Float[Array, "d s"]
-    alpha: Float[Array, "d p"]
+    beta: Float[Array, "k s"]
+    alpha: Float[Array, "k p"]
 
     def __call__(self, x, ids):
         x = (x - self.centre) * self.scale

@@ -102,7 +102,9 @@ def samples(kind: str, x: list[Vector], goal: Target) -> tuple[Scalar, Scalar]:
     return squared / d, _determinant(edges) * goal.determinant
 
 
-def energy(squared: Scalar, tau: Scalar, softness: Any, size: float, dimension: int) -> Scalar:
+def energy(
+    squared: Float[Array, "*shape"], tau: Float[Array, "*shape"], softness: Any, size: float, dimension: int
+) -> Float[Array, "*shape"]:
     """Computes the energy: 0 for the target cell, without bound as det T falls to zero, large where it is negative.
 
     It is (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det T^2) / (2 chi) - 1, with chi(det T) > 0 the regularised

@@ -67,7 +67,7 @@ def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None 
     return jm.Mesh(arrays["points"], {"tetra": arrays["tetra"]}, {name: arrays[name] for name in PATCHES})
 
 
-def agard445_mode(points: Float[Any, "m 3"], mode: int, amplitude: Any = 1.0) -> Float[Any, "m 3"]:
+def agard445_mode(points: Float[Any, "m 3"] | list[list[float]], mode: int, amplitude: Any = 1.0) -> Float[Any, "m 3"]:
     """Displacement of points of the wing by its first (bending) or second (torsion) mode, in metres.
 
     `points` (m, 3) are in metres, as `agard445` has them, from NumPy or JAX; the displacement is of their kind, along z
@@ -89,7 +89,7 @@ def agard445_mode(points: Float[Any, "m 3"], mode: int, amplitude: Any = 1.0) ->
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"`points` has shape {tuple(points.shape)}; expected (m, 3).")
     upwards = np.array([0, 0, 1], dtype=points.dtype)
-    return (amplitude * wing.SEMI_SPAN * mode_shape(points, mode))[:, None] * upwards
+    return (amplitude * wing.SEMI_SPAN * mode_shape(points, mode))[:, None] * upwards[None]
 
 
 # What gmsh's shared library links to, and the Debian or Ubuntu package that has it.
