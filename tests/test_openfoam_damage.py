@@ -9,6 +9,7 @@ import pytest
 from test_openfoam import PATCHES, mixed
 
 from jaxmorph import io
+from jaxmorph.io.openfoam.file import Patch, load, patches
 
 
 @pytest.fixture
@@ -82,9 +83,45 @@ def test_patches_cover_the_outer_faces_once(case):
 
 def test_a_patch_that_is_missing_is_told(case):
     changed(case, "boundary", r"\"floor\"\s*\{[^{}]*\}", "")
+    with pytest.raises(ValueError, match=r"boundary: \d patches announced, \d read"):
+        io.read(case)
+    changed(case, "boundary", r"\d+(?=\s*\()", "")
     with pytest.raises(
         ValueError, match="boundary: 1 faces are in the wrong number of patches; face 3, an outer face, is in 0"
     ):
+        io.read(case)
+
+
+def test_a_list_of_patches_that_is_cut_short(case):
+    """Wherever the list of patches ends too soon, also after an empty patch, it is told."""
+    file = case / "constant" / "polyMesh" / "boundary"
+    text = file.read_text().rstrip()
+    end = text.rindex(")")
+    for stop in range(text.index("}") + 2, end):
+        file.write_text(text[:stop])
+        with pytest.raises(ValueError, match="boundary"):
+            io.read(case)
+
+
+def test_patches_with_comments_dictionaries_and_groups(case):
+    file = case / "constant" / "polyMesh" / "boundary"
+    file.write_text(
+        """FoamFile { class polyBoundaryMesh; note "a; b"; }
+        // 7
+        2 ( /* a wall */ "the wall" { type wall; coupling { type none; nFaces 9; } inGroups List<word> 2(wall all);
+        nFaces 3; startFace 8; } outlet { inGroups (all); startFace 11; type patch; nFaces 0; } ) // end"""
+    )
+    wall, outlet = patches(load(file.parent, "boundary"))
+    assert wall == Patch("the wall", "wall", 8, 3, ("wall", "all"))
+    assert outlet == Patch("outlet", "patch", 11, 0, ("all",))
+
+
+@pytest.mark.parametrize("text", ["a" * 100_000, "/*" * 50_000, "{" * 50_000, "a{" * 50_000, '"' * 50_000])
+def test_long_words_take_no_longer_than_others(case, text):
+    """A pattern that is tried from each letter to the end would take minutes."""
+    file = case / "constant" / "polyMesh" / "boundary"
+    file.write_text(f"FoamFile {{ class polyBoundaryMesh; }}\n1\n({text}\n")
+    with pytest.raises(ValueError, match="boundary: "):
         io.read(case)
 
 

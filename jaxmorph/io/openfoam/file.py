@@ -10,10 +10,12 @@ import numpy as np
 
 from ..text.sections import chunks, parse
 
-_SPACE = re.compile(rb"(?:\s+|//[^\n]*|/\*.*?\*/)*", re.DOTALL)
+_SPACE = re.compile(rb"(?:\s+|//[^\n]*|/\*.*?(?:\*/|\Z))*", re.DOTALL)
 _HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
-_ENTRY = re.compile(r"(\w+)\s+(\"[^\"]*\"|[^;]*);")
+_ENTRY = re.compile(r"\b(\w+)\s+(\"[^\"]*\"|[^;]*);")
 _COUNT = re.compile(rb"(\d*)\s*([({]?)")
+_COMMENT = re.compile(r"//[^\n]*|/\*.*?(?:\*/|\Z)", re.DOTALL)
+_WORD = re.compile(r'"[^"\n]*"|[(){};]|[^\s(){};"]+|"')
 UNIFORM = 2 * 10**8
 """Bytes that a list of equal elements may take, besides ten times its file's size."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
@@ -233,16 +235,54 @@ class Patch:
 
 
 def patches(file: FoamFile) -> list[Patch]:
-    """Reads the patches of a file `boundary`; raises `ValueError` for an entry without type, nFaces or startFace."""
-    text = re.sub(r"//[^\n]*|/\*.*?\*/", " ", file.data[file.end :].decode(errors="replace"), flags=re.DOTALL)
-    found = []
-    for name, body in re.findall(r"(\"[^\"]*\"|[^\s(){};\"]+)\s*\{((?:[^{}]|\{[^{}]*\})*)\}", text):
-        entries = {key: value.strip() for key, value in _ENTRY.findall(body)}
-        try:
-            groups = re.search(r"\(([^()]*)\)", entries.get("inGroups", ""))  # List<word> 2(wall wing), or (wall wing)
-            words = tuple(word.strip('"') for word in groups[1].split()) if groups else ()
-            faces = int(entries["startFace"]), int(entries["nFaces"])
-            found.append(Patch(name.strip('"'), entries["type"], *faces, words))
-        except (KeyError, ValueError) as error:
-            raise file.error(f"patch {name} has no good type, nFaces and startFace ({error})") from error
-    return found
+    """Reads the patches of a file `boundary`: `2 ( inlet { type patch; nFaces 4; startFace 8; } wall { ... } )`.
+
+    It raises `ValueError` for an entry without type, nFaces or startFace, and where the number before the list is not that of
+    its entries.
+    """
+    words = _WORD.findall(_COMMENT.sub(" ", file.data[file.end :].decode(errors="replace")))
+    stated = int(words[0]) if words and words[0].isdecimal() else None
+    at = 0 if stated is None else 1
+    if words[at : at + 1] != ["("]:
+        raise file.error("a list of patches expected, such as 1 ( wall { type wall; nFaces 4; startFace 8; } )")
+    entries, at = [], at + 1
+    while at < len(words) and words[at] != ")":
+        end = _end_of_body(words, at + 1)
+        if end is None:
+            raise file.error(f"patch {words[at][:80]} has no entries between {{ and }}; is the file cut short?")
+        entries.append(_patch(file, words[at], words[at + 2 : end]))
+        at = end + 1
+    if at == len(words) or stated not in (None, len(entries)):
+        end_of_list = "" if at < len(words) else " and no end of the list"
+        raise file.error(f"{stated} patches announced, {len(entries)} read{end_of_list}")
+    return entries
+
+
+def _end_of_body(words: list[str], start: int) -> int | None:
+    """Returns the place of the brace that closes the one at `start`; None where either is missing."""
+    depth = 0
+    for place in range(start, len(words)):
+        depth += {"{": 1, "}": -1}.get(words[place], 0)
+        if depth <= 0:
+            return place if place > start else None
+    return None
+
+
+def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
+    entries, key, depth = {}, None, 0
+    for word in body:
+        depth += {"{": 1, "}": -1}.get(word, 0)
+        if word == ";" or word == "}":
+            key = key if depth else None
+        elif key is None:
+            key, entries[word] = word, []
+        else:
+            entries[key].append(word)
+    try:
+        # List<word> 2(wall wing), or (wall wing)
+        groups = entries.get("inGroups", [])
+        groups = groups[groups.index("(") + 1 : -1] if "(" in groups else []
+        type_, start, count = (entries[key][0] for key in ("type", "startFace", "nFaces"))
+        return Patch(name.strip('"'), type_, int(start), int(count), tuple(word.strip('"') for word in groups))
+    except (KeyError, ValueError, IndexError) as error:
+        raise file.error(f"patch {name[:80]} has no good type, nFaces and startFace ({error})") from error
