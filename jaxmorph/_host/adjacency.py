@@ -13,8 +13,8 @@ from .topology import FACES
 def neighbours(cells: dict[str, Any], xp: Any = np) -> tuple[Any, Any]:
     """Finds the cell behind each face of each cell.
 
-    Two cells are neighbours when a face of one has the nodes of a face of the other: equal rows of sorted nodes find each
-    other by sorting. The sense in which the two run round the face tells whether the cells are numbered alike.
+    Two cells are neighbours when a face of one has the nodes of a face of the other. Sorting the rows of sorted nodes brings
+    equal faces together. The sense in which the two run round the face tells whether the cells are numbered alike.
 
     **Arguments:**
 
@@ -23,9 +23,10 @@ def neighbours(cells: dict[str, Any], xp: Any = np) -> tuple[Any, Any]:
 
     **Returns:**
 
-    Two arrays with one entry for each face, cells in the order of `cells`, the faces of one cell in that of `FACES`:
-    the id of the neighbour, -1 on the boundary and where more than two cells meet; and whether the neighbour is numbered
-    with the other handedness.
+    Two arrays with one entry for each face. Cells are in the order of `cells`, the faces of one cell in that of `FACES`.
+
+    - The id of the neighbour, -1 on the boundary and where more than two cells meet.
+    - True where the neighbour is numbered with the other handedness.
     """
     columns, turns, owners, first = [], [], [], 0
     width = max((len(face) for kind in cells for face in FACES[kind]), default=2)

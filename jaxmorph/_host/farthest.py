@@ -57,9 +57,10 @@ def farthest(
     first: np.ndarray | None = None,
     reach: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Ids of `count` points, each the farthest from those before, as long as one is `closest` away; the `first` ones come first.
+    """Picks `count` points, each the farthest from those before, and returns their ids; it begins with the ids `first`.
 
-    With `reach` (n,) distances are relative to each point's own, and it ends where all are within it.
+    It ends early when no point is `closest` away. With `reach` (n,) each point's distance is relative to its own reach, and
+    it ends when all points are within reach.
     """
     columns = np.ascontiguousarray(points.T)
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))

@@ -76,7 +76,7 @@ def _is_alive(process: int) -> bool:
 
 
 def _machine() -> str:
-    """Names this machine in eight digits: process numbers mean nothing on another one that shares the folder."""
+    """Names this machine in eight digits: process numbers mean nothing on another machine that shares the folder."""
     return f"{zlib.crc32(socket.gethostname().encode()):08x}"
 
 

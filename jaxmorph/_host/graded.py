@@ -16,10 +16,12 @@ SHARE = {2: 0.25, 3: 0.4}
 class Graded(AbstractReduction):
     """Chooses points so that none is farther from a source than `share` times its distance from the other boundary.
 
-    For the fixed boundary: where the moving one is near, the field must vanish within the gap, and few sources leave it
-    wavy there; a far field needs a few dozen at most, however fine its mesh. That distance is the one from the other
-    boundary's nearest source, but no less than the one between that source and its own nearest: where boundaries touch, the
-    spacing goes over from one to the other. Without another boundary it is the diagonal of all points.
+    It is made for the fixed boundary. Where the moving one is near, the field must vanish within the gap, and few sources
+    leave it wavy there. A far field needs a few dozen sources at most, however fine its mesh.
+
+    The distance is measured to the other boundary's nearest source. It is no less than the distance from that source to its
+    own nearest one: where boundaries touch, the spacing changes gradually from one to the other. Without another boundary it
+    is the diagonal of all points.
 
     **Arguments:**
 
@@ -60,7 +62,7 @@ class Graded(AbstractReduction):
 
 
 def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """For each point its distance from the nearest of the others, or that one's from its own nearest where this is larger."""
+    """Measures each point's distance from the nearest of the others, but no less than that one's from its own nearest."""
     if len(others) == 0:
         return np.full(len(points), float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
     tree = KDTree(others)

@@ -10,15 +10,22 @@ from .reduction import AbstractReduction, canonical_order, least_distance
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Greedy(AbstractReduction):
-    """`sources` points, chosen one after the other where they are needed most.
+    """Chooses sources one after the other, each where it is needed most.
 
-    With `motions` (k, m, d), displacements of the m points typical of what is to come (modes, say), each source is put where
-    a thin plate spline through those before misses them by most, as Rendall and Allen do (J. Comput. Phys. 228, 2009); it ends
-    early when it misses none by more than `tolerance` times the largest displacement. Without motions it chooses as
-    `FarthestPoints` does. No two are closer than `separation` times the diagonal of all points. Costs the host sources^3
-    operations.
+    With `motions`, each source is put where a thin plate spline through those before misses the motions by most, as Rendall
+    and Allen do (Journal of Computational Physics 228, 2009). Without motions it chooses as `FarthestPoints` does. It costs
+    the host sources^3 operations.
 
-    Raises `ValueError` for fewer than one source, and when called with another number of points than the motions have.
+    **Arguments:**
+
+    - `sources`: how many points to choose, at least 1.
+    - `motions`: displacements (k, m, d) of the m points, typical of the motions to come, such as modes. Default None.
+    - `tolerance`: it ends early when the spline misses no motion by more than this, relative to the largest displacement;
+      0 by default.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1.
+      Default 1e-3.
+
+    **Raises:** `ValueError` for fewer than one source, and when called with another number of points than the motions have.
     """
 
     sources: int
@@ -60,7 +67,7 @@ class Greedy(AbstractReduction):
 
 
 def _by_error(points: np.ndarray, values: np.ndarray, count: int, closest: float, tolerance: float) -> np.ndarray:
-    """Points where the interpolation of `values` (m, k d) misses by most, an eighth more in each round."""
+    """Picks the points where the interpolation of `values` (m, k d) misses by most, an eighth more in each round."""
     unit = (points - points.mean(axis=0)) / (np.ptp(points, axis=0).max() or 1.0)
     tail = np.concatenate([np.ones((len(unit), 1)), unit], axis=1)
     chosen = farthest(points, min(count, points.shape[1] + 1), closest)
@@ -88,7 +95,7 @@ def _by_error(points: np.ndarray, values: np.ndarray, count: int, closest: float
 
 
 def _missed(kernel: np.ndarray, tail: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(m,) the largest miss, over all values, of the spline through the chosen points (eq. 3 of the paper)."""
+    """Computes the largest miss (m,), over all values, of the spline through the chosen points (eq. 3 of the paper)."""
     terms = tail.shape[1]
     matrix = np.block([[kernel[chosen], tail[chosen]], [tail[chosen].T, np.zeros((terms, terms))]])
     rhs = np.concatenate([values[chosen], np.zeros((terms, values.shape[1]))])

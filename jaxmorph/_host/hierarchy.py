@@ -10,17 +10,17 @@ from .farthest import FarthestPoints
 from .reduction import AbstractReduction, canonical_order, roundoff
 
 BATCH = 256
-"""Nodes that are looked at together for being the next ones."""
+"""Candidates for the next nodes, examined together."""
 
 ROUND_OFF = 1e-9
-"""Relative to a distance: those of mirror images are equal within it."""
+"""Relative difference below which two distances are equal, such as those of mirror images."""
 
 WIDTH = 8
 """Entries in a row of a sweep's table."""
 
 
 def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ids of nodes, each the farthest from those before it, and for every node (b,) the nearest one before it.
+    """Orders the nodes, each the farthest from those before it; finds for every node (b,) the nearest one before it.
 
     The nodes `earlier` stand before all others. Without any, the first is the one farthest from the middle; the node
     farthest from it then takes the place of its nearest. The mirror images of a node, those with its number in `images`
@@ -47,9 +47,8 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
         around = tree.query_ball_point(ordered[picked], radius[picked])
         near, node = _joined(around), np.repeat(picked, [len(ids) for ids in around])
         apart = np.linalg.norm(ordered[near] - ordered[node], axis=1)
-        inside = apart < radius[node] * (
-            1 - ROUND_OFF
-        )  # those outside of it come before this node, or are not nearer to it
+        # nodes outside of the radius come before this node, or are not nearer to it
+        inside = apart < radius[node] * (1 - ROUND_OFF)
         _approach(distance, nearest, near[inside], node[inside], apart[inside])
     nearest[radius == 0] = np.flatnonzero(radius == 0)
     order = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
@@ -58,7 +57,7 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
 
 @dataclasses.dataclass(frozen=True)
 class Share(AbstractReduction):
-    """So many of the points, relative to all, each the farthest from those before; at least one."""
+    """Chooses a fraction of the points, at least one, each the farthest from those before."""
 
     fraction: float
 
@@ -72,7 +71,7 @@ class Share(AbstractReduction):
 
 
 def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distance of each node's nearest mirror image, infinite where there is none, and its id."""
+    """Finds each node's nearest mirror image: its distance, infinite where there is none, and its id."""
     distance, nearest = np.full(len(points), np.inf), np.arange(len(points))
     order = np.argsort(images, kind="stable")
     for shift in range(1, int(np.bincount(np.unique(images, return_inverse=True)[1]).max())):
@@ -86,7 +85,7 @@ def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _first(points: np.ndarray, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
-    """The node farthest from the middle; where it has no image, the node farthest from it becomes its nearest."""
+    """Picks the node farthest from the middle. If it has no image, the node farthest from it becomes its nearest."""
     first = np.linalg.norm(points - points.mean(axis=0), axis=1).argmax()
     if nearest[first] == first:
         away = np.linalg.norm(points - points[first], axis=1)
@@ -100,7 +99,7 @@ def _nearest_of(points: np.ndarray, chosen: np.ndarray, others: np.ndarray) -> t
 
 
 def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
-    """The nodes with the largest distances, of those above `least`, the largest first."""
+    """Lists the nodes with the largest distances above `least`, the largest first."""
     count = min(BATCH, len(distance))
     batch = np.argpartition(-distance, count - 1)[:count]
     batch = batch[distance[batch] > least]
@@ -108,13 +107,13 @@ def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
 
 
 def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.ndarray:
-    """Those of the batch on whose distance no node that comes before them has an effect."""
+    """Selects the nodes of a batch whose distance does not change by the nodes that come before them."""
     apart = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
     return batch[apart.min(axis=1) >= distance[batch] * (1 - ROUND_OFF)]
 
 
 def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, apart: np.ndarray) -> None:
-    """In place: what becomes of the distances of nodes `near` when each has a `node` that far `apart` from it."""
+    """Updates, in place, distance and nearest node of the nodes `near`: each has a `node` that far `apart` from it."""
     closer = np.flatnonzero(apart < distance[near])
     closer = closer[np.argsort(-apart[closer], kind="stable")]  # of several the nearest is written last
     distance[near[closer]], nearest[near[closer]] = apart[closer], node[closer]
@@ -127,7 +126,7 @@ def _joined(lists) -> np.ndarray:
 def overlaps(
     points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (target, centre) closer to each other than the centre's radius (b,), sorted by target, then as in `centres`."""
+    """Finds pairs (target, centre) closer than the centre's radius (b,), sorted by target, then as in `centres`."""
     tree = KDTree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
     around = tree.query_ball_point(points[centres], radius[centres], return_sorted=False)
     target, rank = _joined(around), np.repeat(np.arange(len(centres)), [len(ids) for ids in around])
@@ -136,7 +135,10 @@ def overlaps(
 
 
 def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs sorted by target as rows (count, k) of centres, and which of these are pairs; k is the most that a target has."""
+    """Lays pairs sorted by target into rows (count, k) of centres, and tells which entries are pairs.
+
+    k is the largest number of centres that a target has.
+    """
     sizes = np.bincount(target, minlength=count)
     column = np.arange(len(target)) - (np.cumsum(sizes) - sizes)[target]
     rows = np.zeros((count, max(1, sizes.max(initial=0))), dtype=np.int32)
@@ -153,9 +155,10 @@ The first array (s, r, WIDTH) has positions in the list of entries, -1 where the
 
 
 def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Sweep]:
-    """For a matrix of `count` equations, with entries below a diagonal of ones: the order forward, and that of its transpose.
+    """Orders the equations of a triangular matrix for a forward substitution, and those of its transpose.
 
-    Equations of one level do not depend on each other; a level needs those before it alone.
+    The `count` equations have ones on the diagonal and entries below it. Equations of one level do not depend on each
+    other; a level needs only the levels before it.
     """
     level = np.zeros(count, dtype=np.int64)
     while True:

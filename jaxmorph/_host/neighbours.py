@@ -7,19 +7,22 @@ from .graph import morton_order
 
 
 def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """(k,) for each point the id of the nearest among the `chosen` places, whose `ids` are given."""
+    """Finds for each point the nearest of the `chosen` places, and returns its id out of `ids`."""
     return ids[np.asarray(KDTree(chosen).query(points)[1])]
 
 
 def near_walls(
     surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which points lie near a wall, and the ids (k, count + 1) of the surface nodes that matter to them.
+    """Finds the points that lie near a wall, and the ids (k, count + 1) of the surface nodes that matter to them.
 
     `reach` (b,) is how far a node's wall reaches into the volume. A row holds the `count` nearest nodes of the nearest
-    wall, nearest first, and then the nearest node of any other wall within eight times the reach (else the first one
-    again). The nearest nodes are looked for among the neighbours of the very nearest: one search a point instead of many.
+    wall, nearest first. Its last entry is the nearest node of any other wall within eight times the reach, or the first
+    entry again. A point belongs to the wall of its nearest node alone; a point nearer to another wall is left out.
     """
+    # One search gives each point its nearest node within reach. Its `count` nearest nodes are then among that node's
+    # 2 count neighbours on the wall, which are found once a node instead of once a point. At last each wall's points are
+    # compared with the nodes of all other walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
     order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
@@ -35,20 +38,20 @@ def near_walls(
         closest = np.argsort(sum(a * a for a in apart), axis=1, kind="stable")[:, :count]
         rows[part, :count] = np.take_along_axis(candidates, closest, axis=1)
     rows[:, count] = rows[:, 0]
-    own = np.ones(len(near), dtype=bool)
+    is_nearest = np.ones(len(near), dtype=bool)
     for label in np.unique(wall[first]):
         here, others = np.flatnonzero(wall[first] == label), np.flatnonzero(wall != label)
         if others.size:
             bound = 8 * reach[wall == label].max()
             apart, other = map(np.asarray, _tree(surface[others]).query(points[near[here]], distance_upper_bound=bound))
-            found = np.flatnonzero(other < len(others))
-            rows[here[found], count] = others[other[found]]
-            own[here[found]] = distance[here[found]] <= apart[found]
-    return near[own], rows[own]
+            close = np.flatnonzero(other < len(others))
+            rows[here[close], count] = others[other[close]]
+            is_nearest[here[close]] = distance[here[close]] <= apart[close]
+    return near[is_nearest], rows[is_nearest]
 
 
 def _nearest_within(surface: np.ndarray, reach: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest surface node to each point, of those within their reach, and its distance; infinite where there is none.
+    """Finds the nearest surface node within whose reach a point lies, and its distance, infinite where there is none.
 
     Nodes of about the same reach are searched together: a bound that is far too large costs ten times as much.
     """
@@ -57,24 +60,26 @@ def _nearest_within(surface: np.ndarray, reach: np.ndarray, points: np.ndarray) 
     size = np.frexp(reach[reaching])[1]
     for exponent in np.unique(size):
         members = reaching[size == exponent]
-        found = _tree(surface[members]).query(points, distance_upper_bound=reach[members].max())
-        apart, node = np.asarray(found[0]), members[np.minimum(found[1], len(members) - 1)]
+        apart, nearest = map(
+            np.asarray, _tree(surface[members]).query(points, distance_upper_bound=reach[members].max())
+        )
+        node = members[np.minimum(nearest, len(members) - 1)]
         closer = (apart < distance) & (apart < reach[node])
         distance[closer], first[closer] = apart[closer], node[closer]
     return distance, first
 
 
 def _tree(points: np.ndarray) -> KDTree:
-    """For many searches: cells that are cut in the middle are searched three times faster here than those cut at the median."""
+    """Builds a tree for many searches: cells cut in the middle are searched three times faster than cells cut at the median."""
     return KDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
 
 
 def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
-    """(b, count) the nodes of its own wall nearest to each node, itself first; repeated where a wall has fewer."""
+    """Lists (b, count) the nodes nearest to each node on its wall, itself first and repeated if the wall has fewer."""
     around = np.empty((len(surface), count), dtype=np.int32)
     for label in np.unique(wall):
-        own = np.flatnonzero(wall == label)
-        k = min(count, len(own))
-        found = own[np.asarray(_tree(surface[own]).query(surface[own], k=k)[1]).reshape(len(own), k)]
-        around[own] = np.concatenate([found, np.repeat(own[:, None], count - k, axis=1)], axis=1)
+        nodes = np.flatnonzero(wall == label)
+        k = min(count, len(nodes))
+        nearest = nodes[np.asarray(_tree(surface[nodes]).query(surface[nodes], k=k)[1]).reshape(len(nodes), k)]
+        around[nodes] = np.concatenate([nearest, np.repeat(nodes[:, None], count - k, axis=1)], axis=1)
     return around

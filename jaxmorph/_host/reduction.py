@@ -23,16 +23,16 @@ class AbstractReduction(abc.ABC):
         return self(points)
 
     def closest(self, points: np.ndarray) -> float:
-        """The distance within which two sources are one too many, for these points: round-off by default."""
+        """Returns the distance within which one of two sources is dropped, for these points: round-off by default."""
         return roundoff(points)
 
 
 class AbstractSearchPoints(abc.ABC):
-    """Where in a leaf's box one looks for a source, in the box's local coordinates from -1 to 1."""
+    """Places in a leaf's box, in its local coordinates from -1 to 1: the mesh point closest to each becomes a source."""
 
     @abc.abstractmethod
     def local(self, dimension: int) -> np.ndarray:
-        """(k, d) local coordinates."""
+        """Lists the local coordinates (k, d)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Corners(AbstractSearchPoints):
 
 @dataclasses.dataclass(frozen=True)
 class AllPoints(AbstractReduction):
-    """No reduction: every point is a source, as in the classic method; of coincident points one."""
+    """Chooses every point, as in the classic method; of coincident points one."""
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         return drop_close(points, np.arange(len(points)), roundoff(points))
@@ -71,16 +71,25 @@ class AllPoints(AbstractReduction):
 class KDTree(AbstractReduction):
     """The paper's explicit reduction by a k-d tree (section 2.1), all five steps.
 
-    The box with the most points is split at the median of its longest side, points at one coordinate staying together, until
-    there are `leaves` of them (and, where given, until none holds more than `points_per_leaf` points or is longer than
-    `largest_box`); a box not longer than `smallest_box` is left whole. A leaf's box bounds its own points. `search_points`
-    are laid into each box, the closest mesh point to each becomes a source, duplicates are dropped, and so are sources
-    closer to another one than `separation` times the diagonal of all points: near-coincident sources ruin the
-    conditioning of the solve, and derivatives with it. A fixed source that close to a moving one is dropped too, by the
-    smaller one of their distances. `extremes=True` adds the points at which the bounding box of all
-    points is touched: a blunt trailing edge, a wing's tip. `smallest_box` and `largest_box` are lengths in the mesh's
-    units. `crowded` is the number of leaves where the other boundary is nearer to a point than the longest side of the box of all
-    points: in a passage, at a joint. The result depends on the set of points, not on their order.
+    The box with the most points is split at the median of its longest side; points at one coordinate stay together. A leaf's
+    box bounds its own points. The mesh point closest to each search point of a leaf becomes a source, and duplicates are
+    dropped. The result depends on the set of points, not on their order.
+
+    **Arguments:**
+
+    - `leaves`: boxes are split until there are so many. One of `leaves`, `points_per_leaf` and `largest_box` is needed.
+    - `search_points`: places in each box; its `Corners()` by default, or `Centre()` or `GaussPoints()`.
+    - `points_per_leaf`: boxes are split until none holds more points. Default None: no limit.
+    - `smallest_box`, `largest_box`: lengths in the mesh's units. A box not longer than the first is left whole, one longer
+      than the second is split. Defaults 0 and infinity.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1. Closer ones
+      are dropped, for they ruin the conditioning of the solve and its derivatives. A fixed source is also dropped beside a
+      moving one, by the smaller one of their distances. Default 1e-3.
+    - `extremes`: adds the points that touch the bounding box, as on a blunt trailing edge or a wing's tip. Default False.
+    - `crowded`: the number of leaves if the other boundary is nearer to a point than the longest side of the bounding box,
+      as in a passage or at a joint. Default None: `leaves`.
+
+    **Raises:** `ValueError` if nothing says when to stop, and for values that are not in these ranges.
     """
 
     leaves: int | np.integer | None = None
@@ -114,10 +123,10 @@ class KDTree(AbstractReduction):
         local = self.search_points.local(points.shape[1])
         centre, half = boxes.mean(axis=1), np.ptp(boxes, axis=1) / 2
         search = (centre[:, None] + half[:, None] * local).reshape(-1, points.shape[1])
-        found = np.unique(scipy.spatial.KDTree(ordered).query(search)[1])
+        sources = np.unique(scipy.spatial.KDTree(ordered).query(search)[1])
         if self.extremes:
-            found = np.concatenate([extreme_points(ordered), found])
-        return np.sort(order[drop_close(ordered, found, self.closest(points))])
+            sources = np.concatenate([extreme_points(ordered), sources])
+        return np.sort(order[drop_close(ordered, sources, self.closest(points))])
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
         return self.given(points, others)(points)
@@ -134,7 +143,7 @@ class KDTree(AbstractReduction):
         return least_distance(points, self.separation)
 
     def boxes(self, points: np.ndarray) -> np.ndarray:
-        """(k, 2, d): lower and upper corner of each leaf's box, for points (n, d)."""
+        """Builds the tree for points (n, d): lower and upper corner of each leaf's box (k, 2, d)."""
         counter = itertools.count()  # breaks ties: the leaf found first is split first
 
         def entry(members):
@@ -160,7 +169,7 @@ class KDTree(AbstractReduction):
 
 
 def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Members before and after the median along an axis; points side by side (an outlet, both sides of a wing) stay together."""
+    """Splits members at the median along an axis; points side by side (an outlet, both sides of a wing) stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
     gaps = 1 + np.flatnonzero(np.diff(along) > 1e-9 * (along[-1] - along[0]))
@@ -169,7 +178,7 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndar
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
-    """A permutation that sorts points by their coordinates: what follows does not depend on the order they came in."""
+    """Sorts points by their coordinates, so that results do not depend on the order in which they came."""
     return np.lexsort(points.T[::-1])
 
 
@@ -180,34 +189,34 @@ def check_separation(separation: float) -> None:
 
 
 def least_distance(points: np.ndarray, separation: float) -> float:
-    """`separation` times the diagonal of all points, but no less than round-off."""
+    """Returns `separation` times the diagonal of all points, but no less than round-off."""
     if len(points) == 0:
         return 0.0
     return max(separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
 
 
 def roundoff(points: np.ndarray) -> float:
-    """The distance below which two points are taken to coincide."""
+    """Returns the distance below which two points are taken to coincide."""
     if len(points) == 0:
         return 0.0
     return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max())
 
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
-    """Ids of points on the faces of the bounding box: for each side the ones furthest apart within round-off of it."""
-    found = []
+    """Finds points on the faces of the bounding box: for each side the ones furthest apart within round-off of it."""
+    extremes = []
     for axis in range(points.shape[1]):
         for sign in (-1, 1):
             along = sign * points[:, axis]
             touching = np.flatnonzero(along >= along.max() - 1e-9 * np.ptp(along))
             others = np.delete(points[touching], axis, axis=1)
             corners = [touching[pick(others[:, k])] for k in range(others.shape[1]) for pick in (np.argmin, np.argmax)]
-            found.extend(corners)
-    return np.unique(found)
+            extremes.extend(corners)
+    return np.unique(extremes)
 
 
 def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarray:
-    """`ids` without those whose point lies within `closest` of an earlier one that is kept; order kept."""
+    """Drops ids whose point lies within `closest` of an earlier one that is kept; the order is kept."""
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
@@ -220,7 +229,7 @@ def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarra
 
 
 def drop_near(points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: float) -> np.ndarray:
-    """`ids` without those whose point lies within `closest` of one of the `others`; order kept."""
+    """Drops ids whose point lies within `closest` of one of the `others`; the order is kept."""
     if len(ids) == 0 or len(others) == 0:
         return ids
     return ids[scipy.spatial.KDTree(points[others]).query(points[ids])[0] > closest]

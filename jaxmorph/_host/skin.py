@@ -12,9 +12,9 @@ Faces = Mapping[str, np.ndarray] | None
 
 
 def edges(points: np.ndarray, moving: int, faces: Faces = None) -> np.ndarray:
-    """(e, 2) pairs of neighbouring rows of the surface, both among the `moving` first ones, each once.
+    """Lists each pair (e, 2) of neighbouring rows of the surface once, both among the `moving` first ones.
 
-    They are the sides of the `faces` where those are known, else neighbours by distance. None is as short as round-off.
+    Pairs are the sides of the `faces` where those are known, else neighbours by distance. None is as short as round-off.
     """
     pairs = _sides(faces, moving)
     if not len(pairs):
@@ -34,7 +34,7 @@ def _sides(faces: Faces, moving: int) -> np.ndarray:
 
 
 def _neighbours(points: np.ndarray) -> np.ndarray:
-    """In 2-D each node's nearest and the nearest on its other side; in 3-D its six nearest."""
+    """Pairs each node with its nearest and the nearest on its other side (2-D), or with its six nearest (3-D)."""
     unique, first = np.unique(points, axis=0, return_index=True)
     count = min(6, len(unique) - 1)
     if count < 1:
@@ -50,7 +50,7 @@ def _neighbours(points: np.ndarray) -> np.ndarray:
 
 
 def thinned(places: np.ndarray, most: int) -> np.ndarray:
-    """Ids of at most so many places, spread as all of them are."""
+    """Picks the ids of at most `most` places, spread as all of them are."""
     if len(places) <= most:
         return np.arange(len(places))
     canonical = canonical_order(places)
@@ -59,10 +59,10 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
 
 
 def chords(points: np.ndarray, wall: np.ndarray, faces: Faces = None) -> tuple[np.ndarray, np.ndarray]:
-    """For each wall two nodes far apart (w, 2), and its mean chord (w,) relative to their distance.
+    """Finds two nodes far apart on each wall (w, 2), and measures its mean chord (w,) relative to their distance.
 
-    The mean chord is half of a wall's length in 2-D; in 3-D half of its area over the distance of those two nodes: a wing's
-    chord, and about the diameter of a sphere or a fuselage.
+    In 2-D the mean chord is half of a wall's length. In 3-D it is half of a wall's area over the distance of those two
+    nodes: a wing's chord, and about the diameter of a sphere or a fuselage.
     """
     count = int(wall.max(initial=-1)) + 1
     size, ends = np.zeros(count), np.zeros((count, 2), dtype=np.int32)
@@ -79,7 +79,10 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: Faces = None) -> tuple[n
 
 
 def _shares(points: np.ndarray, faces: Faces) -> np.ndarray:
-    """(b,) the length (in 2-D) or area of the surface around each node: exact with faces, else from the distances of neighbours."""
+    """Measures the length (2-D) or area (3-D) of the surface around each node (b,).
+
+    It is exact with faces, else an estimate from the distances of neighbours.
+    """
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
         for column in corners.T:
@@ -100,15 +103,16 @@ def _measure(corners: np.ndarray) -> np.ndarray:
 
 
 def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """(e,) for each edge the nearest row that is fixed, or on another wall; the edge's own first row where there is none."""
+    """Finds for each edge (e,) the nearest row that is fixed or on another wall; the edge's first row if there is none."""
     middle = points[pairs].mean(axis=1)
     nearest, distance = pairs[:, 0].copy(), np.full(len(pairs), np.inf)
-    own = wall[pairs[:, 0]]
-    for label in np.unique(own):
-        here, others = np.flatnonzero(own == label), np.flatnonzero((wall != label) | (np.arange(len(wall)) >= moving))
+    label_of_edge = wall[pairs[:, 0]]
+    for label in np.unique(label_of_edge):
+        here = np.flatnonzero(label_of_edge == label)
+        others = np.flatnonzero((wall != label) | (np.arange(len(wall)) >= moving))
         if others.size:
-            apart, found = KDTree(points[others]).query(middle[here])
-            nearest[here], distance[here] = others[found], apart
+            apart, closest = KDTree(points[others]).query(middle[here])
+            nearest[here], distance[here] = others[closest], apart
     return nearest
 
 

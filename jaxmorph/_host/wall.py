@@ -11,8 +11,9 @@ from .topology import DIMENSION, EDGES, FACES
 class Lines(NamedTuple):
     """Ids of w wall nodes, of the node at the other end of each one's first grid line, and of a neighbour on the wall.
 
-    `faces` (f, c) are sides of cells on the wall; a triangle repeats its last corner. `rows` (f, c) are their corners' places
-    among the w nodes, w for one that is not to be counted. `sign` (f,) turns their area vectors into the mesh.
+    - `faces` (f, c): sides of cells on the wall; a triangle repeats its last corner.
+    - `rows` (f, c): the place of each corner among the w nodes, w for a repeated corner, which does not count.
+    - `sign` (f,): 1 or -1; times this, an area vector points into the mesh.
     """
 
     nodes: np.ndarray
@@ -24,7 +25,7 @@ class Lines(NamedTuple):
 
 
 def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> Lines:
-    """Of the edges between a wall node and a node off the wall, the one that is nearest to the wall's normal.
+    """Picks for each wall node, of its edges to nodes off the wall, the one nearest to the wall's normal.
 
     Raises `ValueError` where the wall nodes hold no side of a cell on the mesh's boundary.
     """
@@ -58,7 +59,7 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
 
 
 def areas(x: Any) -> Any:
-    """(f, d) area vectors of faces (f, c, d), the length of an edge in 2-D; not turned. Works on JAX's arrays too."""
+    """Computes area vectors (f, d) of faces (f, c, d), as long as an edge in 2-D; not turned. Takes JAX's arrays too."""
     if x.shape[2] == 2:
         along = x[:, 1] - x[:, 0]
         return along[:, ::-1] * np.array([[-1.0, 1.0]], dtype=x.dtype)
@@ -69,7 +70,7 @@ def areas(x: Any) -> Any:
 
 
 def _sides(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sides of one cell only with all their corners on the wall, and a corner of that cell that is not on the side."""
+    """Lists sides that have all corners on the wall and one cell only, and a corner of that cell off the side."""
     faces, apexes = [], []
     width = {2: 2, 3: 4}[max((DIMENSION[kind] for kind in cells), default=2)]
     for kind, corners in cells.items():
@@ -87,7 +88,7 @@ def _sides(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.nda
 
 
 def _edges_off(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of cells with one end on the wall: that end, and the other one."""
+    """Lists edges of cells with one end on the wall: that end, and the other one."""
     pairs = [np.zeros((0, 2), dtype=np.int64)]
     for kind, corners in cells.items():
         near = corners[on_wall[corners].any(axis=1)]

@@ -1,4 +1,4 @@
-"""Which walls there are: by the faces between surface nodes where these are known, else by chains of nearest neighbours."""
+"""Walls of a surface: by the faces between its nodes where these are known, else by chains of nearest neighbours."""
 
 from collections.abc import Mapping
 
@@ -13,24 +13,25 @@ SHARP = np.cos(np.deg2rad(45))
 """Cosine of the turn from which on two faces that close in on the mesh between them belong to different walls."""
 
 REACH = 1.5
-"""Neighbours are those within this many distances of the eighth (in 2-D second) nearest node."""
+"""Distance within which nodes are neighbours, relative to that of the eighth nearest node (second nearest in 2-D)."""
 
 CURVED = 4
-"""Nodes on a curve: so many times its extent over the distance of the nearest node, at most; on a surface far more."""
+"""The most nodes on a curve, relative to its extent over the distance of the nearest node; on a surface there are far more."""
 
 SAMPLE = 16
 """Nodes of a curve that vote on which part is the next one."""
 
 AROUND = 512
-"""Nearest nodes among which a vote is sought, before all are asked."""
+"""Nearest nodes among which a vote is sought, before all nodes are searched."""
 
 
 def walls(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
-    """(b,) the number of the wall to which each surface node belongs; the first `moving` nodes move.
+    """Numbers the walls, and returns the number (b,) for each surface node; the first `moving` nodes move.
 
-    Nodes that move and nodes that are fixed are on different walls, though they may touch. With `faces` (rows of `points`,
-    each seen counter-clockwise from outside of the mesh) a wall goes on from a face to its neighbours, but not round a
-    corner of less than 135 degrees that holds the mesh: floor and side of a box are two walls, both sides of an airfoil one.
+    Nodes that move and nodes that are fixed are on different walls, though they may touch. `faces` are rows of `points`,
+    each seen counter-clockwise from outside of the mesh. With them a wall goes on from a face to its neighbours, but not
+    round a corner of less than 135 degrees that holds the mesh. So floor and side of a box are two walls, both sides of an
+    airfoil one.
 
     Without faces two nodes are of one wall when a chain of nearest neighbours (2 in 2-D, 8 in 3-D) leads from one to the
     other. In 3-D structured meshes such chains may stay within one section of a wing; a wall of sections, or of lines, is put
@@ -49,7 +50,7 @@ def walls(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | Non
 
 
 def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The faces of a whole boundary, by type, turned round if they enclose a negative area or volume: cells numbered clockwise."""
+    """Turns the faces of a whole boundary round if they enclose a negative area or volume: cells numbered clockwise."""
     origin, enclosed = points.mean(axis=0), 0.0
     for corners in faces.values():
         enclosed += np.einsum("kd,kd->", *_outward(points[corners] - origin))
@@ -57,7 +58,7 @@ def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> di
 
 
 def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
-    """(b,) the wall of each node, -1 for one of no face."""
+    """Finds the wall of each node (b,) by its faces, -1 without any."""
     normal, middle = (
         np.concatenate(parts) for parts in zip(*(_outward(points[group]) for group in groups), strict=True)
     )
@@ -79,7 +80,7 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
 
 
 def _outward(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normals as long as the faces (k, corners, d) are large, and their middles."""
+    """Computes normals and middles of faces (k, corners, d); a normal's length is the face's area."""
     if corners.shape[1] == 2:
         along = corners[:, 1] - corners[:, 0]
         return np.stack([along[:, 1], -along[:, 0]], axis=1), corners.mean(axis=1)
@@ -88,9 +89,9 @@ def _outward(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs of faces that share an edge (in 2-D a node), and whether they run through it in opposite senses, as they should.
+    """Finds pairs of faces that share an edge (a node in 2-D), and tells whether they run through it in opposite senses.
 
-    Faces are numbered through all groups.
+    Faces of a consistent surface do. They are numbered through all groups.
     """
     edges, owners, start = [], [], 0
     for group in groups:
@@ -117,7 +118,7 @@ def _components(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray
 
 
 def _by_chains(points: np.ndarray) -> np.ndarray:
-    """(k,) the wall of each of some nodes, all moving or all fixed."""
+    """Finds the wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
     count = min({2: 2, 3: 8}[points.shape[1]], len(unique) - 1)
     if count < 1:
@@ -132,10 +133,10 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
 
 
 def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of parts, the first of which is a curve and the second the next part of the same wall, on either side of it.
+    """Pairs each part that is a curve with the next part of the same wall, on either side of it.
 
-    A wall is a surface, so a curve of nodes goes on across itself: to the part that lies next on either side of its plane (a
-    section), or of the line itself. Most of a few nodes of the curve must find the same one there.
+    A wall is a surface, so a curve of nodes goes on to a part beside it. That part lies beside the plane of a section, or
+    beside a straight line. Most nodes of a sample of the curve must find the same part there.
     """
     tree, pairs = KDTree(points), []
     for curve in range(label.max() + 1):
@@ -152,7 +153,7 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
 
 
 def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
-    """The curve, with the part that most of its sample find next to it on either side, among the nodes `around` each."""
+    """Pairs the curve with the part that most of its sample find nearest on either side, among the nodes `around` each."""
     curve = label[members[0]]
     apart = points[around] - sample[:, None]
     distance = np.where(label[around] == curve, np.inf, np.linalg.norm(apart, axis=2))
@@ -170,7 +171,7 @@ def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: n
 
 
 def _across(curve: np.ndarray, apart: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """The direction across a curve: the normal of its plane, or that of the nearest other node where it is straight."""
+    """Finds the direction across a curve: the normal of its plane, or towards the nearest other node if it is straight."""
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
     if size[1] > 0.01 * size[0]:
         return axes[-1]

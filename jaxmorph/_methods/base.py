@@ -22,11 +22,15 @@ BLOCK = 512
 class Surface:
     """The moving and fixed nodes as `AbstractMethod.connect` sees them, on the host.
 
-    `points` (b, d) are their coordinates, the `moving` first ones moving, the others fixed. `nodes` (b,) are their row
-    numbers among the points that `connect` is asked about, -1 for one that is not among them. `images` (b,) names for each
-    row the row of which it is the mirror image, or itself. `matched` are rows whose displacement is known to vanish: the
-    sources of a coarse field, where a correction has nothing to do. `faces` are the boundary faces between rows, (k, corners)
-    by type (`line` in 2-D), or None where `prepare` was given points without cells.
+    A row of the surface is one of its b nodes.
+
+    - `points` (b, d): coordinates, the `moving` first ones moving, the others fixed.
+    - `nodes` (b,): each row's place among the points that `connect` is given, -1 for a row that is not among them.
+    - `moving`: the number of moving rows.
+    - `images` (b,): for each row the row of which it is the mirror image, or itself.
+    - `matched`: rows whose displacement is known to vanish. They are a coarse field's sources, where a correction has
+      nothing to do.
+    - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None without cells.
     """
 
     points: np.ndarray
@@ -44,20 +48,20 @@ class Surface:
         return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
 
     def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
-        """The rows that a reduction chooses, images included, and how close two of them may come.
+        """Chooses rows by a reduction, images included, and returns also how close two of them may come.
 
         A source too close to its own image gives way to the nearest node that is not, one on the plane if there is any. Two
         sources that are apart are farther from each other's images: all nodes lie on one side of a plane.
         """
-        own = rows[self.images[rows] == rows]
-        closest = reduction.closest(self.points[own])
-        chosen = own[reduction.beside(self.points[own], others)]
+        originals = rows[self.images[rows] == rows]
+        closest = reduction.closest(self.points[originals])
+        chosen = originals[reduction.beside(self.points[originals], others)]
         images = np.flatnonzero(self.images != np.arange(len(self.points)))
         apart = np.full(len(self.points), np.inf)
         np.minimum.at(
             apart, self.images[images], np.linalg.norm(np.subtract(*self.points[[images, self.images[images]]]), axis=1)
         )
-        near, free = chosen[apart[chosen] <= closest], own[apart[own] > closest]
+        near, free = chosen[apart[chosen] <= closest], originals[apart[originals] > closest]
         if near.size:
             moved = free[KDTree(self.points[free]).query(self.points[near])[1]] if free.size else near[:0]
             chosen = drop_close(self.points, np.concatenate([moved, chosen[apart[chosen] > closest]]), closest)
@@ -180,11 +184,14 @@ class AbstractMethod(eqx.Module):
         return jnp.zeros_like(u)
 
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
-        """Host, once, after the first `fit`: raises or warns when the factors are unusable; `u` is a displacement to try."""
+        """Raises or warns when the factors are unusable. Called once, on the host, after the first `fit`.
+
+        `u` is a displacement to try.
+        """
 
     @property
     def exact(self) -> bool:
-        """Whether the field takes the given displacements at the surface's nodes; they are then assigned bit for bit."""
+        """True if the field takes the given displacements at the surface's nodes; they are then assigned bit for bit."""
         return True
 
 

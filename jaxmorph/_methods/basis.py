@@ -36,8 +36,8 @@ class AbstractBasis(eqx.Module):
 
     - `min_degree`: the lowest degree of the polynomial with which the interpolation matrix is regular (None: no polynomial
       needed). For a conditionally positive definite function of order k it is k - 1.
-    - `scale_free`: phi of a scaled distance differs from a multiple of phi by a polynomial which `min_degree` takes up;
-      the distances are then taken in units of the sources' extent, which conditions the matrix.
+    - `scale_free`: True if phi of a scaled distance differs from a multiple of phi by a polynomial of `min_degree`. Distances
+      are then taken in units of the sources' extent, which conditions the matrix.
     """
 
     min_degree: ClassVar[int | None] = None

@@ -19,15 +19,14 @@ def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -
 def place_points(
     method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
 ) -> PyTree:
-    """Calls `method.place` for every point."""
+    """Adds to every point's ids what its place gives, by `method.place`."""
     if not jax.tree.leaves(ids):
         return ids
     place = jax.checkpoint(jax.vmap(lambda x, ids: method.place(x, ids, factors, surface)))
     n = len(points)
     block = min(BLOCK, n)
-    starts = jnp.minimum(
-        jnp.arange(0, n, block), n - block
-    )  # the last block begins within the one before: no other shape
+    # the last block begins within the one before, so that all have one shape
+    starts = jnp.minimum(jnp.arange(0, n, block), n - block)
 
     def of_block(start):
         return place(*jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, block), (points, ids)))
@@ -40,7 +39,7 @@ def place_points(
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
-    """`function` of blocks of so many rows, put together again: what it returns for a block has as many rows.
+    """Applies a function to blocks of `block` rows, and joins the results, which have as many rows as the blocks.
 
     Each block adds its rows to one array of zeros, in place; the last block may be shorter. Nothing is padded.
     """
@@ -84,7 +83,7 @@ def is_rows(leaf: object) -> bool:
 
 
 def with_tables(placed: PyTree, count: int, parts: int = 1) -> PyTree:
-    """Host: gives each operator in `placed` a table of its transpose; there are `count` surface nodes, `parts` devices."""
+    """Gives each operator in `placed` a table of its transpose, on the host, for `count` surface nodes and `parts` devices."""
     return _map_rows_of(lambda rows: rows.with_table(count, parts), placed)
 
 
@@ -94,7 +93,7 @@ def without_tables(placed: PyTree) -> PyTree:
 
 
 def with_tables_of(old: PyTree, placed: PyTree) -> PyTree:
-    """Traced: `placed`, computed anew for the same ids, with the tables of the `old` ones."""
+    """Gives the operators in `placed` the tables of the `old` ones, which have the same ids. Traced."""
     return _map_rows_of(lambda rows, before: rows.with_table_of(before), placed, old)
 
 

@@ -1,4 +1,4 @@
-"""Delaunay graph mapping (Liu, Qin and Xia 2006; section 2.3 of the paper, eqs. 6 to 9)."""
+"""Delaunay graph mapping (Liu, Qin and Xia, J. Comput. Phys. 211, 2006; section 2.3 of the paper, eqs. 6 to 9)."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,13 +10,13 @@ from .sparse import InterpolatedField, Interpolation
 
 
 class DelaunayGraph(AbstractMethod):
-    """Delaunay graph mapping: each point follows the simplex of surface nodes that holds it, linearly (eq. 8).
+    """Moves each point linearly with the simplex of surface nodes that holds it (eq. 8): Delaunay graph mapping.
 
     The graph stands on the undeformed surface and carries displacements, so that the map is one linear operator for any
     motion. A surface node follows itself alone, whatever the graph does around it; of several coincident nodes the
     first one (moving before fixed) stands for all in the graph.
 
-    `prepare` raises `ValueError` for points outside of the convex hull of the surface.
+    **Raises:** `prepare` raises a `ValueError` for points outside of the convex hull of the surface.
     """
 
     def connect(self, surface: Surface, points):
@@ -25,8 +25,8 @@ class DelaunayGraph(AbstractMethod):
         inside = np.flatnonzero(rows == len(surface.points))
         repaired = outside = 0
         if inside.size:
-            found = locate(surface.points, points, inside)
-            vertices[inside], repaired, outside = found.vertices, found.repaired, found.outside
+            location = locate(surface.points, points, inside)
+            vertices[inside], repaired, outside = location.vertices, location.repaired, location.outside
         return Located(jnp.asarray(repaired, jnp.int32), jnp.asarray(outside, jnp.int32)), vertices
 
     def fit(self, ids, surface):
@@ -41,7 +41,7 @@ class DelaunayGraph(AbstractMethod):
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Barycentric coordinates e of x (eqs. 6 and 7, and their like in 3-D) in closed form; (1, 0, ...) where `at_node`."""
+    """Computes barycentric coordinates e of x (eqs. 6 and 7, and their like in 3-D) in closed form; (1, 0, ...) `at_node`."""
     edges = [corner - corners[0] for corner in corners[1:]]
     inner = x - corners[0]
     whole = _determinant(edges)

@@ -16,16 +16,16 @@ from .nearwall import norm
 from .rbf import RBF, RBFFactors, polynomial
 
 ELL, MU = 0.17, 0.1
-"""The two lengths, relative to the mean chord of the wall."""
+"""Defaults of `ell` and `mu`, relative to the mean chord of the wall."""
 
 JOINT = 0.2
-"""The length of strain, at most, relative to the distance of the nearest node that is fixed or of another wall."""
+"""Largest `ell`, relative to the distance of the nearest node that is fixed or of another wall."""
 
 SOURCES_ALONE = 64
-"""Leaves of the k-d tree, at least, where the field interpolates instead of being fitted."""
+"""Fewest leaves of the k-d tree if the field interpolates instead of being fitted."""
 
 ROWS = 4096
-"""Nodes of the wall, and edges, that the fit looks at, at most."""
+"""Most nodes of the wall, and most edges, that enter the fit."""
 
 
 def _length(value) -> Float[Array, ""] | None:
@@ -33,27 +33,31 @@ def _length(value) -> Float[Array, ""] | None:
 
 
 class FittedRBF(AbstractMethod):
-    """A field of radial basis functions that follows the body instead of its skin, made to be corrected.
+    """Fits radial basis functions that follow the body instead of its skin; a coarse field, made to be corrected.
 
-    `RBF` takes the wall's displacement u at its sources. This method chooses the values v at the moving sources (those at the
-    fixed ones are u), so that the field c_v is the best fit, in least squares over nodes i and edges e of the moving walls:
+    `RBF` takes the wall's displacement u at its sources. This method chooses the values v at the moving sources; those at the
+    fixed ones are u. The field c_v is then the best fit, in least squares over nodes i and edges e of the moving walls:
 
         mean_i |c_v - u|^2  +  mean_e mu^2 |d/ds (c_v - u)|^2  +  mean_e ell^2 2 |dev sym grad c_v|^2
 
     d/ds is the derivative along an edge, and dev sym grad the deviatoric strain at its middle. The first two terms follow
-    value and slope along the wall. The third lets the field carry the body as rigidly as that allows: grid lines stay at right
-    angles to the wall, and a change of one side of a thin body does not go on beyond its other side. What is left to the
-    correction is the change of the skin itself. Where the whole surface moves by an affine motion, the field is that motion:
-    strain is measured from the affine motion that fits the surface's displacement best.
+    value and slope along the wall. The third lets the field carry the body as rigidly as they allow. So grid lines stay at
+    right angles to the wall, and a change of one side of a thin body does not go on beyond its other side. The change of the
+    skin itself is left to the correction. If the whole surface moves by an affine motion, the field is that motion: strain is
+    measured from the affine motion that fits the surface's displacement best.
 
-    `ell` and `mu` are lengths in the mesh's units, 0.17 and 0.1 of each wall's mean chord by default (half of its perimeter; in 3-D
-    half of its area over its span). `ell` is nowhere more than 0.2 of the distance to the nearest node that is held or of
-    another wall. A large `ell` keeps the wall's lines at right angles, a small one follows the skin. `rbf` has basis and
-    sources. Few sources are enough; where another boundary is near there are twice as many leaves. Walls of more than 4,096
-    nodes or edges are sampled.
+    A free side is a flat side of the mesh that is neither moving, fixed nor a symmetry plane. A field that turns with the body
+    would carry it out of its plane. A mesh with a free side gets the interpolation of many sources instead of the fit.
 
-    A mesh with a free side, a flat one that is neither moving, fixed nor a symmetry plane, gets the interpolation of many sources
-    instead of the fit: a field that turns with the body would carry the side out of its plane.
+    **Arguments:**
+
+    - `rbf`: basis and sources. Few sources are enough: by default 16 leaves of a k-d tree, and 32 if another boundary is near.
+    - `ell`: the length that weighs strain, in the mesh's units. A large one keeps the wall's lines at right angles, a small one
+      follows the skin. It is nowhere more than 0.2 of the distance to the nearest node that is held or of another wall.
+      Default 0.17 of each wall's mean chord: half of its perimeter, in 3-D half of its area over its span.
+    - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of each wall's mean chord.
+
+    Walls of more than 4,096 nodes or edges are sampled.
 
     The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s moving sources.
     """
@@ -86,7 +90,7 @@ class FittedRBF(AbstractMethod):
         return RBF(self.rbf.basis, reduction, self.rbf.fixed_reduction, self.rbf.degree)
 
     def _sources_alone(self, surface: Surface, sources: np.ndarray) -> "WallIds":
-        """No edges and no nodes but the sources: the fit is then the interpolation, each component by itself."""
+        """Makes ids without edges, and with the sources as the only nodes: the fit is then the interpolation."""
         moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
         none = np.zeros((0, 2))
         rows = (jnp.asarray(each.astype(np.int32)) for each in (moving, fixed, moving, none, none[:, 0], none))
@@ -142,7 +146,7 @@ class FittedRBF(AbstractMethod):
         return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *_affine(self.rbf, rbf, surface))
 
     def _lengths(self, ids: "WallIds", surface, middle):
-        """ell and mu at each edge."""
+        """Computes ell and mu at each edge."""
         chord = ids.share.astype(surface.dtype) * norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
         ell, mu = (
             share * chord if given is None else jnp.full_like(chord, given)
@@ -164,7 +168,7 @@ class FittedRBF(AbstractMethod):
         return self.rbf.through(factors.rbf, jnp.concatenate([moving, values[ids.fixed]]), u.dtype)
 
     def _affine_part(self, factors: "FitFactors", values):
-        """Coefficients (p, d) of the affine motion nearest to the surface's displacement."""
+        """Finds the coefficients (p, d) of the affine motion nearest to the surface's displacement."""
         moments = _product(factors.polynomial.T, values)
         return jax.scipy.linalg.cho_solve((factors.moments, True), moments)
 
@@ -195,7 +199,7 @@ class FitFactors(eqx.Module):
 
 
 def _system(follow: Float[Array, "s s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d s d s"]:
-    """The normal equations: `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2."""
+    """Assembles the normal equations: `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2."""
     _, d, s = slopes.shape
     flat = slopes.reshape(len(slopes), d * s)
     strain = _product(flat.T, flat).reshape(d, s, d, s)
@@ -205,7 +209,7 @@ def _system(follow: Float[Array, "s s"], slopes: Float[Array, "e d s"]) -> Float
 
 
 def _affine(method: RBF, rbf: RBFFactors, surface: Float[Array, "b d"]):
-    """The polynomial's terms at the surface, and the factored matrix of their moments."""
+    """Evaluates the polynomial's terms at the surface, and factors the matrix of their moments."""
     terms = polynomial((surface - rbf.centre[None]) * rbf.scale, method.degree)
     return terms, jnp.linalg.cholesky(_product(terms.T, terms))
 

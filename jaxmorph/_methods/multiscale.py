@@ -15,7 +15,7 @@ from .sparse import InterpolatedField, Interpolation
 
 
 class Multiscale(AbstractMethod):
-    """Multiscale interpolation: each node of the surface has a Wendland C2 function of a radius of its own.
+    """Interpolates with a Wendland C2 function at each node of the surface, of a radius of its own: multiscale.
 
     The nodes come one after the other, each the farthest from those before it; its distance to the nearest of those is the
     radius of its function. So a function vanishes at every node before its own. The system is triangular and sparse, and its
@@ -31,10 +31,14 @@ class Multiscale(AbstractMethod):
     def whole(radius, fraction: float = 0.05) -> SurfaceReconstruction:
         """Returns the method with both of its stages: a dense system for some of the nodes, this correction for all others.
 
-        `radius` is that of the Wendland C2 functions of the first stage, a length in the mesh's units, of the order of the
-        body's size or beyond. `fraction` is the share of the nodes that stands in it, spread evenly over the surface.
+        **Arguments:**
 
-        Raises `ValueError` for a radius that is not positive, and a fraction that is not between 0 and 1.
+        - `radius`: radius of the first stage's Wendland C2 functions, in the mesh's units. It is as large as the body or larger.
+        - `fraction`: share of the nodes in the first stage, spread evenly over the surface, from 0 to 1. Default 0.05.
+
+        **Returns:** a `SurfaceReconstruction`.
+
+        **Raises:** `ValueError` for a radius that is not positive, and a fraction that is not between 0 and 1.
         """
         base = RBF(WendlandC2(radius), reduction=Share(fraction), fixed_reduction=Share(fraction), degree=None)
         return SurfaceReconstruction(base, Multiscale())
@@ -73,14 +77,14 @@ class Multiscale(AbstractMethod):
 
 
 class Sweep(eqx.Module):
-    """In which order the equations are solved; see `jaxmorph._host.hierarchy.sweeps`."""
+    """Order in which the equations are solved; see `jaxmorph._host.hierarchy.sweeps`."""
 
     entries: Int[Array, "s r w"]
     owner: Int[Array, "s r"]
 
 
 class Hierarchy(eqx.Module):
-    """For each node the nearest before it, or itself where it has no function; and what reaches whom: entries (row, column)."""
+    """The nearest node before each one, or itself if it has no function; entries (row, column) of the triangular system."""
 
     nearest: Int[Array, " b"]
     row: Int[Array, " e"]
@@ -104,7 +108,7 @@ class MultiscaleFactors(eqx.Module):
 
 
 def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b d"]) -> Float[Array, "b d"]:
-    """Coefficients of the functions: a forward substitution, whose derivative and transpose are such sweeps too."""
+    """Solves for the functions' coefficients by a forward substitution; its derivative and transpose are such sweeps too."""
 
     def product(c):
         reached = entries[:, None] * c[ids.column]
@@ -122,7 +126,7 @@ def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b 
 def _swept(
     sweep: Sweep, source: Int[Array, " e"], entries: Float[Array, " e"], values: Float[Array, "b d"]
 ) -> Float[Array, "b d"]:
-    """Each step takes from its owners what nodes known by then contribute to them."""
+    """Substitutes step by step: each one subtracts from its owners what the nodes known by then contribute."""
     used = sweep.entries >= 0
     weights = jnp.where(used, entries[sweep.entries], 0)
     nodes = jnp.where(used, source[sweep.entries], 0)
@@ -136,7 +140,7 @@ def _swept(
 
 
 def _wendland(squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The basis at a distance relative to the radius; there is no function, and no entry, where that is zero."""
+    """Evaluates the basis at a distance relative to the radius. Where the radius is zero there is no function and no entry."""
     positive = squared_radius > 0
     return WendlandC2(1.0)(squared_distance / jnp.where(positive, squared_radius, 1))
 

@@ -16,7 +16,7 @@ from .delaunay import DelaunayGraph
 from .sparse import InterpolatedField, Interpolation
 
 NEIGHBOURS = 6
-"""Wall nodes whose displacements a point near the wall averages, and one more, at which the average ends."""
+"""Wall nodes whose displacements a point near the wall averages. One more sets the distance at which weights vanish."""
 
 REACH = 0.5
 """Width of the layer, relative to the largest distance from a wall's node to its nearest source."""
@@ -26,18 +26,25 @@ CHORD = 0.25
 
 
 class NearWall(AbstractMethod):
-    """A correction, replaced near the wall by the displacement of the wall itself.
+    """Replaces a correction near the wall by the displacement of the wall itself.
 
-    u = chi u_wall + (1 - chi) u_correction, with chi = Wendland's C2 function of the distance to the wall over `width`, and
-    u_wall that of the nearest wall nodes, weighted by inverse distance (Franke and Little's weights, which end continuously).
-    A Delaunay graph lays chords over a concave or flat wall, and carries points above a chord differently from wall nodes
-    under it: by more than the thickness of a boundary layer's first cell. Points that follow the nearest wall keep their
-    place in the layer. The map is one fixed sparse operator, exact at the surface's nodes.
+    u = chi u_wall + (1 - chi) u_correction. Here chi is Wendland's C2 function of the distance to the wall over `width`. The
+    displacement u_wall is that of the nearest wall nodes, weighted by inverse distance (Franke and Little's weights, which end
+    continuously).
 
-    `width` is a length in the mesh's units. By default it is, for each wall, half of the largest distance from a node
-    to the nearest one of the same wall at which the correction has nothing to do (a source whose displacement the coarse field
-    takes). Of a wall without such nodes it is a quarter of its mean chord: of half of its length, in 3-D of half of its area
-    over its span. It ends before half of the gap to another wall.
+    A Delaunay graph lays chords over a concave or flat wall. Points above a chord then move differently from wall nodes under
+    it, by more than the thickness of a boundary layer's first cell. Points that follow the nearest wall keep their place in
+    the layer. The map is one fixed sparse operator, exact at the surface's nodes.
+
+    By default the width is half of the largest distance from a wall's node to the nearest matched node of that wall: a source
+    at which the coarse field takes the displacement. For a wall without matched nodes it is a quarter of the mean chord,
+    which is half of the wall's length, in 3-D half of its area over its span.
+
+    **Arguments:**
+
+    - `correction`: any method. Default `DelaunayGraph()`.
+    - `width`: width of the layer in the mesh's units. It ends before half of the gap to another wall. Default None: it is
+      chosen for each wall.
     """
 
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
@@ -57,13 +64,13 @@ class NearWall(AbstractMethod):
         extent = self._extent(surface)
         width = np.asarray(self._width(extent, jnp.asarray(surface.points)))
         wall = np.asarray(extent.wall)
-        own = surface.rows(len(points))
-        inside = np.flatnonzero(own == len(surface.points))
+        row_of_point = surface.rows(len(points))
+        inside = np.flatnonzero(row_of_point == len(surface.points))
         near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1)
-        nodes = np.repeat(own[:, None], NEIGHBOURS + 2, axis=1)  # a node of the surface: itself
+        nodes = np.repeat(row_of_point[:, None], NEIGHBOURS + 2, axis=1)  # a node of the surface: itself
         nodes[inside] = 0
         nodes[inside[near]] = rows
-        reached = own < len(surface.points)
+        reached = row_of_point < len(surface.points)
         reached[inside[near]] = True
         return (correction, extent), (correction_at_points, WallRow(jnp.asarray(nodes), jnp.asarray(reached)))
 
@@ -99,7 +106,7 @@ class NearWall(AbstractMethod):
         return Extent(*ids, share=jnp.asarray(share))
 
     def _width(self, extent: "Extent", surface: Float[Array, "b d"]) -> Float[Array, " b"]:
-        """The width of the layer over each surface node, the same for all of one wall."""
+        """Computes the width of the layer over each surface node, the same for all of one wall."""
         if self.width is not None:
             return jnp.full(len(surface), self.width.astype(surface.dtype))
         gap = norm(surface - surface[extent.matched])
@@ -121,7 +128,7 @@ class Extent(eqx.Module):
 
 
 class WallRow(eqx.Module):
-    """For a point near a wall: its nearest nodes, nearest first, and last the nearest node of another wall."""
+    """Wall nodes of a point near a wall: the nearest ones, nearest first, and last the nearest node of another wall."""
 
     nodes: Int[Array, "*n k"]
     reached: Bool[Array, "*n"]
@@ -148,7 +155,7 @@ class NearWallField(AbstractField):
 
 
 def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surface: Float[Array, "b d"]):
-    """chi, and the weights of the nearest wall nodes."""
+    """Computes chi, and the weights of the nearest wall nodes."""
     nearest, other = row.nodes[:-1], row.nodes[-1]
     distance = norm(surface[nearest] - x[None])
     reach = distance.max() * (1 + 1e-6)
@@ -170,7 +177,7 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
 
 
 def norm(vectors: Float[Array, "... d"]) -> Float[Array, "..."]:
-    """Euclidean length, with derivative zero at zero."""
+    """Computes the Euclidean length, with derivative zero at zero."""
     squared = jnp.sum(vectors**2, axis=-1)
     positive = squared > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)

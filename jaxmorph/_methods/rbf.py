@@ -1,4 +1,8 @@
-"""Radial basis function interpolation from a reduced set of sources (sections 2.1 and 2.2 of the paper, eqs. 1 to 4)."""
+"""Radial basis function interpolation from a reduced set of sources (sections 2.1 and 2.2 of the paper, eqs. 1 to 4).
+
+The classic method on all nodes of the surface is that of de Boer, van der Schoot and Bijl (Computers and Structures 85, 2007).
+Rendall and Allen (Journal of Computational Physics 228, 2009) reduced its sources.
+"""
 
 import warnings
 
@@ -24,20 +28,29 @@ USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
 
 
 class RBF(AbstractMethod):
-    """c(x) = p(x) + sum_j beta_j phi(|x - x_j|), with sources x_j among the surface's nodes (eq. 1).
+    """Interpolates by radial basis functions: c(x) = p(x) + sum_j beta_j phi(|x - x_j|), eq. (1).
 
-    Moving and fixed nodes are reduced apart. `degree` is that of the polynomial p: None (no polynomial), 0, or 1, which
-    reproduces rigid and affine motions. With `AllPoints()` for both reductions it is the classic method, exact on the
-    surface; with fewer sources the surface follows approximately, fixed nodes that are no sources move too, and
+    A source x_j is a node of the surface that carries a function: a control point, or centre, of the field. Moving and fixed
+    nodes are reduced to sources apart. With `AllPoints()` for both reductions it is the classic method, exact on the surface.
+    With fewer sources the surface follows approximately, and fixed nodes that are no sources move too;
     `SurfaceReconstruction` adds what is missing.
 
-    The dense system (eq. 3) is factored once per plan, in float64 where JAX's x64 mode is on. `prepare` raises
-    `ValueError` where the sources cannot determine the polynomial (all in one plane), and where the system is so nearly
-    singular (a wide radius, sources that nearly coincide) that rounding changes displacements by more than 1 %; it warns from
-    1e-6 on (1e-3 without x64). That is measured: a smooth motion is interpolated, and so is what the result misses at
-    the sources; the largest value of this second field, at the sources and between them, is the error. A condition number
-    would not do: 1e-15 is its reciprocal for a sound Wendland C2 function of the size of an airfoil's mesh (error 3e-7)
-    and for a useless Gaussian (error 0.1), and scaling the mesh changes it.
+    **Arguments:**
+
+    - `basis`: the function phi. Default `ThinPlateSpline()`, which has no parameter.
+    - `reduction`, `fixed_reduction`: choose the sources among the moving and among the fixed nodes. Defaults `KDTree(64)` and
+      `Graded()`. More sources follow the surface closer, and cost more.
+    - `degree`: degree of the polynomial p: None (no polynomial), 0, or 1, which reproduces rigid and affine motions. Default 1.
+
+    **Raises:** `ValueError` for another degree. `prepare` raises it where the sources cannot determine the polynomial (all in
+    one plane). It also does so if rounding changes displacements by more than 1 %, because the radius is wide or sources
+    nearly coincide. It warns from 1e-6 on (1e-3 without x64).
+
+    The dense system (eq. 3) is factored once per plan, in float64 if JAX's x64 mode is on. The effect of rounding is measured.
+    A smooth motion is interpolated, and so is what the result misses at the sources. The largest value of this second field,
+    at the sources and between them, is the error. A condition number would not do, and scaling the mesh changes it. Its
+    reciprocal is 1e-15 for a sound Wendland C2 function of the size of an airfoil's mesh (error 3e-7), and also for a useless
+    Gaussian (error 0.1).
     """
 
     basis: AbstractBasis = eqx.field(default_factory=ThinPlateSpline)
@@ -61,7 +74,14 @@ class RBF(AbstractMethod):
     def classic(cls, basis: AbstractBasis | None = None, *, degree: int | None = 1) -> "RBF":
         """Returns the classic method: every surface node is a source, so the surface is exact (de Boer et al. 2007).
 
-        One dense solve of as many unknowns as there are surface nodes. `basis` is `ThinPlateSpline()` by default.
+        It takes one dense solve of as many unknowns as there are surface nodes.
+
+        **Arguments:**
+
+        - `basis`: the function phi. Default `ThinPlateSpline()`.
+        - `degree`: degree of the polynomial: None, 0 or 1. Default 1.
+
+        **Returns:** an `RBF`.
         """
         return cls(ThinPlateSpline() if basis is None else basis, AllPoints(), AllPoints(), degree)
 
@@ -132,20 +152,20 @@ class RBF(AbstractMethod):
         useless = not error <= USELESS  # NaN too
         how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
         sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
-        said = (
+        message = (
             f"the interpolation matrix of {len(sources)} sources is {how if np.isfinite(error) else 'singular'}"
             f"{_nearest_two(sources)}. Try a smaller radius of the basis, fewer sources or a larger `separation` in the "
             f"reduction, or another `degree` of the polynomial{'' if dtype == np.float64 else ', or x64 mode of JAX'}."
         )
         if useless:
-            raise ValueError(said)
-        warnings.warn(said, stacklevel=3)
+            raise ValueError(message)
+        warnings.warn(message, stacklevel=3)
 
     def field(self, ids, factors: "RBFFactors", surface, u):
         return self.through(factors, u[ids].astype(factors.lu.dtype), u.dtype)
 
     def through(self, factors: "RBFFactors", values: Float[Array, "s k"], dtype) -> "RBFField":
-        """Traced: the field with these values at the sources, in this precision."""
+        """Makes the field with given values at the sources, in a given precision. Traced."""
         terms = factors.lu.shape[0] - len(factors.sources)
         rhs = jnp.concatenate([values, jnp.zeros((terms, values.shape[1]), values.dtype)])
         weights = jax.scipy.linalg.lu_solve((factors.lu, factors.pivots), rhs).astype(dtype)
@@ -154,16 +174,16 @@ class RBF(AbstractMethod):
         return RBFField(self, sources, centre, scale, beta, alpha)
 
     def rows(self, factors: "RBFFactors", points: Float[Array, "k d"]) -> Float[Array, "k t"]:
-        """Traced: what the weights of functions and polynomial are multiplied with to give the field at any points."""
+        """Computes rows at any points: times the weights of functions and polynomial they give the field. Traced."""
         scaled = (points - factors.centre[None]) * factors.scale
         kernel = self._phi(_squared_distances(scaled, factors.sources), factors.scale)
         return jnp.concatenate([kernel, polynomial(scaled, self.degree)], axis=1)
 
 
 def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
-    """Host: how much rounding changes the interpolation of `values` (s, d), at the sources and between them.
+    """Measures, on the host, how much rounding changes the interpolation of `values` (s, d), at and between the sources.
 
-    One step of iterative refinement: the field of what the first one misses at the sources.
+    It takes one step of iterative refinement: the field of what the first field misses at the sources.
     """
     lu, pivots, sources, scale = map(np.asarray, (factors.lu, factors.pivots, factors.sources, factors.scale))
     count, block = len(values), min(1024, len(values))
@@ -188,7 +208,7 @@ def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
 
 @eqx.filter_jit
 def _system_rows(rbf: RBF, sources, scale, points):
-    """Rows of the system (eq. 3) at any points, all in scaled coordinates."""
+    """Computes rows of the system (eq. 3) at any points, all in scaled coordinates."""
     kernel = rbf._phi(_squared_distances(points, sources), scale)
     return jnp.concatenate([kernel, polynomial(points, rbf.degree)], axis=1)
 
@@ -213,7 +233,7 @@ class RBFFactors(eqx.Module):
 
 
 class RBFField(AbstractField):
-    """eq. (4) at one point."""
+    """Evaluates eq. (4) at one point."""
 
     rbf: RBF
     sources: Float[Array, "s d"]
@@ -233,10 +253,10 @@ class RBFField(AbstractField):
         return min(BLOCK, max(64, KERNEL_BLOCK // len(self.sources) // 64 * 64))
 
     def evaluate(self, points, ids):
-        """Distances and kernel in one loop along the points, then a product with the weights.
+        """Computes distances and kernel in one loop along the points, then a product with the weights.
 
-        The loop becomes vectors only where each coordinate lies in a row of its own. A product of matrices lays the points
-        out so and is not merged into the loop, as a transposition would be.
+        The compiler makes vector instructions of the loop only if each coordinate lies in a row of its own. A product of
+        matrices lays the points out in that way. It is not merged into the loop, as a transposition would be.
         """
         stretch = self.scale * jnp.eye(points.shape[1], dtype=points.dtype)
         x = jnp.matmul(stretch, (points - self.centre[None]).T, precision="highest")
@@ -247,11 +267,11 @@ class RBFField(AbstractField):
 
 
 def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, "k p"]:
-    """The monomials of eq. (1) at each point: none, 1, or 1, x1, x2(, x3)."""
+    """Evaluates the monomials of eq. (1) at each point: none, 1, or 1, x1, x2(, x3)."""
     one = jnp.ones((len(points), 1), points.dtype)
     return {None: one[:, :0], 0: one, 1: jnp.concatenate([one, points], axis=1)}[degree]
 
 
 def _squared_distances(a: Float[Array, "k d"], b: Float[Array, "s d"]) -> Float[Array, "k s"]:
-    """By direct differences: the expanded form loses the small distances that a boundary layer is made of."""
+    """Computes squared distances by direct differences: the expanded form loses the small ones of a boundary layer."""
     return sum((a[:, None, k] - b[None, :, k]) ** 2 for k in range(a.shape[1]))  # pyright: ignore[reportReturnType]

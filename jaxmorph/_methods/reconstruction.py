@@ -16,10 +16,15 @@ from .rbf import RBF
 
 
 class SurfaceReconstruction(AbstractMethod):
-    """The paper's method: a coarse field everywhere, plus the correction of its offset on the surface (eq. 5).
+    """Corrects a coarse field by what it misses on the surface, its offset (eq. 5): the paper's method.
 
-    u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine; the surface is exact when
-    that of `correction` is. The correction is linear, so several steps of it (section 3.2 of the paper) equal one.
+    u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine. The surface is exact if the
+    correction is exact on it. The correction is linear, so several steps of it (section 3.2 of the paper) equal one.
+
+    **Arguments:**
+
+    - `coarse`: the method everywhere. Default `FittedRBF()`.
+    - `correction`: the method that carries the offset. Default `NearWall()`.
     """
 
     coarse: AbstractMethod = eqx.field(default_factory=FittedRBF)
@@ -33,8 +38,14 @@ class SurfaceReconstruction(AbstractMethod):
     def published(cls, leaves: int = 64, fixed_leaves: int = 16) -> "SurfaceReconstruction":
         """Returns the method as the paper has it: sources by a k-d tree, corrected by Delaunay graph mapping alone.
 
-        Its walls should be convex: a graph lays chords over concave ones. `leaves` and `fixed_leaves` are the numbers of leaves
-        of the trees on the moving and on the fixed nodes.
+        Its walls should be convex: a graph lays chords over concave ones.
+
+        **Arguments:**
+
+        - `leaves`: leaves of the tree on the moving nodes; a leaf has up to 4 sources (2-D) or 8 (3-D). Default 64.
+        - `fixed_leaves`: leaves of the tree on the fixed nodes. Default 16.
+
+        **Returns:** a `SurfaceReconstruction`.
         """
         return cls(RBF(reduction=KDTree(leaves), fixed_reduction=KDTree(fixed_leaves)), DelaunayGraph())
 
@@ -44,9 +55,9 @@ class SurfaceReconstruction(AbstractMethod):
 
     def connect(self, surface: Surface, points):
         everywhere, more = surface.among(points)
-        coarse, found = self.coarse.connect(everywhere, more)
-        coarse_at_points = jax.tree.map(lambda leaf: leaf[: len(points)], found)
-        coarse_at_surface = jax.tree.map(lambda leaf: leaf[everywhere.nodes], found)
+        coarse, coarse_ids = self.coarse.connect(everywhere, more)
+        coarse_at_points = jax.tree.map(lambda leaf: leaf[: len(points)], coarse_ids)
+        coarse_at_surface = jax.tree.map(lambda leaf: leaf[everywhere.nodes], coarse_ids)
         surface = dataclasses.replace(surface, matched=self.coarse.matched(coarse))
         correction, correction_at_points = self.correction.connect(surface, points)
         return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)

@@ -108,12 +108,10 @@ def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Arra
 
 
 def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool, count: int):
-    """Sums over k weights[i, k] values[nodes[i, k]] for row i. Turned: sums the entries of column j for row j.
-
-    Turned is the transpose. A scatter would add each entry to its column one by one. Instead `tabulate` has sorted the
-    entries by column, in rows of fixed width: each row is summed by gathers, and the rows of one column, which stand
-    next to each other, by one sum over sorted segments. Empty places of the table have the weight 0.
-    """
+    """Computes weights[i, k] values[nodes[i, k]], summed over k, for each row i; `turned`, the transpose, for each column j."""
+    # The transpose by a scatter would add each entry to its column one by one. Instead `tabulate` has sorted the entries by
+    # column, in rows of fixed width. Each row is summed by gathers. The rows of one column are neighbours, so that one sum
+    # over sorted segments adds them. Empty places of the table have the weight 0.
     k = weights.shape[1]
     values = jax.lax.optimization_barrier(values)  # else what makes them is done again for each gather
     if not turned:

@@ -1,4 +1,4 @@
-"""One mesh and one motion, to be tried by several methods and in several numbers of steps."""
+"""One mesh and one motion, tried by several methods and in several numbers of steps."""
 
 import dataclasses
 from collections.abc import Callable
@@ -10,7 +10,7 @@ import jaxmorph as jm
 
 from . import _gates
 from ._gates import Judged
-from ._method import Boundary, Choice, in_double
+from ._method import Boundary, NamedMethod, in_double
 from ._motion import Motions
 from ._requests import Deform
 from ._tables import inverted_cells
@@ -35,14 +35,14 @@ class Attempt:
         """The undeformed points of the moving nodes."""
         return self.base[self.patches.nodes]
 
-    def chunks(self, choice: Choice) -> jm.Chunks:
-        """The mesh in parts as large as asked for, in the precision asked for."""
+    def chunks(self, choice: NamedMethod) -> jm.Chunks:
+        """Cuts the mesh into parts of the requested size, in the requested precision."""
         patches = self.patches
         surface = (patches.points(choice), patches.nodes, patches.fixed_nodes)
         return jm.prepare_in_chunks(*surface, size=self.request.chunk, method=choice.method, symmetry=patches.planes)
 
     def plan(self, chunks: jm.Chunks) -> jm.Plan:
-        """The plan of the first part. `ValueError` with the patches that were left out."""
+        """Prepares the first part. Raises `ValueError` that names the patches in no list."""
         try:
             return chunks.plan(0)
         except jm.MeshError as error:
@@ -51,13 +51,13 @@ class Attempt:
     def points(
         self, chunks: jm.Chunks, plan: jm.Plan, steps: int, done: Callable[[float], None] | None = None
     ) -> Float[np.ndarray, "n d"]:
-        """The moved points in double precision; `done` hears the share that is done."""
+        """Moves the points, in double precision; `done` is called with the finished share."""
         path = self.motion.path(self.wall, steps)
         moved = chunks.march(path, first=plan, done=done if len(chunks) > 1 else None)
         return in_double(self.base, moved, self.patches.nodes, path[-1], plan.method.exact)
 
     def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, list[str]]:
-        """The quality of the moved mesh, and a sentence for each thing that is wrong with it."""
+        """Judges the moved mesh: its quality, and one sentence for each fault."""
         mesh = self.patches.mesh
         after = Judged(mesh, points, jm.quality(mesh, points))
         bad = inverted_cells(after.report)

@@ -12,9 +12,9 @@ from jaxmorph.shapes import FreeForm
 
 
 def read_box(given: str, d: int) -> tuple[FreeForm, Float[np.ndarray, "*counts d"]]:
-    """The box and the displacements of its control points, from a TOML file or the same as JSON text.
+    """Reads a box and the displacements of its control points from a TOML file, or from the same table as JSON text.
 
-    It has `low`, `high`, `points`, and a list `moved` of `at` and `by`.
+    The table has `low`, `high`, `points`, and a list `moved` of tables with `at` and `by`.
 
     Raises `ValueError` for what does not fit a mesh in `d` dimensions.
     """

@@ -12,7 +12,7 @@ from . import _gates, _picture
 from ._attempt import Attempt
 from ._files import save, write_moved
 from ._gates import Judged
-from ._method import Choice, boundary, choose
+from ._method import NamedMethod, boundary, named_method
 from ._motion import motions
 from ._output import Output
 from ._requests import Deform
@@ -48,8 +48,8 @@ def deform(request: Deform, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, Choice]:
-    """What is to be done, all of it checked; says so."""
+def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod]:
+    """Checks the request, describes it on the terminal, and collects what an attempt needs."""
     _check(request, mesh)
     patches = boundary(request.surface, mesh, request.file)
     if request.chunk is not None and request.chunk < 1:
@@ -58,7 +58,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, Choice]
         raise ValueError(f"--steps must be 1 or more, found {request.steps}.")
     motion, wall = motions(request.groups, mesh, patches.nodes), np.asarray(mesh.points)[patches.nodes]
     with out.progress("choosing sources"):
-        choice = choose(request.method, wall)
+        choice = named_method(request.method, wall)
     way = np.linalg.norm(motion.path(wall, 1)[-1], axis=1)
     n, d = mesh.points.shape
     cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in mesh.cells.items())
@@ -79,8 +79,8 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, Choice]
     return Attempt(request, patches, motion, before), choice
 
 
-def _foreseen(attempt: Attempt, choice: Choice, out: Output) -> jm.Estimate:
-    """Memory and time; says them where they are large or asked for."""
+def _foreseen(attempt: Attempt, choice: NamedMethod, out: Output) -> jm.Estimate:
+    """Estimates memory and time, and prints them if they are large or requested."""
     patches, request = attempt.patches, attempt.request
     mesh = patches.mesh.moved(patches.points(choice))
     surface = (patches.nodes, patches.fixed_nodes)
@@ -93,8 +93,8 @@ def _foreseen(attempt: Attempt, choice: Choice, out: Output) -> jm.Estimate:
     return foreseen
 
 
-def _moved(attempt: Attempt, choice: Choice, foreseen: jm.Estimate, out: Output) -> np.ndarray:
-    """The moved points; says what is known of the motion before."""
+def _moved(attempt: Attempt, choice: NamedMethod, foreseen: jm.Estimate, out: Output) -> np.ndarray:
+    """Moves the points, and warns before of a motion that no method moves well."""
     chunks, steps = attempt.chunks(choice), attempt.request.steps
     first = foreseen.preparing / len(chunks)
     with out.progress("preparing", first):
@@ -109,7 +109,7 @@ def _moved(attempt: Attempt, choice: Choice, foreseen: jm.Estimate, out: Output)
 
 
 def _write_beside(attempt: Attempt, after: Judged, out: Output) -> None:
-    """The job and the picture, of a bad mesh too."""
+    """Writes the job file and the picture, also if cells are bad."""
     job, picture = attempt.request.job, attempt.request.picture
     if job is not None:
         save(job[0], job[1].encode())
@@ -128,7 +128,7 @@ def _wrapped(out: Output, text: str) -> None:
 
 
 def _check(request: Deform, mesh: Mesh) -> None:
-    """`ValueError` for what can be known to fail before any work."""
+    """Raises `ValueError` for a request that is sure to fail, before any work."""
     io.check_output(request.output, mesh)
     for group in request.groups:
         inputs = [group.displacement, group.displacement_from, *(file for file, _ in group.mode), group.box]

@@ -48,12 +48,15 @@ def answer(words: Sequence[str]) -> int:
 
 
 def one_line(message: object) -> str:
-    """A message with single spaces between its words."""
+    """Joins the words of a message by single spaces."""
     return " ".join(str(message).split())
 
 
 def _checked(words: Sequence[str], top: Parser, parsers: dict[str, Parser]) -> str:
-    """The command's name, empty for a flag of the program itself; ends with status 2 for unknown commands and flags."""
+    """Returns the command's name, empty for a flag of the program itself.
+
+    Ends the process with status 2 for unknown commands and flags.
+    """
     name = words[0]
     if name.startswith("-"):
         top.check_flags(words)

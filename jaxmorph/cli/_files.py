@@ -1,4 +1,4 @@
-"""What the command line writes, completely or not at all."""
+"""Files that the command line writes, completely or not at all."""
 
 import pathlib
 
@@ -10,13 +10,13 @@ from jaxmorph._host.files import complete
 
 
 def save(path: pathlib.Path, content: bytes) -> None:
-    """Under a temporary name until it is complete; `OSError` where it cannot be."""
+    """Writes a file under a temporary name, and renames it at the end. Raises `OSError` where it cannot be written."""
     with complete(path) as partial:
         partial.write_bytes(content)
 
 
 def write_moved(path: pathlib.Path, mesh: Mesh, moved: Mesh, after: jm.QualityReport) -> None:
-    """A moved mesh, with the displacement and the quality of each cell where the format holds arrays."""
+    """Writes a moved mesh, with displacement and quality of cells if the format holds arrays."""
     if not io.check_output(path, mesh):
         io.write(path, moved)
         return
@@ -25,7 +25,7 @@ def write_moved(path: pathlib.Path, mesh: Mesh, moved: Mesh, after: jm.QualityRe
 
 
 def cell_arrays(report: jm.QualityReport) -> dict[str, np.ndarray]:
-    """The quality of each cell."""
+    """Lists the quality of each cell as arrays by name."""
     names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
     arrays = {name: np.asarray(getattr(report, name)) for name in names}
     return arrays | {"is_inverted": np.asarray(report.is_inverted).astype(np.uint8)}

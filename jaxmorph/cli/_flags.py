@@ -33,9 +33,9 @@ Add = Callable[..., argparse.Action]
 
 
 def parser(*, is_short: bool = True) -> tuple[Parser, dict[str, Parser]]:
-    """The parser of the whole command line, which finds the command's name as `command`; and those of the commands.
+    """Builds the parser of the whole command line, and a dict with the parser of each command.
 
-    `is_short` leaves flags out of the pages of help that are not for every day.
+    The command's name is parsed as `command`. `is_short` leaves rare flags out of the pages of help.
     """
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
     top.section()("--version", everyday=True, action=Version, nargs=0, help="show the versions of all that computes")
@@ -158,7 +158,7 @@ COMMANDS = {
     "info": _info,
     "demo": _demo,
 }
-"""What adds the flags of each command."""
+"""Functions that add the flags of each command."""
 
 
 def _input(add: Add) -> None:
@@ -166,7 +166,7 @@ def _input(add: Add) -> None:
 
 
 def _surface(command: Parser) -> None:
-    """For one motion of all moving patches; those of `deform` have one each."""
+    """Adds the flags of patches that share one motion; `deform` has a motion for each group."""
     add = command.section("surface")
     what = 'patches that move: names, or patterns as "wing.*"'
     add("--moving", everyday=True, metavar="NAME", nargs="+", default=[], help=what)

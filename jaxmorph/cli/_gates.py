@@ -44,12 +44,12 @@ class Judged:
 
     @property
     def non_orthogonality(self) -> np.ndarray:
-        """Of the cells that a file has, where the mesh has pieces of them."""
+        """Non-orthogonality of the file's cells, also if the mesh holds pieces of them."""
         is_cut = self.mesh.polyhedra is not None
         return self.faces.non_orthogonality if is_cut else np.asarray(self.report.non_orthogonality)
 
     def values(self, measure: str) -> np.ndarray:
-        """One value for each cell that counts."""
+        """Lists a measure's values, one for each cell that counts."""
         values = getattr(self if hasattr(type(self), measure) else self.report, measure)
         return np.asarray(values)[self.counted]
 
@@ -74,7 +74,7 @@ class Gate:
         return float(values.max() if self.flag.startswith("max") else values.min())
 
     def beyond(self, judged: Judged) -> np.ndarray:
-        """Ids of the cells beyond the limit, the worst first; NaN is beyond every limit."""
+        """Lists the ids of cells beyond the limit, the worst first; NaN is beyond every limit."""
         sign = 1.0 if self.flag.startswith("max") else -1.0
         badness = sign * judged.values(self.measure).astype(float)
         badness = np.where(np.isnan(badness), np.inf, badness)
@@ -83,7 +83,7 @@ class Gate:
 
 
 def gates(given: Mapping[str, float | None], preset: str | None) -> tuple[Gate, ...]:
-    """Those of the preset, and those given by themselves, which win. `ValueError` for limits that are no numbers."""
+    """Makes the gates of a preset and of single flags, which win. Raises `ValueError` for limits that are no numbers."""
     limits = dict(PRESETS.get(preset or "", {})) | {flag: limit for flag, limit in given.items() if limit is not None}
     wrong = [flag for flag, limit in limits.items() if np.isnan(limit)]
     if wrong:
@@ -92,7 +92,7 @@ def gates(given: Mapping[str, float | None], preset: str | None) -> tuple[Gate, 
 
 
 def table(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> str:
-    """A row for each gate, then the worst cells of those that fail; nothing without gates."""
+    """Formats a row for each gate, then the worst cells of gates that fail; nothing without gates."""
     if not chosen:
         return ""
     lines = [f"{'gate':<24}{'limit':>12}{'before':>12}{'after' if before else 'now':>12}   cells beyond"]
@@ -109,7 +109,7 @@ def table(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> str:
 
 
 def _start(gate: Gate, before: Judged | None) -> float | None:
-    """The extreme before the motion; the ratio of Jacobians has none, being relative to that mesh."""
+    """Returns the extreme before the motion. The ratio of Jacobians has none: it is relative to that mesh."""
     return None if before is None or gate.measure == "jacobian_ratio" else gate.extreme(before)
 
 
@@ -119,7 +119,7 @@ def _cell(gate: Gate, judged: Judged, cell: int) -> str:
 
 
 def failures(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> list[str]:
-    """One sentence for each gate that fails; with how many cells did before, where any did."""
+    """Writes one sentence for each gate that fails, with the number of cells that failed it before the motion."""
     sentences = []
     for gate in chosen:
         bad = gate.beyond(after)
@@ -139,12 +139,12 @@ def _before(gate: Gate, before: Judged) -> str:
 
 
 def hopeless(chosen: Sequence[Gate], before: Judged) -> bool:
-    """Whether the mesh was beyond a limit before it moved, which no other way of moving it can cure."""
+    """Tells whether the undeformed mesh was beyond a limit, which no way of moving it can cure."""
     return any(len(gate.beyond(before)) for gate in chosen)
 
 
 def facts(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> list[dict[str, Any]]:
-    """The same for machines."""
+    """Lists each gate with its numbers, for output as JSON."""
     rows = []
     for gate in chosen:
         bad = gate.beyond(after)

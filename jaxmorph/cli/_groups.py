@@ -1,4 +1,4 @@
-"""What `--moving` begins: patches, and the motion that the flags after it describe."""
+"""Groups of moving patches: `--moving` begins one, and the flags after it describe its motion."""
 
 import argparse
 import dataclasses

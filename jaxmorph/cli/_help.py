@@ -5,7 +5,10 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class Page:
-    """What a command does, how it is called, and what stands below its flags: on the long page, and on the short one if any."""
+    """Help of one command: summary, usage, and the text below its flags.
+
+    `long` stands on the long page, `short` on the short one; an empty `short` means that there is only the long page.
+    """
 
     summary: str
     usage: str

@@ -12,7 +12,7 @@ STATUS = 130
 
 
 def end_at_once(name: str) -> None:
-    """From now on an interrupt says its line and ends the process. Signals that the caller ignores or handles stay as they are."""
+    """Lets an interrupt print one line and end the process. A signal that the caller ignores or handles stays as it is."""
 
     def end(number, frame) -> None:
         os.write(2, f"{name}: interrupted.\n".encode())
@@ -24,7 +24,7 @@ def end_at_once(name: str) -> None:
 
 
 def raise_again() -> None:
-    """From now on an interrupt is a `KeyboardInterrupt` again, so that files are tidied up."""
+    """Lets an interrupt raise `KeyboardInterrupt` again, so that files are tidied up."""
     if _is_ours():
         signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.unraisablehook = _send_again

@@ -1,4 +1,4 @@
-"""Job files: what the flags of `jaxmorph deform` say, as TOML. They are read into flags, so one parser checks both."""
+"""Job files: the flags of `jaxmorph deform` as TOML. They are read into flags, so one parser checks both."""
 
 import argparse
 import dataclasses
@@ -16,17 +16,17 @@ from ._parser import meant
 LISTS = ("fixed", "symmetry")
 VALUES = ("method", "sources", "steps", "chunk", "dtype", "preset", "picture", *GATES)
 SWITCHES = {"allow_inverted": True, "dry_run": False}
-"""Those that are either true or false, and the value that has a flag."""
+"""Names that are either true or false, and the value that has a flag."""
 
 FILES = ("file", "output")
 PATHS = (*FILES, "picture", "displacement", "displacement_from", "box", "mode")
-"""What names files, relative to the folder of the job; of a mode the first word does, and a box may be a table."""
+"""Names whose values are paths, relative to the job's folder. A mode begins with a path; a box may be a table instead."""
 
 MOTION = tuple(field.name for field in dataclasses.fields(Group) if field.name != "given")
 
 
 def with_job(arguments: Sequence[str]) -> list[str]:
-    """The arguments with those of the file that `--job` names before them. `ValueError` for a file that is no job."""
+    """Puts the flags of the file that `--job` names before the given ones. Raises `ValueError` for a file that is no job."""
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     finder.add_argument("--job", type=pathlib.Path)
     arguments = list(arguments)
@@ -40,8 +40,7 @@ def with_job(arguments: Sequence[str]) -> list[str]:
         return arguments
     files, flags = _flags(path)
     first = next((k for k, word in enumerate(arguments) if word.startswith("-")), len(arguments))
-    own = arguments[1:first]
-    return ["deform", *(own or files), *flags, *arguments[first:]]
+    return ["deform", *(arguments[1:first] or files), *flags, *arguments[first:]]
 
 
 def _flags(path: pathlib.Path) -> tuple[list[str], list[str]]:
@@ -88,7 +87,7 @@ def _flag(name: str) -> str:
 
 
 def _words(path: pathlib.Path, name: str, value: Any) -> list[str]:
-    """A value as words; a path as it is seen from here."""
+    """Converts a value to words; a path becomes relative to the current folder."""
     if name == "box" and isinstance(value, dict):
         return [json.dumps(value)]
     values = value if isinstance(value, list) else [value]
@@ -101,7 +100,7 @@ def _words(path: pathlib.Path, name: str, value: Any) -> list[str]:
 
 
 def text_of(arguments: argparse.Namespace, folder: pathlib.Path) -> str:
-    """The job that these arguments of `jaxmorph deform` are, with paths as they are seen from a folder."""
+    """Writes arguments of `jaxmorph deform` as a job, with paths relative to a folder."""
     job: dict[str, Any] = {}
     for name in (*FILES, *LISTS, *VALUES):
         value = getattr(arguments, name)
@@ -121,7 +120,7 @@ def text_of(arguments: argparse.Namespace, folder: pathlib.Path) -> str:
 
 
 def _seen(name: str, value: Any, folder: pathlib.Path) -> Any:
-    """A value with paths relative to the folder, as far as they were not absolute; a box in JSON as a table."""
+    """Makes the paths of a value relative to a folder, unless they are absolute; turns a box in JSON into a table."""
     if name == "mode":
         return [(_seen("displacement", file, folder), amplitude) for file, amplitude in value]
     if name not in PATHS:
@@ -132,7 +131,7 @@ def _seen(name: str, value: Any, folder: pathlib.Path) -> Any:
 
 
 def _toml(value: Any) -> str:
-    """A value as TOML writes it."""
+    """Formats a value in TOML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):

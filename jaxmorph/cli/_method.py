@@ -14,7 +14,7 @@ SEARCHES = 24
 
 
 @dataclasses.dataclass(frozen=True)
-class Choice:
+class NamedMethod:
     """A method, what to call it, how many sources it has on the moving patches; the precision of the calculation."""
 
     method: jm.AbstractMethod
@@ -23,14 +23,14 @@ class Choice:
     dtype: str
 
 
-def choose(asked: Method, wall: Float[np.ndarray, "m d"]) -> Choice:
-    """The method asked for. `ValueError` for sources where they mean nothing."""
+def named_method(asked: Method, wall: Float[np.ndarray, "m d"]) -> NamedMethod:
+    """Makes the requested method. Raises `ValueError` for a number of sources if the method has none to choose."""
     if asked.sources is not None and asked.name not in ("default", "published"):
         raise ValueError(f"--sources is for the methods default and published; {asked.name} has no sources to choose.")
     if asked.name == "rbf":
-        return Choice(jm.RBF.classic(), "full radial basis functions", len(wall), asked.dtype)
+        return NamedMethod(jm.RBF.classic(), "full radial basis functions", len(wall), asked.dtype)
     if asked.name == "graph":
-        return Choice(jm.DelaunayGraph(), "Delaunay graph mapping", 0, asked.dtype)
+        return NamedMethod(jm.DelaunayGraph(), "Delaunay graph mapping", 0, asked.dtype)
     is_default, number = asked.name == "default", ""
     method = jm.SurfaceReconstruction() if is_default else jm.SurfaceReconstruction.published()
     if asked.sources is not None:
@@ -41,11 +41,11 @@ def choose(asked: Method, wall: Float[np.ndarray, "m d"]) -> Choice:
     if asked.sources is not None:
         number = f" ({sources} wall sources)"
     name = f"reduced radial basis functions{number} + {'near-wall correction' if is_default else 'graph'}"
-    return Choice(method, name, sources, asked.dtype)
+    return NamedMethod(method, name, sources, asked.dtype)
 
 
 def about(sources: int, wall: Float[np.ndarray, "m d"]) -> jm.AbstractReduction:
-    """The k-d tree whose number of leaves gives the number of sources closest to the one asked for."""
+    """Searches for the number of leaves with which a k-d tree gives the number of sources closest to the requested one."""
     d = wall.shape[1]
     if sources < d + 1:
         raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {sources}.")
@@ -83,18 +83,18 @@ class Boundary:
         return self.mesh.patch(*self.fixed)
 
     def explained(self, error: jm.MeshError) -> ValueError:
-        """The error, with the patches that hold the nodes at fault and were left out."""
+        """Adds to an error the patches in no list that hold the nodes at fault."""
         left = [name for name in self.mesh.patches if name not in {*self.moving, *self.fixed, *self.symmetry}]
         left = [name for name in left if np.isin(error.nodes, self.mesh.patch(name)).any()]
         others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
         return ValueError(f"{error}{others}")
 
-    def points(self, choice: Choice) -> Float[np.ndarray, "n d"]:
-        """The mesh's points in the precision of the calculation."""
+    def points(self, choice: NamedMethod) -> Float[np.ndarray, "n d"]:
+        """Returns the mesh's points in the precision of the calculation."""
         return np.asarray(self.mesh.points).astype(choice.dtype, copy=False)
 
-    def prepare(self, choice: Choice) -> jm.Plan:
-        """The plan of the mesh. `ValueError` as `explained`."""
+    def prepare(self, choice: NamedMethod) -> jm.Plan:
+        """Prepares the mesh. Raises the `ValueError` of `explained`."""
         try:
             return jm.prepare(
                 self.points(choice), self.nodes, self.fixed_nodes, method=choice.method, symmetry=self.planes
@@ -104,9 +104,9 @@ class Boundary:
 
 
 def boundary(surface: Surface, mesh: jm.Mesh, file: object) -> Boundary:
-    """The patches of a mesh that the names mean; of a pattern for fixed ones, those that neither move nor slide.
+    """Looks up the patches that the names mean. A pattern for fixed patches leaves out those that move or slide.
 
-    `ValueError` for what can be known of them before any work.
+    Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat where they slide.
     """
     known = ", ".join(mesh.patches) or "none"
     for option, names, do in (("--moving", surface.moving, "move"), ("--fixed", surface.fixed, "stay")):
@@ -138,7 +138,7 @@ def in_double(
     u: Float[np.ndarray, "m d"],
     is_exact: bool,
 ) -> Float[np.ndarray, "n d"]:
-    """Moved points in double precision: nodes that a calculation in single precision leaves alone keep all their digits."""
+    """Converts moved points to double precision; nodes that do not move in single precision keep all their digits."""
     moved = np.asarray(moved)
     if moved.dtype == np.float64:
         return moved

@@ -17,7 +17,7 @@ from jaxmorph import Mesh, io
 from . import _gates
 from ._files import save, write_moved
 from ._gates import Judged
-from ._method import Boundary, boundary, choose, in_double
+from ._method import Boundary, boundary, in_double, named_method
 from ._output import Output
 from ._requests import Modes
 from ._tables import count, inverted_cells, numbers
@@ -39,7 +39,7 @@ class Case:
 
 
 def modes(request: Modes, out: Output) -> int:
-    """Each mode file at each amplitude: moves, judges, writes. Returns the exit status."""
+    """Moves, judges and writes the mesh for each mode file at each amplitude. Returns the exit status."""
     with out.progress(f"reading {request.file.name}"):
         mesh = io.read(request.file)
     cases = _cases(request)
@@ -47,7 +47,7 @@ def modes(request: Modes, out: Output) -> int:
     with out.progress("reading the modes"):
         shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.modes]
     with out.progress("preparing"):
-        choice = choose(request.method, np.asarray(mesh.points)[patches.nodes])
+        choice = named_method(request.method, np.asarray(mesh.points)[patches.nodes])
         plan = patches.prepare(choice)
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitudes), 'amplitude')}"
     out.say(f"{request.file.name}: {len(mesh.points)} points, {what}", points=len(mesh.points))
@@ -74,7 +74,7 @@ def modes(request: Modes, out: Output) -> int:
 
 
 def _cases(request: Modes) -> list[Case]:
-    """Files beside OUT with the case's number in their names; times are amplitudes where these go up."""
+    """Names a file beside OUT for each case, with the case's number. Times are amplitudes if these go up."""
     amplitudes = request.amplitudes
     pairs = [(mode, amplitude) for mode in range(len(request.modes)) for amplitude in amplitudes]
     go_up = len(request.modes) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
@@ -92,7 +92,7 @@ def _is_xdmf(request: Modes) -> bool:
 
 
 def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Boundary:
-    """The patches; `ValueError` for what can be known to fail before any work."""
+    """Looks up the patches. Raises `ValueError` for a request that is sure to fail, before any work."""
     patches = boundary(request.surface, mesh, request.file)
     if not np.isfinite(request.amplitudes).all():
         raise ValueError("--amplitude needs finite numbers.")
@@ -106,7 +106,7 @@ def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Boundary:
 def _moved(
     mesh: Mesh, plan: jm.Plan, shapes: Float[np.ndarray, "k m d"], cases: list[Case]
 ) -> Iterator[tuple[Case, Float[np.ndarray, "n d"]]]:
-    """The points of each case; `BATCH` of them at a time, which cost much less together."""
+    """Yields the points of each case. `BATCH` cases at a time cost much less than one by one."""
     together = jax.vmap(lambda u: jm.deform(plan, u))
     size = min(BATCH, len(cases))
     for first in range(0, len(cases), size):
@@ -122,8 +122,8 @@ def _tell(case: Case, file: pathlib.Path, report: jm.QualityReport, failed: list
     skewness, ratio, inverted = float(report.max_skewness), float(report.min_jacobian_ratio), int(report.inverted)
     name = file.name if len(file.name) <= 26 else f"...{file.name[-23:]}"
     out.say(f"{case.number:>6}{case.amplitude:>12.5g}{skewness:>12.5g}{ratio:>12.5g}{inverted:>10}  {name}")
-    found = {"mode": str(file), "amplitude": case.amplitude, "output": str(case.output), "problems": failed}
-    out.facts.setdefault("cases", []).append(found | numbers(report))
+    facts = {"mode": str(file), "amplitude": case.amplitude, "output": str(case.output), "problems": failed}
+    out.facts.setdefault("cases", []).append(facts | numbers(report))
     for sentence in failed:
         out.complain(f"case {case.number}: {sentence}")
 
@@ -146,8 +146,7 @@ def _end(request: Modes, good: list[Case], bad: int, total: int, out: Output) ->
 
 
 def _series(cases: list[Case]) -> str:
-    """ParaView's collection of files, each at its time."""
-
+    """Writes ParaView's collection of files, each at its time."""
     rows = [f'    <DataSet timestep="{case.time!r}" part="0" file={quoteattr(case.output.name)}/>' for case in cases]
     return "\n".join(
         [

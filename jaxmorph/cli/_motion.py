@@ -24,7 +24,7 @@ class Motion:
     shapes: tuple[Shape, ...]
 
     def at(self, x: Points, share: float) -> Points:
-        """Where points are when that share of each part is made."""
+        """Moves points by a share of each part."""
         moved: Float[Array | np.ndarray, "m d"] = x + share * self.displacement
         for shape in self.shapes:
             moved = shape(moved, share)
@@ -38,7 +38,7 @@ class Motions:
     parts: list[tuple[Int[np.ndarray, " k"], Motion]]
 
     def path(self, surface: Points, steps: int) -> Float[np.ndarray, "k m d"]:
-        """Total displacements at the end of each of so many equal steps."""
+        """Computes the total displacement at the end of each of `steps` equal steps."""
         return np.stack([self._at(surface, (j + 1) / steps) - surface for j in range(steps)])
 
     def _at(self, surface: Points, share: float) -> Points:
@@ -49,7 +49,10 @@ class Motions:
 
 
 def motions(groups: Sequence[Group], mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motions:
-    """The motion asked for, of the nodes `moving`. `ValueError` where none is, or where it does not fit the mesh or the nodes."""
+    """Makes the requested motion of the nodes `moving`.
+
+    Raises `ValueError` if there is none, or if it does not fit the mesh or the nodes.
+    """
     parts = []
     for group in groups:
         nodes = mesh.patch(*group.patches)
@@ -131,7 +134,7 @@ def _translate(group: Group, d: int) -> Shape | None:
 
 
 def _check_used(group: Group) -> None:
-    """`ValueError` for a flag that belongs to another one which is not there."""
+    """Raises `ValueError` for a flag without the flag that it belongs to."""
     needs = {
         "axis": ("rotate", "bend"),
         "about": ("rotate", "scale", "bend", "twist"),
@@ -155,7 +158,7 @@ def _vector(option: str, values: list[float] | None, d: int) -> np.ndarray:
 
 
 def _direction(option: str, values: list[float] | None, d: int) -> np.ndarray:
-    """A vector of length 1; the first axis where none is given in 2-D."""
+    """Scales a vector to length 1; in 2-D the default is the first axis."""
     if values is None and d == 3:
         raise ValueError(f"{option} X Y Z is missing.")
     vector = _vector(option, values if values is not None else [1.0, 0.0], d)
@@ -166,14 +169,14 @@ def _direction(option: str, values: list[float] | None, d: int) -> np.ndarray:
 
 
 def _angle(option: str, degrees: float) -> float:
-    """In radians."""
+    """Converts degrees to radians. Raises `ValueError` for numbers that are not finite."""
     if not np.isfinite(degrees):
         raise ValueError(f"{option} needs an angle in degrees, found {degrees}.")
     return float(np.radians(degrees))
 
 
 def _axis(option: str, group: Group, d: int) -> np.ndarray | None:
-    """The axis of rotation and bending, of length 1; None in 2-D."""
+    """Returns the axis of rotation and bending, of length 1; None in 2-D."""
     if d == 2:
         if group.axis is not None:
             raise ValueError("--axis is for meshes in 3-D; this one is in 2-D.")
@@ -184,7 +187,7 @@ def _axis(option: str, group: Group, d: int) -> np.ndarray | None:
 
 
 def _length(option: str, given: float | None, surface: Points, about: np.ndarray, along: np.ndarray) -> float:
-    """The length of the line along which a surface is bent or twisted: as far as it reaches, where none is given."""
+    """Measures the line along which a surface is bent or twisted: by default it ends where the surface does."""
     length = float(((surface - about) @ along).max()) if given is None else given
     if not (np.isfinite(length) and length > 0):
         reason = "and no node lies ahead of --about in that direction" if given is None else f"found {length:g}"
@@ -193,7 +196,7 @@ def _length(option: str, given: float | None, surface: Points, about: np.ndarray
 
 
 def _from_file(group: Group, mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
-    """Displacement of each moving node, in their order; zeros without a file."""
+    """Reads the displacement of each moving node, in their order; zeros without a file."""
     if group.displacement is None:
         return np.zeros((len(nodes), mesh.points.shape[1]))
     is_position = group.displacement_is == "position"
@@ -203,7 +206,7 @@ def _from_file(group: Group, mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
 
 
 def _from_modes(group: Group, mesh: Mesh, nodes: np.ndarray) -> np.ndarray | float:
-    """Mode shapes, each times its amplitude."""
+    """Sums mode shapes, each times its amplitude."""
     parts = []
     for file, amplitude in group.mode:
         if not np.isfinite(amplitude):

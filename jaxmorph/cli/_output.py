@@ -1,4 +1,4 @@
-"""What a command says: text for people, or one JSON object for machines; warnings; how long its stages took."""
+"""Output of a command: text for people, or one JSON object for machines; warnings; the time of each stage."""
 
 import json
 import math
@@ -19,13 +19,13 @@ class Output:
         self.began = time.monotonic()
 
     def say(self, text: str | None = None, **facts: Any) -> None:
-        """A line or more, and the facts in it by name."""
+        """Prints one or more lines, and collects their facts by name."""
         self.facts.update(facts)
         if text is not None and not self.as_json:
             print(text, flush=True)
 
     def complain(self, text: str, key: str = "problems") -> None:
-        """On standard error, and in the list of facts called `key`."""
+        """Prints a line on standard error, and adds it to the list of facts called `key`."""
         self.facts.setdefault(key, []).append(text)
         print(f"{self.name}: {text}", file=sys.stderr)
 
@@ -51,7 +51,7 @@ class Output:
 
 
 def finite(value: Any) -> Any:
-    """The same with null for numbers that JSON does not know."""
+    """Replaces NaN and infinity, which JSON does not know, by None."""
     if isinstance(value, dict):
         return {key: finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

@@ -43,11 +43,11 @@ class Parser(argparse.ArgumentParser):
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """`; did you mean ...?`, or nothing where no known word is like it."""
+    """Writes `; did you mean ...?`, or nothing if no known word is similar."""
     near = difflib.get_close_matches(word, list(known), n=1)
     return f"; did you mean {near[0]}?" if near else ""
 
 
 def quoted(words: Sequence[str]) -> list[str]:
-    """The words, with a space before negative numbers: argparse takes -1e-3 for a flag."""
+    """Puts a space before negative numbers: argparse takes -1e-3 for a flag."""
     return [f" {word}" if re.match(r"-\.?\d", word) else word for word in words]

@@ -14,11 +14,11 @@ from ._files import save
 from ._gates import Judged
 
 ROOM = 0.4
-"""How far a picture in the plane reaches beyond the moving patches, over their extent."""
+"""Margin of a 2-D picture around the moving patches, relative to their extent."""
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """`ValueError` and `ImportError` for what can be known to fail before any work."""
+    """Raises `ValueError` or `ImportError` for a picture that is sure to fail, before any work."""
     endings = (".png",) if mesh.points.shape[1] == 2 else (".png", ".html")
     if path.suffix.lower() not in endings:
         raise ValueError(f"--picture {path}: a picture of this mesh ends in {' or '.join(endings)}.")
@@ -28,11 +28,11 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 
 def picture(path: pathlib.Path, mesh: Mesh, moving: np.ndarray, before: Judged, after: Judged) -> None:
-    """In the plane the skewness near the moving nodes, before and after; in space their surface, before and after."""
+    """Draws before and after: in 2-D the skewness near the moving nodes, in 3-D their surface."""
     from jaxmorph import plot
 
     if mesh.points.shape[1] == 2:
-        save(path, _in_plane(mesh, moving, before, after))
+        save(path, _in_2d(mesh, moving, before, after))
         return
     only = Mesh(mesh.points, mesh.cells, {"moving": moving})
     if path.suffix.lower() == ".html":
@@ -46,7 +46,7 @@ def picture(path: pathlib.Path, mesh: Mesh, moving: np.ndarray, before: Judged, 
     save(path, file.getvalue())
 
 
-def _in_plane(mesh: Mesh, moving: np.ndarray, before: Judged, after: Judged) -> bytes:
+def _in_2d(mesh: Mesh, moving: np.ndarray, before: Judged, after: Judged) -> bytes:
     from matplotlib.figure import Figure
 
     from jaxmorph import plot

@@ -1,4 +1,4 @@
-"""What is going on, for work that takes a while."""
+"""Progress on the terminal, for work that takes a while."""
 
 import contextlib
 import sys

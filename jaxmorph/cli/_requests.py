@@ -1,4 +1,4 @@
-"""What is asked of each command: values with types, made of what the flags say."""
+"""Requests: the flags of each command as typed values."""
 
 import argparse
 import dataclasses
@@ -30,7 +30,7 @@ class Method:
 
 @dataclasses.dataclass(frozen=True)
 class Deform:
-    """What `jaxmorph deform` is asked for. `job` is a file to write and its text."""
+    """Request of `jaxmorph deform`. `job` is a file to write and its text."""
 
     file: Path
     output: Path
@@ -49,7 +49,7 @@ class Deform:
 
 @dataclasses.dataclass(frozen=True)
 class Modes:
-    """What `jaxmorph modes` is asked for."""
+    """Request of `jaxmorph modes`."""
 
     file: Path
     output: Path
@@ -63,7 +63,7 @@ class Modes:
 
 @dataclasses.dataclass(frozen=True)
 class Sensitivity:
-    """What `jaxmorph sensitivity` is asked for."""
+    """Request of `jaxmorph sensitivity`."""
 
     file: Path
     sensitivity: Path
@@ -74,7 +74,7 @@ class Sensitivity:
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
-    """What `jaxmorph quality` is asked for; `moved` is the file of the same mesh, moved."""
+    """Request of `jaxmorph quality`. `moved` is the file of the same mesh, moved."""
 
     file: Path
     moved: Path | None
@@ -83,14 +83,14 @@ class Quality:
 
 @dataclasses.dataclass(frozen=True)
 class Info:
-    """What `jaxmorph info` is asked for."""
+    """Request of `jaxmorph info`."""
 
     file: Path
 
 
 @dataclasses.dataclass(frozen=True)
 class Demo:
-    """What `jaxmorph demo` is asked for."""
+    """Request of `jaxmorph demo`."""
 
     case: str
     output: Path

@@ -10,7 +10,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from ._files import save
-from ._method import boundary, choose
+from ._method import boundary, named_method
 from ._output import Output
 from ._requests import Sensitivity
 from ._tables import count
@@ -33,7 +33,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
         given = io.read_sensitivity(request.sensitivity, mesh)
     moving = patches.nodes
     with out.progress("preparing"):
-        choice = choose(request.method, np.asarray(mesh.points)[moving])
+        choice = named_method(request.method, np.asarray(mesh.points)[moving])
         plan = patches.prepare(choice)
     with out.progress("pulling back"):
         slope = np.asarray(jm.pullback(plan, np.zeros((len(moving), given.shape[1])), given), float)

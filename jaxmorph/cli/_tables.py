@@ -16,14 +16,14 @@ LABELS = {"non_orthogonality": "non-orthogonality"}
 
 
 def alone(report: QualityReport) -> str:
-    """A table for one mesh, and the worst cell of each row."""
+    """Formats a table for one mesh, with the worst cell of each row."""
     lines = [_heading(report), f"{'':<24}{'':>12}   worst cell"]
     lines += [_row(report, kind, name, _number(report, kind, name)) for kind, name in (*ROWS, ("min", "volume"))]
     return "\n".join(lines)
 
 
 def compared(before: QualityReport, after: QualityReport) -> str:
-    """A table for a mesh and the same mesh moved, and the worst cells of the moved one."""
+    """Formats a table for a mesh before and after its motion, with the worst cells of the moved mesh."""
     lines = [_heading(after), f"{'':<24}{'before':>12}{'after':>12}   worst cell after"]
     for kind, name in ROWS:
         lines.append(_row(after, kind, name, _number(before, kind, name) + _number(after, kind, name)))
@@ -34,7 +34,7 @@ def compared(before: QualityReport, after: QualityReport) -> str:
 
 
 def inverted_cells(report: QualityReport) -> str:
-    """How many cells are inverted, the worst of them and where it is; nothing when none is."""
+    """Writes how many cells are inverted, and which is the worst and where; nothing if none is."""
     bad = int(report.inverted)
     if not bad:
         return ""
@@ -44,12 +44,12 @@ def inverted_cells(report: QualityReport) -> str:
 
 
 def place(report: QualityReport, cell: int) -> str:
-    """Where a cell is."""
+    """Formats a cell's centroid."""
     return "(" + ", ".join(f"{x:.3g}" for x in np.asarray(report.centroid[cell]).tolist()) + ")"
 
 
 def count(number: int, what: str) -> str:
-    """`1 step`, `2 steps`."""
+    """Writes a number with its noun: `1 step`, `2 steps`."""
     return f"{number} {what}" + ("" if number == 1 else "s")
 
 
@@ -72,11 +72,11 @@ def _row(report: QualityReport, kind: str, name: str, numbers: str) -> str:
 
 
 def numbers(report: QualityReport) -> dict[str, Any]:
-    """The tables' numbers for machines."""
-    found: dict[str, Any] = {"cells": report.count, "inverted": int(report.inverted)}
+    """Lists the tables' numbers by name, for output as JSON."""
+    facts: dict[str, Any] = {"cells": report.count, "inverted": int(report.inverted)}
     for kind, name in (*ROWS, *RATIOS, ("min", "volume")):
-        found[f"{kind}_{name}"] = float(getattr(report, kind)(name))
+        facts[f"{kind}_{name}"] = float(getattr(report, kind)(name))
     for name in ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio"):
         cell = int(report.worst(1, by=name)[0])
-        found[f"worst_{name}"] = {"cell": cell, "near": np.asarray(report.centroid[cell]).tolist()}
-    return found
+        facts[f"worst_{name}"] = {"cell": cell, "near": np.asarray(report.centroid[cell]).tolist()}
+    return facts

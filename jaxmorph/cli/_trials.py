@@ -1,11 +1,11 @@
-"""After a bad mesh: what another attempt finds to be right."""
+"""Trials after a bad mesh: other methods and numbers of steps that might cure it."""
 
 import dataclasses
 import warnings
 
 from . import _gates
 from ._attempt import Attempt
-from ._method import Choice, choose
+from ._method import NamedMethod, named_method
 from ._output import Output
 from ._requests import Method
 
@@ -16,14 +16,14 @@ HINTS = {
     "rbf": "more --steps",
     "graph": "--method default",
 }
-"""What to try when cells are bad."""
+"""Advice when cells are bad."""
 
 PATIENCE = 120.0
 """Seconds that an attempt may have taken for others to be tried after it."""
 
 
-def explain(attempt: Attempt, choice: Choice, bad: list[str], out: Output) -> None:
-    """Says what is wrong, and what another attempt has found to be right."""
+def explain(attempt: Attempt, choice: NamedMethod, bad: list[str], out: Output) -> None:
+    """Tells what is wrong, and which other flags cure it, if an attempt with them does."""
     request = attempt.request
     for sentence in bad[:-1]:
         out.complain(sentence)
@@ -40,8 +40,8 @@ def explain(attempt: Attempt, choice: Choice, bad: list[str], out: Output) -> No
     out.say(suggestion=worked)
 
 
-def _tried(attempt: Attempt, choice: Choice, out: Output) -> str:
-    """The flags, beside those asked for, of the first attempt whose mesh is good; nothing when none is."""
+def _tried(attempt: Attempt, choice: NamedMethod, out: Output) -> str:
+    """Returns the flags of the first attempt whose mesh is good, beside the requested ones; nothing if none is."""
     asked, steps = attempt.request.method, attempt.request.steps
     trials = _trials(asked, steps, choice.sources, len(attempt.wall))
     with out.progress("trying others") as stage:
@@ -55,7 +55,7 @@ def _tried(attempt: Attempt, choice: Choice, out: Output) -> str:
 
 
 def _trials(asked: Method, steps: int, sources: int, most: int) -> list[tuple[Method, int]]:
-    """Methods and numbers of steps, in the order in which they are tried."""
+    """Lists methods and numbers of steps, in the order in which they are tried."""
     if asked.name in ("graph", "published"):
         better = dataclasses.replace(asked, name="default")
         return [(better, steps), (better, 4 * steps)]
@@ -67,11 +67,11 @@ def _trials(asked: Method, steps: int, sources: int, most: int) -> list[tuple[Me
 
 
 def _works(attempt: Attempt, method: Method, steps: int) -> bool:
-    """Whether the mesh is good by another method; not so where that one refuses."""
+    """Tells whether another method leaves the mesh good. False if it refuses."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            chunks = attempt.chunks(choose(method, attempt.wall))
+            chunks = attempt.chunks(named_method(method, attempt.wall))
             points = attempt.points(chunks, attempt.plan(chunks), steps)
         except ValueError:
             return False

@@ -61,13 +61,13 @@ class Series:
             self._stack.__exit__(_Nothing, _Nothing(), None)
 
     def add(self, time: float, moved: Mesh, report: jm.QualityReport) -> None:
-        """The moved mesh at a time, with its displacement and the quality of each cell."""
+        """Adds the moved mesh at a time, with its displacement and the quality of each cell."""
         step = str(len(self._grids))
-        displacement = _in_space(np.asarray(moved.points) - np.asarray(self._mesh.points))
+        displacement = _in_3d(np.asarray(moved.points) - np.asarray(self._mesh.points))
         attributes = [self._attribute("displacement", f"{step}/displacement", displacement, "Node", "Vector")]
         for name, values in cell_arrays(report).items():
             attributes.append(self._attribute(name, f"{step}/{name}", values, "Cell", "Scalar"))
-        points = self._item(f"{step}/points", _in_space(np.asarray(moved.points)))
+        points = self._item(f"{step}/points", _in_3d(np.asarray(moved.points)))
         topology = f'<Topology TopologyType="Mixed" NumberOfElements="{self._count}">{self._topology}</Topology>'
         body = [f'<Time Value="{time!r}"/>', topology, f'<Geometry GeometryType="XYZ">{points}</Geometry>', *attributes]
         self._grids.append("\n".join([f'<Grid Name="{step}" GridType="Uniform">', *body, "</Grid>"]))
@@ -90,5 +90,5 @@ class Series:
         return "\n".join([*head, *self._grids, "</Grid>", "</Domain>", "</Xdmf>", ""])
 
 
-def _in_space(values: np.ndarray) -> np.ndarray:
+def _in_3d(values: np.ndarray) -> np.ndarray:
     return np.pad(values.astype(float), ((0, 0), (0, 3 - values.shape[1])))
