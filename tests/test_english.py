@@ -126,7 +126,7 @@ def wrong_names() -> list[str]:
             elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
                 name = node.attr
             if name.lstrip("_") in NOT_NAMES:
-                rows.append(f"{file}:{node.lineno}: {name}")
+                rows.append(f"{file}:{getattr(node, 'lineno', 0)}: {name}")
     return rows
 
 

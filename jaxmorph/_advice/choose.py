@@ -73,8 +73,8 @@ def choose(
     """Chooses the number of sources and the support radius for a family of motions, by trying, on the host.
 
     For each number of leaves a thin plate spline and a Wendland C2 function are tried. The radius of the second
-    minimises the sum of `error` and `rounding` (see `Choice`), by optimistix's golden section search between a fifth of
-    the moving nodes' extent and ten times it. Candidates are good that invert fewest cells, miss the surface by no more
+    minimises the sum of `error` and `rounding` (see `Choice`). It is found by optimistix's golden section search, between a
+    fifth of the moving nodes' extent and ten times it. Candidates are good that invert fewest cells, miss the surface by no more
     than `tolerance`, and keep 98 % of the best smallest Jacobian ratio. Of these the one with fewest sources is chosen;
     where none is that good, the one with the largest Jacobian ratio. Every motion is deformed and judged once for each
     of the 2 len(`leaves`) candidates.
@@ -118,12 +118,12 @@ def choose(
 
 
 def _columns(motions: np.ndarray, nodes: int, images: Mirror | None) -> np.ndarray:
-    """Displacements of all rows of the surface, images too, motion after motion; the largest component one."""
+    """Lists the displacements of all rows of the surface, images too, motion after motion, scaled to a largest component of 1."""
     columns = []
     for motion in motions:
-        own = np.zeros((nodes, motion.shape[1]))
-        own[: len(motion)] = motion
-        columns.append(own if images is None else np.asarray(images.extended(jnp.asarray(own))))
+        vectors = np.zeros((nodes, motion.shape[1]))
+        vectors[: len(motion)] = motion
+        columns.append(vectors if images is None else np.asarray(images.extended(jnp.asarray(vectors))))
     joined = np.concatenate(columns, axis=1)
     return joined / np.abs(joined).max()
 

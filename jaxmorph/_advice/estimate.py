@@ -100,7 +100,7 @@ def estimate(
 
 
 def _sources(method: AbstractMethod, points: np.ndarray, moving: np.ndarray, fixed: np.ndarray) -> int:
-    """How many sources the reductions choose, without symmetry planes; a `FittedRBF` adds some of its own."""
+    """Counts the sources that the reductions choose, without symmetry planes; a `FittedRBF` adds some of its own."""
     coarse = method.coarse if isinstance(method, SurfaceReconstruction) else method
     rbf = coarse.rbf if isinstance(coarse, FittedRBF) else coarse
     if not isinstance(rbf, RBF):

@@ -72,9 +72,9 @@ def inspect(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Inspection
     """
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
     points, nodes = np.asarray(plan.points), np.asarray(plan.surface.nodes)
-    own = np.zeros((len(nodes), points.shape[1]), points.dtype)
-    own[: plan.n_moving] = u
-    finite = np.isfinite(own).all(axis=1)
+    vectors = np.zeros((len(nodes), points.shape[1]), points.dtype)
+    vectors[: plan.n_moving] = u
+    finite = np.isfinite(vectors).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))
         raise MeshError(
@@ -83,7 +83,7 @@ def inspect(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Inspection
         )
     size = np.asarray(scipy.spatial.KDTree(points).query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
-    pairs = _torn(points[nodes], own, plan.n_moving)
+    pairs = _torn(points[nodes], vectors, plan.n_moving)
     torn = nodes[pairs].reshape(-1, 2)
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
@@ -92,14 +92,14 @@ def inspect(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Inspection
     )
 
 
-def _torn(points: np.ndarray, own: np.ndarray, moves: int) -> np.ndarray:
-    """Pairs of neighbouring rows whose displacements contradict each other, the worst first."""
+def _torn(points: np.ndarray, vectors: np.ndarray, moves: int) -> np.ndarray:
+    """Finds pairs of neighbouring rows whose displacements contradict each other, the worst first."""
     count = min(2 * points.shape[1], len(points) - 1)
     distance, nearest = map(np.asarray, scipy.spatial.KDTree(points).query(points, k=count + 1))
     first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()
     distance = distance[:, 1:].ravel()
-    apart = np.linalg.norm((own[first] - own[second]), axis=1)
-    after = np.linalg.norm((points + own)[first] - (points + own)[second], axis=1)
+    apart = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
+    after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
     mixed = (first < moves) != (second < moves)
     # nodes that nearly coincide are one place by accident: the two sides of a wake, of an interface, of a sharp edge
     scale = 1e-9 * np.ptp(points, axis=0).max()

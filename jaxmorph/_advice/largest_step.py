@@ -1,4 +1,4 @@
-"""How far a surface may go in a direction before a cell breaks a bound: exact, for the mesh moves linearly."""
+"""The largest step of a surface in a direction before a cell breaks a bound: exact, for the mesh moves linearly."""
 
 import dataclasses
 import functools
@@ -19,7 +19,7 @@ from .._quality.vector import corners
 
 @dataclasses.dataclass(frozen=True)
 class LargestStep:
-    """How far a step may go.
+    """Result of `largest_step`.
 
     - `step`: factor of the direction, at most the one that was asked for.
     - `cell`: the cell that reaches the bound there, in the order of `quality`; -1 where none does.
@@ -79,7 +79,7 @@ def largest_step(
 
 
 def _polynomials(kind: str, start: Float[Array, "n d"], end: Float[Array, "n d"], ids: Array) -> np.ndarray:
-    """Coefficients (4, s, k), lowest first, of corner Jacobians over t from 0 to 1: those through four values."""
+    """Finds the coefficients (4, s, k), lowest first, of corner Jacobians over t from 0 to 1, from four values."""
     places = np.arange(4) / 3
     samples = [np.asarray(_jacobians(kind, start + t * (end - start), ids)) for t in places]
     inverse = np.linalg.inv(np.vander(places, increasing=True))

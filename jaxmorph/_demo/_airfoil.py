@@ -22,7 +22,7 @@ FAR_FIELD = jm.KDTree(2)
 """Six sources on the paper's far field."""
 
 LEAVES = (1, 2, 4, 8)
-"""Of the reductions of the wall to compare, four sources each; the first is the paper's."""
+"""Leaves of the wall's trees to compare, with four sources each; the first number is the paper's."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Study:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What came of it: a report for each angle; lengths in chords, times in seconds."""
+    """Result of one method: a report for each angle; lengths in chords, times in seconds."""
 
     study: Study
     points: np.ndarray
@@ -135,14 +135,14 @@ def _march(plan: jm.Plan, path: np.ndarray, rebuild: bool) -> tuple[Any, Any]:
 
 
 def rotation(points: np.ndarray, degrees: float) -> np.ndarray:
-    """Displacements (m, 2) that turn points nose up, which is clockwise, about the quarter chord."""
+    """Computes the displacements (m, 2) that turn points nose up, which is clockwise, about the quarter chord."""
     angle = -np.deg2rad(degrees)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return (points - QUARTER_CHORD) @ turn.T + QUARTER_CHORD - points
 
 
 def near_wall(mesh: jm.Mesh) -> np.ndarray:
-    """Cells in the inner 40 % of the layers round the airfoil, wake left out: 160 x 60 of them on the paper's mesh."""
+    """Lists cells in the inner 40 % of the layers round the airfoil, without the wake: 160 x 60 on the paper's mesh."""
     quads, wall = mesh.cells["quad"], mesh.patch("airfoil")
     wake, columns = wall[0], quads[0, 3] - 1
     base = len(wall) - (columns - 2 * wake)

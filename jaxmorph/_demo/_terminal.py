@@ -1,4 +1,4 @@
-"""What a demo says: tables as plain text, progress only on a terminal."""
+"""Output of a demo: tables as plain text, progress only on a terminal."""
 
 import contextlib
 import sys
@@ -34,11 +34,11 @@ def progress(steps: int) -> Iterator[Say]:
 
 
 def _silent(what: str) -> None:
-    """Not a terminal: nothing to say."""
+    """Prints nothing, where the output is no terminal."""
 
 
 def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> str:
-    """Lines of text: the first column to the left, the others to the right, two spaces between, a rule under the heads."""
+    """Formats rows: the first column to the left, the others to the right, two spaces between, a rule under the heads."""
     everything = [*heads, *rows]
     widths = [max(map(len, column)) for column in zip(*everything, strict=True)]
     lines = []

@@ -33,7 +33,7 @@ class Study:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What came of it: the report of each of MOTIONS, the points of the one that is shown; metres and seconds."""
+    """Result of one method: the report of each of MOTIONS, the points of the one that is shown; metres and seconds."""
 
     study: Study
     points: np.ndarray

@@ -24,16 +24,16 @@ CHANGE_OF_VOLUME = 0.0, 0.3
 """Values at the ends of the scales."""
 
 CUT = 0.92
-"""Where the mesh is cut across the wing, in semi-spans."""
+"""Place of the cut across the wing, in semi-spans."""
 
 HALF_CUT = (0.36, 0.25)
 """Half width and half height of what is shown of the cut, in metres."""
 
 ABOVE = (-1.0, -3.0, 2.2)
-"""Where the viewer of the whole wing is, seen from the wing: above its root."""
+"""Direction from the wing to the viewer of the whole wing: above its root."""
 
 HEIGHT = 1400
-"""Of a picture in space, in pixels: more than are shown, so that lines are thin."""
+"""Height of a 3-D picture in pixels: more than are shown, so that lines are thin."""
 
 MARGIN = 1.04
 """Height and width of a picture over those of what it shows."""
@@ -59,7 +59,7 @@ def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome:
 
 
 def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"], motion: Any) -> None:
-    """The cells that a plane across the wing cuts, by each method: above their aspect ratio, below their change of volume."""
+    """Draws the cells that a plane across the wing cuts, by each method: above the aspect ratio, below the change of volume."""
     plane = jm.Plane((0, 1, 0), (0, _span_of_cut(mesh), 0))
     kinds = (ASPECT_RATIO, "aspect ratio"), (CHANGE_OF_VOLUME, "|V/V0 - 1|")
     with matplotlib.rc_context(STYLE):
@@ -91,7 +91,7 @@ def _span_of_cut(mesh: jm.Mesh) -> float:
 
 
 def whole(points: np.ndarray, viewer: tuple[float, float, float]) -> tuple[tuple, tuple[float, float]]:
-    """A camera in the direction `viewer` that has all (n, 3) points in sight, z up; half the width and height that it takes."""
+    """Places a camera in the direction `viewer` that sees all (n, 3) points, z up; half the width and height that it takes."""
     towards = np.asarray(viewer) / np.linalg.norm(viewer)
     right = np.cross((0, 0, 1), towards)
     right /= np.linalg.norm(right)

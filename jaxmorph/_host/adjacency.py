@@ -28,6 +28,9 @@ def neighbours(cells: dict[str, Any], xp: Any = np) -> tuple[Any, Any]:
     - The id of the neighbour, -1 on the boundary and where more than two cells meet.
     - True where the neighbour is numbered with the other handedness.
     """
+    # Each face becomes a row of its sorted nodes, with its cell and the sense in which it runs. `twins` sorts all rows, so
+    # that equal faces stand side by side: the twin's cell is the neighbour. Two cells that are numbered alike run round their
+    # common face in opposite senses.
     columns, turns, owners, first = [], [], [], 0
     width = max((len(face) for kind in cells for face in FACES[kind]), default=2)
     for kind, corners in cells.items():

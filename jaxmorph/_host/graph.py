@@ -150,12 +150,10 @@ def _jittered(nodes: np.ndarray) -> np.ndarray:
 def _repair(
     graph: Delaunay, nodes: np.ndarray, points: np.ndarray, simplex: np.ndarray, flat: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds better simplices for points that the search missed: their ids, and the smallest weight in each.
-
-    A point is inside of a simplex when its smallest weight is not negative, so the best simplex has the largest one. First
-    each point moves a little towards the middle, out of the flat simplices that line a plane side of the hull, and is
-    searched again. Then each point that is still poor walks from simplex to neighbour as long as its weight grows.
-    """
+    """Finds better simplices for points that the search missed: their ids, and the smallest weight in each."""
+    # A point is inside of a simplex if its smallest weight is not negative, so the best simplex has the largest one. First
+    # each point moves a little towards the middle, out of the flat simplices that line a plane side of the hull, and is
+    # searched again. Then each point without a good simplex walks from simplex to neighbour as long as its weight grows.
     simplex = np.maximum(simplex, 0)
     best = smallest_weight(nodes, graph.simplices, simplex, points, flat)
     middle = nodes.mean(axis=0)

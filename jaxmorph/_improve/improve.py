@@ -100,8 +100,8 @@ def improve(
 
     **Returns:** an `Improvement`.
 
-    **Raises:** `ValueError` for a mesh without cells of its own dimension, for a shape of `points` other than that of
-    `mesh.points`, for node ids that are not there, and for `size_weight` outside of 0 to 1.
+    **Raises:** `ValueError` for a mesh without cells of its own dimension, and for a shape of `points` other than that of
+    `mesh.points`. Also for node ids that are not there, and for `size_weight` outside of 0 to 1.
     """
     start = jnp.asarray(points)
     _check(mesh, start, fixed, size_weight, max_steps)

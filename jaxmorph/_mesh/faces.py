@@ -71,8 +71,8 @@ class Faces:
     def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
         """Lists the faces of each cell in a row, and where each cell begins (one more at the end).
 
-        `~f` stands for face f where the cell is its neighbour. A sparse matrix does the sorting by cell: its columns are the sides
-        of faces, its rows cells, and turning it from columns to rows is a counting sort in linear time.
+        `~f` stands for face f where the cell is its neighbour. A sparse matrix does the sorting by cell. Its columns are the
+        sides of faces, its rows cells. Turning it from columns to rows is a counting sort in linear time.
         """
         inner = np.flatnonzero(self.neighbour >= 0).astype(np.int32)
         cells = np.concatenate([self.owner, self.neighbour[inner]]).astype(np.int32, copy=False)

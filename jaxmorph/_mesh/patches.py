@@ -37,7 +37,7 @@ def _matched(pattern: str, patches: Collection[str], groups: Mapping[str, Sequen
 
 
 def _hint(name: str, known: Sequence[str]) -> str:
-    """What was perhaps meant: a name like it, or the regular expression that a shell's pattern is."""
+    """Suggests a known name like the given one, or the regular expression for a shell's pattern."""
     shell = re.sub(r"(?<![.\])])\*", ".*", name)
     if shell != name and any(re.fullmatch(shell, each) for each in known if not re.search(r"[\[(\\]", shell)):
         return f" (patterns are regular expressions: {shell!r})"

@@ -36,9 +36,9 @@ class NearWall(AbstractMethod):
     it, by more than the thickness of a boundary layer's first cell. Points that follow the nearest wall keep their place in
     the layer. The map is one fixed sparse operator, exact at the surface's nodes.
 
-    By default the width is half of the largest distance from a wall's node to the nearest matched node of that wall: a source
-    at which the coarse field takes the displacement. For a wall without matched nodes it is a quarter of the mean chord,
-    which is half of the wall's length, in 3-D half of its area over its span.
+    By default the width is half of the largest distance from a wall's node to the nearest matched node of that wall. Matched
+    nodes are sources at which the coarse field takes the displacement. For a wall without any, the width is a quarter of the
+    mean chord: half of the wall's length, in 3-D half of its area over its span.
 
     **Arguments:**
 

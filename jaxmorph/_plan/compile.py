@@ -17,7 +17,7 @@ Function = TypeVar("Function", bound=Callable)
 
 
 def compiled(function: Function) -> Function:
-    """`equinox.filter_jit(function)`, with `WIDE` vectors where it is called directly, with arrays on a CPU.
+    """Compiles a function as `equinox.filter_jit` does, with `WIDE` vectors for direct calls with arrays on a CPU.
 
     Within another transformation it is an ordinary jitted function: JAX takes options for the outermost one only. Lists become
     arrays: as they are, each of their numbers would be a static argument, and other numbers another compilation.

@@ -1,4 +1,4 @@
-"""How the rows of a volume lie over devices."""
+"""Layout of a volume's rows over devices."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -50,7 +50,7 @@ def pad_rows(leaf: Array, layout: Layout) -> Array:
 
 
 def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
-    """Within `over_points`: where points `ids` stand among the `count` rows of this device; `count` or more if they do not."""
+    """Finds points `ids` among the `count` rows of this device, within `over_points`; `count` or more for absent ones."""
     if layout is None:
         return ids
     here = ids - jax.lax.axis_index(AXIS) * count
@@ -60,10 +60,10 @@ def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[A
 def over_points(
     layout: Layout | None, function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, rows: PyTree
 ) -> PyTree:
-    """`function(shared, rows)`, where each leaf of `rows` and of the result has one row a point.
+    """Evaluates `function(shared, rows)`, where each leaf of `rows` and of the result has one row a point.
 
-    Over devices each works on its own rows. Without JAX's tracking of what varies (`check_vma`), the sum over devices of the
-    gradient of what they share is one all-reduce at the end, instead of one in each round of a loop inside.
+    Over devices each works on its own rows. JAX's tracking of what varies (`check_vma`) is off. So one all-reduce at the end
+    sums the gradient of what the devices share, instead of one in each round of a loop inside.
     """
     if layout is None:
         return function(shared, rows)

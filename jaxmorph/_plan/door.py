@@ -21,8 +21,10 @@ USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, movi
 class Boundary:
     """A checked call of `prepare`.
 
-    `points` (n, d); `moving` (m,) and `fixed` (f,) are node ids, no node twice; `faces` are the mesh's boundary faces
-    (k, corners) by type, as node ids, or None where the cells are not known.
+    - `points` (n, d): base coordinates.
+    - `moving` (m,), `fixed` (f,): node ids, no node twice.
+    - `planes`: symmetry planes.
+    - `faces`: the mesh's boundary faces (k, corners) by type, as node ids, or None if the cells are not known.
     """
 
     points: np.ndarray
@@ -149,7 +151,7 @@ def _faces(mesh: Mesh) -> dict[str, np.ndarray] | None:
 def _tell_of_free_faces(
     mesh: Mesh, faces: Mapping[str, np.ndarray], points: np.ndarray, listed: np.ndarray, planes: tuple[Plane, ...]
 ) -> None:
-    """Warns of boundary faces that belong to nothing that moves, is fixed, or is a symmetry plane."""
+    """Warns about boundary faces that belong to nothing that moves, is fixed, or is a symmetry plane."""
     is_listed = np.zeros(len(points), dtype=bool)
     is_listed[listed] = True
     for plane in planes:

@@ -13,24 +13,25 @@ ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
 
 
 def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
-    """By name. `ValueError` for an added one that is no dataclass or enum, or has the name of another.
+    """Lists by name the classes that a plan's file may name: this package's and the added ones.
 
-    This package's are the subclasses, in the modules that are loaded, of what its plans are made of.
+    This package's are the subclasses, in the modules that are loaded, of what its plans are made of. Raises `ValueError` for
+    an added class that is no dataclass or enum, or has the name of another.
     """
     package = __name__.partition(".")[0]
-    found: dict[str, type] = {}
+    classes: dict[str, type] = {}
     for root in ROOTS:
         for kind in _below(root):
             is_own = kind.__module__.partition(".")[0] == package
             if is_own and getattr(sys.modules.get(kind.__module__), kind.__name__, None) is kind:
-                found[kind.__name__] = kind
+                classes[kind.__name__] = kind
     for kind in added:
         if not isinstance(kind, type) or not (dataclasses.is_dataclass(kind) or issubclass(kind, enum.Enum)):
             raise ValueError(f"`classes` are dataclasses (equinox modules among them) and enums; {kind!r} is neither.")
-        if found.get(kind.__name__, kind) is not kind:
-            raise ValueError(f"two classes are called {kind.__name__}: {found[kind.__name__]!r} and {kind!r}.")
-        found[kind.__name__] = kind
-    return found
+        if classes.get(kind.__name__, kind) is not kind:
+            raise ValueError(f"two classes are called {kind.__name__}: {classes[kind.__name__]!r} and {kind!r}.")
+        classes[kind.__name__] = kind
+    return classes
 
 
 def _below(kind: type) -> Iterator[type]:

@@ -73,8 +73,8 @@ class Plan(eqx.Module):
         """
         rows = np.asarray(self.method.sources(self.surface.ids), dtype=np.int64)
         if self.mirror is not None:
-            is_image, own = np.any(self.mirror.mirrored, axis=1), np.asarray(self.mirror.rows)
-            rows = own[rows[~is_image[rows]]]
+            is_image = np.any(self.mirror.mirrored, axis=1)
+            rows = np.asarray(self.mirror.rows)[rows[~is_image[rows]]]
         return np.asarray(self.surface.nodes)[rows]
 
     @property
@@ -84,16 +84,16 @@ class Plan(eqx.Module):
 
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Computes the displacement of the moving, then the fixed nodes that is left to the correction (eq. 5), traced."""
-        own, surface = _of_surface(self, u), self.surface
-        extended = own if surface.mirror is None else surface.mirror.extended(own)
+        vectors, surface = _of_surface(self, u), self.surface
+        extended = vectors if surface.mirror is None else surface.mirror.extended(vectors)
         offset = self.method.offset(surface.ids, surface.factors, surface.points, extended)
         if surface.mirror is None:
             return offset
-        rows = jnp.where(surface.mirror.mirrored.any(axis=1), len(own), surface.mirror.rows)
-        return jnp.zeros_like(own).at[rows].set(offset, mode="drop")
+        rows = jnp.where(surface.mirror.mirrored.any(axis=1), len(vectors), surface.mirror.rows)
+        return jnp.zeros_like(vectors).at[rows].set(offset, mode="drop")
 
     def __repr__(self) -> str:
-        """Must work for any leaves: concrete, stacked or traced arrays, shapes, or None."""
+        """Describes the plan, whatever its leaves are: concrete, stacked or traced arrays, shapes, or None."""
         points, nodes = self.volume.points, self.surface.nodes
         parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):
@@ -201,29 +201,29 @@ def _of_surface(plan: Plan, u: Any) -> Float[Array, "o d"]:
     return jnp.zeros((len(plan.surface.nodes), d), plan.points.dtype).at[:m].set(u.astype(plan.points.dtype))
 
 
-def deform_surface(plan: Plan, own: Float[Array, "o d"]) -> Float[Array, "n d"]:
+def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n d"]:
     """Moves the mesh as `deform` does, with displacements for the fixed nodes too, whose rows follow those of the moving ones."""
     surface = plan.surface
-    u = own
+    u = vectors
     if surface.mirror is not None:
-        own = surface.mirror.within(own, surface.mirror.on_plane)
-        u = surface.mirror.vectors(own)
+        vectors = surface.mirror.within(vectors, surface.mirror.on_plane)
+        u = surface.mirror.vectors(vectors)
     field = plan.method.field(surface.ids, surface.factors, surface.points, u)
-    shared = field, own, surface.nodes, surface.mirror
+    shared = field, vectors, surface.nodes, surface.mirror
     moved = over_points(plan.layout, _moved(plan.layout, plan.method.exact), shared, plan.volume)
     return moved if plan.layout is None else moved[: plan.layout.count]
 
 
 def _moved(layout: Layout | None, exact: bool) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
     def move(shared, volume):
-        field, own, nodes, mirror = shared
+        field, vectors, nodes, mirror = shared
         displacement = map_points(field, volume.points, volume.placed)
         if mirror is not None:
             displacement = mirror.within(displacement, volume.on_plane)
         moved = volume.points + displacement
         if exact:
             at = rows_here(layout, nodes, len(moved))
-            moved = moved.at[at].set(volume.points[at] + own, mode="drop", unique_indices=True)
+            moved = moved.at[at].set(volume.points[at] + vectors, mode="drop", unique_indices=True)
         return moved
 
     return move

@@ -40,9 +40,9 @@ def prepare(
 
     **Returns:** a `Plan`.
 
-    **Raises:** `ValueError` for ids out of range or named twice in `moving`, and coordinates that are not finite. Also
-    for points outside of the hull of the surface (graph mapping), planes that hold no node or have nodes on both sides,
-    and sources that do not determine the interpolation.
+    **Raises:** `ValueError` for ids out of range or named twice in `moving`, and coordinates that are not finite. Also for
+    points outside of the hull of the surface (graph mapping), and sources that do not determine the interpolation. Also for
+    planes that hold no node or have nodes on both sides.
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     named = boundary(mesh, moving, fixed, symmetry)
@@ -85,8 +85,8 @@ def surface_of(named: Boundary) -> tuple[Surface, Mirror | None, Bool[np.ndarray
         everything, rows = np.asarray(images.points(jnp.asarray(everything))), np.asarray(images.rows)
         faces = None if faces is None else {kind: images.faces(corners) for kind, corners in faces.items()}
     first = _first(rows)
-    own = np.where(np.arange(len(rows)) == first, nodes[rows], -1)
-    return Surface(everything, own, moving, first, faces=faces), images, on_plane
+    ids = np.where(np.arange(len(rows)) == first, nodes[rows], -1)
+    return Surface(everything, ids, moving, first, faces=faces), images, on_plane
 
 
 def _faces_between(named: Boundary) -> dict[str, np.ndarray] | None:
@@ -107,10 +107,10 @@ def _with_tables(plan: Plan) -> Plan:
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:
     """Makes a smooth displacement of the moving nodes that no polynomial gives, of size one, fixed nodes at rest."""
-    own, mirror = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.surface.mirror
-    moving = own[: plan.n_moving]
+    points, mirror = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.surface.mirror
+    moving = points[: plan.n_moving]
     arms = moving - moving.mean(axis=0)
-    u = np.zeros_like(own)
+    u = np.zeros_like(points)
     u[: plan.n_moving] = np.cos(2 * arms / (np.abs(arms).max() or 1))
     if mirror is None:
         return jnp.asarray(u)

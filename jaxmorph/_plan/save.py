@@ -78,20 +78,20 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
             with np.load(file, allow_pickle=False) as archive:
                 header = json.loads(archive[_HEADER].tobytes())
                 arrays = [archive[str(i)] for i in range(len(archive.files) - 1)]
-            found = header["format"], int(header["version"])
+            kind, version = header["format"], int(header["version"])
         except _DAMAGED as error:
             detail = " ".join(str(error).split())[:120]
             raise ValueError(
                 f"{path}: not a saved plan, or a damaged one ({type(error).__name__}: {detail})."
             ) from error
-    if found[0] != FORMAT:
-        raise ValueError(f"{path}: not a saved plan; its format is {found[0]!r}.")
-    if found[1] < VERSION:
+    if kind != FORMAT:
+        raise ValueError(f"{path}: not a saved plan; its format is {kind!r}.")
+    if version < VERSION:
         raise ValueError(
-            f"{path}: of version {found[1]}, this jaxmorph reads {VERSION}: prepare the plan anew and save it."
+            f"{path}: of version {version}, this jaxmorph reads {VERSION}: prepare the plan anew and save it."
         )
-    if found[1] > VERSION:
-        raise ValueError(f"{path}: of version {found[1]}, this jaxmorph reads up to {VERSION}: install a later one.")
+    if version > VERSION:
+        raise ValueError(f"{path}: of version {version}, this jaxmorph reads up to {VERSION}: install a later one.")
     try:
         plan = _Reader(arrays, known_classes(classes)).node(header["tree"])
     except _Refused as error:

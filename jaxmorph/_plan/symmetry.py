@@ -66,11 +66,11 @@ class Plane(eqx.Module):
         return abs(float(self.height(other.origin[None])[0])) <= _tolerance(points)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """(n,) whether each point lies on the plane."""
+        """Tells which points lie on the plane: booleans (n,)."""
         return np.abs(self.height(points)) <= _tolerance(points)
 
     def height(self, points: np.ndarray) -> np.ndarray:
-        """(n,) distance of each point from the plane, positive on the side of its normal."""
+        """Computes the distance (n,) of each point from the plane, positive on the side of its normal."""
         return (points - self.origin) @ self.normal
 
 
@@ -91,20 +91,20 @@ class Mirror(eqx.Module):
     mirrored: Bool[Array, "b p"]
     on_plane: Bool[Array, "o p"]
 
-    def points(self, own: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Coordinates of all rows."""
-        return self._reflected(own[self.rows], self.origins)
+    def points(self, points: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Computes the coordinates of all rows, images too."""
+        return self._reflected(points[self.rows], self.origins)
 
-    def vectors(self, own: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Displacements of all rows."""
-        return self._reflected(own[self.rows], jnp.zeros_like(self.origins))
+    def vectors(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Computes the displacements of all rows, images too."""
+        return self._reflected(u[self.rows], jnp.zeros_like(self.origins))
 
-    def extended(self, own: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Displacements of all rows from any of the own ones: those on a plane stay in it."""
-        return self.vectors(self.within(own, self.on_plane))
+    def extended(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Computes the displacements of all rows from any of the original rows: rows on a plane stay in it."""
+        return self.vectors(self.within(u, self.on_plane))
 
     def faces(self, corners: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "l c"]:
-        """Host: the faces between own rows, as extended rows, and their images; one that lies in a plane has none in it."""
+        """Extends, on the host, faces between original rows by their images; a face in a plane has no image in it."""
         on_plane, mirrored, rows = (np.asarray(leaf) for leaf in (self.on_plane, self.mirrored, self.rows))
         planes = on_plane.shape[1]
         bits = 1 << np.arange(planes)
@@ -127,7 +127,7 @@ class Mirror(eqx.Module):
         return vectors
 
     def within(self, u: Float[Array, "n d"], on_plane: Bool[Array, "n p"]) -> Float[Array, "n d"]:
-        """Displacements without their component normal to the planes on which the nodes lie."""
+        """Removes the components of displacements normal to the planes on which the nodes lie."""
         for k, normal in enumerate(self.normals):
             normal = normal.astype(u.dtype)
             u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal[None], u)
@@ -175,13 +175,13 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
 
 
 def mirror(planes: Sequence[Plane], on_plane: np.ndarray, moving: int) -> tuple[Mirror, int]:
-    """Images of the own rows, the first `moving` of them moving; also how many rows move, images included.
+    """Makes the images of the o original rows, the first `moving` of them moving; counts the rows that move, images too.
 
-    `on_plane` (o, p) says which own rows lie on which plane: they have no image in it.
+    `on_plane` (o, p) says which rows lie on which plane: they have no image in it.
     """
-    own = np.arange(len(on_plane))
+    originals = np.arange(len(on_plane))
     rows, flags, extended = [], [], 0
-    for part in (own[:moving], own[moving:]):
+    for part in (originals[:moving], originals[moving:]):
         for flag in itertools.product((False, True), repeat=len(planes)):
             images = part[~(on_plane[part] & np.array(flag)).any(axis=1)]
             rows.append(images)

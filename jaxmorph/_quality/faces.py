@@ -20,11 +20,12 @@ FLOOR = 1e-300
 class FaceQuality:
     """Measures (k,) of each cell by its faces, in the order of the mesh's cells; faces are edges in 2-D.
 
-    `skewness` has no upper bound: how far the line between the centres of two cells passes by the centre of their face, over
-    the face's reach in that direction (at least 0.2 of the line's length; at the boundary 0.4 of the distance from the cell's
-    centre to the plane of the face). `aspect_ratio` is the largest of the sums of the faces' areas as seen along the axes,
-    over the smallest; in 3-D at least a sixth of those sums together over the volume to the power of 2/3. It depends on how a
-    cell lies in the axes. `non_orthogonality` is in degrees, the largest over the inner faces.
+    - `skewness`: the distance by which the line between the centres of two cells misses the centre of their face, over the
+      face's reach in that direction. It has no upper bound. The reach is at least 0.2 of the line's length; at the boundary
+      0.4 of the distance from the cell's centre to the plane of the face.
+    - `aspect_ratio`: the faces' areas are summed as seen along each axis; the largest sum over the smallest. In 3-D it is at
+      least a sixth of the sums' total over the volume to the power of 2/3. It depends on how a cell lies in the axes.
+    - `non_orthogonality`: in degrees, the largest over the inner faces.
 
     Each piece of a polyhedron has the value of the whole. Boundary elements have 0, and aspect ratio 1.
     """
@@ -82,11 +83,11 @@ class _Sides:
     cell: Int[np.ndarray, " k"]
 
     def corners(self, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "t c d"]:
-        """Their places; the first again behind the last."""
+        """Gathers the coordinates of each side's corners; the first again behind the last."""
         return points[np.where(self.faces < 0, self.faces[:, :1], self.faces)]
 
     def largest(self, values: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]:
-        """Over the faces of each cell, at least 0."""
+        """Takes the largest value over the faces of each cell, at least 0."""
         result = np.zeros(self.total)
         np.maximum.at(result, self.owner, values)
         return result[self.cell]
@@ -126,7 +127,7 @@ def _non_orthogonality(sides: _Sides, area: Vectors, middle: Centres) -> Float[n
 
 
 def _standard(mesh: Mesh) -> _Sides:
-    """Of the cells of the highest dimension."""
+    """Lists the sides of the cells of the highest dimension."""
     highest = max(DIMENSION[kind] for kind, ids in mesh.cells.items() if len(ids))
     width = 2 if highest == 2 else max(CORNERS["quad"], highest)
     faces, owners, first = [np.zeros((0, width), np.int64)], [np.zeros(0, np.int64)], 0
@@ -145,7 +146,7 @@ def _standard(mesh: Mesh) -> _Sides:
 
 
 def _whole(whole: Polyhedra) -> _Sides:
-    """Of whole polyhedra: faces as their owners see them, then the inner ones as their neighbours do."""
+    """Lists the sides of whole polyhedra: faces as their owners see them, then the inner ones as their neighbours do."""
     faces = whole.faces
     count, inner = len(faces.owner), np.flatnonzero(faces.neighbour >= 0)
     signed = np.concatenate([np.arange(count), ~inner])
@@ -161,7 +162,7 @@ def _whole(whole: Polyhedra) -> _Sides:
 
 
 def _between(centres: Centres, sides: _Sides) -> Vectors:
-    """From the centre of each face's cell to that of the cell behind it; anything where there is none."""
+    """Computes the vector from the centre of each face's cell to that of the cell behind it; anything where there is none."""
     return centres[sides.owner[sides.behind]] - centres[sides.owner]
 
 
@@ -171,7 +172,7 @@ def _edges(corners: Float[np.ndarray, "t 2 2"]) -> tuple[Vectors, Vectors]:
 
 
 def _polygons(corners: Float[np.ndarray, "t c 3"], is_corner: Bool[np.ndarray, "t c"]) -> tuple[Vectors, Vectors]:
-    """Centres and area vectors, by triangles about the mean of the corners."""
+    """Computes centres and area vectors, by triangles about the mean of the corners."""
     share = is_corner[..., None] / is_corner.sum(axis=1)[:, None, None]
     middle = (share * corners).sum(axis=1, keepdims=True)
     after = np.roll(corners, -1, axis=1)
@@ -182,7 +183,7 @@ def _polygons(corners: Float[np.ndarray, "t c 3"], is_corner: Bool[np.ndarray, "
 
 
 def _cell_centres(centre: Vectors, area: Vectors, sides: _Sides) -> tuple[Centres, np.ndarray]:
-    """Centres of mass, by pyramids (triangles in 2-D) from the faces to the mean of their centres; volumes times d."""
+    """Computes centres of mass, and volumes times d, by pyramids (triangles in 2-D) from faces to the mean of their centres."""
     d, owner, total = centre.shape[1], sides.owner, sides.total
     count = np.maximum(np.bincount(owner, minlength=total), 1)[:, None]
     middle = (_summed(centre, owner, total) / count)[owner]

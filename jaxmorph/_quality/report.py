@@ -31,8 +31,8 @@ class QualityReport(eqx.Module):
     - `jacobian`: the smallest Jacobian at the corners (and at the centre of a hexahedron), Verdict's `jacobian`. Its
       sign is turned for cells that are left-handed on the undeformed mesh: negative where a cell is not convex. For a
       simplex twice its area or six times its volume; at a pyramid the four corners of the base.
-    - `non_orthogonality`: OpenFOAM's, in degrees, the largest angle, over the inner faces of a cell, between the face's
-      area vector and the line between the centres of the two cells. 0 for a cell without neighbours.
+    - `non_orthogonality`: OpenFOAM's, in degrees: the angle between a face's area vector and the line between the centres of
+      its two cells. A cell has the largest angle of its inner faces, 0 without neighbours.
     - `volume_ratio`: volume over undeformed volume, for a simplex det F of its deformation. 1 where that was zero.
     - `jacobian_ratio`: smallest corner Jacobian over its initial value, at the corners that had the sign of their cell
       on the undeformed mesh. 1 where none had.

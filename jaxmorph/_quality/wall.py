@@ -15,7 +15,7 @@ from .quality import places
 
 
 class WallQuality(eqx.Module):
-    """What `wall_quality` finds at w wall nodes: arrays (w,).
+    """Result of `wall_quality` at w wall nodes: arrays (w,).
 
     - `nodes`: their ids, ascending. A wall node without an edge that leaves the wall is not among them.
     - `angle`: degrees by which the first grid line has left its own angle to the wall; 0 on the undeformed mesh.
@@ -61,17 +61,25 @@ def wall_quality(
 ) -> WallQuality:
     """Measures wall orthogonality and first-cell height at `points`, relative to the undeformed mesh, `mesh.points`.
 
-    Both are what the area-weighted mean of skewness hides. `wall` names patches, or is an array of node ids. The first grid
-    line of a wall node is the edge that leaves the wall most nearly along its normal on the undeformed mesh. The wall's normal
-    at a node is that of the faces around it, weighted by their area; in 3-D a neighbour on the wall says how the wall turns
-    about the normal.
+    The area-weighted mean of skewness hides both. The first grid line of a wall node is the edge that leaves the wall most
+    nearly along its normal on the undeformed mesh. The wall's normal at a node is that of the faces around it, weighted by
+    their area. In 3-D a neighbour on the wall says how the wall turns about the normal.
 
     Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call, from cells and
-    coordinates that may not be traced: close over the mesh. `angle` has a kink where it is zero; with `softness`, in degrees,
-    sqrt(angle^2 + softness^2) - softness takes its place, smooth and less by `softness` at most. `height` has none.
+    coordinates that may not be traced: close over the mesh.
 
-    Raises `ValueError` for a patch that is not there, ids out of range, nodes that hold no side of a cell on the boundary, a
-    mesh without cells, and a shape of `points` other than that of `mesh.points`.
+    **Arguments:**
+
+    - `mesh`: the undeformed mesh with its cells.
+    - `wall`: a patch, several patches, or node ids (k,).
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default `mesh.points`.
+    - `softness`: in degrees. `angle` has a kink where it is zero; sqrt(angle^2 + softness^2) - softness takes its place,
+      smooth and less by `softness` at most. Default None: none. `height` has no kink.
+
+    **Returns:** a `WallQuality`.
+
+    **Raises:** `ValueError` for a patch that is not there, ids out of range, and nodes that hold no side of a cell on the
+    boundary. Also for a mesh without cells, and a shape of `points` other than that of `mesh.points`.
     """
     current = places(mesh, points)
     ids = mesh.patch(wall) if isinstance(wall, str) else np.asarray(wall)
@@ -88,20 +96,20 @@ def wall_quality(
 
 @jax.jit
 def _measured(lines: Lines, reference: Float[Array, "n d"], points: Float[Array, "n d"], softness) -> WallQuality:
-    own, now = (_components(lines, x) for x in (reference, points))
-    cosine = jnp.sum(own * now, axis=1)
-    sine = _length(_crossed(own, now))
+    start, now = (_components(lines, x) for x in (reference, points))
+    cosine = jnp.sum(start * now, axis=1)
+    sine = _length(_crossed(start, now))
     none = sine**2 + cosine**2 == 0
     angle = jnp.rad2deg(jnp.where(none, 0, jnp.arctan2(sine, jnp.where(none, 1, cosine))))
     if softness is not None:
         angle = jnp.sqrt(angle**2 + softness**2) - softness
-    flat = own[:, 0] == 0
-    height = jnp.where(flat, 1, now[:, 0] / jnp.where(flat, 1, own[:, 0]))
+    flat = start[:, 0] == 0
+    height = jnp.where(flat, 1, now[:, 0] / jnp.where(flat, 1, start[:, 0]))
     return WallQuality(jnp.asarray(lines.nodes), angle, height)
 
 
 def _components(lines: Lines, x: Float[Array, "n d"]) -> Float[Array, "w d"]:
-    """Each first grid line in a frame of its wall: along the normal, then along the wall."""
+    """Computes each first grid line's components in a frame of its wall: along the normal, then along the wall."""
     area = areas(x[lines.faces]) * lines.sign[:, None].astype(x.dtype)
     normal = jnp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows in lines.rows.T:
@@ -127,6 +135,6 @@ def _unit(a: Float[Array, "w d"]) -> Float[Array, "w d"]:
 
 
 def _length(a: Float[Array, "w c"]) -> Float[Array, " w"]:
-    """Its derivative at zero is zero."""
+    """Computes the Euclidean length, with derivative zero at zero."""
     squared = jnp.sum(a**2, axis=1)
     return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)

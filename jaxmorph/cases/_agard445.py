@@ -31,16 +31,15 @@ REVISION = 1
 
 
 def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None = None) -> jm.Mesh:
-    """The half wing of the paper's section 3.2 in tetrahedra, in metres; needs gmsh (`pip install 'jaxmorph[cases]'`).
+    """Makes the half wing of the paper's section 3.2 in tetrahedra, in metres; needs gmsh (`pip install 'jaxmorph[cases]'`).
 
-    x is streamwise, the span runs along +y from the plane y = 0, z is up. NACA 65A004 sections (NASA TM-100492: its
-    ordinates, sharp trailing edge), root chord 0.558 m, tip chord 0.368 m, semi-span 0.762 m, flat tip; the far field
-    is a hemisphere of 8 m round the middle of the root chord. Patches `wing`, `symmetry` and `farfield`; a node where
-    two of them meet is in both.
+    x is streamwise, the span runs along +y from the plane y = 0, z is up. Sections are NACA 65A004 (ordinates of NASA
+    TM-100492, sharp trailing edge). The root chord is 0.558 m, the tip chord 0.368 m, the semi-span 0.762 m; the tip is flat.
+    The far field is a hemisphere of 8 m round the middle of the root chord. Patches are `wing`, `symmetry` and `farfield`; a
+    node where two of them meet is in both.
 
-    `points` is one of three resolutions. With gmsh 4.15, where the paper has 64,943 points, 334,861 cells, 16,285 on
-    the wing, 923 on the far field, and an aspect ratio (longest edge over 2 sqrt(6) inscribed radii, 1 for a regular
-    cell) of 1.546 in the mean and 7.223 at most:
+    The paper's mesh has 64,943 points, 334,861 cells, 16,285 nodes on the wing and 923 on the far field. Its aspect ratio is
+    1.546 in the mean and 7.223 at most: longest edge over 2 sqrt(6) inscribed radii, 1 for a regular cell. With gmsh 4.15:
 
     | `points` | points | cells | wing | far field | aspect ratio: mean, largest |
     |---|---|---|---|---|---|
@@ -52,7 +51,14 @@ def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None 
     mesh is then kept in `cache_directory`, by default the user's cache directory, under its parameters and gmsh's
     version. A file there that cannot be read is made anew. A gmsh session of the caller's is left as it was.
 
-    Raises `ValueError` for other `points`, and `ImportError` when gmsh, platformdirs or a library of theirs is missing.
+    **Arguments:**
+
+    - `points`: one of the three resolutions, 64_943, 16_000 or 6_500. Default 64_943.
+    - `cache_directory`: the folder in which meshes are kept. Default: the user's cache directory.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for other `points`, and `ImportError` when gmsh, platformdirs or a library of theirs is missing.
     """
     if points not in RESOLUTIONS:
         known = ", ".join(f"{n:,}".replace(",", "_") for n in RESOLUTIONS)
@@ -68,19 +74,26 @@ def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None 
 
 
 def agard445_mode(points: Float[Any, "m 3"] | list[list[float]], mode: int, amplitude: Any = 1.0) -> Float[Any, "m 3"]:
-    """Displacement of points of the wing by its first (bending) or second (torsion) mode, in metres.
+    """Displaces points of the wing by its first (bending) or second (torsion) mode, in metres.
 
-    `points` (m, 3) are in metres, as `agard445` has them, from NumPy or JAX; the displacement is of their kind, along z
-    alone. The tip's trailing edge moves by `amplitude` semi-spans (0.762 m) up; the published sign of mode 2, up at the
-    tip's leading edge, is the opposite.
+    The displacement is along z alone. The tip's trailing edge moves up; the published sign of mode 2, up at the tip's leading
+    edge, is the opposite.
 
-    The shape is sum a_ij eta^i xi^j, i = 2..6, j = 0..3, with eta along the span and xi along the chord from 0 to 1:
-    value and slope vanish at the root, and a_ij are least squares to the 121 deflections of NASA TM-100492 (Yates,
-    1987), 1 at the tip's trailing edge. In that unit the root mean square of what is left, off the root, is 0.0007 in
-    mode 1 and 0.0042 in mode 2. Most of it is next to the aft end of the root, which is free in the table: 0.0028 and
-    0.033 at a tenth of the span, 0.0037 and 0.043 at the root itself. It is a polynomial off the wing too.
+    The shape is sum a_ij eta^i xi^j, i = 2..6, j = 0..3, with eta along the span and xi along the chord from 0 to 1. Value
+    and slope vanish at the root. The a_ij are least squares to the 121 deflections of NASA TM-100492 (Yates, 1987), 1 at the
+    tip's trailing edge. In that unit the root mean square of what is left, off the root, is 0.0007 in mode 1 and 0.0042 in
+    mode 2. Most of it is next to the aft end of the root, which is free in the table: 0.0028 and 0.033 at a tenth of the
+    span, 0.0037 and 0.043 at the root itself. It is a polynomial off the wing too.
 
-    Raises `ValueError` for another mode, and for points that are not (m, 3).
+    **Arguments:**
+
+    - `points`: positions (m, 3) in metres, as `agard445` has them, from NumPy or JAX.
+    - `mode`: 1 (bending) or 2 (torsion).
+    - `amplitude`: displacement of the tip's trailing edge, in semi-spans of 0.762 m. Default 1.
+
+    **Returns:** displacements (m, 3) in metres, of NumPy or JAX as the points are.
+
+    **Raises:** `ValueError` for another mode, and for points that are not (m, 3).
     """
     if mode not in DEFLECTIONS:
         raise ValueError(f"`mode` is {mode!r}; there are modes {', '.join(map(str, DEFLECTIONS))}.")
@@ -142,7 +155,7 @@ def _file_name(points: int, gmsh_version: str) -> str:
 
 
 def _load(file: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of a file written by `_store`; None where there is none, or it is damaged."""
+    """Reads the arrays of a file written by `_store`; None if there is no file, or it is damaged."""
     if not zipfile.is_zipfile(file):
         return None
     try:
@@ -155,7 +168,7 @@ def _load(file: Path) -> dict[str, np.ndarray] | None:
 
 
 def _store(file: Path, arrays: dict[str, np.ndarray]) -> None:
-    """All of the file or nothing: written beside it, then renamed. A directory that refuses it costs a warning only."""
+    """Writes all of the file or nothing: under a temporary name, then renamed. Warns if the directory refuses it."""
     content: dict[str, Any] = dict(arrays)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

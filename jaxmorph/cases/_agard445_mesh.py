@@ -88,7 +88,7 @@ OPTIONS = {
 
 
 def generate(gmsh: Any, sizes: Sizes) -> dict[str, np.ndarray]:
-    """`points` (n, 3), `tetra` (k, 4), and the node ids `wing`, `symmetry` and `farfield`; `gmsh` is the module."""
+    """Makes `points` (n, 3), `tetra` (k, 4), and the node ids `wing`, `symmetry` and `farfield`; `gmsh` is the module."""
     with _session(gmsh):
         geo = gmsh.model.geo
         wing, edges, root = _wing(geo)
@@ -103,7 +103,10 @@ def generate(gmsh: Any, sizes: Sizes) -> dict[str, np.ndarray]:
 
 @contextlib.contextmanager
 def _stack_limit_kept() -> Iterator[None]:
-    """gmsh lifts the limit of the stack for good; the threads of child processes would then have 2 MiB, too few for OpenBLAS."""
+    """Restores the limit of the stack, which gmsh lifts for good.
+
+    The threads of child processes would otherwise have 2 MiB, too few for OpenBLAS.
+    """
     if resource is None:
         yield
         return
@@ -210,7 +213,7 @@ def _set_sizes(field: Any, sizes: Sizes, wing: list[int], edges: dict[str, list[
 
 
 def _read(mesh: Any, volume: int, patches: dict[str, list[int]]) -> dict[str, np.ndarray]:
-    """Coordinates and ids of nodes that tetrahedra use: not the centre of the sphere, nor points of the contours."""
+    """Reads coordinates and ids of nodes that tetrahedra use: not the centre of the sphere, nor points of the contours."""
     tags, coordinates, _ = mesh.getNodes()
     tetra = mesh.getElementsByType(4, volume)[1].astype(np.int64).reshape(-1, 4)
     place = np.full(int(tags.max()) + 1, -1)

@@ -71,7 +71,7 @@ def planform_coordinates(points):
 
 @functools.cache
 def coefficients(mode: int) -> tuple[tuple[float, ...], ...]:
-    """a_ij of sum a_ij eta^i xi^j, i = 2..6, j = 0..3: least squares to the table, 1 at the tip's trailing edge.
+    """Fits a_ij of sum a_ij eta^i xi^j, i = 2..6, j = 0..3: least squares to the table, 1 at the tip's trailing edge.
 
     There eta = xi = 1, so the coefficients add up to 1: the first is eliminated by it.
     """

@@ -21,12 +21,21 @@ def wing(
 ) -> jm.Mesh:
     """Makes a swept and tapered wing of hexahedra between two planes, its first cell in chords of the root.
 
-    The C-grid `naca4(code, points=points, first_cell=first_cell)` at `stations` along y, from the root of chord 1 to the tip
-    of chord 0.7, whose leading edge lies half a chord behind. Nodes on the wall lie much closer along the section than along
-    the span: chains of nearest neighbours stay within one section. Patches: `wing`, `farfield`, and the planes `root` (y = 0)
-    and `tip` (y = span).
+    The C-grid of `naca4` is repeated at stations along y, from the root of chord 1 to the tip of chord 0.7. The tip's leading
+    edge lies half a chord behind. Nodes on the wall lie much closer along the section than along the span: chains of nearest
+    neighbours stay within one section. Patches: `wing`, `farfield`, and the planes `root` (y = 0) and `tip` (y = span).
 
-    Raises `ValueError` for fewer than 2 stations, and as `naca4` does.
+    **Arguments:**
+
+    - `code`: four digits of the section, as in `naca4`. Default "6409".
+    - `points`: about how many points each station has, 300 or more. Default 2000.
+    - `stations`: sections along the span, 2 or more. Default 13.
+    - `span`: length of the wing, in chords of the root. Default 2.
+    - `first_cell`: height of the cells at the wall, in chords of the root. Default 1e-5.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for fewer than 2 stations, and as `naca4` does.
     """
     if stations < 2:
         raise ValueError(f"a wing needs 2 stations, not {stations}.")
@@ -40,7 +49,7 @@ def wing(
     corners = np.concatenate([layers[1:], layers[:-1]], axis=-1).reshape(-1, 8)
     ids = ids_of(stations, n)
     patches = {
-        name: ids[:, section.patch(own)].ravel() for name, own in (("wing", "airfoil"), ("farfield", "farfield"))
+        name: ids[:, section.patch(patch)].ravel() for name, patch in (("wing", "airfoil"), ("farfield", "farfield"))
     }
     return jm.Mesh(places, {"hexahedron": corners}, patches | {"root": ids[0], "tip": ids[-1]})
 
@@ -48,11 +57,18 @@ def wing(
 def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None = None) -> jm.Mesh:
     """Makes the unit cube, divided into `cells` by `cells` by `cells` bricks, each of them divided into cells of one type.
 
-    `kind` is `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick), `pyramid` (6 a brick, around a node in its middle) or
-    `mixed`: hexahedra at the floor, a layer of pyramids above them, and wedges. The layers of bricks grow from `first_cell`
-    at z = 0; without it they are even. Patches: `floor` (z = 0), `lid` (z = 1), `sides`, which share nodes.
+    Patches: `floor` (z = 0), `lid` (z = 1), `sides`, which share nodes.
 
-    Raises `ValueError` for another kind, fewer than 3 cells, and a first cell that is not between 0 and 1.
+    **Arguments:**
+
+    - `kind`: the type of the cells. It is `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick), `pyramid` (6 a brick, around
+      a node in its middle) or `mixed`. A mixed mesh has hexahedra at the floor, a layer of pyramids above, and wedges.
+    - `cells`: bricks along each edge, 3 or more. Default 6.
+    - `first_cell`: height of the bricks at z = 0, from which the layers grow. Default None: all layers are equal.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for another kind, fewer than 3 cells, and a first cell that is not between 0 and 1.
     """
     if kind not in (*PARTS, "mixed") or cells < 3:
         raise ValueError(f"expected one of {', '.join(PARTS)}, mixed, and 3 cells at least, not {kind!r} and {cells}.")
@@ -74,7 +90,7 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
 
 
 def _divided(points: np.ndarray, layers: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Points, with middles of bricks where pyramids need them, and the cells of each type that bricks (k, 8) are divided into."""
+    """Divides bricks (k, 8) into cells of each type; adds the middles of bricks to the points where pyramids need them."""
     cells = {}
     for kind, corners in layers.items():
         if kind == "pyramid":

@@ -36,17 +36,25 @@ REFERENCE = Counts(half=80, wake=50, normal=150, base=6)
 def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-5) -> jm.Mesh:
     """Makes a C-grid around a section of unit chord: straight rays of 15 chords, a wake to x = 17 chords.
 
-    `points` is how many are wanted; the mesh has about as many, and exactly as many for 39,666 (260 x 150 cells and
-    50 x 6 behind the base). Other numbers sample the same spacing laws along wall and wake, and scale the four counts
-    alike; `first_cell`, in chords, is kept at the wall whatever they are.
+    The mesh has about as many points as asked for, and exactly as many for 39,666 (260 x 150 cells and 50 x 6 behind the
+    base). Other numbers sample the same spacing laws along wall and wake, and scale the four counts alike.
 
-    The cells of the C come first, layer after layer from the wall, in each from the lower wake's exit round the nose to
-    the upper wake's; then those behind the base. All are convex and counter-clockwise. Patches: `airfoil`, `farfield`.
+    The cells of the C come first, layer after layer from the wall. A layer runs from the lower wake's exit round the nose to
+    the upper wake's. The cells behind the base are last. All are convex and counter-clockwise. Patches: `airfoil`, `farfield`.
     Behind a sharp trailing edge, both ends of the section at one place, there is no base: the two wakes share their nodes.
 
-    Raises `ValueError` for fewer than 300 points, a first cell that does not fit, a section whose upper end lies below its
-    lower one, and where the rays leave a cell that is not convex: a nose of 1 % thickness at 9 % camber, or thickness and
-    camber of which no airfoil is made.
+    **Arguments:**
+
+    - `section`: a function from parameters (k,), -1 to 1 from the lower trailing edge round the nose to the upper, to places
+      (k, 2) in chords.
+    - `points`: about how many points, 300 or more. Default 39,666.
+    - `first_cell`: height of the cells at the wall in chords, whatever the number of points. Default 1e-5.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for fewer than 300 points, a first cell that does not fit, and a section whose upper end lies below
+    its lower one. Also where the rays leave a cell that is not convex: a nose of 1 % thickness at 9 % camber, or thickness
+    and camber of which no airfoil is made.
     """
     counts = _counts(points)
     largest = 0.9 * RAY_LENGTH / counts.normal
@@ -79,7 +87,7 @@ def _counts(points: int) -> Counts:
 
 
 def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes on the section (2 half + 1, 2), lower trailing edge first, and the angles of their rays in radians."""
+    """Spaces nodes on the section (2 half + 1, 2), lower trailing edge first; computes their rays' angles in radians."""
     lower, upper = (_half(section, end, counts.half) for end in (-1.0, 1.0))
     t = np.concatenate([lower[::-1], upper[1:]])
     nodes = section(t)
@@ -95,7 +103,7 @@ def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _half(section: Section, end: float, cells: int) -> np.ndarray:
-    """Parameters of the nodes from the nose to one trailing edge, spaced in arc length."""
+    """Computes the nodes' parameters from the nose to one trailing edge, spaced in arc length."""
     t = np.linspace(0.0, end, 20_001)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(section(t), axis=0), axis=1))])
     first, last = NOSE_SPACING / arc[-1], TRAILING_EDGE_SPACING / arc[-1]
@@ -136,7 +144,7 @@ def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray
 
 
 def _ray_lengths(weights: np.ndarray, cells: int, first_cell: float) -> np.ndarray:
-    """Distances of the nodes from the innermost line, (cells + 1, rays)."""
+    """Computes the distances (cells + 1, rays) of the nodes from the innermost line."""
     wall = _geometric(cells, cells, first_cell / RAY_LENGTH)[:, None]
     wake_first = max(first_cell, min(WAKE_FIRST_CELL, 0.5 * RAY_LENGTH / cells))
     wake = _geometric(cells, cells, wake_first / RAY_LENGTH)[:, None]
@@ -144,7 +152,7 @@ def _ray_lengths(weights: np.ndarray, cells: int, first_cell: float) -> np.ndarr
 
 
 def _wake_strip(inner: np.ndarray, counts: Counts) -> np.ndarray:
-    """Nodes strictly between lower and upper wake, (base - 1, wake + 1, 2), from the trailing edge to the exit."""
+    """Places nodes (base - 1, wake + 1, 2) strictly between lower and upper wake, from the trailing edge to the exit."""
     lower, upper = inner[counts.wake :: -1], inner[-counts.wake - 1 :]
     across = np.linspace(0, 1, counts.base + 1)[1:-1, None, None]
     return lower + across * (upper - lower)

@@ -15,12 +15,21 @@ def sharp_o_grid(
 ) -> jm.Mesh:
     """Makes an O-grid of quads around a section of unit chord whose trailing edge is sharp, at (1, 0).
 
-    The section is a circle under the map of Karman and Trefftz, its trailing edge `edge` degrees open, its mean line an arc
-    of height `camber` chords or so. `around` cells go round it and `layers` from it to the far field, a circle of 20 chords.
-    The rays leave the wall along its normal, and at the edge along the line between both sides. All cells are convex and
-    counter-clockwise. `first_cell` is the height of those at the wall, in chords. Patches: `airfoil`, `farfield`.
+    The section is a circle under the map of Karman and Trefftz. The far field is a circle of 20 chords. The rays leave the
+    wall along its normal, and at the edge along the line between both sides. All cells are convex and counter-clockwise.
+    Patches: `airfoil`, `farfield`.
 
-    Raises `ValueError` for fewer than 16 cells around or 8 layers, and for an edge that is not between 1 and 60 degrees.
+    **Arguments:**
+
+    - `around`: cells round the section, 16 or more. Default 128.
+    - `layers`: cells from the section to the far field, 8 or more. Default 64.
+    - `first_cell`: height of the cells at the wall, in chords. Default 1.7e-7.
+    - `camber`: height of the mean line, about an arc, in chords. Default 0.
+    - `edge`: angle of the trailing edge in degrees, 1 to 60. Default 12.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for fewer than 16 cells around or 8 layers, and for an edge that is not between 1 and 60 degrees.
     """
     if around < 16 or layers < 8:
         raise ValueError(f"an O-grid needs 16 cells around and 8 layers, not {around} and {layers}.")
@@ -49,7 +58,7 @@ class Section:
         return 1 + self._map(radius, turn) / -self.nose
 
     def _map(self, radius, turn):
-        """Places relative to the edge, to full relative precision near it."""
+        """Computes places relative to the edge, to full relative precision near it."""
         away = self.radius * (radius * np.exp(1j * (2 * np.pi * turn + self.start)) - np.exp(1j * self.start))
         power = (away / (2 + away)) ** self.power
         return 2 * self.power * power / (1 - power)

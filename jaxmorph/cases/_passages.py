@@ -15,11 +15,19 @@ def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pi
     """Makes an O-grid of quads around a cambered turbine blade of unit chord, in a passage `pitch` chords wide.
 
     The blade's trailing edge is sharp, at (1, 0); the passage is 1.7 chords long. Its sides run straight and half a pitch
-    from the blade's middle: a blade that turns by 45 degrees comes close to them. `around` cells go round the blade,
-    `layers` from it to the passage's boundary; `first_cell` is the height of those at the blade, in chords. All cells are
-    convex and counter-clockwise. Patches: `blade`, `inlet`, `outlet`, `lower`, `upper`; corners belong to two of them.
+    from the blade's middle: a blade that turns by 45 degrees comes close to them. All cells are convex and counter-clockwise.
+    Patches: `blade`, `inlet`, `outlet`, `lower`, `upper`; corners belong to two of them.
 
-    Raises `ValueError` for fewer than 40 cells around or 8 layers, and a pitch not between 1 and 3 chords.
+    **Arguments:**
+
+    - `around`: cells round the blade, 40 or more. Default 240.
+    - `layers`: cells from the blade to the passage's boundary, 8 or more. Default 60.
+    - `first_cell`: height of the cells at the blade, in chords. Default 1e-5.
+    - `pitch`: width of the passage, 1 to 3 chords. Default 1.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for fewer than 40 cells around or 8 layers, and a pitch not between 1 and 3 chords.
     """
     if around < 40 or layers < 8:
         raise ValueError(f"a cascade needs 40 cells around and 8 layers, not {around} and {layers}.")

@@ -1,4 +1,4 @@
-"""What structured meshes share: ids in a block, the cells between them, spacings that grow."""
+"""Parts of all structured meshes: ids in a block, the cells between them, spacings that grow."""
 
 import numpy as np
 from scipy.optimize import brentq

@@ -43,7 +43,7 @@ def work(points: int) -> str:
 
 
 def _timed(plan: jm.Plan, u: np.ndarray, cotangent: np.ndarray) -> list[tuple[jax.Array, float]]:
-    """The points and the gradient, each with the least CPU time of five runs."""
+    """Computes the points and the gradient, each with the least CPU time of five runs."""
     results = []
     for function in (lambda: jm.deform(plan, u), lambda: jm.pullback(plan, u, cotangent)):
         result, times = jax.block_until_ready(function()), []

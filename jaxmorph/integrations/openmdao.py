@@ -17,15 +17,17 @@ import jaxmorph as jm
 
 
 class MeshDeformation(om.ExplicitComponent):
-    """`jaxmorph.deform` as an explicit component, its derivatives products without a matrix.
+    """Wraps `jaxmorph.deform` as an explicit component, whose derivatives are products without a matrix.
 
-    Input `displacements` (m, d), row i that of node `plan.moving[i]`, zero at first; output `points` (n, d), all nodes in the
-    mesh's own order. In reverse mode it takes sensitivities of all points to those of the moving ones, which is
-    `jaxmorph.pullback`.
+    The input `displacements` (m, d) is zero at first; its row i moves node `plan.moving[i]`. The output `points` (n, d) are all
+    nodes in the mesh's own order. In reverse mode it takes sensitivities of all points to those of the moving ones, which is
+    `jaxmorph.pullback`. OpenMDAO works in float64, so make the plan with JAX's x64 mode on.
 
-    Options: `plan`, what `jaxmorph.prepare` returned; `flat`, whether both variables are flattened to (m d,) and (n d,), as the
-    solvers of MPhys have them; `units`, those of both, such as "m" (none by default). OpenMDAO works in float64, so
-    make the plan with JAX's x64 mode on.
+    **Arguments:** (options)
+
+    - `plan`: what `jaxmorph.prepare` returned.
+    - `flat`: True flattens both variables to (m d,) and (n d,), as the solvers of MPhys have them. Default False.
+    - `units`: those of both variables, such as "m". Default None: none.
 
         problem = om.Problem()
         problem.model.add_subsystem("mesh", MeshDeformation(plan=plan), promotes=["*"])
@@ -73,6 +75,6 @@ class MeshDeformation(om.ExplicitComponent):
 
 @eqx.filter_jit
 def _product(plan: jm.Plan, u: Float[ArrayLike, "m d"], du: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
-    """The derivative of `deform` along `du`."""
+    """Computes the derivative of `deform` along `du`."""
     u, du = (jnp.asarray(values, plan.points.dtype) for values in (u, du))
     return jax.jvp(lambda u: jm.deform(plan, u), (u,), (du,))[1]

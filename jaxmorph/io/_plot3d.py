@@ -25,7 +25,7 @@ WORDS = bytes.maketrans(b",Dd", b" ee")
 
 
 @dataclasses.dataclass(frozen=True)
-class Layout:
+class FileLayout:
     """Holds the sizes of the blocks, and where the coordinates of each begin: a number of a text, a byte of a binary file."""
 
     shapes: tuple[tuple[int, ...], ...]
@@ -47,7 +47,7 @@ class Layout:
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Content:
     data: bytes
-    layout: Layout
+    layout: FileLayout
     joined: Joined
 
 
@@ -105,7 +105,7 @@ def _numbers(path: pathlib.Path, text: bytes) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _text_layout(numbers: np.ndarray) -> Layout | None:
+def _text_layout(numbers: np.ndarray) -> FileLayout | None:
     for d, is_multiple in itertools.product((3, 2), (True, False)):
         shapes = _shapes(numbers[:1] if is_multiple else np.ones(1), numbers[is_multiple:], d)
         start = is_multiple + d * len(shapes)
@@ -113,22 +113,22 @@ def _text_layout(numbers: np.ndarray) -> Layout | None:
         for width in (d, d + 1):
             if shapes and start + width * sum(counts) == len(numbers):
                 starts = start + width * (np.cumsum(counts) - counts)
-                return Layout(shapes, tuple(starts.tolist()), None)
+                return FileLayout(shapes, tuple(starts.tolist()), None)
     return None
 
 
 def _shapes(count: np.ndarray, sizes: np.ndarray, d: int) -> tuple[tuple[int, ...], ...]:
-    """Reads the sizes of so many blocks; none when the numbers cannot be that."""
+    """Reads the sizes of so many blocks; returns none if the numbers cannot be sizes."""
     blocks = int(count[0]) if len(count) and 0 < count[0] <= len(sizes) // d and count[0] == np.floor(count[0]) else 0
-    found = sizes[: d * blocks].reshape(blocks, d)
-    good = len(found) and (found >= 1).all() and (found < 2**31).all() and (found == np.floor(found)).all()
+    rows = sizes[: d * blocks].reshape(blocks, d)
+    good = len(rows) and (rows >= 1).all() and (rows < 2**31).all() and (rows == np.floor(rows)).all()
     # a block has cells: two of its indices have more than one node
-    if not good or ((found > 1).sum(axis=1) < 2).any():
+    if not good or ((rows > 1).sum(axis=1) < 2).any():
         return ()
-    return tuple(tuple(int(size) for size in row) for row in found)
+    return tuple(tuple(int(size) for size in row) for row in rows)
 
 
-def _binary_layout(data: bytes) -> Layout | None:
+def _binary_layout(data: bytes) -> FileLayout | None:
     for order, mark, is_multiple, d in itertools.product("<>", (4, 0), (True, False), (3, 2)):
         kind = f"{order}i4"
         head = 4 + 2 * mark if is_multiple else 0
@@ -150,7 +150,7 @@ def _binary_layout(data: bytes) -> Layout | None:
                 data, kind, [4 * is_multiple, 4 * d * len(shapes), *(sizes - 8).astype(int).tolist()]
             ):
                 continue
-            return Layout(shapes, tuple(starts.tolist()), np.dtype(f"{order}f{width}"))
+            return FileLayout(shapes, tuple(starts.tolist()), np.dtype(f"{order}f{width}"))
     return None
 
 

@@ -57,8 +57,8 @@ def read(path: str | os.PathLike[str]) -> Mesh:
 
     **Returns:** a `Mesh` that remembers the file, so that `write` can give it back with other coordinates.
 
-    **Raises:** `ValueError`, with file, line and what was found there, for a file that is not a good mesh. `OSError`
-    for one that cannot be opened. `ImportError` when the extra is missing.
+    **Raises:** `ValueError` for a file that is not a good mesh, with file, line and what stands there. `OSError` for a file
+    that cannot be opened. `ImportError` when the extra is missing.
     """
     path = pathlib.Path(path)
     return format_of(path).codec().read(path)
@@ -80,8 +80,8 @@ def write(
     from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its `polyMesh/points`), or into a new
-    folder: a copy of the case's `constant`, `system`, `0` and `0.orig` with other points. The case stays as it is. 2-D
-    cases (`empty` patches) are meshes in two coordinates, and both planes move alike.
+    folder. The new folder is a copy of the case's `constant`, `system`, `0` and `0.orig` with other points. The case stays as
+    it is. 2-D cases (`empty` patches) are meshes in two coordinates, and both planes move alike.
 
     The file appears when it is complete, under a temporary name until then.
 

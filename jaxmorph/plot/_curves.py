@@ -45,7 +45,7 @@ def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewne
 
 
 def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]:
-    """Finite values of the cells of the highest dimension."""
+    """Selects the finite values of the cells of the highest dimension."""
     values = np.asarray(getattr(report, measure))
     return values[report.counted & np.isfinite(values)]
 
@@ -66,12 +66,19 @@ class SurfaceErrors:
 def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.AbstractReduction]) -> SurfaceErrors:
     """Measures, on the host, how far a plan's radial basis functions miss a displacement `u` (m, d) without a correction.
 
-    The basis, the polynomial and the reduction of the fixed nodes are the plan's. The moving nodes are reduced by each of
-    `reductions` in turn, such as `[jm.KDTree(leaves) for leaves in (1, 4, 16, 64)]`. Each costs one dense solve and needs no volume
-    mesh.
+    The basis, the polynomial and the reduction of the fixed nodes are the plan's. Each reduction costs one dense solve, and
+    needs no volume mesh.
 
-    **Raises:** `ValueError` for a plan without radial basis functions, when the shape of `u` is not (m, d) or `u` is zero, for no
-    `reductions`, and what `prepare` raises for one of them.
+    **Arguments:**
+
+    - `plan`: a plan with radial basis functions.
+    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
+    - `reductions`: reductions of the moving nodes, such as `[jm.KDTree(leaves) for leaves in (1, 4, 16, 64)]`.
+
+    **Returns:** a `SurfaceErrors`.
+
+    **Raises:** `ValueError` for a plan without radial basis functions, for a `u` that is not (m, d) or is zero, and for no
+    `reductions`. Also what `prepare` raises for one of them.
     """
     rbf = radial_basis_functions(plan)
     points, m = np.asarray(plan.points), plan.n_moving
@@ -113,11 +120,11 @@ def convergence(errors: Mapping[str, SurfaceErrors], *, ax: Axes | None = None) 
         raise ValueError("`errors` is empty: give at least one, such as {'k-d tree': plot.surface_errors(...)}.")
     ax = given_or_new(ax)
     colours, markers = (BLUE, ORANGE, GREEN, DARK, GREY), "osD^v"
-    for k, (name, found) in enumerate(errors.items()):
-        order, style = np.argsort(found.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
-        ax.loglog(found.sources[order], found.largest[order], "-", label=f"{name}, largest", **style)
-        ax.loglog(found.sources[order], found.mean[order], "--", label=f"{name}, mean", fillstyle="none", **style)
-    ticks = _apart(np.concatenate([found.sources for found in errors.values()]))
+    for k, (name, each) in enumerate(errors.items()):
+        order, style = np.argsort(each.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
+        ax.loglog(each.sources[order], each.largest[order], "-", label=f"{name}, largest", **style)
+        ax.loglog(each.sources[order], each.mean[order], "--", label=f"{name}, mean", fillstyle="none", **style)
+    ticks = _apart(np.concatenate([each.sources for each in errors.values()]))
     ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
     ax.set_xticks([], minor=True)
     low, high = np.log10(ax.get_ylim())

@@ -52,8 +52,8 @@ def animate(
     A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the system's or imageio-ffmpeg's. Returns the path of
     the file, which is there whole or not at all.
 
-    Raises `ValueError` for another ending, a folder that is not there, fewer than 2 frames or frames of different shapes, and
-    a rate that is not positive; `ImportError` for what is missing.
+    **Raises:** `ValueError` for another ending, a folder that is not there, and a rate that is not positive. Also for fewer than
+    2 frames, or frames of different shapes. `ImportError` for what is missing.
     """
     path = check_suffix(path, ".gif", ".mp4")
     frames = [np.asarray(points) for points in frames]

@@ -29,10 +29,10 @@ document.title = TITLE;
 document.getElementById("label").textContent = LABEL;
 document.getElementById("time").addEventListener("input", event => K3DInstance.setTime(Number(event.target.value)));
 """
-"""Its own words are put in for TITLE and LABEL."""
+"""Script of a page; TITLE and LABEL are replaced by the page's words."""
 
 FIELD_OF_VIEW = 30
-"""Of the camera, in degrees."""
+"""Angle that the camera sees, in degrees."""
 
 
 def page(
@@ -48,20 +48,30 @@ def page(
     """Makes an interactive page (.html) of the outside of a 3-D mesh, or of one patch, with a slider from undeformed to deformed.
 
     Any browser with WebGL opens it from disk, without a network: all it needs is in the one file, 1.2 MB more than the surface
-    takes. The mouse turns, moves and zooms. Coloured by the length of each node's displacement, in the mesh's units; or by
-    `values`, one for each cell, wherever the slider stands, with `limits` as in `mesh`. `label` says what the colours are. Between
-    the two ends of the slider nodes go in straight lines.
+    takes. The mouse turns, moves and zooms. Between the two ends of the slider nodes go in straight lines.
 
-    Returns the path of the file, which is there whole or not at all.
+    **Arguments:**
 
-    Raises `ValueError` as `surface` does, and for another ending or a folder that is not there; `ImportError` where k3d is missing.
+    - `path`: the file to write, ending in .html.
+    - `mesh`: the undeformed mesh.
+    - `points`: deformed positions (n, 3) of its nodes.
+    - `values`: one for each cell, which colours it wherever the slider stands. Default: the length of each node's
+      displacement, in the mesh's units.
+    - `limits`: the values at the light and at the dark end of the colours, as in `mesh`.
+    - `label`: names the values.
+    - `patch`: the patch to show. Default: the whole outside.
+
+    **Returns:** the path of the file, which is there whole or not at all.
+
+    **Raises:** `ValueError` as `surface` does, and for another ending or a folder that is not there. `ImportError` where k3d is
+    missing.
     """
     path = check_suffix(path, ".html", ".htm")
     try:
         k3d: Any = importlib.import_module("k3d")  # its own types know no time series
     except ImportError as error:
         raise ImportError("pages need k3d: pip install 'jaxmorph[plot]'") from error
-    surface = _Surface.of(mesh, points, values, patch)
+    surface = _Surface.outside_of(mesh, points, values, patch)
     scene = k3d.plot(
         grid_visible=False,
         menu_visibility=False,
@@ -108,7 +118,7 @@ class _Surface:
     values: Float[np.ndarray, " t"] | None
 
     @staticmethod
-    def of(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> "_Surface":
+    def outside_of(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> "_Surface":
         faces = outside(mesh, points, values, patch).cast_to_unstructured_grid()
         ids = np.asarray(faces.point_data["node"])
         before, after = (np.asarray(each, dtype=float)[ids] for each in (mesh.points, points))

@@ -23,7 +23,7 @@ THINNEST, THICKEST = 0.01, 0.6
 """Widths of grid lines in typographic points: a line takes a sixth of its cell, so that boundary layers do not turn black."""
 
 ROOM = 0.4
-"""How far a picture reaches beyond the bodies, over their extent, unless a window is given."""
+"""Margin of a picture around the bodies, relative to their extent, unless a window is given."""
 
 FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
 

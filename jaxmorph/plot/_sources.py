@@ -29,8 +29,8 @@ def sources(
 
     - `surface`: a plan, whose own sources and boxes are shown; or points (m, 2).
     - `reduction`: chooses the sources among points; not for a plan, which has its own.
-    - `fixed`: whether the sources and boxes of a plan's fixed nodes are shown too. They may be far away.
-    - `search_points`: whether to mark the places in each box at which a source was looked for.
+    - `fixed`: True shows the sources and boxes of a plan's fixed nodes too. They may be far away. Default False.
+    - `search_points`: True marks the places in each box at which a source was looked for. Default False.
     - `window`: ((left, right), (bottom, top)); all that is drawn by default.
     - `ax`: matplotlib's axes; new ones by default.
 
@@ -39,17 +39,17 @@ def sources(
     **Raises:** `ValueError` for points in 3-D, for a plan whose method has no radial basis functions, for points without a
     `reduction` and for a plan with one.
     """
-    found = _found(surface, reduction, fixed, dimension=2)
+    picture = _picture(surface, reduction, fixed, dimension=2)
     ax = given_or_new(ax)
-    if found.leaves:
-        outline = found.boxes[:, [0, 1, 1, 0, 0], 0], found.boxes[:, [0, 0, 1, 1, 0], 1]
+    if picture.leaves:
+        outline = picture.boxes[:, [0, 1, 1, 0, 0], 0], picture.boxes[:, [0, 0, 1, 1, 0], 1]
         ax.plot(*(side.T for side in outline), color=GREEN, linewidth=1.2)
-        ax.plot([], [], color=GREEN, label=f"{found.leaves} leaves")
-    ax.plot(*found.nodes.T, ".", color=GREY, markersize=5, label=f"{len(found.nodes)} nodes", zorder=2)
-    ax.plot(*found.sources.T, "o", color=ORANGE, markersize=7, label=f"{len(found.sources)} sources", zorder=3)
-    if search_points and found.leaves:
+        ax.plot([], [], color=GREEN, label=f"{picture.leaves} leaves")
+    ax.plot(*picture.nodes.T, ".", color=GREY, markersize=5, label=f"{len(picture.nodes)} nodes", zorder=2)
+    ax.plot(*picture.sources.T, "o", color=ORANGE, markersize=7, label=f"{len(picture.sources)} sources", zorder=3)
+    if search_points and picture.leaves:
         style = {"color": BLUE, "markersize": 7, "markeredgewidth": 1.5, "zorder": 4}
-        ax.plot(*found.searched.T, "+", label=f"{len(found.searched)} search points", **style)
+        ax.plot(*picture.searched.T, "+", label=f"{len(picture.searched)} search points", **style)
     ax.margins(0.05, 0.1)
     if window is None:
         ax.set_aspect("equal")
@@ -75,18 +75,18 @@ def sources_3d(
 
     **Raises:** `ValueError` as `sources` does, for points in 2-D.
     """
-    found = _found(surface, reduction, fixed, dimension=3)
+    picture = _picture(surface, reduction, fixed, dimension=3)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    legend = [[f"{len(found.nodes)} nodes", DARK], [f"{len(found.sources)} sources", ORANGE]]
+    legend = [[f"{len(picture.nodes)} nodes", DARK], [f"{len(picture.sources)} sources", ORANGE]]
     balls = {"render_points_as_spheres": True, "lighting": False}
-    plotter.add_points(found.nodes, color=DARK, point_size=4, **balls)
-    plotter.add_points(found.sources, color=ORANGE, point_size=14, **balls)
-    if found.leaves:
-        plotter.add_mesh(_wires(found.boxes), color=GREEN, line_width=2.5, lighting=False)
-        legend.append([f"{found.leaves} leaves", GREEN])
+    plotter.add_points(picture.nodes, color=DARK, point_size=4, **balls)
+    plotter.add_points(picture.sources, color=ORANGE, point_size=14, **balls)
+    if picture.leaves:
+        plotter.add_mesh(_wires(picture.boxes), color=GREEN, line_width=2.5, lighting=False)
+        legend.append([f"{picture.leaves} leaves", GREEN])
         if search_points:
-            plotter.add_points(found.searched, color=BLUE, point_size=8, **balls)
-            legend.append([f"{len(found.searched)} search points", BLUE])
+            plotter.add_points(picture.searched, color=BLUE, point_size=8, **balls)
+            legend.append([f"{len(picture.searched)} search points", BLUE])
     add_legend(plotter, legend)
     if new:
         aim(plotter)
@@ -94,7 +94,7 @@ def sources_3d(
 
 
 @dataclasses.dataclass(frozen=True)
-class _Found:
+class _Picture:
     """Holds what is drawn: coordinates of nodes and sources, the lower and upper corner of each leaf's box, search points."""
 
     nodes: Float[np.ndarray, "n d"]
@@ -107,7 +107,7 @@ class _Found:
         return len(self.boxes)
 
 
-def _found(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, dimension: int) -> _Found:
+def _picture(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, dimension: int) -> _Picture:
     if isinstance(surface, jm.Plan):
         if reduction is not None:
             raise ValueError("a plan has its own reductions: give points with `reduction`, or the plan alone.")
@@ -125,7 +125,7 @@ def _found(surface: Any, reduction: jm.AbstractReduction | None, fixed: bool, di
             local = reduction.search_points.local(dimension)
             centre, half = boxes[-1].mean(axis=1), np.ptp(boxes[-1], axis=1) / 2
             searched.append((centre[:, None] + half[:, None] * local).reshape(-1, dimension))
-    return _Found(nodes, chosen, np.concatenate(boxes), np.concatenate(searched))
+    return _Picture(nodes, chosen, np.concatenate(boxes), np.concatenate(searched))
 
 
 def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
@@ -162,7 +162,7 @@ def _checked(points: Any, dimension: int) -> np.ndarray:
 
 
 def _wires(boxes: Float[np.ndarray, "l 2 3"]) -> Any:
-    """The twelve edges of each box, as pyvista's lines."""
+    """Draws the twelve edges of each box as pyvista's lines."""
     corners = list(itertools.product((0, 1), repeat=3))
     edges = [
         (i, j)

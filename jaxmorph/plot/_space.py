@@ -109,8 +109,8 @@ def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
         chosen = np.isin(faces.point_data["node"], on_patch)
         faces = faces.extract_points(chosen, adjacent_cells=False)
     if faces.n_cells == 0:
-        of = "the mesh" if patch is None else f"patch {patch!r}"
-        raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {of}.")
+        owner = "the mesh" if patch is None else f"patch {patch!r}"
+        raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {owner}.")
     return faces
 
 

@@ -28,7 +28,7 @@ def check_values(values: Any, cells: int) -> None:
 
 
 def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Limits | None]:
-    """The colour map and its limits, ascending: the map is turned round where the dark end is the smaller one.
+    """Returns the colour map and its limits, ascending: the map is turned round where the dark end is the smaller one.
 
     Raises `ValueError` unless the limits are two finite numbers that differ.
     """

@@ -13,7 +13,7 @@ from ._rigid import turn
 from ._shape import AbstractShape
 
 NEUTRAL = {"twist": 0.0, "chord": 1.0, "sweep": 0.0, "dihedral": 0.0, "span": 0.0}
-"""What a planform's parameters are where nothing changes."""
+"""Values of a planform's parameters that change nothing."""
 
 
 class ReferenceAxis(AbstractShape):

@@ -23,8 +23,10 @@ BLOCK = 256
 class Blocks(eqx.Module):
     """Weights of points in blocks (k of B points): one direction apart, the products of the others.
 
-    `controls` are the flat ids of the control points of each span, `span` that of each block; `slot` is the place of each point in
-    the flattened blocks, `point` the point in each place. Empty places have no weight.
+    - `controls`: the flat ids of the control points of each span.
+    - `span`: the span of each block.
+    - `slot`: the place of each point in the flattened blocks.
+    - `point`: the point in each place. Empty places have no weight.
     """
 
     outer: Float[Array, "k a B"]
@@ -35,7 +37,7 @@ class Blocks(eqx.Module):
     point: Int[Array, " places"]
 
     @staticmethod
-    def of(weights: tuple[Array, ...], first: tuple[Array, ...], counts: tuple[int, ...]) -> "Blocks":
+    def sorted_by_span(weights: tuple[Array, ...], first: tuple[Array, ...], counts: tuple[int, ...]) -> "Blocks":
         """Sorts points by span and lays out their weights; needs known weights."""
         known, starts = [np.asarray(w) for w in weights], np.stack([np.asarray(each) for each in first])
         apart = int(np.argmin([w.shape[1] for w in known]))

@@ -18,7 +18,7 @@ from ._shape import AbstractLinearShape
 
 
 class Fit(eqx.Module):
-    """What a fit found: parameters, distances left, rank.
+    """Result of a fit: parameters, distances left, rank.
 
     - `parameters`: as the shape takes them.
     - `residual`: (m,) distance of each position from its target.

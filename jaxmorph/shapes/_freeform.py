@@ -31,8 +31,8 @@ class FreeForm(AbstractLinearShape):
     - `axes`: the edges (d, d) that leave it, one in each row; they need not be at right angles.
     - `counts`: numbers of control points along each edge, 2 or more.
     - `degree`: of the B-splines, for all directions or one for each; None is the highest, `counts - 1`.
-    - `continuity`: k holds the k + 1 outer layers of control points, so that what stands across the border joins with k
-      continuous derivatives; None holds none, and a wall across the border tears where the border moves.
+    - `continuity`: k holds the k + 1 outer layers of control points. What stands across the border then joins with k continuous
+      derivatives. None holds none, and a wall across the border tears where the border moves.
 
     **Raises:** `ValueError` for wrong shapes, edges in one plane, counts below 2, degrees outside of 1 to `counts - 1`, and a
     continuity that leaves no control point free.
@@ -103,7 +103,7 @@ class FreeForm(AbstractLinearShape):
         weights[0] = jnp.where(inside[:, None], weights[0], 0)
         free = None if self.continuity is None else jnp.asarray(_free(self.counts, self.continuity))
         if is_known(x, self) and len(x) >= MANY:
-            return LatticeOperator(Blocks.of(tuple(weights), tuple(first), self.counts), free, self.counts)
+            return LatticeOperator(Blocks.sorted_by_span(tuple(weights), tuple(first), self.counts), free, self.counts)
         return LatticeOperator(Rows(tuple(weights), tuple(first), self.counts), free, self.counts)
 
     def coordinates(self, x: Float[Array, "m d"]) -> Float[Array, "m d"]:

@@ -1,4 +1,4 @@
-"""Which control displacements are free: frozen, linked and mirrored ones as one matrix."""
+"""Links between control displacements: frozen, linked and mirrored ones as one matrix."""
 
 from collections.abc import Sequence
 
@@ -13,8 +13,9 @@ def link_matrix(
 ) -> Float[np.ndarray, "p q"]:
     """Builds the matrix from free parameters to the displacements of all controls, flattened.
 
-    `free` (*counts, d) tells what may move, each of `groups` lists controls that move alike, `mirror` is the direction of the
-    lattice that is reflected, and the signs (d,) of the reflection.
+    - `free` (*counts, d): True for components that may move.
+    - `groups`: each lists controls that move alike.
+    - `mirror`: the direction of the lattice that is reflected, and the signs (d,) of the reflection.
     """
     counts, d = free.shape[:-1], free.shape[-1]
     ids = np.arange(free.size).reshape(free.shape)

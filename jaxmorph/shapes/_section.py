@@ -1,4 +1,4 @@
-"""Where an airfoil lies: its chord, and which of its nodes are on the upper side."""
+"""Place of an airfoil: its chord, and the nodes on its upper side."""
 
 import equinox as eqx
 import jax.numpy as jnp

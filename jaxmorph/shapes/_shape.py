@@ -1,4 +1,4 @@
-"""What a shape is: a function of positions and parameters."""
+"""Shapes: functions of positions and parameters."""
 
 import abc
 from typing import Any

@@ -51,8 +51,8 @@ class FoamFile:
         Without it they are 32 and 64 bits, little-endian.
         """
         arch = self.header.get("arch", "")
-        found = re.search(rf"{what}=(\d+)", arch)
-        width = int(found[1]) if found else {"label": 32, "scalar": 64}[what]
+        match = re.search(rf"{what}=(\d+)", arch)
+        width = int(match[1]) if match else {"label": 32, "scalar": 64}[what]
         if width not in (32, 64):
             raise self.error(f"{what}s of {width} bits are not known; arch is {arch!r}")
         return np.dtype(f"{'>' if 'MSB' in arch else '<'}{'i' if what == 'label' else 'f'}{width // 8}")
@@ -63,44 +63,44 @@ class FoamFile:
     def list_at(self, at: int) -> List:
         """Finds the list that begins after `at` and the blanks and comments that follow."""
         at = _end_of_space(self.data, at)
-        found = _COUNT.match(self.data, at)
-        if found is None or not found[0]:
+        match = _COUNT.match(self.data, at)
+        if match is None or not match[0]:
             raise self.error(f"a list expected, found {self.data[at : at + 20]!r}")
-        count = int(found[1]) if found[1] else -1
-        return List(count if found[2] else 0, found.end(), found[2] == b"{")
+        count = int(match[1]) if match[1] else -1
+        return List(count if match[2] else 0, match.end(), match[2] == b"{")
 
     def numbers(self, what: str, width: int = 1) -> np.ndarray:
         """Reads the file's list of `label`s or `scalar`s, `width` in each element: (count, width), int32 or float64."""
-        found = self.list_at(self.end)
+        items = self.list_at(self.end)
         kind = np.dtype(np.int64 if what == "label" else np.float64)
-        if found.uniform and found.count * width * 8 > UNIFORM + 10 * len(self.raw):
-            raise self.error(f"{found.count} elements that are all the same; a mesh has no such list")
+        if items.uniform and items.count * width * 8 > UNIFORM + 10 * len(self.raw):
+            raise self.error(f"{items.count} elements that are all the same; a mesh has no such list")
         if self.is_binary:
-            values = self.binary(found, what, width)[0].reshape(-1, width)
+            values = self.binary(items, what, width)[0].reshape(-1, width)
             return values.astype(kind if what == "scalar" else _narrow(values))
-        if not found.start or found.count == 0:
+        if not items.start or items.count == 0:
             return np.zeros((0, width), kind)
-        stop = self.data.find(b"}", found.start) if found.uniform else self.data.rfind(b")", found.start)
-        values = self._words(found.start, stop, kind).reshape(-1)
-        if found.uniform and len(values) == width:
-            values = np.tile(values, found.count)
-        if len(values) % width or found.count not in (-1, len(values) // width):
-            raise self.error(f"{found.count} elements of {width} {what}s expected, found {len(values)} numbers")
+        stop = self.data.find(b"}", items.start) if items.uniform else self.data.rfind(b")", items.start)
+        values = self._words(items.start, stop, kind).reshape(-1)
+        if items.uniform and len(values) == width:
+            values = np.tile(values, items.count)
+        if len(values) % width or items.count not in (-1, len(values) // width):
+            raise self.error(f"{items.count} elements of {width} {what}s expected, found {len(values)} numbers")
         return values.reshape(-1, width)
 
-    def binary(self, found: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
+    def binary(self, items: List, what: str, width: int = 1) -> tuple[np.ndarray, int]:
         """Views the numbers of a binary list, not copied, and tells where it ends."""
         dtype = self.dtype(what)
-        count = found.count * width
-        stored = width if found.uniform else count
-        end = found.start + stored * dtype.itemsize
-        if found.count == 0:
-            return np.zeros(0, dtype), found.start
-        if found.count < 0 or end >= len(self.data) or self.data[end : end + 1] not in (b")", b"}"):
-            message = f"{found.count} elements of {width} {what}s of {dtype.itemsize} bytes do not fit the file"
+        count = items.count * width
+        stored = width if items.uniform else count
+        end = items.start + stored * dtype.itemsize
+        if items.count == 0:
+            return np.zeros(0, dtype), items.start
+        if items.count < 0 or end >= len(self.data) or self.data[end : end + 1] not in (b")", b"}"):
+            message = f"{items.count} elements of {width} {what}s of {dtype.itemsize} bytes do not fit the file"
             raise self.error(f"{message}; it is cut short, or its header's arch ({self.header.get('arch')}) is wrong")
-        values = np.frombuffer(self.data, dtype, stored, found.start)
-        return (np.tile(values, found.count) if found.uniform else values), end + 1
+        values = np.frombuffer(self.data, dtype, stored, items.start)
+        return (np.tile(values, items.count) if items.uniform else values), end + 1
 
     def faces(self) -> tuple[np.ndarray, np.ndarray]:
         """Reads the labels of all faces in a row, and where each face begins among them (one more at the end)."""
@@ -117,9 +117,9 @@ class FoamFile:
 
     def _separate_faces(self) -> tuple[np.ndarray, np.ndarray]:
         """Reads a binary list of lists, as older versions write it: each face with its number of labels, one after the other."""
-        found = self.list_at(self.end)
-        at, parts = found.start, [np.zeros(0, self.dtype("label"))]
-        for _ in range(found.count):
+        items = self.list_at(self.end)
+        at, parts = items.start, [np.zeros(0, self.dtype("label"))]
+        for _ in range(items.count):
             labels, at = self.binary(self.list_at(at), "label")
             parts.append(labels)
         sizes = np.fromiter(map(len, parts), np.int64)
@@ -131,14 +131,14 @@ class FoamFile:
         return labels.astype(_narrow(labels)), np.cumsum(sizes)
 
     def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
-        found = self.list_at(self.end)
-        stop = self.data.rfind(b")", found.start)
-        labels = self._table(found, stop)
+        items = self.list_at(self.end)
+        stop = self.data.rfind(b")", items.start)
+        labels = self._table(items, stop)
         if labels is not None:
             kind = np.int32 if labels.size < 2**31 - labels.shape[1] else np.int64
             return labels.ravel(), np.arange(0, labels.size + 1, labels.shape[1], dtype=kind)
         words, before, done = [], [np.zeros(0, np.int64)], 0
-        for chunk in chunks(self.data, found.start, stop):
+        for chunk in chunks(self.data, items.start, stop):
             plain = chunk.translate(PARENTHESES)
             labels = parse(plain, np.int64)
             solid = np.frombuffer(b" " + plain, np.uint8) > 32
@@ -154,27 +154,27 @@ class FoamFile:
         fits = (
             len(values) == done
             and (begins > 0).all()
-            and len(begins) == (found.count if found.count >= 0 else len(begins))
+            and len(begins) == (items.count if items.count >= 0 else len(begins))
         )
         if not fits or (values[begins - 1] != sizes).any() or (sizes < 3).any():
             raise self.error(
-                f"{found.count} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other numbers of labels"
+                f"{items.count} faces expected, each as 4(0 1 2 3); found {len(begins)}, or other numbers of labels"
             )
         keep = np.ones(len(values), bool)
         keep[begins - 1] = False
         return values[keep], np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
 
-    def _table(self, found: List, stop: int) -> np.ndarray | None:
+    def _table(self, items: List, stop: int) -> np.ndarray | None:
         """Reads labels (faces, corners) of a text whose faces are all of one size; None for any other."""
         done, labels = 0, np.zeros((0, 0), np.int32)
-        for part in map(_one_size, chunks(self.data, found.start, stop)):
-            if not done and len(part) and found.count * part.shape[1] <= len(self.data):
-                labels = np.empty((found.count, part.shape[1]), part.dtype)
+        for part in map(_one_size, chunks(self.data, items.start, stop)):
+            if not done and len(part) and items.count * part.shape[1] <= len(self.data):
+                labels = np.empty((items.count, part.shape[1]), part.dtype)
             if done + len(part) > len(labels) or (part.dtype, part.shape[1]) != (labels.dtype, labels.shape[1]):
                 return None
             labels[done : done + len(part)] = part
             done += len(part)
-        return labels if done and done == found.count else None
+        return labels if done and done == items.count else None
 
     def _words(self, start: int, stop: int, dtype: np.dtype) -> np.ndarray:
         parts = []
@@ -199,8 +199,8 @@ def _narrow(labels: np.ndarray) -> type:
 
 
 def _end_of_space(data: bytes, at: int) -> int:
-    found = _SPACE.match(data, at)
-    return at if found is None else found.end()
+    match = _SPACE.match(data, at)
+    return at if match is None else match.end()
 
 
 def load(folder: pathlib.Path, name: str) -> FoamFile:
@@ -216,11 +216,11 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
         data = gzip.decompress(raw) if path.suffix == ".gz" else raw
     except (OSError, EOFError, zlib.error) as error:
         raise ValueError(f"{path}: a damaged gzip file ({error}).") from error
-    found = _HEADER.search(data, 0, 1 << 14)
-    if found is None:
+    match = _HEADER.search(data, 0, 1 << 14)
+    if match is None:
         raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
-    header = {key: value.strip().strip('"') for key, value in _ENTRY.findall(found[1].decode(errors="replace"))}
-    return FoamFile(path, raw, data, header, found.end())
+    header = {key: value.strip().strip('"') for key, value in _ENTRY.findall(match[1].decode(errors="replace"))}
+    return FoamFile(path, raw, data, header, match.end())
 
 
 @dataclasses.dataclass(frozen=True)

@@ -91,9 +91,9 @@ def _check_labels(folder: pathlib.Path, labels: np.ndarray, owner: np.ndarray, n
         raise ValueError(
             f"{folder / 'faces'}: a face names node {bad}; {len(labels)} corners of faces have fewer nodes."
         )
-    own = np.flatnonzero(owner[:inner] == neighbour[:inner])
-    if own.size:
-        raise ValueError(f"{folder / 'neighbour'}: face {own[0]} has the cell {owner[own[0]]} on both sides.")
+    same = np.flatnonzero(owner[:inner] == neighbour[:inner])
+    if same.size:
+        raise ValueError(f"{folder / 'neighbour'}: face {same[0]} has the cell {owner[same[0]]} on both sides.")
 
 
 def _check(folder: pathlib.Path, boundary: list[Patch], faces: Faces) -> None:
