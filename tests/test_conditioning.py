@@ -95,7 +95,7 @@ def test_fixed_sources_keep_away_from_moving_ones():
 
     def sources(reduction, fixed_reduction):
         method = jm.RBF(reduction=reduction, fixed_reduction=fixed_reduction)
-        return np.asarray(jm.prepare(points, np.arange(9), np.arange(9, 20), method=method).surface.ids)
+        return np.asarray(jm.prepare(points, np.arange(9), np.arange(9, 20), method=method).sources)
 
     near = sources(jm.KDTree(2), jm.KDTree(2))
     assert 8 in near

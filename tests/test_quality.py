@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull, Delaunay
 from vtkmodules.vtkFiltersVerdict import vtkMeshQuality
 
 import jaxmorph as jm
+from jaxmorph import cases
 from jaxmorph._host.adjacency import handedness, neighbours
 from jaxmorph._host.topology import FACES
 from jaxmorph._quality import blocks
@@ -197,6 +198,18 @@ def test_non_orthogonality_of_tetrahedra_numbered_either_way():
                 expected[i] = max(expected[i], np.degrees(np.arccos(cosine)))
     np.testing.assert_allclose(jm.quality(mesh).non_orthogonality, expected, rtol=1e-10)
     np.testing.assert_allclose(jm.quality(mesh, mesh.points).non_orthogonality, expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["quad", "hexahedron", "wedge", "tetra", "pyramid"])
+def test_non_orthogonality_by_faces(kind):
+    """The measure of typed cells, traced, and that of arbitrary faces on the host are two ways to one number."""
+    mesh = cases.naca0015(points=1000) if kind == "quad" else cases.bricks(kind, cells=2)
+    points = np.asarray(mesh.points)
+    sheared = np.array([[1, 0.3, 0.1], [0, 1.2, -0.2], [0.4, 0, 0.7]])[: points.shape[1], : points.shape[1]]
+    mesh = mesh.moved((points + 0.3 * points**2 * (kind != "quad")) @ sheared.T)  # faces stay flat
+    expected = jm.face_quality(mesh).non_orthogonality
+    assert expected.max() > 30
+    np.testing.assert_allclose(jm.quality(mesh).non_orthogonality, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_centre_of_unequal_cells():

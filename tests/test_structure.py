@@ -123,6 +123,14 @@ def test_the_driver_knows_no_method_but_the_abstract_one():
     assert known <= {f"jaxmorph._methods.{name}" for name in ("base", "blocks", "reconstruction")}
 
 
+def test_nobody_outside_the_driver_unpacks_a_plan():
+    halves = {"plan.surface", "plan.volume", "self.plan.surface", "self.plan.volume"}
+    for file in FILES:
+        if room(module_of(file)) != "_plan":
+            nodes = ast.walk(ast.parse(file.read_text()))
+            assert not halves & {ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)}, file
+
+
 def test_options_of_jax_belong_to_the_user():
     for file in FILES:
         if room(module_of(file)) in ("cli", "__main__") or file.name == "distributed.py":

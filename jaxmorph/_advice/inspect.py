@@ -71,7 +71,7 @@ def inspect(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Inspection
     **Raises:** `ValueError` when the shape of `u` is not (m, d), or a component is not finite.
     """
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
-    points, nodes = np.asarray(plan.points), np.asarray(plan.surface.nodes)
+    points, nodes = np.asarray(plan.points), np.concatenate([plan.moving, plan.fixed])
     vectors = np.zeros((len(nodes), points.shape[1]), points.dtype)
     vectors[: plan.n_moving] = u
     finite = np.isfinite(vectors).all(axis=1)

@@ -20,7 +20,7 @@ def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
     """
     points, moving = np.asarray(plan.points), np.asarray(plan.moving)
     size = np.linalg.norm(u, axis=1)
-    inner = np.setdiff1d(np.arange(len(points)), np.asarray(plan.surface.nodes))
+    inner = np.setdiff1d(np.arange(len(points)), np.concatenate([moving, plan.fixed]))
     if not size.max() or not inner.size:
         return 0.0, 0.0
     share = np.linalg.norm(np.asarray(deform(plan, jnp.asarray(u)) - plan.points)[inner], axis=1) / size.max()

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from .reduction import AbstractReduction, canonical_order, check_separation, extreme_points, least_distance
+from .reduction import AbstractReduction, check_separation, chosen_in_order, extreme_points, least_distance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,13 +38,11 @@ class FarthestPoints(AbstractReduction):
         check_separation(self.separation)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        points = np.asarray(points, dtype=float)
-        if len(points) == 0:
-            return np.zeros(0, dtype=np.int64)
-        order = canonical_order(points)
-        ordered = points[order]
-        first = extreme_points(ordered) if self.extremes else None
-        return np.sort(order[farthest(ordered, self.count, self.closest(points), first)])
+        return chosen_in_order(points, self._chosen)
+
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        first = extreme_points(points) if self.extremes else None
+        return farthest(points, self.count, self.closest(points), first)
 
     def closest(self, points: np.ndarray) -> float:
         return least_distance(points, self.separation)

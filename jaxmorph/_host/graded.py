@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from .farthest import farthest
-from .reduction import AbstractReduction, canonical_order, check_separation, least_distance
+from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
 
 SHARE = {2: 0.25, 3: 0.4}
 """A circle far away gets 16 sources, a sphere about 50."""
@@ -48,14 +48,11 @@ class Graded(AbstractReduction):
         return self.beside(points, np.zeros((0, np.shape(points)[1])))
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
-        points = np.asarray(points, dtype=float)
-        if len(points) == 0:
-            return np.zeros(0, dtype=np.int64)
-        order = canonical_order(points)
-        ordered = points[order]
-        share = SHARE[points.shape[1]] if self.share is None else self.share
-        chosen = farthest(ordered, self.most, self.closest(points), reach=share * _room(ordered, others))
-        return np.sort(order[chosen])
+        def chosen(points, order):
+            share = SHARE[points.shape[1]] if self.share is None else self.share
+            return farthest(points, self.most, self.closest(points), reach=share * _room(points, others))
+
+        return chosen_in_order(points, chosen)
 
     def closest(self, points: np.ndarray) -> float:
         return least_distance(points, self.separation)

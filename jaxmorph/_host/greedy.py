@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from .farthest import farthest
-from .reduction import AbstractReduction, canonical_order, least_distance
+from .reduction import AbstractReduction, chosen_in_order, least_distance
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,20 +47,19 @@ class Greedy(AbstractReduction):
             )
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        points = np.asarray(points, dtype=float)
-        if len(points) == 0:
-            return np.zeros(0, dtype=np.int64)
-        order = canonical_order(points)
-        ordered, closest = points[order], self.closest(points)
+        return chosen_in_order(points, self._chosen)
+
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        closest = self.closest(points)
         if self.motions is None:
-            return np.sort(order[farthest(ordered, self.sources, closest)])
+            return farthest(points, self.sources, closest)
         motions = np.asarray(self.motions, dtype=float)
         if motions.shape[1:] != points.shape:
             raise ValueError(
                 f"`motions` has shape {motions.shape}, but there are {len(points)} points in {points.shape[1]} dimensions."
             )
         values = np.concatenate(list(motions[:, order]), axis=1)
-        return np.sort(order[_by_error(ordered, values, self.sources, closest, self.tolerance)])
+        return _by_error(points, values, self.sources, closest, self.tolerance)
 
     def closest(self, points: np.ndarray) -> float:
         return least_distance(points, self.separation)

@@ -4,6 +4,7 @@ import abc
 import dataclasses
 import heapq
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import scipy.spatial
@@ -114,19 +115,17 @@ class KDTree(AbstractReduction):
         check_separation(self.separation)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        points = np.asarray(points, dtype=float)
-        if len(points) == 0:
-            return np.zeros(0, dtype=np.int64)
-        order = canonical_order(points)
-        ordered = points[order]
-        boxes = self.boxes(ordered)
+        return chosen_in_order(points, self._chosen)
+
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        boxes = self.boxes(points)
         local = self.search_points.local(points.shape[1])
         centre, half = boxes.mean(axis=1), np.ptp(boxes, axis=1) / 2
         search = (centre[:, None] + half[:, None] * local).reshape(-1, points.shape[1])
-        sources = np.unique(scipy.spatial.KDTree(ordered).query(search)[1])
+        sources = np.unique(scipy.spatial.KDTree(points).query(search)[1])
         if self.extremes:
-            sources = np.concatenate([extreme_points(ordered), sources])
-        return np.sort(order[drop_close(ordered, sources, self.closest(points))])
+            sources = np.concatenate([extreme_points(points), sources])
+        return drop_close(points, sources, self.closest(points))
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
         return self.given(points, others)(points)
@@ -180,6 +179,15 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndar
 def canonical_order(points: np.ndarray) -> np.ndarray:
     """Sorts points by their coordinates, so that results do not depend on the order in which they came."""
     return np.lexsort(points.T[::-1])
+
+
+def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    """Calls `choose` with the points in canonical order, and the ids that they have; returns ids of its choice, ascending."""
+    points = np.asarray(points, dtype=float)
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.int64)
+    order = canonical_order(points)
+    return np.sort(order[choose(points[order], order)])
 
 
 def check_separation(separation: float) -> None:

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from . import products
+
 
 def smallest_weight(
     nodes: np.ndarray, simplices: np.ndarray, simplex: np.ndarray, points: np.ndarray, flat: float
@@ -50,14 +52,9 @@ def _content(corners: list[np.ndarray]) -> np.ndarray:
 
 def cofactors(edges: list[np.ndarray]) -> list[np.ndarray]:
     """Computes the rows of the adjugate of the matrix whose columns are the edges, each (k, d)."""
-    if len(edges) == 2:
-        a, b = edges
-        return [np.stack([b[:, 1], -b[:, 0]], axis=1), np.stack([-a[:, 1], a[:, 0]], axis=1)]
-    a, b, c = edges
-    return [cross(b, c), cross(c, a), cross(a, b)]
+    return [np.stack(row, axis=1) for row in products.cofactors([edge.T for edge in edges])]
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Computes cross products of rows; `numpy.cross` is slow for many short vectors."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+    return np.stack(products.cross(a.T, b.T), axis=1)

@@ -1,6 +1,7 @@
 """Cell types: their names, corners, edges and faces, numbered as VTK numbers them."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,12 @@ def canonical_type(name: str) -> str:
     if name not in CORNERS:
         raise ValueError(f"unknown cell type {name!r}; known are {', '.join(CORNERS)}.")
     return name
+
+
+def filling(cells: Mapping[str, Any]) -> dict[str, Any]:
+    """Selects the cells of the highest dimension; none where that is below two."""
+    highest = max((DIMENSION[kind] for kind, corners in cells.items() if len(corners)), default=0)
+    return {kind: corners for kind, corners in cells.items() if DIMENSION[kind] == highest >= 2}
 
 
 FACES: dict[str, tuple[tuple[int, ...], ...]] = {

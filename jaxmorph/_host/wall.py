@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .products import cross
 from .topology import DIMENSION, EDGES, FACES
 
 
@@ -63,8 +64,7 @@ def areas(x: Any) -> Any:
     if x.shape[2] == 2:
         along = x[:, 1] - x[:, 0]
         return along[:, ::-1] * np.array([[-1.0, 1.0]], dtype=x.dtype)
-    a, b = x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]
-    columns = [a[:, i] * b[:, j] - a[:, j] * b[:, i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    columns = cross((x[:, 2] - x[:, 0]).T, (x[:, 3] - x[:, 1]).T)
     units = np.eye(3, dtype=x.dtype) / 2
     return sum(column[:, None] * unit[None] for column, unit in zip(columns, units, strict=True))
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._host.topology import CORNERS, DIMENSION, VTK, boundary_faces
+from .._host.topology import CORNERS, DIMENSION, VTK, boundary_faces, filling
 
 PREFIX = "patch:"
 """Point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere."""
@@ -119,10 +119,10 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
     for kind, corners in grid.blocks:
         if len(corners) and kind != "vertex":
             blocks.setdefault(kind, []).append(corners)
-    highest = max((DIMENSION[kind] for kind in blocks), default=0)
-    if highest < 2:
+    cells = filling(blocks)
+    if not cells:
         raise ValueError(f"no cells of an area or a volume, only {', '.join(blocks) or 'single nodes'}.")
-    return {kind: np.concatenate(parts) for kind, parts in blocks.items() if DIMENSION[kind] == highest}
+    return {kind: np.concatenate(parts) for kind, parts in cells.items()}
 
 
 def _sets(grid: Grid) -> dict[str, np.ndarray]:

@@ -6,10 +6,10 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._kernels.log import half_x_log_x
+from .._kernels.values import is_known
 
 
 def _length(value: Any) -> Float[Array, ""]:
@@ -21,7 +21,7 @@ def _length(value: Any) -> Float[Array, ""]:
         raise ValueError(
             f"the radius of a basis is one length in the mesh's units, not an array of shape {value.shape}."
         )
-    if not isinstance(value, Tracer) and not bool(jnp.all(jnp.isfinite(value) & (value > 0))):
+    if is_known(value) and not bool(jnp.all(jnp.isfinite(value) & (value > 0))):
         raise ValueError(
             f"the radius of a basis must be positive and finite, not {value}; it is a length in the mesh's units."
         )

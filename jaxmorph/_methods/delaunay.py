@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.graph import locate
+from .._host.products import determinant
 from .base import AbstractMethod, Located, Surface
 from .sparse import InterpolatedField, Interpolation
 
@@ -44,16 +45,8 @@ def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_nod
     """Computes barycentric coordinates e of x (eqs. 6 and 7, and their like in 3-D) in closed form; (1, 0, ...) `at_node`."""
     edges = [corner - corners[0] for corner in corners[1:]]
     inner = x - corners[0]
-    whole = _determinant(edges)
+    whole = determinant(edges)
     whole = jnp.where(at_node, 1, whole)
-    parts = [_determinant([*edges[:k], inner, *edges[k + 1 :]]) / whole for k in range(len(edges))]
+    parts = [determinant([*edges[:k], inner, *edges[k + 1 :]]) / whole for k in range(len(edges))]
     parts = [jnp.where(at_node, 0, part) for part in parts]
     return [1 - sum(parts, start=jnp.zeros_like(whole)), *parts]
-
-
-def _determinant(columns: list[Float[Array, " d"]]) -> Float[Array, ""]:
-    if len(columns) == 2:
-        (a, b), (c, d) = columns
-        return a * d - b * c
-    a, b, c = columns
-    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])

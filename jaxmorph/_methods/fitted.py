@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int
 from .._host.reduction import KDTree
 from .._host.skin import chords, edges, has_free_sides, nearest_held, thinned
 from .._host.walls import walls
+from .._kernels.values import norm
 from .base import AbstractMethod, Surface, check_kind
-from .nearwall import norm
 from .rbf import RBF, RBFFactors, polynomial
 
 ELL, MU = 0.17, 0.1

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._host.neighbours import near_walls, nearest_of
 from .._host.skin import chords
 from .._host.walls import walls
+from .._kernels.values import norm, root
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
 from .blocks import map_points
@@ -171,13 +172,5 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     halfway = jnp.where(alone, 0, 2 * distance[0] / (distance[0] + jnp.where(alone, 1, gap)))  # 1 between two walls
     # the layer ends at its width or half way, whichever is nearer, without a kink
     fourth = (distance[0] / layer) ** 4 + halfway**4
-    inside = fourth > 0
-    chi = WendlandC2(1.0)(jnp.where(inside, jnp.sqrt(jnp.where(inside, fourth, 1)), 0))
+    chi = WendlandC2(1.0)(root(fourth))
     return jnp.where(row.reached & (width[nearest[0]] > 0), chi, 0), weights / weights.sum()
-
-
-def norm(vectors: Float[Array, "... d"]) -> Float[Array, "..."]:
-    """Computes the Euclidean length, with derivative zero at zero."""
-    squared = jnp.sum(vectors**2, axis=-1)
-    positive = squared > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)

@@ -8,7 +8,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
+
+from .._kernels.values import is_known
 
 WIDE = {"xla_cpu_prefer_vector_width": 512}
 """XLA by itself holds back to 256 bits, and a kernel sum then takes up to half as long again. No effect where there are fewer."""
@@ -34,8 +35,8 @@ def compiled(function: Function) -> Function:
 
 
 def _direct(leaves: list) -> bool:
-    if not all(isinstance(leaf, jax.Array | np.ndarray) and not isinstance(leaf, Tracer) for leaf in leaves):
+    if not all(isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves) or not is_known(leaves):
         return False
     devices = next((leaf.sharding.device_set for leaf in leaves if isinstance(leaf, jax.Array)), set())
     on_cpu = all(device.platform == "cpu" for device in devices)
-    return on_cpu and not isinstance(jnp.zeros(()), Tracer)  # a tracer is made even of a constant under `jit`
+    return on_cpu and is_known(jnp.zeros(()))  # a tracer is made even of a constant under `jit`

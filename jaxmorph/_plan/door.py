@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from .._host.errors import MeshError
-from .._host.topology import DIMENSION, boundary_faces
+from .._host.topology import boundary_faces, filling
 from .._host.walls import seen_from_outside
 from .._mesh.mesh import Mesh
 from .symmetry import Plane
@@ -141,11 +141,8 @@ def _planes(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane
 
 def _faces(mesh: Mesh) -> dict[str, np.ndarray] | None:
     """Finds the boundary faces of the cells of highest dimension, seen from outside; None for a mesh without cells."""
-    highest = max((DIMENSION[kind] for kind, corners in mesh.cells.items() if len(corners)), default=0)
-    if highest < 2:
-        return None
-    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items() if DIMENSION[kind] == highest}
-    return seen_from_outside(np.asarray(mesh.points), boundary_faces(cells, len(mesh.points)))
+    cells = {kind: np.asarray(corners) for kind, corners in filling(mesh.cells).items()}
+    return seen_from_outside(np.asarray(mesh.points), boundary_faces(cells, len(mesh.points))) if cells else None
 
 
 def _tell_of_free_faces(

@@ -7,9 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
+from .._kernels.values import is_known
 from .._methods.base import AbstractMethod, Located
 from .._methods.blocks import is_rows, map_points, place_points, with_tables, with_tables_of, without_tables
 from .compile import compiled
@@ -101,7 +101,7 @@ class Plan(eqx.Module):
             parts = [f"{n} points in {d}-D", *parts, f"{nodes.shape[-1] - self.n_moving} fixed", f"{points.dtype}"]
         for located in jax.tree.leaves(self.surface.ids, is_leaf=_is_located):
             counts = (located.repaired, located.outside) if _is_located(located) else ()
-            if counts and all(eqx.is_array(count) and not isinstance(count, Tracer) for count in counts):
+            if counts and all(map(eqx.is_array, counts)) and is_known(counts):
                 repaired, outside = (int(count.sum()) for count in counts)
                 parts.append(f"{repaired} repaired in location, {outside} outside by round-off")
         return f"Plan({', '.join(parts)}, {self.method})"

@@ -19,7 +19,7 @@ from .._mesh.mesh import Mesh
 from . import measures
 from .quality import places
 from .smooth import positive_part
-from .vector import Vector, corners, cross, dot
+from .vector import Vector, cofactors, corners, determinant, dot
 
 Scalar = Float[Array, "s k"]
 
@@ -57,35 +57,22 @@ def target(kind: str, x: list[Vector], ideal: bool) -> Target:
     edges, noise = measures.frames(kind, x), _noise(kind, x)
     volume = measures.volume(kind, [corner - x[0] for corner in x])
     sign = jnp.where(volume < 0, -1.0, 1.0)
-    counts = sign[None] * _determinant(edges) > noise
+    counts = sign[None] * determinant(edges) > noise
     if ideal:
         shape = [Vector([jnp.full_like(volume, c) for c in corner]) for corner in IDEAL[kind]]
         size = jnp.abs(volume) / jnp.abs(measures.volume(kind, shape))
         size = jnp.where(size > 0, size, 1) ** (1 / DIMENSION[kind])
         # the mirror image of the ideal cell, where cells are numbered left-handed
         edges = measures.frames(kind, [Vector([c[0] * sign, *c.components[1:]]) * size for c in shape])
-    determinant = jnp.where(counts, _determinant(edges), 1)
-    rows = [row * (1 / determinant) for row in _adjugate(edges)]
+    content = jnp.where(counts, determinant(edges), 1)
+    rows = [row * (1 / content) for row in cofactors(edges)]
     inverse = tuple(tuple(jnp.where(counts, c, 0) for c in row.components) for row in rows)
-    return Target(inverse, 1 / determinant, counts.astype(determinant.dtype))
+    return Target(inverse, 1 / content, counts.astype(content.dtype))
 
 
 def _noise(kind: str, x: list[Vector]) -> Scalar:
     reach = jnp.max(jnp.stack([jnp.abs(component) for corner in x for component in corner.components]), axis=0)
     return 8 * float(jnp.finfo(x[0][0].dtype).eps) * reach[None] * measures.jacobians(kind, [c - x[0] for c in x])[1]
-
-
-def _determinant(edges: list[Vector]) -> Scalar:
-    return cross(*edges)[0] if len(edges) == 2 else dot(cross(edges[0], edges[1]), edges[2])
-
-
-def _adjugate(edges: list[Vector]) -> list[Vector]:
-    """Computes the rows of the inverse of the matrix with these columns, times its determinant."""
-    if len(edges) == 2:
-        a, b = edges
-        return [Vector((b[1], -b[0])), Vector((-a[1], a[0]))]
-    a, b, c = edges
-    return [cross(b, c), cross(c, a), cross(a, b)]
 
 
 def samples(kind: str, x: list[Vector], goal: Target) -> tuple[Scalar, Scalar]:
@@ -99,7 +86,7 @@ def samples(kind: str, x: list[Vector], goal: Target) -> tuple[Scalar, Scalar]:
             for edge, inverse in zip(edges[1:], goal.inverse[1:], strict=True):
                 entry = entry + edge[row] * inverse[column]
             squared = squared + entry**2
-    return squared / d, _determinant(edges) * goal.determinant
+    return squared / d, determinant(edges) * goal.determinant
 
 
 def energy(

@@ -38,7 +38,8 @@ class FaceQuality:
 def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQuality:
     """Measures cells by their faces on the host, as OpenFOAM's checkMesh does.
 
-    `quality` has the measures that are traced; of polyhedra it sees the pieces, this the whole.
+    `quality` has the measures that are traced; of polyhedra it sees the pieces, this the whole. Where no cell is a polyhedron and
+    faces are flat, both have one non-orthogonality.
 
     **Arguments:**
 

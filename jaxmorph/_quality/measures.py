@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._host.topology import DIMENSION, EDGES, FACES, FRAMES
-from .vector import Scalar, Vector, angle, cross, divide, dot, mean, norm, stack, total
+from .vector import Scalar, Vector, angle, cross, determinant, divide, dot, mean, norm, stack, total
 
 Largest = Callable[[Float[Array, "t k"]], Scalar]
 
@@ -135,7 +135,7 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Array, "s k"], Floa
     if DIMENSION[kind] == 2:
         return dot(cross(*edges), stack([_normal(kind, x)])), lengths[0] + lengths[1]
     a, b, c = lengths
-    return dot(cross(edges[0], edges[1]), edges[2]), a * b + b * c + c * a
+    return determinant(edges), a * b + b * c + c * a
 
 
 def _append(a: Vector, row: Vector) -> Vector:

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from .._host.adjacency import handedness, neighbours
 from .._host.topology import DIMENSION
+from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures
 from .blocks import in_blocks
@@ -80,7 +80,7 @@ class Links(NamedTuple):
 
 
 def link(cells: dict[str, Any], signs: bool) -> Links:
-    if any(isinstance(corners, Tracer) for corners in cells.values()):
+    if not is_known(*cells.values()):
         return Links(neighbours(cells, jnp)[0], None, None)
     cells = {kind: np.asarray(corners) for kind, corners in cells.items()}
     neighbour, flipped = neighbours(cells)

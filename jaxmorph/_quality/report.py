@@ -5,10 +5,10 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.topology import DIMENSION
+from .._kernels.values import is_known
 
 MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
@@ -165,7 +165,7 @@ class QualityReport(eqx.Module):
             )
 
     def __str__(self) -> str:
-        if isinstance(self.volume, Tracer) or self.volume.ndim > 1:
+        if not is_known(self.volume) or self.volume.ndim > 1:
             return repr(self)
         counted = ", ".join(f"{count} {kind}" for kind, count in self._top())
         lines = [f"{counted}: {int(self.inverted)} inverted, {int(self.degenerate)} degenerate from the start"]

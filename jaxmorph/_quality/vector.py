@@ -11,6 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Integer, Num
 
+from .._host import products
+from .._kernels.values import root
+
 Scalar = Float[Array, "*rows k"]
 
 
@@ -54,20 +57,27 @@ def corners(points: Float[Array, "n d"], ids: Integer[Array | np.ndarray, "k c"]
 
 
 def dot(a: Vector, b: Vector) -> Scalar:
-    return functools.reduce(jnp.add, [p * q for p, q in zip(a.components, b.components, strict=True)])
+    return products.dot(a.components, b.components)
 
 
 def cross(a: Vector, b: Vector) -> Vector:
     """Computes the cross product; in 2-D its one component."""
-    if len(a) == 2:
-        return Vector((a[0] * b[1] - a[1] * b[0],))
-    return Vector([a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))])
+    return Vector(products.cross(a.components, b.components))
+
+
+def determinant(columns: Sequence[Vector]) -> Scalar:
+    """Computes the determinant of a matrix, with three columns as (a x b) . c."""
+    return products.determinant([column.components for column in (*columns[2:], *columns[:2])])
+
+
+def cofactors(columns: Sequence[Vector]) -> list[Vector]:
+    """Computes the rows of the inverse of a matrix, times its determinant."""
+    return [Vector(row) for row in products.cofactors([column.components for column in columns])]
 
 
 def norm(a: Vector) -> Scalar:
     """Computes the length; its derivative at zero is zero."""
-    squared = dot(a, a)
-    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+    return root(dot(a, a))
 
 
 def stack(vectors: Sequence[Vector]) -> Vector:

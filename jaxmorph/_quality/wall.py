@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._host.products import cross
 from .._host.wall import Lines, areas, first_lines
+from .._kernels.values import norm
 from .._mesh.mesh import Mesh
 from .quality import places
 
@@ -98,7 +100,7 @@ def wall_quality(
 def _measured(lines: Lines, reference: Float[Array, "n d"], points: Float[Array, "n d"], softness) -> WallQuality:
     start, now = (_components(lines, x) for x in (reference, points))
     cosine = jnp.sum(start * now, axis=1)
-    sine = _length(_crossed(start, now))
+    sine = norm(jnp.stack(cross(start.T, now.T), axis=1))
     none = sine**2 + cosine**2 == 0
     angle = jnp.rad2deg(jnp.where(none, 0, jnp.arctan2(sine, jnp.where(none, 1, cosine))))
     if softness is not None:
@@ -116,25 +118,13 @@ def _components(lines: Lines, x: Float[Array, "n d"]) -> Float[Array, "w d"]:
         normal = normal.at[rows].add(area, mode="drop")
     normal, line = _unit(normal), x[lines.ends] - x[lines.nodes]
     if x.shape[1] == 2:
-        return jnp.stack(
-            [jnp.sum(normal * line, axis=1), normal[:, 0] * line[:, 1] - normal[:, 1] * line[:, 0]], axis=1
-        )
+        return jnp.stack([jnp.sum(normal * line, axis=1), *cross(normal.T, line.T)], axis=1)
     beside = x[lines.beside] - x[lines.nodes]
     tangent = _unit(beside - jnp.sum(beside * normal, axis=1)[:, None] * normal)
     frame = jnp.stack([normal, tangent, jnp.cross(normal, tangent)], axis=1)
     return jnp.sum(frame * line[:, None], axis=2)
 
 
-def _crossed(a: Float[Array, "w d"], b: Float[Array, "w d"]) -> Float[Array, "w c"]:
-    return jnp.cross(a, b) if a.shape[1] == 3 else (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
-
-
 def _unit(a: Float[Array, "w d"]) -> Float[Array, "w d"]:
-    length = _length(a)
+    length = norm(a)
     return a / jnp.where(length > 0, length, 1)[:, None]
-
-
-def _length(a: Float[Array, "w c"]) -> Float[Array, " w"]:
-    """Computes the Euclidean length, with derivative zero at zero."""
-    squared = jnp.sum(a**2, axis=1)
-    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)

@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
+from jaxmorph._quality.report import MEASURES
 
 from ._plane import Axes, given_or_new
 from ._sources import of_plan, radial_basis_functions
 from ._style import BLUE, DARK, GREEN, GREY, ORANGE
-
-MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "jacobian", "volume_ratio", "jacobian_ratio")
 
 
 def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", ax: Axes | None = None) -> Axes:
@@ -92,9 +91,9 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
     nodes, mirror = np.concatenate([plan.moving, plan.fixed]), plan.mirror
     b, planes = len(nodes), ()
     if mirror is not None:  # of the volume only the nodes that tell where the planes are
-        on_plane = np.flatnonzero(np.asarray(plan.volume.on_plane)[: len(points)].any(axis=1))
-        nodes = np.concatenate([nodes, np.setdiff1d(on_plane, nodes)])
         planes = tuple(jm.Plane(*each) for each in zip(mirror.normals, mirror.origins, strict=True))
+        on_plane = np.flatnonzero(np.any([plane.holds(points) for plane in planes], axis=0))
+        nodes = np.concatenate([nodes, np.setdiff1d(on_plane, nodes)])
     target = points[nodes[:m]] + u
     rows = []
     for reduction in reductions:

@@ -13,6 +13,7 @@ from jaxtyping import Float, UInt32
 
 import jaxmorph as jm
 from jaxmorph._host.files import complete
+from jaxmorph._host.topology import CORNERS, VTK
 
 from ._plane import plt
 from ._space import outside, view_axes
@@ -124,8 +125,9 @@ class _Surface:
         before, after = (np.asarray(each, dtype=float)[ids] for each in (mesh.points, points))
         middle = (after.min(axis=0) + after.max(axis=0)) / 2
         triangles, edges, owners = [], [], []
-        for kind, split in ((5, [[0, 1, 2]]), (9, [[0, 1, 2], [0, 2, 3]])):  # VTK's triangle and quadrilateral
-            corners = faces.cells_dict.get(kind, np.zeros((0, 3 + (kind == 9)), int))
+        for name, split in (("triangle", [[0, 1, 2]]), ("quad", [[0, 1, 2], [0, 2, 3]])):
+            kind = VTK[name]
+            corners = faces.cells_dict.get(kind, np.zeros((0, CORNERS[name]), int))
             triangles.append(corners[:, split].reshape(-1, 3))
             edges.append(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2))
             owners.append(np.repeat(np.flatnonzero(faces.celltypes == kind), len(split)))

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
+from jaxmorph._host.topology import VTK
 
 from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, check_values, colour_scale
 
@@ -119,8 +120,7 @@ def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     if mesh.points.shape[1] != 3:
         raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
     points = np.asarray(mesh.points if points is None else mesh.moved(np.asarray(points)).points, dtype=float)
-    types = {"tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14, "triangle": 5, "quad": 9, "line": 3}
-    grid = pyvista().UnstructuredGrid({types[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
+    grid = pyvista().UnstructuredGrid({VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
     if values is not None:
         check_values(values, grid.n_cells)
         grid.cell_data["values"] = np.asarray(values)

@@ -3,19 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Real
+
+from .._kernels.values import is_known
 
 Number = Real[ArrayLike, ""]
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
-
-
-def is_known(*values: Any) -> bool:
-    """Tells whether values can be read: nothing in them is traced."""
-    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
 
 
 def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:

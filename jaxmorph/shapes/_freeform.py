@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._kernels.values import is_known
 from . import _bspline
 from ._blocks import Blocks
 from ._combine import Linked
-from ._door import Numbers, is_known, positions
+from ._door import Numbers, positions
 from ._lattice import LatticeOperator, Rows
 from ._links import link_matrix
 from ._shape import AbstractLinearShape

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._door import Number, Numbers, axis_for, direction, is_known, number, positions, positive, vector
+from .._kernels.values import is_known
+from ._door import Number, Numbers, axis_for, direction, number, positions, positive, vector
 from ._rigid import turn
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.topology import boundary_faces
-from ._door import Numbers, is_known, positions, vector
+from .._kernels.values import is_known
+from ._door import Numbers, positions, vector
 
 
 def wall_loop(mesh: Any, patch: str) -> Int[np.ndarray, " k"]:
