@@ -1,6 +1,7 @@
 """Files of other programs, through meshio and gmsh's own writer; and what holds for every format."""
 
 import os
+import re
 import sys
 
 import jax
@@ -267,3 +268,58 @@ def test_bad_surface_tables_say_where(tmp_path, text):
     (tmp_path / "a.dat").write_text(text)
     with pytest.raises(ValueError, match=BAD_TABLES[text]):
         io.read_surface(tmp_path / "a.dat", 2)
+
+
+@pytest.mark.parametrize("version", ["2.2", "4.1"])
+@pytest.mark.parametrize("binary", [False, True])
+def test_sections_of_gmsh_are_told_from_words_in_comments(tmp_path, version, binary):
+    mesh = ring()
+    flat = np.column_stack([mesh.points, np.zeros(len(mesh.points))])
+    cells = [(kind, np.asarray(corners)) for kind, corners in mesh.cells.items()]
+    meshio.gmsh.write(str(tmp_path / "plain.msh"), meshio.Mesh(flat, cells), version, binary=binary)
+    comment = b"$Comments\n$Nodes\n1\n1 7 7 7\n$EndNodes\n$EndComments\n"
+    data = (tmp_path / "plain.msh").read_bytes()
+    end = data.index(b"$EndMeshFormat\n") + len(b"$EndMeshFormat\n")
+    (tmp_path / "a.msh").write_bytes(data[:end] + comment + data[end:])
+    read = io.read(tmp_path / "a.msh")
+    io.write(tmp_path / "b.msh", read.moved(read.points + 1))
+    assert comment in (tmp_path / "b.msh").read_bytes()
+    np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, mesh.points + 1)
+
+
+@pytest.mark.parametrize("version", ["2.2", "4.1"])
+@pytest.mark.parametrize("binary", [False, True])
+def test_a_tag_far_beyond_the_number_of_nodes_is_refused(tmp_path, version, binary):
+    """A table as long as the tag would take gigabytes."""
+    mesh = meshio.Mesh(np.eye(3), [("triangle", np.array([[0, 1, 2]]))])
+    meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, version, binary=binary)
+    data = (tmp_path / "a.msh").read_bytes()
+    if binary:
+        kind = "<i4" if version == "2.2" else "<u8"
+        tags = data.index(np.array([1], kind).tobytes(), data.index(b"$Nodes") + (9 if version == "2.2" else 56))
+        data = data[:tags] + np.array([10**9], kind).tobytes() + data[tags + np.dtype(kind).itemsize :]
+    else:
+        data = re.sub(rb"(\$Nodes\n(?:.+\n){%d})1\b" % (1 if version == "2.2" else 2), rb"\g<1>1000000000", data)
+    (tmp_path / "a.msh").write_bytes(data)
+    with pytest.raises(ValueError, match=r"a\.msh: node tag 1000000000 of 3 nodes"):
+        io.read(tmp_path / "a.msh")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_cell_that_stands_twice_is_refused(tmp_path, suffix):
+    mesh = ring()
+    kind, corners = next(iter(mesh.cells.items()))
+    copies = jm.Mesh(mesh.points, {**mesh.cells, kind: np.concatenate([corners, corners[2:3, ::-1]])})
+    io.write(tmp_path / f"a{suffix}", copies)
+    with pytest.raises(
+        ValueError, match=rf"a\{suffix}: 2 cells of type {kind} have the nodes of another one, first cell 2 "
+    ):
+        io.read(tmp_path / f"a{suffix}")
+
+
+def test_a_vtk_file_that_ends_before_its_arrays(tmp_path):
+    io.write(tmp_path / "a.vtk", ring())
+    data = (tmp_path / "a.vtk").read_bytes()
+    (tmp_path / "b.vtk").write_bytes(data[: data.index(b"\n", data.index(b"POINT_DATA")) + 1])
+    with pytest.raises(ValueError, match=r"b\.vtk: the file ends after 'POINT_DATA 48': it is cut short"):
+        io.read(tmp_path / "b.vtk")

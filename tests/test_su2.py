@@ -49,6 +49,7 @@ VARIANTS = {
     "no end of line": PLAIN.rstrip("\n"),
     "other sections": PLAIN + "NPERIODIC= 1\nPERIODIC_INDEX= 0\n0 0 0\nFFD_TAG= BOX\n1.5 2.5\n",
     "points first": "NDIME= 2\n" + PLAIN[PLAIN.index("NPOIN") :] + PLAIN[PLAIN.index("NELEM") : PLAIN.index("NPOIN")],
+    "other spelling of markers": PLAIN.replace("MARKER_", "MARKER"),
     "one zone": "NZONE= 1\nIZONE= 1\n" + PLAIN,
 }  # fmt: skip
 
@@ -214,6 +215,12 @@ BAD = {
     "type": (PLAIN.replace("5 1 2 4 1", "6 1 2 4 1"), "line 4: element type 6 is not known"),
     "corner missing": (PLAIN.replace("5 1 2 4 1", "5 1 2"), "line 4: an element of type 5 has 3 nodes, found 3"),
     "node out of range": (PLAIN.replace("5 1 2 4 1", "5 1 2 6 1"), r"line 4: nodes \[1, 2, 6\], but .* 0 to 5"),
+    "one coordinate more": (PLAIN.replace("2e0 0.0 2", "2e0 0.0 7 2"), "line 9: .* found 4 numbers, 3 on the rows before"),
+    "three coordinates": (PLAIN.replace("1.5 0.25 1", "1.5 0.25 1.5"), r"found \[1.5\] as index"),
+    "one node more": (PLAIN.replace("5 1 2 4 1", "5 1 2 4 3 1"), "line 4: an element of type 5 has 3 nodes, found 6"),
+    "one node more without index": (PLAIN.replace("3 0 1\n", "3 0 1 2\n"), "a.* element of type 3 has 2 nodes"),
+    "fewer markers": (PLAIN.replace("NMARK= 2", "NMARK= 3"), "NMARK= 3, but 2 markers"),
+    "cut before the markers": (PLAIN[: PLAIN.index("NMARK")], "no NMARK= in this file"),
     "bytes": ("\x00\x01\x02" * 100, "no NDIME="),
 }
 

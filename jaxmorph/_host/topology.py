@@ -73,6 +73,11 @@ FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
 _SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
 
 
+def repeated_cells(corners: np.ndarray) -> np.ndarray:
+    """Finds the cells (k, corners) whose nodes are those of another cell, in any order: their places, ascending."""
+    return np.flatnonzero(~is_single(sorted_columns(columns_of(np.asarray(corners)), corners.shape[1])))
+
+
 def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
     """Finds the faces that belong to one cell only (edges of 2-D cells), by type.
 

@@ -17,9 +17,11 @@ from jaxmorph._host.topology import DIMENSION
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
 from ._meshio import load, meshio, to_mesh
-from .text.sections import replace
+from .text.sections import Section, replace
 
 NAME = "gmsh"
+SPARSE = 1000
+"""Largest tag that a file may have, in numbers of nodes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,8 +37,10 @@ def read(path: pathlib.Path) -> Mesh:
 
     A group without a name is `physical_` and its tag.
     """
+    data = path.read_bytes()
+    _check_tags(path, data)
     mesh = load(path, ".msh", meshio.gmsh.read)
-    return to_mesh(path, mesh, Source(path, NAME, _GmshContent(path.read_bytes(), mesh.points)))
+    return to_mesh(path, mesh, Source(path, NAME, _GmshContent(data, mesh.points)))
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
@@ -70,14 +74,12 @@ def _new(mesh: Mesh) -> meshio.Mesh:
 
 def _replaced(data: bytes, points: np.ndarray) -> Iterator[bytes | memoryview]:
     """Yields the file with other coordinates, in pieces; meshio numbers the points in the order of the file."""
-    at = data.index(b"$MeshFormat")
-    version, binary, _ = data[at:].split(b"\n", 2)[1].split()
-    start = data.index(b"\n", data.index(b"$Nodes", at)) + 1
-    if binary != b"0":
+    version, is_binary, start = _nodes(data)
+    if is_binary:
         copy = bytearray(data)
         done = 0
-        for view in _binary_blocks(data, start, version):
-            block = np.ndarray(view.shape, view.dtype, copy, view.offset, view.strides)
+        for view, _ in _binary_blocks(data, start, version):
+            block = _view(copy, view)
             block[:] = points[done : done + len(block)]
             done += len(block)
         yield bytes(copy)
@@ -87,9 +89,46 @@ def _replaced(data: bytes, points: np.ndarray) -> Iterator[bytes | memoryview]:
     yield from replace(data, slice(start, stop), points, lambda counts: counts == rows, column)
 
 
+def _nodes(data: bytes) -> tuple[bytes, bool, int]:
+    """Finds the version of a file, whether it is binary, and where the lines of `$Nodes` begin.
+
+    It goes from section to section, for a comment may hold any word. It raises `ValueError` for a file without them.
+    """
+    at = data.index(b"$MeshFormat")
+    version, binary, _ = data[at:].split(b"\n", 2)[1].split()
+    while True:
+        at = data.index(b"$", at)
+        end = data.index(b"\n", at)
+        name = data[at + 1 : end].strip()
+        if name == b"Nodes":
+            return version, binary != b"0", end + 1
+        at = data.index(b"$End" + name, end) + 4 + len(name)
+
+
+def _check_tags(path: pathlib.Path, data: bytes) -> None:
+    """Raises `ValueError` for tags of nodes far beyond their number: meshio makes a table as long as the largest."""
+    try:
+        version, is_binary, start = _nodes(data)
+        if is_binary:
+            tags = np.concatenate([_view(data, tags).ravel() for _, tags in _binary_blocks(data, start, version)])
+        else:
+            section = Section(path, data, start, data.index(b"$EndNodes", start))
+            wanted = 4 if version.startswith(b"2") else 1
+            rows = section.rows(np.float64)
+            tags = rows.values[rows.first[rows.counts == wanted]]
+    except (ValueError, struct.error, TypeError):
+        return  # meshio tells what is wrong
+    if len(tags) and tags.max() > SPARSE * len(tags) + SPARSE**2:
+        raise ValueError(f"{path}: node tag {int(tags.max())} of {len(tags)} nodes: a damaged file, or renumber them.")
+
+
+def _view(data: bytes | bytearray, block: "_Block") -> np.ndarray:
+    return np.ndarray(block.shape, block.dtype, data, block.offset, block.strides)
+
+
 @dataclasses.dataclass(frozen=True)
 class _Block:
-    """Locates a block of coordinates in a binary file."""
+    """Locates a block of coordinates, or of tags, in a binary file."""
 
     offset: int
     shape: tuple[int, int]
@@ -97,15 +136,17 @@ class _Block:
     dtype: str = "<f8"
 
 
-def _binary_blocks(data: bytes, at: int, version: bytes) -> Iterator[_Block]:
+def _binary_blocks(data: bytes, at: int, version: bytes) -> Iterator[tuple[_Block, _Block]]:
+    """Yields where coordinates are, and the tags of their nodes."""
     if version.startswith(b"2"):
         end = data.index(b"\n", at) + 1
-        yield _Block(end + 4, (int(data[at:end]), 3), (28, 8))
+        count = int(data[at:end])
+        yield _Block(end + 4, (count, 3), (28, 8)), _Block(end, (count, 1), (28, 4), "<i4")
         return
     blocks = struct.unpack_from("<Q", data, at)[0]
     at += 4 * 8
     for _ in range(blocks):
         count = struct.unpack_from("<Q", data, at + 12)[0]
         at += 20 + 8 * count
-        yield _Block(at, (count, 3), (24, 8))
+        yield _Block(at, (count, 3), (24, 8)), _Block(at - 8 * count, (count, 1), (8, 8), "<u8")
         at += 24 * count

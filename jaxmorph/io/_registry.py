@@ -9,6 +9,7 @@ from jaxtyping import Shaped
 
 from jaxmorph import Mesh
 from jaxmorph._host.files import complete
+from jaxmorph._host.topology import repeated_cells
 
 from ._format import FolderCodec, Format, Source
 
@@ -61,7 +62,15 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     that cannot be opened. `ImportError` when the extra is missing.
     """
     path = pathlib.Path(path)
-    return format_of(path).codec().read(path)
+    mesh = format_of(path).codec().read(path)
+    for kind, corners in mesh.cells.items():
+        twice = repeated_cells(corners)
+        if len(twice):
+            raise ValueError(
+                f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
+                f"between nodes {np.asarray(corners)[twice[0]].tolist()}: remove the copies."
+            )
+    return mesh
 
 
 def write(

@@ -23,6 +23,8 @@ SIZES = {1: 1} | {number: CORNERS[kind] for kind, number in VTK.items()}
 
 Type 1 is the single node of a SEND_RECEIVE marker.
 """
+DIALECT = {"MARKERTAG": "MARKER_TAG", "MARKERELEMS": "MARKER_ELEMS"}
+"""Other spellings of keywords that files have."""
 ROWS = 1 << 16
 """Rows of a new file formatted together."""
 
@@ -56,7 +58,8 @@ class _SU2Content:
 def read(path: pathlib.Path) -> Mesh:
     """Reads points in the order of the file; `patches` are the markers, those of one name together.
 
-    An index column after the coordinates is not looked at, as SU2 itself does not.
+    Index columns after coordinates and corners are not looked at, as SU2 itself does not; all rows have them or none.
+    `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
     keywords = list(_keywords(path, blank_comments(text)))
@@ -100,6 +103,7 @@ def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:
         end = text.find(b"\n", at) + 1 or len(text)
         name, _, value = text[start:end].partition(b"=")
         name = name.removeprefix(b"\xef\xbb\xbf").strip().decode(errors="replace")
+        name = DIALECT.get(name, name)
         lines.append((name, value.strip().decode(errors="replace"), start, end))
         at = text.find(b"=", end)
     for number, (name, value, _, end) in enumerate(lines, start=1):
@@ -118,12 +122,20 @@ def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:
 
 def _points(keyword: _Keyword, d: int) -> np.ndarray:
     n, section = keyword.number(least=1), keyword.section
-    parts, row = [], 0
+    parts, row, width = [], 0, 0
     for block in section.blocks(np.float64):
-        wrong = np.flatnonzero((block.counts < d) | (block.counts > d + 2))
+        width = width or int(block.counts[0])
+        wrong = np.flatnonzero((block.counts < d) | (block.counts > d + 2) | (block.counts != width))
         if wrong.size:
             count = block.counts[wrong[0]]
-            raise section.error(f"a point of {d} coordinates expected, found {count} numbers.", row + int(wrong[0]))
+            others = f", {width} on the rows before" if count != width else ""
+            message = f"a point of {d} coordinates expected, found {count} numbers{others}."
+            raise section.error(message, row + int(wrong[0]))
+        indices = block.columns(slice(None), d, width)
+        if (indices != np.floor(indices)).any():
+            bad = int(np.argmax((indices != np.floor(indices)).any(axis=1)))
+            message = f"a point of {d} coordinates and its index expected, found {indices[bad].tolist()} as index."
+            raise section.error(message, row + bad)
         points = block.columns(slice(None), 0, d)
         finite = np.isfinite(points).all(axis=1)
         if not finite.all():
@@ -153,21 +165,22 @@ def _markers(path: pathlib.Path, keywords: list[_Keyword], n: int) -> dict[str, 
         section = rest[1].section if len(rest) > 1 and rest[1].name == "SEND_TO" else rest[0].section
         tables = _table(rest[0], section, n, f"elements of marker {tag.value!r}")
         patches.setdefault(tag.value, []).extend(corners.ravel() for corners in tables.values())
-    stated = [keyword for keyword in keywords if keyword.name == "NMARK"]
-    if stated and stated[0].number() != len(tags):
-        raise stated[0].section.error(f"NMARK= {stated[0].number()}, but {len(tags)} markers are in the file.")
+    stated = _only(path, keywords, "NMARK")
+    if stated.number() != len(tags):
+        raise stated.section.error(f"NMARK= {stated.number()}, but {len(tags)} markers are in the file.")
     return {name: np.concatenate([*nodes, np.zeros(0, np.int64)]) for name, nodes in patches.items()}
 
 
 def _table(keyword: _Keyword, section: Section, n: int, what: str) -> dict[int, np.ndarray]:
     """Reads corners (k, corners) by SU2's number of the type, in order of first appearance."""
     parts: dict[int, list[np.ndarray]] = {}
-    row = 0
+    row, extra = 0, None
     for block in section.blocks(np.int64):
         kinds = block.columns(slice(None), 0, 1).ravel()
         for kind in dict.fromkeys(kinds[np.sort(np.unique(kinds, return_index=True)[1])].tolist()):
             rows = np.flatnonzero(kinds == kind)
-            corners = _corners(section, block, rows, kind, row)
+            extra = block.counts[rows[0]] - 1 - SIZES.get(kind, 0) if extra is None else extra
+            corners = _corners(section, block, rows, kind, (row, int(extra)))
             if ((corners < 0) | (corners >= n)).any():
                 outside = int(np.argmax(((corners < 0) | (corners >= n)).any(axis=1)))
                 nodes = corners[outside].tolist()
@@ -178,15 +191,19 @@ def _table(keyword: _Keyword, section: Section, n: int, what: str) -> dict[int, 
     return {kind: np.concatenate(parts.pop(kind)) for kind in list(parts)}
 
 
-def _corners(section: Section, block: Rows, rows: np.ndarray, kind: int, row: int) -> np.ndarray:
-    """Reads the corners of elements of one kind: the `rows` of a block that begins with that `row`."""
+def _corners(section: Section, block: Rows, rows: np.ndarray, kind: int, place: tuple[int, int]) -> np.ndarray:
+    """Reads the corners of elements of one kind, the `rows` of a block; `place` is its first row, and the columns after corners."""
+    row, extra = place
     if kind not in SIZES:
         known = ", ".join(map(str, SIZES))
         raise section.error(f"element type {kind} is not known; SU2's are {known}.", row + int(rows[0]))
     corners = SIZES[kind]
-    wrong = rows[(block.counts[rows] < 1 + corners) | (block.counts[rows] > 2 + corners)]
+    counts = block.counts[rows] - 1 - corners
+    wrong = rows[(counts < 0) | (counts > 1) | (counts != extra)]
     if wrong.size:
-        message = f"an element of type {kind} has {corners} nodes, found {block.counts[wrong[0]]} numbers."
+        alone = counts[wrong[0] == rows][0] in (0, 1)  # right by itself
+        others = "" if not alone else ", and an index as the rows before have" if extra else ", and no index before it"
+        message = f"an element of type {kind} has {corners} nodes{others}, found {block.counts[wrong[0]]} numbers."
         raise section.error(message, row + int(wrong[0]))
     return block.columns(slice(None) if len(rows) == len(block.counts) else rows, 1, 1 + corners)
 
