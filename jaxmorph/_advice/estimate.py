@@ -31,7 +31,11 @@ COMPILING = 2.0
 class Estimate:
     """Memory and time of moving and judging a mesh, to the order of magnitude.
 
-    `memory` is in bytes, at the most; `preparing`, `deforming` and `judging` are seconds. `str` says it in a line.
+    - `points`, `surface`, `sources`: numbers of points, of nodes of the surface, and of sources.
+    - `memory`: in bytes, at the most.
+    - `preparing`, `deforming`, `judging`: in seconds.
+
+    `str` gives all of it in a line.
     """
 
     points: int

@@ -48,7 +48,7 @@ class Inspection:
         )
 
     def renumbered(self, ids: np.ndarray) -> "Inspection":
-        """Gives the same of a larger mesh, in which node k is node `ids[k]`."""
+        """Returns the same inspection for a larger mesh, in which node k is node `ids[k]`."""
         ids = np.asarray(ids)
         node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
         return dataclasses.replace(self, offset_node=node, contradictions=pairs)

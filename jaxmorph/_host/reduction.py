@@ -11,9 +11,9 @@ import scipy.spatial
 
 
 class AbstractReduction(abc.ABC):
-    """Chooses source points. Called with points (k, d); returns the ids of the chosen ones, each once, ascending.
+    """Chooses source points: called with points (k, d), it returns the ids of the chosen ones, each once, ascending.
 
-    A reduction of your own is a frozen (hashable) dataclass with this one method.
+    A reduction of your own is a frozen (hashable) dataclass with this one method, `__call__`.
     """
 
     @abc.abstractmethod

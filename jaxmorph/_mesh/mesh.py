@@ -147,6 +147,10 @@ class Mesh(eqx.Module):
     ) -> Any:
         """Makes a `pyvista.UnstructuredGrid`, with patches and arrays as `to_meshio` has them.
 
+        **Arguments:**
+
+        - `point_data`, `cell_data`: those of `to_meshio`.
+
         **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where PyVista is missing.
         """
         return export.to_pyvista(self._parts, self.source, point_data, cell_data)

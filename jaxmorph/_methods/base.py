@@ -121,7 +121,10 @@ class AbstractField(eqx.Module):
         """Computes the displacement at `x`; `ids` is what the method's `connect` chose for this point, or `place` made of it."""
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
-        """Computes the displacements of a block of points. Equal to the mapped one-point form; there for speed alone."""
+        """Computes the displacements of a block of c points. Equal to the mapped one-point form; there for speed alone.
+
+        A leaf of `ids` has one row a point.
+        """
         return jax.vmap(self)(points, ids)
 
     @property
@@ -133,8 +136,14 @@ class AbstractField(eqx.Module):
 class AbstractMethod(eqx.Module):
     """Turns displacements of the surface into a displacement field.
 
-    A method of your own needs `connect`, `fit` and `field`. The surface's rows are the moving nodes, then the fixed ones,
-    no node twice; b of them.
+    A method of your own needs `connect`, `fit` and `field`. The surface's b rows are the moving nodes, then the fixed ones,
+    no node twice. Arguments have the same meaning in all of a method's functions:
+
+    - `surface`: on the host a `Surface`; traced the coordinates (b, d) of its rows.
+    - `points`, `x`: all points (n, d) of the mesh; one of them (d,).
+    - `ids`: what `connect` returned for the surface; in `place`, and in the field, what it returned for one point.
+    - `factors`: what `fit` returned.
+    - `u`: displacements (b, d) of the surface's rows.
     """
 
     @abc.abstractmethod

@@ -49,7 +49,7 @@ class AbstractBasis(eqx.Module):
 
 
 class ThinPlateSpline(AbstractBasis):
-    """phi(r) = r^2 log r (Duchon 1977), global and without a parameter; needs a linear polynomial."""
+    """Evaluates phi(r) = r^2 log r (Duchon 1977): global, without a parameter; needs a linear polynomial."""
 
     min_degree: ClassVar[int | None] = 1
     scale_free: ClassVar[bool] = True
@@ -59,7 +59,14 @@ class ThinPlateSpline(AbstractBasis):
 
 
 class WendlandC2(AbstractBasis):
-    """phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R = `support_radius`, 0 beyond (Wendland 1995); R in the mesh's units."""
+    """Evaluates phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R, and 0 beyond (Wendland 1995).
+
+    **Arguments:**
+
+    - `support_radius`: R in the mesh's units. A larger one gives a smoother motion, and a worse condition.
+
+    **Raises:** `ValueError` for a radius that is not positive and finite.
+    """
 
     support_radius: Float[Array, ""] = eqx.field(converter=_length)
 
@@ -68,7 +75,14 @@ class WendlandC2(AbstractBasis):
 
 
 class Gaussian(AbstractBasis):
-    """phi(r) = exp(-r^2 / R^2) with R = `radius` in the mesh's units. A wide one makes the matrix ill-conditioned."""
+    """Evaluates phi(r) = exp(-r^2 / R^2).
+
+    **Arguments:**
+
+    - `radius`: R in the mesh's units. A wide one makes the matrix ill-conditioned.
+
+    **Raises:** `ValueError` for a radius that is not positive and finite.
+    """
 
     radius: Float[Array, ""] = eqx.field(converter=_length)
 
@@ -77,7 +91,14 @@ class Gaussian(AbstractBasis):
 
 
 class Multiquadric(AbstractBasis):
-    """phi(r) = sqrt(1 + r^2 / R^2) (Hardy 1971) with R = `radius` in the mesh's units; needs a constant polynomial."""
+    """Evaluates phi(r) = sqrt(1 + r^2 / R^2) (Hardy 1971); needs a constant polynomial.
+
+    **Arguments:**
+
+    - `radius`: R in the mesh's units. A wide one makes the matrix ill-conditioned.
+
+    **Raises:** `ValueError` for a radius that is not positive and finite.
+    """
 
     min_degree: ClassVar[int | None] = 0
     radius: Float[Array, ""] = eqx.field(converter=_length)

@@ -19,8 +19,9 @@ from .symmetry import Plane
 class Chunks:
     """A mesh to be moved in parts.
 
-    `nodes` holds the ids of each part's nodes, ascending: the surface, and with it some of the other nodes. All parts have one
-    length, so that they share compiled code; some nodes are in two of them.
+    - `points`, `moving`, `fixed`, `method`, `symmetry`: those of `prepare_in_chunks`.
+    - `nodes`: the ids of each part's nodes, ascending: the surface, and with it some of the other nodes. All parts have one
+      length, so that they share compiled code; some nodes are in two of them.
     """
 
     points: Float[np.ndarray, "n d"]
@@ -34,7 +35,7 @@ class Chunks:
         return len(self.nodes)
 
     def plan(self, k: int) -> Plan:
-        """Prepares part k.
+        """Prepares part `k`, and returns its `Plan`.
 
         **Raises:** `ValueError` as `prepare` does; a `MeshError` names nodes of the whole mesh.
         """

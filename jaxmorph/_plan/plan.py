@@ -41,6 +41,9 @@ class Plan(eqx.Module):
 
     `prepare` makes it, and says what may move. It survives `jax.tree` round trips, pickling and
     `equinox.tree_serialise_leaves`, and may be passed through `jit`, `vmap` and `grad` like any array.
+
+    Use `points`, `moving`, `fixed`, `sources`, `n_moving`, `method` and `offset`. The two halves, `surface` and `volume`,
+    belong to the driver, and so do `carried` (by a step of `march`) and `layout` (over devices).
     """
 
     method: AbstractMethod
@@ -83,7 +86,7 @@ class Plan(eqx.Module):
         return self.surface.mirror
 
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes the displacement of the moving, then the fixed nodes that is left to the correction (eq. 5), traced."""
+        """Computes the displacement that is left to the correction (eq. 5), of the moving, then the fixed nodes. Traced in `u`."""
         vectors, surface = _of_surface(self, u), self.surface
         extended = vectors if surface.mirror is None else surface.mirror.extended(vectors)
         offset = self.method.offset(surface.ids, surface.factors, surface.points, extended)

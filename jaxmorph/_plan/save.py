@@ -68,6 +68,8 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
     - `classes`: classes of your own that the plan may hold: a basis, a method and its factors, a reduction. Default:
       none. The file cannot name any but these and jaxmorph's, so one from elsewhere does no harm.
 
+    **Returns:** the `Plan`, or a tuple of them.
+
     **Raises:** `ValueError` for a file that is no plan, is damaged or cut short, or was written by a later version.
     Also for a class that is not known or has other fields here, and for float64 while JAX's x64 mode is off. `OSError`
     for a file that cannot be opened.

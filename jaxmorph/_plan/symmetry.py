@@ -16,10 +16,17 @@ TOLERANCE = 1e-8
 
 
 class Plane(eqx.Module):
-    """A symmetry plane through `origin` with `normal`, both (d,); nodes on it move in it, and only in it.
+    """A symmetry plane: nodes on it move in it, and only in it.
 
     Nodes within 1e-8 of the mesh's extent lie on it, or within the round-off of float32 coordinates; all others are on one
     side. `Plane.through` finds a patch's plane.
+
+    **Arguments:**
+
+    - `normal`: direction (d,) of any length but zero.
+    - `origin`: any point (d,) of the plane, in the mesh's units.
+
+    **Raises:** `ValueError` for a normal that is zero, or of another length than the origin.
     """
 
     normal: np.ndarray
@@ -36,9 +43,16 @@ class Plane(eqx.Module):
 
     @staticmethod
     def through(points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"]) -> "Plane":
-        """Finds the plane in which the `nodes` of a mesh lie.
+        """Finds the plane in which nodes of a mesh lie.
 
-        Raises `ValueError` with the deviation and the worst node where they do not lie in one plane.
+        **Arguments:**
+
+        - `points`: all points (n, d) of the mesh.
+        - `nodes`: ids (k,) of nodes in one plane.
+
+        **Returns:** a `Plane`.
+
+        **Raises:** `ValueError` with the deviation and the worst node where they do not lie in one plane.
         """
         points, nodes = np.asarray(points), np.asarray(nodes)
         patch = points[nodes].astype(float)

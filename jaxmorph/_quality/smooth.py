@@ -21,6 +21,8 @@ def soft_maximum(
     - `values`: an array.
     - `sharpness`: positive, in the inverse unit of `values`, default 50. A larger value comes closer to the maximum.
     - `axis`: the axis along which to take it. Default: all values.
+
+    **Returns:** a number, or an array without that axis.
     """
     values = jnp.asarray(values)
     count = values.size if axis is None else values.shape[axis]

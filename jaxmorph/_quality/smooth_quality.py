@@ -19,7 +19,10 @@ from .vector import Vector, corners, dot
 
 
 class SmoothQuality(eqx.Module):
-    """Holds the smooth measures: arrays (k,), in the order and the units of `QualityReport`."""
+    """Holds the smooth measures of k cells: arrays (k,), in the order of `QualityReport`.
+
+    `skewness`, `aspect_ratio` and `jacobian_ratio` have no unit, `non_orthogonality` is in degrees.
+    """
 
     skewness: Float[Array, " k"]
     aspect_ratio: Float[Array, " k"]

@@ -64,10 +64,18 @@ def _box(directions: np.ndarray, half: np.ndarray) -> np.ndarray:
 def channel(*, columns: int = 60, rows: int = 40, gap: float = 0.2, first_cell: float = 1e-5) -> jm.Mesh:
     """Makes a straight channel of unit length between two walls, of quads that are finest at both.
 
-    Its four patches `inner` (y = 0), `outer` (y = gap), `inlet` (x = 0) and `outlet` (x = 1) share their corners. `first_cell`
-    is the height of the cells at both walls.
+    Its four patches `inner` (y = 0), `outer` (y = gap), `inlet` (x = 0) and `outlet` (x = 1) share their corners.
 
-    Raises `ValueError` for fewer than 4 columns or rows.
+    **Arguments:**
+
+    - `columns`: cells along the channel, 4 or more. Default 60.
+    - `rows`: cells across it, 4 or more. Default 40.
+    - `gap`: width of the channel, relative to its length. Default 0.2.
+    - `first_cell`: height of the cells at both walls. Default 1e-5.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for fewer than 4 columns or rows.
     """
     if columns < 4 or rows < 4:
         raise ValueError(f"a channel needs 4 columns and rows, not {columns} and {rows}.")

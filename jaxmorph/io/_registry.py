@@ -125,7 +125,14 @@ def write(
 
 
 def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
-    """Checks a path as `write` does, before any work; returns whether its format holds arrays.
+    """Checks a path as `write` does, before any work.
+
+    **Arguments:**
+
+    - `path`: the file or folder to write.
+    - `mesh`: the mesh to write there.
+
+    **Returns:** True if the format holds arrays.
 
     **Raises:** `ValueError` for an unknown ending, a folder that does not exist, and the file that the mesh was read
     from.

@@ -18,8 +18,13 @@ from ._style import BLUE, DARK, GREEN, GREY, ORANGE
 def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", ax: Axes | None = None) -> Axes:
     """Draws how many cells have which value of a measure, for several reports by name: `{"before": ..., "after": ...}`.
 
-    `measure` is the name of one of the report's arrays. Counts are on a logarithmic scale: the worst cells are few. Cells of
-    the boundary do not count, nor do infinite values.
+    Counts are on a logarithmic scale: the worst cells are few. Cells of the boundary do not count, nor do infinite values.
+
+    **Arguments:**
+
+    - `reports`: what `quality` returned, by the names for the legend.
+    - `measure`: the name of one of the report's arrays. Default "skewness".
+    - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes `ax`, or new ones.
 
@@ -109,7 +114,12 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
 def convergence(errors: Mapping[str, SurfaceErrors], *, ax: Axes | None = None) -> Axes:
     """Draws the error on the surface against the number of sources, for families of reductions by name: `{"k-d tree": ...}`.
 
-    Takes what `surface_errors` returns: the largest error is a line, the mean is dashed, both on logarithmic scales.
+    The largest error is a line, the mean is dashed, both on logarithmic scales.
+
+    **Arguments:**
+
+    - `errors`: what `surface_errors` returned, by the names for the legend.
+    - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes `ax`, or new ones.
 

@@ -24,7 +24,15 @@ def swing(points: Float[Any, "n d"], extreme: Float[Any, "n d"], *, frames: int 
 
     `deform` is linear in the displacement, so these are the meshes of the mode at each amplitude.
 
-    Raises `ValueError` where the shapes differ, and for fewer than 2 frames.
+    **Arguments:**
+
+    - `points`: undeformed points (n, d).
+    - `extreme`: points (n, d) at the largest displacement, as `deform` returns them.
+    - `frames`: meshes in a period, 2 or more. Default 24.
+
+    **Returns:** points (frames, n, d), for `animate`.
+
+    **Raises:** `ValueError` where the shapes differ, and for fewer than 2 frames.
     """
     points, extreme = np.asarray(points), np.asarray(extreme)
     if points.shape != extreme.shape or points.ndim != 2:
@@ -42,15 +50,21 @@ def animate(
     *,
     rate: float | int = 12,
 ) -> pathlib.Path:
-    """Makes a film: one picture for each of `frames`, the points of a mesh at successive times, as `swing` or `march` give them.
+    """Makes a film of a mesh that moves, one picture for each frame.
 
-    `draw` makes the picture and returns its axes or its plotter, as all pictures here do:
-    `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"), plot.swing(mesh.points, extreme))`.
+    An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"), plot.swing(mesh.points, extreme))`.
     All frames are seen as the first one is; in 3-D with room for the others unless `draw` places the camera. The size is that of
-    the figure or of the plotter's window; `rate` is in frames a second.
+    the figure or of the plotter's window. A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the system's
+    or imageio-ffmpeg's.
 
-    A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the system's or imageio-ffmpeg's. Returns the path of
-    the file, which is there whole or not at all.
+    **Arguments:**
+
+    - `path`: the file to write, ending in .gif or .mp4.
+    - `draw`: makes the picture of points (n, d), and returns its axes or its plotter, as all pictures here do.
+    - `frames`: points (n, d) at successive times, as `swing` or `march` give them; 2 or more.
+    - `rate`: frames a second. Default 12.
+
+    **Returns:** the path of the file, which is there whole or not at all.
 
     **Raises:** `ValueError` for another ending, a folder that is not there, and a rate that is not positive. Also for fewer than
     2 frames, or frames of different shapes. `ImportError` for what is missing.

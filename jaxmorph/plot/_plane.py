@@ -48,7 +48,7 @@ def mesh(
     - `values`: one for each cell, as `quality` gives; without them only the lines are drawn.
     - `limits`: the values at the light and at the dark end of the colours; (1, 0) for a measure that is small where cells are bad.
     - `label`: what the values are, beside the colour bar.
-    - `bar`: whether values bring a colour bar. For several axes that share one: `figure.colorbar(ax.collections[0], ax=axes)`.
+    - `bar`: False leaves out the colour bar. For several axes that share one: `figure.colorbar(ax.collections[0], ax=axes)`.
     - `window`: ((left, right), (bottom, top)); by default the bodies and some room round them. `whole(mesh.points)` shows all.
     - `ax`: matplotlib's axes; new ones by default.
 
@@ -81,7 +81,16 @@ def mesh(
 def before_after(
     mesh: jm.Mesh, points: Float[Any, "n 2"], *, window: Window | None = None, ax: Axes | None = None
 ) -> Axes:
-    """Draws the undeformed 2-D mesh in orange and the deformed one over it in blue; arguments and errors as in `mesh`."""
+    """Draws the undeformed 2-D mesh in orange and the deformed one over it in blue.
+
+    **Arguments:**
+
+    - `mesh`, `points`, `window`, `ax`: those of `mesh`.
+
+    **Returns:** the axes.
+
+    **Raises:** `ValueError` for a mesh in 3-D, and for points of another shape than the mesh's.
+    """
     before, after = _corners(mesh, None), _corners(mesh, points)
     ax = given_or_new(ax)
     window = show(ax, _bodies(mesh, None, points) if window is None else window)
@@ -102,8 +111,15 @@ def graph(
 ) -> Axes:
     """Draws the Delaunay graph of a plan's surface, displaced by `u` if given (figure 2 of the paper).
 
-    Moving nodes are orange, fixed nodes blue. `interior=True` shows the nodes of the volume too, where the plan's method puts
-    them. The default `window` holds the moving nodes and some room; `whole(plan.points)` shows all.
+    Moving nodes are orange, fixed nodes blue.
+
+    **Arguments:**
+
+    - `plan`: a plan in 2-D, with any method.
+    - `u`: displacements (m, 2) of the moving nodes. Default None: the undeformed graph.
+    - `window`: ((left, right), (bottom, top)); the moving nodes and some room by default. `whole(plan.points)` shows all.
+    - `interior`: True shows the nodes of the volume too, where the plan's method puts them. Default False.
+    - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes `ax`, or new ones.
 
@@ -152,7 +168,16 @@ def flat(points: Any, other: str | None = None) -> Float[np.ndarray, "n 2"]:
 
 
 def whole(points: Float[Any, "n 2"]) -> Window:
-    """Returns the window that shows all `points`."""
+    """Computes the window that shows all points.
+
+    **Arguments:**
+
+    - `points`: (n, 2).
+
+    **Returns:** ((left, right), (bottom, top)).
+
+    **Raises:** `ValueError` for points that are not in 2-D.
+    """
     points = flat(points)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return (left, right), (bottom, top)

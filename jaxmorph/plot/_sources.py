@@ -69,7 +69,10 @@ def sources_3d(
 ) -> Any:
     """Draws the sources of a surface in 3-D: nodes as dark points, sources as orange spheres, each box by its twelve edges.
 
-    Arguments as in `sources`, with pyvista's `plotter` in place of `ax`. A plotter from `surface` shows the sources on the body.
+    **Arguments:**
+
+    - `surface`, `reduction`, `fixed`, `search_points`: those of `sources`, in 3-D.
+    - `plotter`: pyvista's; a new one by default. A plotter from `plot.surface` shows the sources on the body.
 
     **Returns:** the plotter, or a new one, off screen.
 

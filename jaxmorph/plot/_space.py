@@ -41,8 +41,13 @@ def surface(
 ) -> Any:
     """Draws the outside of a 3-D mesh, or one patch of it, each face coloured by the value of its cell.
 
-    `points`, `values`, `limits`, `label` and `bar` as in `mesh`. A surface without values is lit. With values it is not, so that
-    its colours are those of the bar.
+    A surface without values is lit. With values it is not, so that its colours are those of the bar.
+
+    **Arguments:**
+
+    - `mesh`, `points`, `values`, `limits`, `label`, `bar`: those of `plot.mesh`, in 3-D.
+    - `patch`: the patch to draw. Default: the whole outside.
+    - `plotter`: pyvista's; a new one, off screen, by default.
 
     **Returns:** the plotter, or a new one, off screen: `plotter.screenshot(path)` writes the picture.
 
@@ -54,7 +59,15 @@ def surface(
 def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None) -> Any:
     """Draws the undeformed outside of a 3-D mesh, or of a patch, in orange, and the deformed one in blue (figure 7a of the paper).
 
-    Both are translucent, so that each is seen through the other. Everything else as in `surface`.
+    Both are translucent, so that each is seen through the other.
+
+    **Arguments:**
+
+    - `mesh`, `points`, `patch`, `plotter`: those of `surface`.
+
+    **Returns:** the plotter, or a new one, off screen.
+
+    **Raises:** `ValueError` as `surface` does.
     """
     before, after = outside(mesh, None, None, patch), outside(mesh, points, None, patch)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
@@ -81,7 +94,17 @@ def cut(
     bar: bool = True,
     plotter: Any = None,
 ) -> Any:
-    """Draws the cells of a 3-D mesh where a plane cuts them, seen along its normal; everything else as in `surface`."""
+    """Draws the cells of a 3-D mesh where a plane cuts them, seen along its normal.
+
+    **Arguments:**
+
+    - `plane`: a `Plane`.
+    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: those of `surface`.
+
+    **Returns:** the plotter, or a new one, off screen.
+
+    **Raises:** `ValueError` as `surface` does.
+    """
     normal, origin = (np.asarray(vector, dtype=float).tolist() for vector in (plane.normal, plane.origin))
     section = _grid(mesh, points, values).slice(normal=normal, origin=origin)
     drawn = _draw(section, limits, label, bar, plotter, lighting=False)

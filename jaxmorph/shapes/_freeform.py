@@ -77,7 +77,15 @@ class FreeForm(AbstractLinearShape):
         degree: int | Sequence[int | None] | None = None,
         continuity: int | None = None,
     ) -> "FreeForm":
-        """Makes the box along the axes that holds all points, with a margin relative to its longest edge.
+        """Makes the box along the axes that holds all points.
+
+        **Arguments:**
+
+        - `points`: positions (m, d) to be inside.
+        - `counts`, `degree`, `continuity`: those of the class.
+        - `margin`: room on each side, relative to the longest edge of the points' box. Default 0.05.
+
+        **Returns:** a `FreeForm`.
 
         **Raises:** `ValueError` as the class does, and for points in one plane without a margin.
         """
@@ -165,7 +173,12 @@ class FreeForm(AbstractLinearShape):
         return Linked(self, matrix)
 
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
-        """Speaks where the box would tear a wall: nodes outside of it stay while the border beside them moves past them.
+        """Raises where the box would tear a wall: nodes outside of it stay while the border beside them moves past them.
+
+        **Arguments:**
+
+        - `x`: positions (m, d) of the wall.
+        - `control`: displacements (*counts, d) of the control points.
 
         **Raises:** `ValueError` with the number of nodes that are nearer to the border than it moves there.
         """

@@ -18,6 +18,13 @@ from ._door import Numbers, positions, vector
 def wall_loop(mesh: Any, patch: str) -> Int[np.ndarray, " k"]:
     """Finds the nodes of a closed wall in 2-D in order, counter-clockwise.
 
+    **Arguments:**
+
+    - `mesh`: a `Mesh` in 2-D.
+    - `patch`: the name of the wall's patch.
+
+    **Returns:** node ids (k,).
+
     **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or branches.
     """
     nodes = mesh.patch(patch)
@@ -43,6 +50,13 @@ def wall_loop(mesh: Any, patch: str) -> Int[np.ndarray, " k"]:
 def wall_faces(mesh: Any, patch: str) -> list[Int[np.ndarray, "k corners"]]:
     """Lists the faces of a wall in 3-D, triangles and quads, as the mesh's cells order them.
 
+    **Arguments:**
+
+    - `mesh`: a `Mesh` in 3-D.
+    - `patch`: the name of the wall's patch.
+
+    **Returns:** node ids, one array (k, 3) or (k, 4) for each type.
+
     **Raises:** `ValueError` for a patch without faces.
     """
     faces = boundary_faces(mesh.cells, len(mesh.points), mesh.patch(patch))
@@ -53,13 +67,30 @@ def wall_faces(mesh: Any, patch: str) -> list[Int[np.ndarray, "k corners"]]:
 
 
 def area(x: Numbers, loop: Any) -> Float[Array, ""]:
-    """Computes the area within a loop (2-D), positive where the loop runs counter-clockwise."""
+    """Computes the area within a loop (2-D), positive where the loop runs counter-clockwise.
+
+    **Arguments:**
+
+    - `x`: positions (n, 2).
+    - `loop`: ids (k,) of the loop's nodes in order, as `wall_loop` returns them.
+
+    **Returns:** a number, in the square of the unit of `x`.
+
+    **Raises:** `ValueError` for other shapes.
+    """
     a, b = _segments(x, loop)
     return 0.5 * jnp.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def centroid(x: Numbers, loop: Any) -> Float[Array, " 2"]:
-    """Computes the centre of the area within a loop (2-D)."""
+    """Computes the centre of the area within a loop (2-D).
+
+    **Arguments:** `x` and `loop` as in `area`.
+
+    **Returns:** a position (2,).
+
+    **Raises:** `ValueError` for other shapes.
+    """
     x = positions(x)
     a, b = _segments(x, loop)
     origin = a[0]
@@ -77,6 +108,8 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
     - `faces`: ids (k, 3) or (k, 4), one array or a list of them.
     - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane; None for a closed one.
 
+    **Returns:** a number, in the cube of the unit of `x`.
+
     **Raises:** `ValueError` for an open wall without a plane, and for a border that is not in one plane with the point.
     """
     x = positions(x)
@@ -88,14 +121,29 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
 
 
 def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
-    """Computes the distance from node `nose` to node `tail`; of several nodes the mean counts, as for a blunt tail."""
+    """Computes the distance from nose to tail of an airfoil.
+
+    **Arguments:**
+
+    - `x`: positions (n, d).
+    - `nose`, `tail`: a node, or several whose mean counts, as for a blunt tail.
+
+    **Returns:** a number, in the unit of `x`.
+    """
     x = positions(x)
     ends = [jnp.mean(x[np.atleast_1d(np.asarray(ids))], axis=0) for ids in (nose, tail)]
     return jnp.linalg.norm(ends[1] - ends[0])
 
 
 def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
-    """Computes the curvature at each node of a loop (2-D): of the circle through it and its neighbours, positive where convex."""
+    """Computes the curvature at each node of a loop (2-D): of the circle through it and its neighbours, positive where convex.
+
+    **Arguments:** `x` and `loop` as in `area`.
+
+    **Returns:** curvatures (k,), in the inverse unit of `x`.
+
+    **Raises:** `ValueError` for other shapes.
+    """
     x = positions(x)
     here, after = _segments(x, loop)
     before = jnp.roll(here, 1, axis=0)
@@ -113,6 +161,8 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
     - `loop`: ids (k,) of the airfoil's nodes in order.
     - `tail`: a node of the trailing edge.
     - `around`: nodes on each side of the nose, 1 or more; their circle is the osculating one to second order in their spacing.
+
+    **Returns:** a radius, in the unit of `x`.
 
     **Raises:** `ValueError` for a tail that is not in the loop, and for too many nodes.
     """
@@ -141,6 +191,8 @@ def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
 
     - `x`: positions (n, 2).
     - `upper`, `lower`: two nodes (ahead, at the edge) of each side.
+
+    **Returns:** an angle in radians, 0 or more.
 
     **Raises:** `ValueError` for anything but two nodes.
     """

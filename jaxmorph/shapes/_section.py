@@ -54,9 +54,9 @@ class Chord(eqx.Module):
 
     @staticmethod
     def along(points: Numbers) -> "Chord":
-        """Finds the chord of an airfoil in 2-D: from the node with the largest distance to the tail, the tail having the largest x.
+        """Finds the chord of an airfoil in 2-D: the tail has the largest x, the nose is the node farthest from the tail.
 
-        Nodes of a blunt tail, which share the largest x, give their mean.
+        Nodes of a blunt tail, which share the largest x, give their mean. `points` are positions (m, 2).
         """
         known = np.asarray(positions(points, "points"))
         last = known[:, 0].max()
@@ -68,6 +68,13 @@ def upper_side(points: Numbers, chord: Chord | None = None) -> Bool[np.ndarray, 
     """Tells which nodes of an airfoil are above its mean line.
 
     Around each node, the mean line is the parabola closest to the nodes next to it along the chord, which lie on both sides.
+
+    **Arguments:**
+
+    - `points`: positions (m, d) of the airfoil's nodes.
+    - `chord`: its chord. Default `Chord.along(points)`.
+
+    **Returns:** booleans (m,).
 
     **Raises:** `ValueError` where all nodes would be on one side.
     """

@@ -33,7 +33,7 @@ class AbstractOperator(eqx.Module):
 
 
 class AbstractLinearShape(AbstractShape):
-    """A shape whose displacement is linear in its parameters."""
+    """Moves positions by a displacement that is linear in the parameters."""
 
     @abc.abstractmethod
     def at(self, x: Numbers) -> AbstractOperator:

@@ -86,6 +86,14 @@ class Smoother(AbstractLinearShape):
     def on(mesh: Any, patch: str, length: float, *, held: Any = ()) -> "Smoother":
         """Makes the smoother of a mesh's patch; rows are those of `mesh.patch(patch)`.
 
+        **Arguments:**
+
+        - `mesh`: a `Mesh` with cells.
+        - `patch`: the name of the wall's patch.
+        - `length`, `held`: those of the class.
+
+        **Returns:** a `Smoother`.
+
         **Raises:** `ValueError` as the class does, and for a patch without faces.
         """
         nodes = mesh.patch(patch)

@@ -14,7 +14,11 @@ from ._measures import _triangles
 class Stations(eqx.Module):
     """Lines on which thickness is measured, each with the two faces that it meets first and last.
 
-    Made once by `Stations.on`; the faces keep the wall's nodes, so that a moved wall is measured where its faces went.
+    `Stations.on` makes them once. The faces keep the wall's nodes, so that a moved wall is measured where its faces went.
+
+    - `points` (s, d): one on each line.
+    - `directions` (s, d): of the lines, of length 1.
+    - `faces` (s, 2, d): node ids of each line's two faces.
     """
 
     points: Float[Array, "s d"]
