@@ -8,10 +8,10 @@ from scipy.spatial import KDTree
 from .graph import morton_order
 from .reduction import canonical_order, roundoff
 
-Faces = Mapping[str, np.ndarray] | None
+FacesByType = Mapping[str, np.ndarray] | None
 
 
-def edges(points: np.ndarray, moving: int, faces: Faces = None) -> np.ndarray:
+def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndarray:
     """Lists each pair (e, 2) of neighbouring rows of the surface once, both among the `moving` first ones.
 
     Pairs are the sides of the `faces` where those are known, else neighbours by distance. None is as short as round-off.
@@ -24,7 +24,7 @@ def edges(points: np.ndarray, moving: int, faces: Faces = None) -> np.ndarray:
     return pairs[length > roundoff(points)]
 
 
-def _sides(faces: Faces, moving: int) -> np.ndarray:
+def _sides(faces: FacesByType, moving: int) -> np.ndarray:
     pairs = [np.zeros((0, 2), dtype=np.int64)]
     for corners in (faces or {}).values():
         inside = corners[(corners < moving).all(axis=1)]
@@ -58,7 +58,7 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
     return np.sort(order[np.linspace(0, len(order) - 1, most).astype(np.int64)])
 
 
-def chords(points: np.ndarray, wall: np.ndarray, faces: Faces = None) -> tuple[np.ndarray, np.ndarray]:
+def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> tuple[np.ndarray, np.ndarray]:
     """Finds two nodes far apart on each wall (w, 2), and measures its mean chord (w,) relative to their distance.
 
     In 2-D the mean chord is half of a wall's length. In 3-D it is half of a wall's area over the distance of those two
@@ -78,7 +78,7 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: Faces = None) -> tuple[n
     return ends, size / (2 * safe ** (points.shape[1] - 1))
 
 
-def _shares(points: np.ndarray, faces: Faces) -> np.ndarray:
+def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
     """Measures the length (2-D) or area (3-D) of the surface around each node (b,).
 
     It is exact with faces, else an estimate from the distances of neighbours.

@@ -28,10 +28,10 @@ FORMAT, VERSION = "jaxmorph plan", 2
 _HEADER = "description"
 _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, TypeError, IndexError, EOFError, AttributeError, RecursionError)
 
-Steps = Plan | Sequence[Any]
+Plans = Plan | Sequence[Any]
 
 
-def save(path: str | os.PathLike[str], plan: Steps) -> None:
+def save(path: str | os.PathLike[str], plan: Plans) -> None:
     """Writes a plan, or the plans of several steps that `march` returned, to a file that `load` reads.
 
     Every array keeps its bits, so the loaded plan's `deform` gives the same. Besides arrays, fields may hold None,

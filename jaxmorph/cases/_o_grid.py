@@ -35,14 +35,14 @@ def sharp_o_grid(
         raise ValueError(f"an O-grid needs 16 cells around and 8 layers, not {around} and {layers}.")
     if not 1 <= edge <= 60:
         raise ValueError(f"`edge` is {edge}; a sharp trailing edge is 1 to 60 degrees open.")
-    section = Section(camber, edge)
+    section = SharpSection(camber, edge)
     nodes = rays(section, around, layers, first_cell, FAR * abs(section.nose) / section.radius)
     ids = ids_of(layers + 1, around)
     closed = np.column_stack([ids, ids[:, 0]])[:, ::-1]
     return jm.Mesh(nodes.reshape(-1, 2), {"quad": quads(closed)}, {"airfoil": ids[0], "farfield": ids[-1]})
 
 
-class Section:
+class SharpSection:
     """A section of unit chord: the image of a circle that runs through the map's singular point 1 and round the other, -1."""
 
     def __init__(self, camber: float, edge: float, thickness: float = 0.08):
@@ -64,7 +64,7 @@ class Section:
         return 2 * self.power * power / (1 - power)
 
 
-def rays(section: Section, around: int, layers: int, first_cell: float, outermost: float) -> np.ndarray:
+def rays(section: SharpSection, around: int, layers: int, first_cell: float, outermost: float) -> np.ndarray:
     """Places (layers + 1, around, 2) nodes on the rays from radius 1 to `outermost`, spaced geometrically along each."""
     turn = np.arange(around) / around
     radius = 1 + np.concatenate([[0.0], np.geomspace(1e-7, outermost - 1, SAMPLES)])[:, None]

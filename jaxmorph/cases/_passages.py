@@ -4,7 +4,7 @@ import numpy as np
 
 import jaxmorph as jm
 
-from ._o_grid import Section, rays
+from ._o_grid import SharpSection, rays
 from ._structured import geometric, ids_of, quads, two_sided
 
 LENGTH = 1.7  # of the cascade's passage, in chords
@@ -33,7 +33,7 @@ def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pi
         raise ValueError(f"a cascade needs 40 cells around and 8 layers, not {around} and {layers}.")
     if not 1 <= pitch <= 3:
         raise ValueError(f"`pitch` is {pitch}; a passage is 1 to 3 chords wide.")
-    section = Section(0.1, 14.0)
+    section = SharpSection(0.1, 14.0)
     near = rays(section, around, layers, first_cell, OUTERMOST) @ np.array([1, 1j])
     turn = np.arange(around) / around
     middle, half = section(OUTERMOST, turn).mean(), np.array([LENGTH / 2, pitch / 2])

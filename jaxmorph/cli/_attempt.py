@@ -10,7 +10,7 @@ import jaxmorph as jm
 
 from . import _gates
 from ._gates import Judged
-from ._method import Boundary, NamedMethod, in_double
+from ._method import NamedMethod, Patches, in_double
 from ._motion import Motions
 from ._requests import Deform
 from ._tables import inverted_cells
@@ -21,7 +21,7 @@ class Attempt:
     """All that one attempt needs but the method and the number of steps."""
 
     request: Deform
-    patches: Boundary
+    patches: Patches
     motion: Motions
     before: Judged
 

@@ -12,7 +12,7 @@ from . import _gates, _picture
 from ._attempt import Attempt
 from ._files import save, write_moved
 from ._gates import Judged
-from ._method import NamedMethod, boundary, named_method
+from ._method import NamedMethod, named_method, patches_of
 from ._motion import motions
 from ._output import Output
 from ._requests import Deform
@@ -51,7 +51,7 @@ def deform(request: Deform, out: Output) -> int:
 def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod]:
     """Checks the request, describes it on the terminal, and collects what an attempt needs."""
     _check(request, mesh)
-    patches = boundary(request.surface, mesh, request.file)
+    patches = patches_of(request.surface, mesh, request.file)
     if request.chunk is not None and request.chunk < 1:
         raise ValueError(f"--chunk must be 1 or more, found {request.chunk}.")
     if request.steps < 1:

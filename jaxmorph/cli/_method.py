@@ -7,7 +7,7 @@ from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 
-from ._requests import Method, Surface
+from ._requests import Method, PatchNames
 
 SEARCHES = 24
 """Reductions tried to find one of about as many sources as asked for."""
@@ -64,7 +64,7 @@ def about(sources: int, wall: Float[np.ndarray, "m d"]) -> jm.AbstractReduction:
 
 
 @dataclasses.dataclass(frozen=True)
-class Boundary:
+class Patches:
     """A mesh, the names of the patches that move, stay and slide, and the planes of the last."""
 
     mesh: jm.Mesh
@@ -103,7 +103,7 @@ class Boundary:
             raise self.explained(error) from None
 
 
-def boundary(surface: Surface, mesh: jm.Mesh, file: object) -> Boundary:
+def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
     """Looks up the patches that the names mean. A pattern for fixed patches leaves out those that move or slide.
 
     Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat where they slide.
@@ -128,7 +128,7 @@ def boundary(surface: Surface, mesh: jm.Mesh, file: object) -> Boundary:
             planes.append(jm.Plane.through(np.asarray(mesh.points), mesh.patch(name)))
         except ValueError as error:
             raise ValueError(f"--symmetry {name}: {error}") from None
-    return Boundary(mesh, moving, fixed, symmetry, tuple(planes))
+    return Patches(mesh, moving, fixed, symmetry, tuple(planes))
 
 
 def in_double(

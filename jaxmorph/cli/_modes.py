@@ -17,7 +17,7 @@ from jaxmorph import Mesh, io
 from . import _gates
 from ._files import save, write_moved
 from ._gates import Judged
-from ._method import Boundary, boundary, in_double, named_method
+from ._method import Patches, in_double, named_method, patches_of
 from ._output import Output
 from ._requests import Modes
 from ._tables import count, inverted_cells, numbers
@@ -91,9 +91,9 @@ def _is_xdmf(request: Modes) -> bool:
     return request.output.suffix == ".xdmf"
 
 
-def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Boundary:
+def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
     """Looks up the patches. Raises `ValueError` for a request that is sure to fail, before any work."""
-    patches = boundary(request.surface, mesh, request.file)
+    patches = patches_of(request.surface, mesh, request.file)
     if not np.isfinite(request.amplitudes).all():
         raise ValueError("--amplitude needs finite numbers.")
     if _is_xdmf(request) and not request.output.parent.is_dir():

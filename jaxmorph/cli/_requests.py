@@ -11,7 +11,7 @@ from ._job import text_of
 
 
 @dataclasses.dataclass(frozen=True)
-class Surface:
+class PatchNames:
     """Patches that move, stay and slide: names, patterns or groups."""
 
     moving: tuple[str, ...]
@@ -34,7 +34,7 @@ class Deform:
 
     file: Path
     output: Path
-    surface: Surface
+    surface: PatchNames
     groups: tuple[Group, ...]
     method: Method
     steps: int
@@ -53,7 +53,7 @@ class Modes:
 
     file: Path
     output: Path
-    surface: Surface
+    surface: PatchNames
     method: Method
     modes: tuple[Path, ...]
     amplitudes: tuple[float, ...]
@@ -68,7 +68,7 @@ class Sensitivity:
     file: Path
     sensitivity: Path
     output: Path
-    surface: Surface
+    surface: PatchNames
     method: Method
 
 
@@ -111,7 +111,7 @@ def _deform(arguments: argparse.Namespace) -> Deform:
     return Deform(
         arguments.file,
         arguments.output,
-        Surface(names, tuple(arguments.fixed), tuple(arguments.symmetry)),
+        PatchNames(names, tuple(arguments.fixed), tuple(arguments.symmetry)),
         tuple(groups),
         _method(arguments),
         arguments.steps,
@@ -143,8 +143,8 @@ def _sensitivity(arguments: argparse.Namespace) -> Sensitivity:
     return Sensitivity(arguments.file, arguments.sensitivity, arguments.output, surface, method)
 
 
-def _surface(arguments: argparse.Namespace) -> Surface:
-    return Surface(tuple(arguments.moving), tuple(arguments.fixed), tuple(arguments.symmetry))
+def _surface(arguments: argparse.Namespace) -> PatchNames:
+    return PatchNames(tuple(arguments.moving), tuple(arguments.fixed), tuple(arguments.symmetry))
 
 
 def _method(arguments: argparse.Namespace) -> Method:

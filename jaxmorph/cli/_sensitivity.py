@@ -10,7 +10,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from ._files import save
-from ._method import boundary, named_method
+from ._method import named_method, patches_of
 from ._output import Output
 from ._requests import Sensitivity
 from ._tables import count
@@ -28,7 +28,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
         raise ValueError(f"{request.output}: there is no folder {request.output.parent}.")
     with out.progress(f"reading {request.file.name}"):
         mesh = io.read(request.file)
-    patches = boundary(request.surface, mesh, request.file)
+    patches = patches_of(request.surface, mesh, request.file)
     with out.progress(f"reading {request.sensitivity.name}"):
         given = io.read_sensitivity(request.sensitivity, mesh)
     moving = patches.nodes
