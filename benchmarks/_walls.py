@@ -105,10 +105,15 @@ def shapes(points: int) -> Iterator[Case]:
             "flap 45": flap(base, 45),
         }
 
+    def real(base):
+        rng = np.random.default_rng(12)
+        kinks = {f"kink {i}": wavy(base, rng, True) for i in range(3)}
+        return {"bump 0.1": bump(base), "pitch 15": pitch(base, 15), "flap 15": flap(base, 15)} | kinks
+
     yield airfoil("shapes", "naca4412", cases.naca4("4412", points=points, first_cell=1e-6), few)
     for name, file in (("euler", "naca0012-euler/naca0012_inv.su2"), ("viscous", "naca0012-cgrid/n0012_225-65.su2")):
         if (SHARED / file).exists():
-            yield airfoil("shapes", name, io.read(SHARED / file), lambda base: few(base) | {"bump 0.1": bump(base)})
+            yield airfoil("shapes", name, io.read(SHARED / file), lambda base: few(base) | real(base))
 
 
 def edges(points: int) -> Iterator[Case]:

@@ -1,6 +1,7 @@
 """The default's coarse field follows the body: what the fit is, and what becomes of boundary layers."""
 
 import functools
+import warnings
 
 import equinox as eqx
 import jax
@@ -188,3 +189,47 @@ def test_a_free_side_stays_flat():
     plane = jm.Plane.through(mesh.points, mesh.patch("root"))
     fitted = jm.prepare(mesh.points, wing, mesh.patch("farfield", "tip"), symmetry=plane)
     assert np.isin(fitted.sources, wing).sum() < np.isin(free.sources, wing).sum()
+
+
+def far_away(radius):
+    """A small airfoil with its far field drawn out, in powers of the distance, from 15 chords."""
+    mesh = cases.naca0015(points=1500)
+    arms = mesh.points - [0.5, 0]
+    distance = np.linalg.norm(arms, axis=1, keepdims=True)
+    power = np.log(radius) / np.log(15)
+    return mesh.moved(arms * np.maximum(distance, 1) ** (power - 1) + np.array([0.5, 0]))
+
+
+def test_a_bump_leaves_the_far_field_alone():
+    """The classic method, and the fit without rings, move nodes 100 chords away by several bumps' heights."""
+    radius = 500
+    mesh = far_away(radius)
+    plan = jm.prepare(mesh, "airfoil", "farfield")
+    base = mesh.points[np.asarray(plan.moving)]
+    bump = up(base, 0.1 * np.sin(np.pi * base[:, 0]) ** 3 * (base[:, 1] > 0))
+    assert jm.inspect(plan, bump).overshoot < 1.1
+    classic = jm.prepare(mesh, "airfoil", "farfield", method=jm.RBF.classic())
+    assert jm.inspect(classic, bump).overshoot > 1.5
+    inverted, ratio = judged(mesh, jm.deform(plan, up(base, np.full(len(base), 0.3 * radius))))
+    assert inverted == 0
+    assert ratio > 0.3
+    surface = np.asarray(plan.surface.points)
+    affine = np.array([[0.1, 0.3], [-0.2, 0.05]])
+    ids, factors = plan.surface.ids[0], plan.surface.factors[0]
+    field = plan.method.coarse.field(ids, factors, plan.surface.points, jnp.asarray(surface @ affine))
+    moved = jax.vmap(lambda x: field(x, None))(plan.points)
+    np.testing.assert_allclose(moved, mesh.points @ affine, atol=1e-9 * radius)
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["mesh", "points"])
+def test_a_free_side_is_seen_however_it_is_turned(whole):
+    """The outlet is named nowhere: the field is then an interpolation, and has no edges to be fitted to."""
+    mesh = cases.channel(columns=24, rows=12)
+    z = (mesh.points[:, 0] + 1j * mesh.points[:, 1]) * np.exp(1j * np.deg2rad(30))
+    turned = mesh.moved(np.stack([z.real, z.imag], axis=1))
+    for each in (mesh, turned):
+        for sides, is_free in ((["outer", "inlet"], True), (["outer", "inlet", "outlet"], False)):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of boundary faces in no list
+                plan = jm.prepare(each if whole else each.points, each.patch("inner"), each.patch(*sides))
+            assert (len(plan.surface.ids[0].edges) == 0) == is_free

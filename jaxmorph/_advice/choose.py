@@ -17,6 +17,7 @@ from .._host.reduction import KDTree
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface
 from .._methods.basis import WendlandC2
+from .._methods.fitted import FittedRBF
 from .._methods.nearwall import NearWall
 from .._methods.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
@@ -25,8 +26,12 @@ from .._plan.plan import Plan, deform
 from .._plan.prepare import prepare, surface_of
 from .._plan.symmetry import Mirror, Plane
 from .._quality.quality import quality
+from .._quality.wall import wall_quality
 
-COLUMNS = ("leaves", "sources", "radius", "error", "rounding", "inverted", "jacobian")
+COLUMNS = ("leaves", "sources", "radius", "fit", "error", "rounding", "inverted", "jacobian", "angle")
+
+WORTH, NOTICEABLE = 0.8, 0.1
+"""Share of the smallest Jacobian ratio that a fitted field keeps, at least, and degrees by which it is closer to the angle."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,11 +43,14 @@ class Choice:
     - `leaves`: those of the k-d tree on the moving nodes;
     - `sources`: how many control points in all;
     - `radius`: that of the Wendland C2 function, None for a thin plate spline;
+    - `fit`: whether the field is fitted to the wall, `FittedRBF`, instead of interpolating;
     - `error`: the coarse field's error on the surface, relative to the largest displacement: root mean square over
       surface and motions;
-    - `rounding`: the error that float64 makes of the system's condition, relative to it too;
+    - `rounding`: the error that float64 makes of the system's condition, relative to it too; None with the fit;
     - `inverted`: inverted cells in all motions;
-    - `jacobian`: the smallest Jacobian ratio in any; NaN where `prepare` refused.
+    - `jacobian`: the smallest Jacobian ratio in any; NaN where `prepare` refused;
+    - `angle`: degrees by which first grid lines leave their angle to the wall, mean over nodes and motions. It is NaN where
+      no cell has a side on the wall.
     """
 
     method: AbstractMethod
@@ -57,7 +65,11 @@ class Choice:
 
 
 def _shown(value: Any) -> str:
-    return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def choose(
@@ -70,14 +82,19 @@ def choose(
     leaves: Sequence[int] = (8, 32, 128),
     tolerance: float = 0.01,
 ) -> Choice:
-    """Chooses the number of sources and the support radius for a family of motions, by trying, on the host.
+    """Chooses sources, support radius, and whether to fit the field to the wall, for a family of motions.
 
-    For each number of leaves a thin plate spline and a Wendland C2 function are tried. The radius of the second
-    minimises the sum of `error` and `rounding` (see `Choice`). It is found by optimistix's golden section search, between a
-    fifth of the moving nodes' extent and ten times it. Candidates are good that invert fewest cells, miss the surface by no more
-    than `tolerance`, and keep 98 % of the best smallest Jacobian ratio. Of these the one with fewest sources is chosen;
-    where none is that good, the one with the largest Jacobian ratio. Every motion is deformed and judged once for each
-    of the 2 len(`leaves`) candidates.
+    For each number of leaves a thin plate spline, a Wendland C2 function and a fitted thin plate spline are tried. The radius
+    of the second minimises the sum of `error` and `rounding` (see `Choice`). It is found by optimistix's golden section search,
+    between a fifth of the moving nodes' extent and ten times it.
+
+    Candidates are good that invert fewest cells, miss the surface by no more than `tolerance` (asked of fields that
+    interpolate), and keep 98 % of the best smallest Jacobian ratio. Of these the one with fewest sources is taken; where none
+    is that good, the one with the largest Jacobian ratio. That is done for the fields that interpolate, and for the fitted ones.
+
+    The fitted one is chosen if it inverts no more cells, leaves the grid lines closer to their angle to the wall, and keeps 80 %
+    of the other's Jacobian ratio. A change of shape asks for it; a body that moves as a whole does not. Every motion is
+    deformed and judged once for each of the 3 len(`leaves`) candidates.
 
     **Arguments:**
 
@@ -105,12 +122,16 @@ def choose(
     surface, images, _ = surface_of(named)
     columns = _columns(motions, len(named.nodes), images)
     rows, plans, refused = [], [], None
-    for count in leaves:
-        for with_radius in (False, True):
-            rbf, row = _candidate(surface, columns, count, with_radius)
-            plan, refused = _prepared(mesh, (moving, fixed, named.planes), rbf, refused)
-            rows.append(row | _judged(mesh, plan, motions))
-            plans.append(plan)
+    tries = [(count, kind) for count in leaves for kind in (False, True)] + [(count, None) for count in leaves]
+    for count, with_radius in tries:
+        coarse, row = _candidate(surface, columns, count, bool(with_radius))
+        if with_radius is None:
+            coarse = FittedRBF(coarse)
+        plan, refused = _prepared(mesh, (moving, fixed, named.planes), coarse, refused)
+        if with_radius is None:
+            row |= {"error": _left(plan, motions), "rounding": None}
+        rows.append(row | {"fit": with_radius is None} | _judged(mesh, plan, motions))
+        plans.append(plan)
     if all(plan is None for plan in plans):
         raise refused or ValueError("every candidate was refused.")
     chosen = _best(rows, tolerance)
@@ -172,32 +193,61 @@ def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Arra
     return jnp.sqrt(jnp.mean(missed**2)), unit * jnp.max(jnp.sum(jnp.abs(field.beta), axis=1))
 
 
-def _prepared(mesh: Mesh, boundary, rbf: RBF, refused: ValueError | None) -> tuple[Plan | None, ValueError | None]:
+def _left(plan: Plan | None, motions: np.ndarray) -> float:
+    """Measures the root mean square of what the coarse field leaves to the correction, over surface and motions."""
+    if plan is None:
+        return math.nan
+    left = np.stack([np.asarray(plan.offset(jnp.asarray(u, plan.points.dtype))) for u in motions])
+    return float(np.sqrt(np.mean(left**2)) / np.abs(motions).max())
+
+
+def _prepared(
+    mesh: Mesh, boundary, coarse: AbstractMethod, refused: ValueError | None
+) -> tuple[Plan | None, ValueError | None]:
     moving, fixed, symmetry = boundary
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a condition that the table tells
         try:
-            method = SurfaceReconstruction(rbf, NearWall())
-            return prepare(mesh.points, moving, fixed, method=method, symmetry=symmetry), refused
+            method = SurfaceReconstruction(coarse, NearWall())
+            return prepare(mesh, moving, fixed, method=method, symmetry=symmetry), refused
         except ValueError as error:
             return None, error
 
 
 def _judged(mesh: Mesh, plan: Plan | None, motions: np.ndarray) -> dict[str, Any]:
     if plan is None:
-        return {"inverted": math.nan, "jacobian": math.nan}
-    reports = [quality(mesh, deform(plan, jnp.asarray(u, plan.points.dtype))) for u in motions]
+        return {"inverted": math.nan, "jacobian": math.nan, "angle": math.nan}
+    moved = [deform(plan, jnp.asarray(u, plan.points.dtype)) for u in motions]
+    reports = [quality(mesh, points) for points in moved]
     least = min(float(report.min_jacobian_ratio) for report in reports)
-    return {"inverted": sum(int(report.inverted) for report in reports), "jacobian": least}
+    try:
+        angle = float(np.mean([wall_quality(mesh, np.asarray(plan.moving), points).mean_angle for points in moved]))
+    except ValueError:  # no cell has a side on the wall
+        angle = math.nan
+    return {"inverted": sum(int(report.inverted) for report in reports), "jacobian": least, "angle": angle}
 
 
 def _best(rows: list[dict[str, Any]], error: float) -> int:
-    """Picks the row with fewest sources among the good ones."""
+    """Picks the fitted row or the other one, of the best of each kind."""
     usable = [i for i, row in enumerate(rows) if not math.isnan(row["jacobian"])]
+    first, *others = (
+        _best_of(rows, kind, error) for fit in (False, True) if (kind := [i for i in usable if rows[i]["fit"] is fit])
+    )
+    if not others:
+        return first
+    plain, fitted = rows[first], rows[others[0]]
+    is_better = fitted["inverted"] < plain["inverted"]
+    is_worth_it = fitted["angle"] < plain["angle"] - NOTICEABLE and fitted["jacobian"] >= WORTH * plain["jacobian"]
+    return others[0] if is_better or (fitted["inverted"] == plain["inverted"] and is_worth_it) else first
+
+
+def _best_of(rows: list[dict[str, Any]], usable: list[int], error: float) -> int:
+    """Picks the row with fewest sources among the good ones."""
     fewest = min(rows[i]["inverted"] for i in usable)
     sound = [i for i in usable if rows[i]["inverted"] == fewest]
     best = max(rows[i]["jacobian"] for i in sound)
-    good = [i for i in sound if rows[i]["error"] <= error and rows[i]["jacobian"] >= best - 0.02 * abs(best)]
+    near = [i for i in sound if rows[i]["jacobian"] >= best - 0.02 * abs(best)]
+    good = [i for i in near if rows[i]["fit"] or rows[i]["error"] <= error]
     if good:
         return min(good, key=lambda i: (rows[i]["sources"], -rows[i]["jacobian"]))
     return max(sound, key=lambda i: rows[i]["jacobian"])

@@ -3,12 +3,25 @@
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
+from .farthest import farthest
 from .graph import morton_order
 from .reduction import canonical_order, roundoff
 
 FacesByType = Mapping[str, np.ndarray] | None
+
+RINGS, BEYOND = (40, 80), 1.1
+"""Radii of rings at which a body's field comes to rest, relative to the distance of its ends from its middle.
+
+A far field has them if it is `BEYOND` times as far away as the last one.
+"""
+
+SIDES = 64
+"""Sides of the surface's hull, the largest ones, that are looked at for free nodes."""
+
+APART = {2: 0.6, 3: 0.8}
+"""Distance of the points of a ring, relative to its radius: about 8 on a circle."""
 
 
 def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndarray:
@@ -116,16 +129,48 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
     return nearest
 
 
+def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
+    """Finds fixed sources so far from the moving ones that the field is to come to rest on the way, and the shares of the way.
+
+    The way begins at the middle of the moving sources. Few directions are enough, each with its mirror images.
+    """
+    centre = surface[moving].mean(axis=0)
+    rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
+    way = np.linalg.norm(surface - centre, axis=1)
+    far = fixed[(images[fixed] == fixed) & (way[fixed] > BEYOND * rings.max())]
+    if len(far):
+        far = far[canonical_order(surface[far])]
+        far = far[farthest(surface[far], len(far), 0.0, reach=APART[surface.shape[1]] * way[far])]
+    far = fixed[np.isin(images[fixed], far)]
+    return np.tile(far, len(rings)), (rings / way[far]).ravel()
+
+
 def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
-    """Tells whether a side of the points' bounding box holds nodes that are not on the surface, and the surface ends there.
+    """Tells whether a flat side of the surface's hull holds points that are not on the surface.
 
     `surface` (b, d) has the images in symmetry planes; `is_free` (n,) says which of the `points` (n, d) are not on it.
     """
-    slack = 1e-8 * float(np.ptp(points, axis=0).max())
-    for axis in range(points.shape[1]):
-        for sign in (-1, 1):
-            along = sign * points[:, axis]
-            end = along.max()
-            if (sign * surface[:, axis]).max() <= end + slack and (is_free & (along >= end - slack)).sum() > 1:
-                return True
+    try:
+        hull = ConvexHull(surface)
+    except QhullError:
+        return False
+    size = _measure(surface[hull.simplices])
+    plane = np.unique(np.round(hull.equations, 6), axis=0, return_inverse=True)[1].ravel()
+    largest = np.argsort(-np.bincount(plane, size))[:SIDES]
+    slack, free = 1e-8 * float(np.ptp(surface, axis=0).max()), points[is_free]
+    for label in largest:
+        facets = np.flatnonzero(plane == label)
+        *normal, offset = hull.equations[facets[size[facets].argmax()]]
+        if (free @ np.array(normal) + offset > -slack).sum() > 1:
+            return True
     return False
+
+
+def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held: np.ndarray) -> bool:
+    """Tells whether boundary faces have corners that are not held (n,); not counting the two sides of a cut, which coincide."""
+    free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
+    middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
+    distance = np.full(len(middles), np.inf)
+    if len(middles) > 1:
+        distance = np.asarray(KDTree(middles).query(middles, k=2)[0])[:, 1]
+    return bool((distance > 1e-9 * np.ptp(points, axis=0).max()).any())

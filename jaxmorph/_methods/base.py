@@ -31,6 +31,7 @@ class Surface:
     - `matched`: rows whose displacement is known to vanish. They are a coarse field's sources, where a correction has
       nothing to do.
     - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None without cells.
+    - `is_open`: whether boundary faces of the mesh are neither moving, fixed nor on a symmetry plane, or None without cells.
     """
 
     points: np.ndarray
@@ -39,6 +40,7 @@ class Surface:
     images: np.ndarray
     matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     faces: Mapping[str, np.ndarray] | None = None
+    is_open: bool | None = None
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
         """Chooses rows among the moving nodes, then among the fixed ones, each with its mirror images; no two of them too close."""

@@ -9,14 +9,17 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.reduction import KDTree
-from .._host.skin import chords, edges, has_free_sides, nearest_held, thinned
+from .._host.skin import chords, drawn_in, edges, has_free_sides, nearest_held, thinned
 from .._host.walls import walls
 from .._kernels.values import norm
 from .base import AbstractMethod, Surface, check_kind
 from .rbf import RBF, RBFFactors, polynomial
 
-ELL, MU = 0.17, 0.1
-"""Defaults of `ell` and `mu`, relative to the mean chord of the wall."""
+ELL, MU = {2: 0.17, 3: 0.1}, {2: 0.1, 3: 0.25}
+"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall.
+
+A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
+"""
 
 JOINT = 0.2
 """Largest `ell`, relative to the distance of the nearest node that is fixed or of another wall."""
@@ -46,7 +49,11 @@ class FittedRBF(AbstractMethod):
     skin itself is left to the correction. If the whole surface moves by an affine motion, the field is that motion: strain is
     measured from the affine motion that fits the surface's displacement best.
 
-    A free side is a flat side of the mesh that is neither moving, fixed nor a symmetry plane. A field that turns with the body
+    A thin plate spline carries a slope that the body keeps on to the far field: at 500 chords a bump moves nodes by several
+    times its height. So where fixed sources are farther away than about 45 chords, the field comes to rest at 20 and 40 chords:
+    all but the walls' mean displacement, and affine motions of the whole.
+
+    A free side is a side of the mesh that is neither moving, fixed nor a symmetry plane. A field that turns with the body
     would carry it out of its plane. A mesh with a free side gets the interpolation of many sources instead of the fit.
 
     **Arguments:**
@@ -54,8 +61,9 @@ class FittedRBF(AbstractMethod):
     - `rbf`: basis and sources. Few sources are enough: by default 16 leaves of a k-d tree, and 32 if another boundary is near.
     - `ell`: the length that weighs strain, in the mesh's units. A large one keeps the wall's lines at right angles, a small one
       follows the skin. It is nowhere more than 0.2 of the distance to the nearest node that is held or of another wall.
-      Default 0.17 of each wall's mean chord: half of its perimeter, in 3-D half of its area over its span.
-    - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of each wall's mean chord.
+      Default 0.17 of each wall's mean chord, half of its perimeter; in 3-D 0.1 of half of its area over its span.
+    - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of each wall's mean chord, in 3-D
+      0.25.
 
     Walls of more than 4,096 nodes or edges are sampled.
 
@@ -74,7 +82,10 @@ class FittedRBF(AbstractMethod):
         return False
 
     def connect(self, surface: Surface, points):
-        if has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points):
+        is_open = surface.is_open
+        if is_open is None:
+            is_open = has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points)
+        if is_open:
             sources = self._denser.connect(surface, points)[0]
             return self._sources_alone(surface, sources), None
         sources, at_points = self.rbf.connect(surface, points)
@@ -93,8 +104,9 @@ class FittedRBF(AbstractMethod):
         """Makes ids without edges, and with the sources as the only nodes: the fit is then the interpolation."""
         moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
         none = np.zeros((0, 2))
-        rows = (jnp.asarray(each.astype(np.int32)) for each in (moving, fixed, moving, none, none[:, 0], none))
-        return WallIds(*rows, share=jnp.zeros(0))
+        each_row = (moving, fixed, moving, none, none[:, 0], none, none[:, 0])
+        rows = (jnp.asarray(each.astype(np.int32)) for each in each_row)
+        return WallIds(*rows, share=jnp.zeros(0), reach=jnp.zeros(0))
 
     def _wall(self, surface: Surface, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
         nodes = np.union1d(
@@ -106,8 +118,9 @@ class FittedRBF(AbstractMethod):
         ends, share = chords(surface.points, wall, surface.faces)
         label = wall[pairs[:, 0]]
         held = nearest_held(surface.points, surface.moving, wall, pairs)
-        rows = (jnp.asarray(each.astype(np.int32)) for each in (moving, fixed, nodes, pairs, held, ends[label]))
-        return WallIds(*rows, share=jnp.asarray(share[label]))
+        far, reach = drawn_in(surface.points, moving, fixed, surface.images)
+        rows = (jnp.asarray(each.astype(np.int32)) for each in (moving, fixed, nodes, pairs, held, ends[label], far))
+        return WallIds(*rows, share=jnp.asarray(share[label]), reach=jnp.asarray(reach))
 
     def matched(self, ids):
         return self.sources(ids) if not len(ids.edges) else np.asarray(ids.fixed)
@@ -116,10 +129,12 @@ class FittedRBF(AbstractMethod):
         return np.concatenate([ids.moving, ids.fixed])
 
     def check(self, ids, factors: "FitFactors", u):
-        self.rbf.check(jnp.concatenate([ids.moving, ids.fixed]), factors.rbf, u)
+        values = jnp.concatenate([u[ids.moving], u[ids.fixed], jnp.zeros((len(ids.far), u.shape[1]), u.dtype)])
+        self.rbf.check(jnp.arange(len(values)), factors.rbf, values)
 
     def fit(self, ids: "WallIds", surface):
-        rbf = self.rbf.fit(jnp.concatenate([ids.moving, ids.fixed]), surface)
+        sources = _sources(ids, surface)
+        rbf = self.rbf.fit(jnp.arange(len(sources)), sources)
         surface = surface.astype(rbf.lu.dtype)
         count, moves, dimension = len(rbf.sources), len(ids.moving), surface.shape[1]
         start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]
@@ -143,14 +158,16 @@ class FittedRBF(AbstractMethod):
         scale = 1 / jnp.sqrt(jnp.diagonal(inner))
         lower = jnp.linalg.cholesky(inner * scale[:, None] * scale[None])
         of_edges = (slope * (edge * mu**2 / length)[:, None])[:, :moves]
-        return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *_affine(self.rbf, rbf, surface))
+        affine = _affine(self.rbf, rbf, surface)
+        ring = polynomial(rbf.sources[moves + len(ids.fixed) :], self.rbf.degree)
+        return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring)
 
     def _lengths(self, ids: "WallIds", surface, middle):
         """Computes ell and mu at each edge."""
         chord = ids.share.astype(surface.dtype) * norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
         ell, mu = (
             share * chord if given is None else jnp.full_like(chord, given)
-            for share, given in ((ELL, self.ell), (MU, self.mu))
+            for share, given in ((ELL[surface.shape[1]], self.ell), (MU[surface.shape[1]], self.mu))
         )
         free = ids.held == ids.edges[:, 0]
         return jnp.where(free, ell, jnp.minimum(ell, JOINT * norm(surface[ids.held] - middle))), mu
@@ -161,11 +178,12 @@ class FittedRBF(AbstractMethod):
         rest = values - _product(factors.polynomial, affine)
         difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]
         wanted = _product(factors.nodes.T, rest[ids.nodes]) + _product(factors.edges.T, difference)
-        fixed = rest[ids.fixed]
+        fixed = jnp.concatenate([rest[ids.fixed], _at_rings(ids, rest)])
         wanted = wanted.T - jnp.einsum("aicj,jc->ai", factors.outer, fixed, precision="highest")
         solved = jax.scipy.linalg.cho_solve((factors.lower, True), wanted.ravel() * factors.scale) * factors.scale
         moving = solved.reshape(wanted.shape).T + _product(factors.polynomial[ids.moving], affine)
-        return self.rbf.through(factors.rbf, jnp.concatenate([moving, values[ids.fixed]]), u.dtype)
+        ring = _product(factors.ring, affine) + fixed[len(ids.fixed) :]
+        return self.rbf.through(factors.rbf, jnp.concatenate([moving, values[ids.fixed], ring]), u.dtype)
 
     def _affine_part(self, factors: "FitFactors", values):
         """Finds the coefficients (p, d) of the affine motion nearest to the surface's displacement."""
@@ -174,7 +192,10 @@ class FittedRBF(AbstractMethod):
 
 
 class WallIds(eqx.Module):
-    """Rows of the surface: sources, nodes and edges of the fit; for each edge the nearest held row and its body's extent."""
+    """Rows of the surface: sources, nodes and edges of the fit; for each edge the nearest held row and its body's extent.
+
+    `far` are fixed sources so far away that more of them rest nearer to the walls, at the share `reach` of the way to them.
+    """
 
     moving: Int[Array, " s"]
     fixed: Int[Array, " t"]
@@ -182,7 +203,9 @@ class WallIds(eqx.Module):
     edges: Int[Array, "e 2"]
     held: Int[Array, " e"]
     ends: Int[Array, "e 2"]
+    far: Int[Array, " r"]
     share: Float[Array, " e"]
+    reach: Float[Array, " r"]
 
 
 class FitFactors(eqx.Module):
@@ -196,6 +219,24 @@ class FitFactors(eqx.Module):
     lower: Float[Array, "ds ds"]
     polynomial: Float[Array, "b p"]
     moments: Float[Array, "p p"]
+    ring: Float[Array, "r p"]
+
+
+def _sources(ids: WallIds, surface: Float[Array, "b d"]) -> Float[Array, "s d"]:
+    """Computes the places of the moving and fixed sources, and of the rings between them."""
+    moving, fixed = surface[ids.moving], surface[ids.fixed]
+    centre = moving.mean(axis=0)[None]
+    ring = centre + ids.reach.astype(surface.dtype)[:, None] * (surface[ids.far] - centre)
+    return jnp.concatenate([moving, fixed, ring])
+
+
+def _at_rings(ids: WallIds, values: Float[Array, "b d"]) -> Float[Array, "r d"]:
+    """Computes what the rings keep of the walls' mean displacement: a body that is carried far away takes them along.
+
+    It is the share of the deflection of a plate that is held at the far field and pushed in the middle.
+    """
+    mean, squared = values[ids.moving].mean(axis=0), ids.reach.astype(values.dtype) ** 2
+    return (1 - squared + squared * jnp.log(squared))[:, None] * mean[None]
 
 
 def _system(follow: Float[Array, "s s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d s d s"]:
