@@ -1,4 +1,4 @@
-"""A small mesh in the plane for the command line."""
+"""A small 2-D mesh for the command line."""
 
 import pathlib
 

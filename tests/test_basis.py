@@ -60,7 +60,7 @@ def test_value_and_derivatives_in_r(basis, closed_form):
 
 @over_bases
 def test_at_a_source(basis, closed_form):
-    """Value and both derivatives in space at distance zero; r^2 log r has no second one there, but may not give NaN."""
+    """Value and both derivatives in 3-D at distance zero; r^2 log r has no second one there, but may not give NaN."""
 
     def around(x):
         return basis(jnp.sum(x**2))

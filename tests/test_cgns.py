@@ -114,7 +114,7 @@ def test_unstructured_zones(tmp_path):
 
 
 def test_a_c_grid_is_joined_along_its_wake_and_not_at_its_wall(tmp_path):
-    """One block in the plane round a plate of no thickness: the wake's nodes come twice, the plate's stay two."""
+    """One 2-D block round a plate of no thickness: the wake's nodes come twice, the plate's stay two."""
     s = np.array([2, 1.5, 1, 0.5, 0, 0.5, 1, 1.5, 2])
     side = np.array([-1, -1, -1, -1, 0, 1, 1, 1, 1])
     height = np.linspace(0, 1, 4)

@@ -122,7 +122,7 @@ MOTIONS = {
         "--translate needs 2 numbers for a mesh in 2-D, found: 1 2 3",
     ),
     "not a number": (["--scale", "nan"], "--scale needs 2 numbers"),
-    "axis in the plane": (["--rotate", "1", "--axis", "0", "0", "1"], "--axis is for meshes in 3-D"),
+    "axis in 2-D": (["--rotate", "1", "--axis", "0", "0", "1"], "--axis is for meshes in 3-D"),
     "no steps": (["--rotate", "1", "--steps", "0"], "--steps must be 1 or more, found 0"),
     "few sources": (["--rotate", "1", "--sources", "2"], "--sources must be 3 or more in 2-D, found 2"),
     "sources of what": (

@@ -97,7 +97,7 @@ def test_the_preset_is_that_of_checkmesh_and_single_limits_win(here, capsys):
     assert all(gate["beyond"] == 0 for gate in gates.values())
 
 
-def test_skewness_of_faces_in_the_plane():
+def test_skewness_of_faces_in_2d():
     """A square and a parallelogram beside it that rises by 0.8: their centres are 1 apart and 0.4 in height.
 
     At the common edge the line of centres passes 0.2 above its middle, whose reach is 0.5. Of the parallelogram's edge at the
@@ -126,7 +126,7 @@ TWINS = {
 
 
 @pytest.mark.parametrize("kind", TWINS)
-def test_skewness_of_faces_in_space(kind):
+def test_skewness_of_faces_in_3d(kind):
     """One face after the other, as OpenFOAM's primitiveMeshTools says it."""
     points, cells = TWINS[kind]
     points = np.asarray(points, float) @ (np.eye(3) + 0.3 * np.random.default_rng(0).normal(size=(3, 3))).T

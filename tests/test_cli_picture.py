@@ -20,7 +20,7 @@ from jaxmorph.cli import main
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A ring in the plane, and a block of bricks whose floor and roof are patches."""
+    """A ring in 2-D, and a block of bricks whose floor and roof are patches."""
     monkeypatch.chdir(tmp_path)
     write_ring(tmp_path / "ring.su2")
     block = bricks(2)
@@ -38,7 +38,7 @@ def block(*more):
     return main(["deform", "block.su2", "out.su2", *motion, *more])
 
 
-def test_in_the_plane_before_and_after_side_by_side(here, capsys):
+def test_in_2d_before_and_after_side_by_side(here, capsys):
     assert ring("--rotate", "20", "--picture", "ring.png", "--save-job", "job.toml") == 0
     assert "picture  ring.png\n" in capsys.readouterr().out
     picture = np.asarray(Image.open("ring.png").convert("RGB")).astype(int)
@@ -54,7 +54,7 @@ def test_in_the_plane_before_and_after_side_by_side(here, capsys):
 
 
 @pytest.mark.slow
-def test_in_space_a_page_or_a_picture(here):
+def test_in_3d_a_page_or_a_picture(here):
     assert block("--picture", "block.html") == 0
     assert b"deformation" in (here / "block.html").read_bytes()
     assert block("--picture", "block.png") == 0

@@ -152,7 +152,7 @@ def test_pullback_is_the_transpose(name, dimension):
     assert abs(np.vdot(pushed, w) - np.vdot(u, pulled)) <= round_off
 
 
-@over([pair for pair in NAMES if pair[1] == 2 or pair[0] == "delaunay"])  # `test_rbf.py` has one in space
+@over([pair for pair in NAMES if pair[1] == 2 or pair[0] == "delaunay"])  # `test_rbf.py` has one in 3-D
 def test_derivatives_with_respect_to_the_base_points(name, dimension):
     """The ids stay, everything else moves: the gradient is that of the plan's own arithmetic. Also jvp, and grad of grad."""
     plan, (u, w), mesh = planned(name, dimension), given(dimension), body(dimension)

@@ -66,7 +66,7 @@ def test_the_closest_place_is_the_one_that_vtk_finds(tmp_path):
     np.testing.assert_allclose(u, place, atol=1e-6)
 
 
-def test_a_curve_carries_a_mesh_in_the_plane(tmp_path, capsys):
+def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
     mesh = ring()
     nodes = mesh.patch("wall")
     lines = np.stack([nodes, np.roll(nodes, -1)], axis=1)

@@ -189,7 +189,7 @@ def test_patches_by_the_groups_of_the_case(tmp_path, capsys, entry):
 
 
 @pytest.mark.parametrize("normal", [0, 1, 2])
-def test_cases_in_the_plane_move_both_planes_alike(tmp_path, normal):
+def test_cases_in_2d_move_both_planes_alike(tmp_path, normal):
     points, cells, patches = strip(normal)
     foam.write_case(tmp_path / "a", points, cells, patches)
     mesh = io.read(tmp_path / "a")

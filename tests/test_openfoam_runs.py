@@ -64,7 +64,7 @@ INCOMPRESSIBLE = {
 
 
 @pytest.mark.parametrize("name", INCOMPRESSIBLE)
-def test_tutorials_in_the_plane(tmp_path, capsys, name):
+def test_tutorials_in_2d(tmp_path, capsys, name):
     moving, motion = INCOMPRESSIBLE[name]
     case, new = tutorial(tmp_path / "case", f"incompressible/{name}"), tmp_path / "new"
     fixed = [patch for patch in io.read(case).patches if patch not in moving.split()]
@@ -83,7 +83,7 @@ def test_tutorials_in_the_plane(tmp_path, capsys, name):
         assert float(re.findall(r"Continuity error = (\S+)", said)[-1]) < 1e-4
 
 
-def test_a_tutorial_in_space(tmp_path, capsys):
+def test_a_tutorial_in_3d(tmp_path, capsys):
     """A square duct with a bend of 180 degrees, 112,000 hexahedra: its walls pushed aside at the bend."""
     case = tutorial(tmp_path / "case", "compressible/rhoSimpleFoam/squareBend")
     foam.run(case, "blockMesh")

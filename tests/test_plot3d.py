@@ -35,7 +35,7 @@ def write(path, blocks, form, order="<", width=8, is_multiple=True, blank=False)
 
 
 def box(*counts):
-    """Two blocks in space, the second one beyond x = 1 and with its own directions."""
+    """Two blocks in 3-D, the second one beyond x = 1 and with its own directions."""
     grids = [np.linspace(0, 1, count) ** 1.5 for count in counts]
     one = np.stack(np.meshgrid(*grids, indexing="ij"))
     two = one + np.array([1.0, 0, 0][: len(counts)]).reshape(-1, *[1] * len(counts))

@@ -50,7 +50,7 @@ def test_a_mode_swings_as_a_sine():
     np.testing.assert_allclose(frames[6], -extreme)
 
 
-def test_a_film_in_the_plane_shows_each_frame(tmp_path):
+def test_a_film_in_2d_shows_each_frame(tmp_path):
     mesh = mixed()
     frames = plot.swing(mesh.points, raised(mesh), frames=8)
 
@@ -70,7 +70,7 @@ def test_a_film_in_the_plane_shows_each_frame(tmp_path):
     assert not any(np.array_equal(a, b) for (a, _), (b, _) in itertools.pairwise(film))
 
 
-def test_a_film_in_space_keeps_its_camera_and_holds_all_frames(tmp_path):
+def test_a_film_in_3d_keeps_its_camera_and_holds_all_frames(tmp_path):
     mesh = bricks(2)
     cameras = []
 

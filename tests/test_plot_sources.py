@@ -85,7 +85,7 @@ def test_window_and_given_axis():
     assert given.get_xlim() == (-2, 2)
 
 
-def test_boxes_in_space_are_wires_round_the_points():
+def test_boxes_in_3d_are_wires_round_the_points():
     points, tree = ball(), jm.KDTree(8)
     plotter = plot.sources_3d(points, tree, search_points=True)
     nodes, chosen, wires, searched = plotter.meshes

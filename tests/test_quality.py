@@ -124,7 +124,7 @@ def test_measures_are_those_of_verdict(kind):
 
 
 @pytest.mark.parametrize("kind", ["triangle", "quad"])
-def test_surfaces_in_space_are_measured_as_verdict_does(kind):
+def test_surfaces_in_3d_are_measured_as_verdict_does(kind):
     flat = scattered(kind)
     random = np.random.default_rng(4)
     points = np.column_stack([flat.points, random.uniform(-0.1, 0.1, len(flat.points))])

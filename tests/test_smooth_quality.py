@@ -14,7 +14,7 @@ KINDS = [
     "tetra",
     *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("pyramid", "wedge", "hexahedron")),
 ]
-"""Those in space take seconds to compile."""
+"""Those in 3-D take seconds to compile."""
 MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio")
 TERMS = 36
 """The most terms of which any measure takes the largest."""

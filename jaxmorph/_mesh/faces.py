@@ -108,7 +108,9 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
 
 
 def open_cells(faces: Faces, cells: np.ndarray) -> np.ndarray:
-    """Finds those of the `cells` that do not close: an edge of theirs belongs to an odd number of their faces."""
+    """Finds the `cells` that do not close: an edge of theirs belongs to an odd number of their faces."""
+    # All edges of all faces of the cells are listed, one face after the other, with the row of their cell. Sorting by cell
+    # and nodes brings equal edges together. In a closed cell each edge stands there twice, or another even number of times.
     ordered, starts = faces.of_cells()
     counts = np.diff(starts)[cells]
     within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -131,6 +133,8 @@ def open_cells(faces: Faces, cells: np.ndarray) -> np.ndarray:
 
 def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, starts: np.ndarray):
     """Numbers the corners of cells whose faces begin at `starts`, and tells which of them really have the shape of their type."""
+    # A block of cells at a time keeps memory small. The faces of a pyramid and a wedge are sorted so that the base comes
+    # first: the quad of a pyramid, a triangle of a wedge.
     corners = np.empty((len(starts), _LAST[kind]), faces.labels.dtype)
     good = np.empty(len(starts), bool)
     for at in range(0, len(starts), BLOCK):
