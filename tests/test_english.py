@@ -3,7 +3,6 @@
 import ast
 import pathlib
 import re
-import tokenize
 from collections.abc import Iterator
 
 import pytest
@@ -27,24 +26,15 @@ NOT_FOR_THINGS = {"what", "whether", "those", "of", "how", "which", "where", "wh
 NOT_NAMES = {"of", "found", "mine", "own", "said", "pts", "idx", "cfg"}
 
 
-def parsed() -> Iterator[tuple[str, ast.Module]]:
-    for file in FILES:
-        yield str(file.relative_to(ROOT)), ast.parse(file.read_text(encoding="utf-8"))
+NODES = [(str(file.relative_to(ROOT)), list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))) for file in FILES]
 
 
-TREES = list(parsed())
-
-
-def bodies(tree: ast.AST) -> Iterator[tuple[ast.AST, list[ast.stmt]]]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.If | ast.With | ast.For | ast.Try):
-            yield node, node.body
-
-
-def docstrings(tree: ast.AST) -> Iterator[tuple[ast.AST | None, int, str]]:
+def docstrings(nodes: list[ast.AST]) -> Iterator[tuple[ast.AST | None, int, str]]:
     """Yields what a string documents (None for an attribute), the line it starts in, and the string."""
-    for node, body in bodies(tree):
-        for place, statement in enumerate(body):
+    for node in nodes:
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.If | ast.With | ast.For | ast.Try):
+            continue
+        for place, statement in enumerate(node.body):
             value = statement.value if isinstance(statement, ast.Expr) else None
             if isinstance(value, ast.Constant) and isinstance(value.value, str):
                 yield node if place == 0 else None, statement.lineno, value.value
@@ -74,8 +64,8 @@ def words(sentence: str) -> int:
 
 def wrong_openings() -> list[str]:
     rows = []
-    for file, tree in TREES:
-        for node, line, text in docstrings(tree):
+    for file, nodes in NODES:
+        for node, line, text in docstrings(nodes):
             first = re.sub(r"[^a-z`_].*", "", text.strip().lower(), flags=re.DOTALL)
             if isinstance(node, ast.FunctionDef) and not is_property(node):
                 is_noun = first in NOT_VERBS.split() or text.strip().lower().startswith(f"{first} of")
@@ -90,8 +80,8 @@ def wrong_openings() -> list[str]:
 def long_sentences() -> list[str]:
     return [
         f"{file}:{line}: {words(sentence)} words: {sentence}"
-        for file, tree in TREES
-        for _, line, text in docstrings(tree)
+        for file, nodes in NODES
+        for _, line, text in docstrings(nodes)
         for sentence in sentences(text)
         if words(sentence) > LONGEST
     ]
@@ -99,21 +89,19 @@ def long_sentences() -> list[str]:
 
 def wrong_dimensions() -> list[str]:
     """Lists strings and comments that say "in the plane" for 2-D or "in space" for 3-D."""
-    pattern = re.compile(r"\bin (the plane|space)\b(?! of)", re.IGNORECASE)
-    kinds = {tokenize.STRING, tokenize.COMMENT, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
+    pattern = re.compile(r"\bin[\s#]+(the[\s#]+plane|space)\b(?!\s+of)", re.IGNORECASE)
     rows = []
     for file in FILES:
-        with tokenize.open(file) as stream:
-            for token in tokenize.generate_tokens(stream.readline):
-                if token.type in kinds and (match := pattern.search(" ".join(token.string.split()))):
-                    rows.append(f"{file.relative_to(ROOT)}:{token.start[0]}: {match.group()}")
+        text = file.read_text(encoding="utf-8")
+        for match in pattern.finditer(text):
+            rows.append(f"{file.relative_to(ROOT)}:{1 + text.count(chr(10), 0, match.start())}: {match.group()}")
     return rows
 
 
 def wrong_names() -> list[str]:
     rows = []
-    for file, tree in TREES:
-        for node in ast.walk(tree):
+    for file, nodes in NODES:
+        for node in nodes:
             name = ""
             if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
                 name = node.id
