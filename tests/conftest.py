@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import gc
 import os
+import pathlib
 import resource
 import sys
 import tempfile
@@ -58,13 +59,22 @@ def stack_limit():
 
 
 def pytest_runtest_teardown(item, nextitem):
-    """Drops compiled code after each file, and gives the memory back: a worker then stays below 1.5 GB."""
-    if nextitem is None or nextitem.path != item.path:
+    """Drops compiled code after each file, and where it fills memory, so that a worker stays below 1.5 GB."""
+    if nextitem is None or nextitem.path != item.path or _resident() > 1.1e9:
         eqx.clear_caches()
         jax.clear_caches()
         gc.collect()
         with contextlib.suppress(OSError, AttributeError):  # glibc alone has it
             ctypes.CDLL(None).malloc_trim(0)
+
+
+def _resident():
+    """Memory of this process, bytes; 0 where the system does not tell."""
+    try:
+        pages = pathlib.Path("/proc/self/statm").read_text().split()[1]
+    except OSError:
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
 def pytest_sessionfinish(session):
