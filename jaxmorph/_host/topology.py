@@ -75,7 +75,7 @@ _SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
 
 def repeated_cells(corners: np.ndarray) -> np.ndarray:
     """Finds the cells (k, corners) whose nodes are those of another cell, in any order: their places, ascending."""
-    return np.flatnonzero(~is_single(sorted_columns(columns_of(np.asarray(corners)), corners.shape[1])))
+    return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))
 
 
 def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
@@ -97,7 +97,7 @@ def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
         is_candidate[among] = True
     sides: dict[int, list[list[np.ndarray]]] = {}
     for kind, corners in cells.items():
-        nodes = columns_of(np.asarray(corners))
+        nodes = columns_of(corners)
         for side in FACES.get(kind, ()):
             columns = [nodes[corner] for corner in side]
             if is_candidate is not None:

@@ -97,12 +97,11 @@ def agard445_mode(points: Float[Any, "m 3"] | list[list[float]], mode: int, ampl
     """
     if mode not in DEFLECTIONS:
         raise ValueError(f"`mode` is {mode!r}; there are modes {', '.join(map(str, DEFLECTIONS))}.")
-    if not hasattr(points, "dtype"):
-        points = np.asarray(points, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"`points` has shape {tuple(points.shape)}; expected (m, 3).")
-    upwards = np.array([0, 0, 1], dtype=points.dtype)
-    return (amplitude * wing.SEMI_SPAN * mode_shape(points, mode))[:, None] * upwards[None]
+    places: Any = points if hasattr(points, "dtype") else np.asarray(points, dtype=float)
+    if places.ndim != 2 or places.shape[1] != 3:
+        raise ValueError(f"`points` has shape {tuple(places.shape)}; expected (m, 3).")
+    upwards = np.array([0, 0, 1], dtype=places.dtype)
+    return (amplitude * wing.SEMI_SPAN * mode_shape(places, mode))[:, None] * upwards[None]
 
 
 # What gmsh's shared library links to, and the Debian or Ubuntu package that has it.

@@ -64,11 +64,12 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     path = pathlib.Path(path)
     mesh = format_of(path).codec().read(path)
     for kind, corners in mesh.cells.items():
+        corners = np.asarray(corners)
         twice = repeated_cells(corners)
         if len(twice):
             raise ValueError(
                 f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
-                f"between nodes {np.asarray(corners)[twice[0]].tolist()}: remove the copies."
+                f"between nodes {corners[twice[0]].tolist()}: remove the copies."
             )
     return mesh
 
