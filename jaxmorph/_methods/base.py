@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +14,8 @@ from jaxtyping import Array, Float, Int, PyTree
 from scipy.spatial import KDTree
 
 from .._host.reduction import AbstractReduction, drop_close, drop_near
+from .._host.skin import chords
+from .._host.walls import walls
 
 BLOCK = 512
 """Points evaluated together: memory, also for derivatives, is that of one block, whatever the size of the mesh."""
@@ -41,6 +44,19 @@ class Surface:
     matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     faces: Mapping[str, np.ndarray] | None = None
     is_open: bool | None = None
+
+    @functools.cached_property
+    def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Finds each row's wall (b,), two ends of each wall (w, 2), and its mean chord (w,) relative to their distance."""
+        wall = walls(self.points, self.moving, self.faces)
+        return wall, *chords(self.points, wall, self.faces)
+
+    def altered(self, **fields: Any) -> "Surface":
+        """Returns the surface with other `nodes` or `matched` rows. Its walls are found once."""
+        other = dataclasses.replace(self, **fields)
+        if "walls" in self.__dict__:
+            other.__dict__["walls"] = self.walls
+        return other
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
         """Chooses rows among the moving nodes, then among the fixed ones, each with its mirror images; no two of them too close."""
@@ -76,7 +92,7 @@ class Surface:
             return self, points
         nodes = self.nodes.copy()
         nodes[absent] = len(points) + np.arange(len(absent))
-        return dataclasses.replace(self, nodes=nodes), np.concatenate([points, self.points[absent]])
+        return self.altered(nodes=nodes), np.concatenate([points, self.points[absent]])
 
     def rows(self, n: int) -> np.ndarray:
         """Finds the surface's row of each of n points (n,); b for a point that is not on the surface."""

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.reduction import KDTree
-from .._host.skin import chords, drawn_in, edges, has_free_sides, nearest_held, thinned
-from .._host.walls import walls
+from .._host.skin import drawn_in, edges, has_free_sides, nearest_held, thinned
 from .._kernels.values import norm
 from .base import AbstractMethod, Surface, check_kind
 from .rbf import RBF, RBFFactors, polynomial
@@ -114,8 +113,7 @@ class FittedRBF(AbstractMethod):
         )  # regular: each source has its own row
         pairs = edges(surface.points, surface.moving, surface.faces)
         pairs = pairs[thinned(surface.points[pairs].mean(axis=1), ROWS)]
-        wall = walls(surface.points, surface.moving, surface.faces)
-        ends, share = chords(surface.points, wall, surface.faces)
+        wall, ends, share = surface.walls
         label = wall[pairs[:, 0]]
         held = nearest_held(surface.points, surface.moving, wall, pairs)
         far, reach = drawn_in(surface.points, moving, fixed, surface.images)

@@ -7,8 +7,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.neighbours import near_walls, nearest_of
-from .._host.skin import chords
-from .._host.walls import walls
 from .._kernels.values import norm, root
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
@@ -95,8 +93,8 @@ class NearWall(AbstractMethod):
         self.correction.check(ids[0], factors[0], u)
 
     def _extent(self, surface: Surface) -> "Extent":
-        wall = walls(surface.points, surface.moving, surface.faces)
-        ends, share = chords(surface.points, wall, surface.faces)
+        wall, ends, share = surface.walls
+        share = share.copy()
         matched = np.arange(len(wall))
         for label in np.unique(wall[surface.matched]):
             here = np.flatnonzero(wall == label)

@@ -1,7 +1,5 @@
 """Exact surface reconstruction: a coarse field, corrected by what it misses on the surface (section 2.3 of the paper)."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import numpy as np
@@ -58,7 +56,7 @@ class SurfaceReconstruction(AbstractMethod):
         coarse, coarse_ids = self.coarse.connect(everywhere, more)
         coarse_at_points = jax.tree.map(lambda leaf: leaf[: len(points)], coarse_ids)
         coarse_at_surface = jax.tree.map(lambda leaf: leaf[everywhere.nodes], coarse_ids)
-        surface = dataclasses.replace(surface, matched=self.coarse.matched(coarse))
+        surface = everywhere.altered(nodes=surface.nodes, matched=self.coarse.matched(coarse))
         correction, correction_at_points = self.correction.connect(surface, points)
         return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)
 
