@@ -127,3 +127,18 @@ def test_overshoot_where_all_moves_or_nothing():
     assert found.overshoot_behind == 0
     still = jm.inspect(plan, 0 * u)
     assert (still.overshoot, still.overshoot_behind) == (0, 0)
+
+
+def test_advice_where_the_displacement_is_steep():
+    """A wall that turns as a whole has no slope of its own; a narrow bump on a fitted field asks to compare the other method."""
+    mesh = cases.naca0015(points=1200)
+    base = mesh.points[mesh.patch("airfoil")]
+    plan = jm.prepare(mesh, "airfoil", "farfield")
+    turned = jm.inspect(plan, np.column_stack([-0.5 * base[:, 1], 0.5 * base[:, 0]]))
+    assert turned.slope == pytest.approx(0, abs=1e-9)
+    assert turned.advice == ()
+    wave = np.column_stack([0 * base[:, 0], 0.2 * np.sin(2 * np.pi * base[:, 0])])
+    steep = jm.inspect(plan, wave)
+    assert 0.5 < steep.slope < 0.4 * np.pi + 0.4
+    assert "choose" in steep.advice[0]
+    assert jm.inspect(jm.prepare(mesh, "airfoil", "farfield", method=FOLLOWS), wave).advice == ()

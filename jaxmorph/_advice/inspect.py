@@ -9,8 +9,13 @@ import scipy.spatial
 from jaxtyping import ArrayLike, Real
 
 from .._host.errors import MeshError
+from .._host.skin import edges
+from .._methods.fitted import FittedRBF
 from .._plan.plan import Plan
 from .overshoot import overshoot
+
+STEEP = 0.5
+"""Slope of a displacement along the wall from which on a fitted field strains cells noticeably more."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,6 +30,9 @@ class Inspection:
     - `overshoot`: the largest motion of a node off the surface over the largest one of the surface.
     - `overshoot_behind`: the same behind a thin body's part that rests while its other side moves (below an airfoil
       with a bump on its upper side).
+    - `slope`: how steeply the displacement changes along the wall, per length and without its affine part: that of the
+      steepest edges but 2 %.
+    - `is_fitted`: whether the coarse field is a `FittedRBF`, as in `prepare`'s default.
     """
 
     offset: float
@@ -34,6 +42,8 @@ class Inspection:
     near: np.ndarray
     overshoot: float
     overshoot_behind: float
+    slope: float
+    is_fitted: bool
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -45,6 +55,17 @@ class Inspection:
         return (
             f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the worst "
             f"nodes {first} and {second} near ({place}). If a boundary slides along the moving one, make it a symmetry plane.",
+        )
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """One sentence for another method that may do better."""
+        if not self.is_fitted or self.slope <= STEEP:
+            return ()
+        return (
+            f"the displacement changes by {self.slope:.2g} per length along the wall. The fitted field keeps grid lines close to "
+            "their angle to the wall, and may cost a quarter of the smallest Jacobian ratio where that is above 0.5. "
+            "SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True))) does without; `choose` tries both.",
         )
 
     def renumbered(self, ids: np.ndarray) -> "Inspection":
@@ -87,9 +108,30 @@ def inspect(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Inspection
     torn = nodes[pairs].reshape(-1, 2)
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
+    anywhere, behind = overshoot(plan, np.asarray(u, dtype=float))
     return Inspection(
-        float(offset[worst]), int(nodes[worst]), ratio, torn, near, *overshoot(plan, np.asarray(u, dtype=float))
+        offset=float(offset[worst]),
+        offset_node=int(nodes[worst]),
+        offset_ratio=ratio,
+        contradictions=torn,
+        near=near,
+        overshoot=anywhere,
+        overshoot_behind=behind,
+        slope=_slope(points[nodes[: plan.n_moving]], vectors[: plan.n_moving]),
+        is_fitted=isinstance(getattr(plan.method, "coarse", None), FittedRBF),
     )
+
+
+def _slope(points: np.ndarray, u: np.ndarray) -> float:
+    """Measures how steeply `u` changes along the edges of a wall, without the affine motion nearest to it."""
+    pairs = edges(points, len(points))
+    if not len(pairs):
+        return 0.0
+    terms = np.column_stack([np.ones(len(points)), points - points.mean(axis=0)])
+    first, second = pairs.T
+    rest = u - terms @ np.linalg.lstsq(terms, u, rcond=None)[0]
+    apart, length = (np.linalg.norm(each[second] - each[first], axis=1) for each in (rest, points))
+    return float(np.quantile(apart / length, 0.98))
 
 
 def _torn(points: np.ndarray, vectors: np.ndarray, moves: int) -> np.ndarray:
