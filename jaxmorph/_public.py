@@ -42,6 +42,7 @@ from ._methods.rbf import RBF as RBF
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._plan.chunks import Chunks as Chunks
 from ._plan.chunks import prepare_in_chunks as prepare_in_chunks
+from ._plan.faces import FreeFaces as FreeFaces
 from ._plan.plan import Plan as Plan
 from ._plan.plan import deform as deform
 from ._plan.plan import pullback as pullback

@@ -63,6 +63,39 @@ def test_rotation_about_a_point_and_what_is_said(here, capsys):
     assert text[text.index("NMARK") :] == original[original.index("NMARK") :]
 
 
+def test_the_wall_and_the_overshoot_stand_in_the_table(here, capsys):
+    """A camber shears the first grid lines; what Python measures of the written mesh is what was printed."""
+    assert deform("wall.su2", "--displacement", "wall.dat", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    mesh, after = io.read("ring.su2"), io.read("wall.su2")
+    wall = jm.wall_quality(mesh, "wall", after.points)
+    plan = jm.prepare(mesh, "wall", "far")
+    u = after.points[:24] - mesh.points[:24]
+    inspection = jm.inspect(plan, u)
+    assert float(wall.max_angle) > 1
+    expected = {
+        "mean_wall_angle": float(wall.mean_angle),
+        "max_wall_angle": float(wall.max_angle),
+        "min_first_cell_height": float(wall.min_height),
+    }
+    for name, value in expected.items():
+        assert facts["after"][name] == pytest.approx(value, rel=1e-9)
+        assert facts["before"][name] == (1 if "height" in name else 0)
+    assert facts["overshoot"] == pytest.approx(inspection.overshoot, rel=1e-9)
+    assert facts["overshoot_behind"] == pytest.approx(inspection.overshoot_behind, abs=1e-9)
+    assert deform("wall.su2", "--displacement", "wall.dat") == 0
+    text = capsys.readouterr().out
+    row = re.search(r"max wall angle +0 +(\S+)   node (\d+) near \(", text)
+    assert row
+    assert float(row[1]) == pytest.approx(expected["max_wall_angle"], rel=1e-4)
+    assert float(wall.angle[int(np.flatnonzero(np.asarray(wall.nodes) == int(row[2]))[0])]) == float(wall.max_angle)
+    row = re.search(r"min first-cell height +1 +(\S+)   node \d+ near \(", text)
+    assert row
+    assert float(row[1]) == pytest.approx(expected["min_first_cell_height"], rel=1e-4)
+    assert re.search(r"overshoot +- +\S+\novershoot behind", text)
+    assert max(map(len, text.split("\n"))) <= 80
+
+
 def test_order_of_the_motions_and_steps_along_the_circle(here):
     motion = ("--scale", "2", "1", "--rotate", "90", "--translate", "0.25", "0", "--displacement", "shift.csv")
     assert deform("a.su2", *motion, "--displacement-is", "displacement", "--steps", "3", "--sources", "8") == 0
@@ -275,7 +308,8 @@ def test_symmetry_planes_on_the_command_line(tmp_path):
 
 def test_patches_left_out_of_the_hull_are_named(tmp_path, capsys):
     file, _, _ = _box(tmp_path)
-    arguments = ["--moving", "z0", "--fixed", "x0", "--translate", "0", "0", "0.1", "--method", "graph"]
+    arguments = ["--moving", "z0", "--fixed", "x0", "--free", "[xyz]1", "y0", "--translate", "0", "0", "0.1"]
+    arguments += ["--method", "graph"]
     assert main(["deform", str(file), str(tmp_path / "out.su2"), *arguments]) == 2
     error = capsys.readouterr().err
     assert "outside of the convex hull" in error

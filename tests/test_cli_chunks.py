@@ -24,14 +24,14 @@ def here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def sizes(monkeypatch):
-    """How many points each call of `prepare` is given."""
-    prepare, called = _chunks.prepare, []
+    """How many points each part has that is prepared."""
+    plan_of, called = _chunks.plan_of, []
 
-    def counted(points, *arguments, **keywords):
-        called.append(len(points))
-        return prepare(points, *arguments, **keywords)
+    def counted(named, method):
+        called.append(len(named.points))
+        return plan_of(named, method)
 
-    monkeypatch.setattr(_chunks, "prepare", counted)
+    monkeypatch.setattr(_chunks, "plan_of", counted)
     return called
 
 

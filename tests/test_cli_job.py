@@ -114,7 +114,35 @@ BAD_JOBS = {
     ),
     "no patches": ("[[moving]]\nrotate = 1", r"job.toml: a \[\[moving\]\] without patches"),
     "no list": ("moving = 'wall'", r"job.toml: moving is a list of tables: begin each with \[\[moving\]\]"),
-    "wrong value": ("steps = true", "job.toml: steps cannot be True"),
+    "wrong value": ("steps = true", "job.toml: steps is a number, found True"),
+    "a number as text": ("steps = '2'", "job.toml: steps is a number, found '2'"),
+    "several values": ("method = ['rbf', 'other.su2']", r"job.toml: method is text, found \['rbf', 'other.su2'\]"),
+    "a flag as patch": ("fixed = ['far', '--allow-inverted']", "job.toml: fixed cannot be '--allow-inverted'"),
+    "a flag as moving patch": ("[[moving]]\npatches = ['--chunk']", "job.toml: patches cannot be '--chunk'"),
+    "a flag as method": ("method = '--json'", "job.toml: method cannot be '--json'"),
+    "a flag as mode": (
+        "[[moving]]\npatches = ['wall']\nmode = [['--json', 1]]",
+        "job.toml: mode cannot be '--json'",
+    ),
+    "a mode that is a number": (
+        "[[moving]]\npatches = ['wall']\nmode = 5",
+        r'job.toml: mode is a list of files with amplitudes, \[\["FILE", 0.1\], ...\], found 5',
+    ),
+    "one mode": (
+        "[[moving]]\npatches = ['wall']\nmode = ['shift.csv', 1]",
+        r"job.toml: mode is a list of files with amplitudes, .*, found \['shift.csv', 1\]",
+    ),
+    "brackets": (f"steps = 1\nfixed = {5000 * '['}", "job.toml: fixed is nested too deep"),
+    "closed brackets": (
+        f"[[moving]]\npatches = ['wall']\nrotate = {200 * '['}{200 * ']'}",
+        r"job.toml: rotate is a number, found \[\[\[.{,50}$",
+    ),
+    "a nested box": (
+        f"[[moving]]\npatches = ['wall']\nbox = {{ low = {9000 * '['}{9000 * ']'} }}",
+        "job.toml: box is nested too deep",
+    ),
+    "a number of 5000 digits": (f"steps = {5000 * '1'}", "job.toml: not TOML"),
+    "a name with a zero byte": ('file = "ring\\u0000.su2"', r"job.toml: file cannot be 'ring\\x00.su2'"),
     "wrong switch": ("allow_inverted = 1", "job.toml: allow_inverted is true or false, found 1"),
 }
 
@@ -149,7 +177,7 @@ def test_running_out_of_memory_is_one_line(here, capsys, monkeypatch):
     def greedy(*_, **__):
         raise MemoryError
 
-    monkeypatch.setattr(_chunks, "prepare", greedy)
+    monkeypatch.setattr(_chunks, "plan_of", greedy)
     assert main(["deform", "ring.su2", "out.su2", *MOVE]) == 2
     assert capsys.readouterr().err == "jaxmorph deform: out of memory; fewer --sources and --dtype float32 need less.\n"
     assert not (here / "out.su2").exists()

@@ -54,6 +54,7 @@ def test_in_2d_before_and_after_side_by_side(here, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("default:.*boundary faces")
 def test_in_3d_a_page_or_a_picture(here):
     assert block("--picture", "block.html") == 0
     assert b"deformation" in (here / "block.html").read_bytes()

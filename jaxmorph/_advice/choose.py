@@ -111,6 +111,7 @@ def choose(
     if not isinstance(mesh, Mesh):
         raise ValueError(f"call choose(mesh, moving, fixed, motions) with a Mesh, not {type(mesh).__name__}.")
     named = boundary(mesh, moving, fixed, symmetry)
+    named.warn_of_free_faces()
     moving, fixed = named.moving, named.fixed
     motions, expected = np.asarray(motions, dtype=float), (len(moving), mesh.points.shape[1])
     if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):

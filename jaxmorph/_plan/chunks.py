@@ -3,14 +3,18 @@
 import dataclasses
 import warnings
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import ArrayLike, Float, Int, Integer, Real
 
 from .._host.errors import MeshError
+from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
+from .door import Boundary, boundary
+from .faces import FreeFaces
 from .plan import Plan, deform
-from .prepare import prepare
+from .prepare import plan_of
 from .steps import march
 from .symmetry import Plane
 
@@ -24,15 +28,17 @@ class Chunks:
       length, so that they share compiled code; some nodes are in two of them.
     """
 
-    points: Float[np.ndarray, "n d"]
-    moving: Int[np.ndarray, " m"]
-    fixed: Int[np.ndarray, " f"]
+    named: Boundary
     method: AbstractMethod | None
-    symmetry: tuple[Plane, ...]
     nodes: tuple[Int[np.ndarray, " c"], ...]
 
     def __len__(self) -> int:
         return len(self.nodes)
+
+    @property
+    def free_faces(self) -> FreeFaces | None:
+        """The boundary faces that no list names, and the patches that hold them; None where cells are not known."""
+        return self.named.left
 
     def plan(self, k: int) -> Plan:
         """Prepares part `k`, and returns its `Plan`.
@@ -40,9 +46,8 @@ class Chunks:
         **Raises:** `ValueError` as `prepare` does; a `MeshError` names nodes of the whole mesh.
         """
         nodes = self.nodes[k]
-        moving, fixed = np.searchsorted(nodes, self.moving), np.searchsorted(nodes, self.fixed)
         try:
-            return prepare(self.points[nodes], moving, fixed, method=self.method, symmetry=self.symmetry)
+            return plan_of(self.named.part(nodes), self.method)
         except MeshError as error:
             raise error.renumbered(nodes) from None
 
@@ -59,7 +64,7 @@ class Chunks:
 
         **Returns:** points (n, d), on the host, in the precision of the mesh.
         """
-        path, points = np.asarray(path), np.array(self.points)
+        path, points = np.asarray(path), np.array(self.named.points)
         for k, nodes in enumerate(self.nodes):
             with warnings.catch_warnings():
                 if k > 0:
@@ -72,13 +77,14 @@ class Chunks:
 
 
 def prepare_in_chunks(
-    points: Float[ArrayLike, "n d"],
-    moving: Int[ArrayLike, " m"] | Sequence[int],
-    fixed: Int[ArrayLike, " f"] | Sequence[int] = (),
+    mesh: Mesh | Real[ArrayLike, "n d"] | Sequence[Any],
+    moving: str | Sequence[str] | Integer[ArrayLike, " m"] | Sequence[int | np.integer],
+    fixed: str | Sequence[str] | Integer[ArrayLike, " f"] | Sequence[int | np.integer] = (),
     *,
     size: int | None = None,
     method: AbstractMethod | None = None,
-    symmetry: Plane | Sequence[Plane] = (),
+    symmetry: Plane | str | Sequence[Plane | str] = (),
+    free: str | Sequence[str] | Integer[ArrayLike, " k"] | Sequence[int | np.integer] = (),
 ) -> Chunks:
     """Divides a mesh into parts that are prepared and moved one after the other.
 
@@ -87,19 +93,18 @@ def prepare_in_chunks(
 
     **Arguments:**
 
-    - `points`, `moving`, `fixed`, `method`, `symmetry`: as `prepare` takes them.
+    - `mesh`, `moving`, `fixed`, `method`, `symmetry`, `free`: as `prepare` takes them.
     - `size`: how many inner nodes each part has; None makes one part.
 
     **Returns:** `Chunks`; nothing is prepared yet.
 
-    **Raises:** `ValueError` for a size below 1.
+    **Raises:** `ValueError` for a size below 1, and for lists as `prepare` does.
     """
     if size is not None and size < 1:
         raise ValueError(f"`size` must be 1 or more, not {size}.")
-    points = np.asarray(points)
-    moving, fixed = np.asarray(moving, dtype=np.int64), np.asarray(fixed, dtype=np.int64)
-    planes = (symmetry,) if isinstance(symmetry, Plane) else tuple(symmetry)
-    surface, outermost = np.union1d(moving, fixed), [points.argmin(axis=0), points.argmax(axis=0)]
+    named = boundary(mesh, moving, fixed, symmetry, free)
+    points, planes = named.points, named.planes
+    surface, outermost = np.unique(named.nodes), [points.argmin(axis=0), points.argmax(axis=0)]
     always = np.unique(
         np.concatenate([surface, *outermost, *(np.flatnonzero(plane.holds(points))[:1] for plane in planes)])
     )
@@ -109,4 +114,4 @@ def prepare_in_chunks(
     # the last ones may begin anew: all parts have one length
     rows = [(k + steps) % max(1, len(others)) for k in range(count)]
     nodes = tuple(np.sort(np.concatenate([always, others[each]])) for each in rows)
-    return Chunks(points, moving, fixed, method, planes, nodes)
+    return Chunks(named, method, nodes)

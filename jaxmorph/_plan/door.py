@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Int
 
 from .._host.errors import MeshError
-from .._host.topology import boundary_faces, filling
-from .._host.walls import seen_from_outside
 from .._mesh.mesh import Mesh
+from .faces import FreeFaces, OuterFaces
 from .symmetry import Plane
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
@@ -25,6 +24,7 @@ class Boundary:
     - `moving` (m,), `fixed` (f,): node ids, no node twice.
     - `planes`: symmetry planes.
     - `faces`: the mesh's boundary faces (k, corners) by type, as node ids, or None if the cells are not known.
+    - `left`: the faces that no list names, or None as well.
     """
 
     points: np.ndarray
@@ -32,18 +32,41 @@ class Boundary:
     fixed: np.ndarray
     planes: tuple[Plane, ...]
     faces: Mapping[str, np.ndarray] | None
+    left: FreeFaces | None
 
     @property
     def nodes(self) -> np.ndarray:
         """Ids of the surface's nodes: moving, then fixed."""
         return np.concatenate([self.moving, self.fixed])
 
+    @property
+    def surface_faces(self) -> dict[str, np.ndarray] | None:
+        """The faces all of whose nodes are moving or fixed, as rows of `nodes`; None where faces are not known."""
+        if self.faces is None:
+            return None
+        rows = {kind: _rows(self.nodes, len(self.points))[corners] for kind, corners in self.faces.items()}
+        return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
-def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any) -> Boundary:
+    def warn_of_free_faces(self) -> None:
+        """Warns of boundary faces that no list names."""
+        if self.left:
+            warnings.warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.", stacklevel=4)
+
+    def part(self, nodes: np.ndarray) -> "Boundary":
+        """Returns the same of the mesh's nodes `nodes` alone, ascending ids that hold the whole surface."""
+        moving, fixed = np.searchsorted(nodes, self.moving), np.searchsorted(nodes, self.fixed)
+        faces, surface = self.surface_faces, np.concatenate([moving, fixed])
+        faces = None if faces is None else {kind: surface[rows] for kind, rows in faces.items()}
+        return Boundary(self.points[nodes], moving, fixed, self.planes, faces, self.left)
+
+
+def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = ()) -> Boundary:
     """Checks what `prepare` was given. Raises `ValueError` in one sentence that names the call to make."""
     points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
     patches = mesh if isinstance(mesh, Mesh) else None
-    moving, fixed = (_nodes(ids, name, patches, len(points)) for ids, name in ((moving, "moving"), (fixed, "fixed")))
+    moving, fixed, free = (
+        _nodes(ids, name, patches, len(points)) for ids, name in ((moving, "moving"), (fixed, "fixed"), (free, "free"))
+    )
     unique, counts = np.unique(moving, return_counts=True)
     if len(unique) < len(moving):
         raise MeshError(
@@ -54,10 +77,11 @@ def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any) -> Boundary:
     fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]
     fixed = fixed[~np.isin(fixed, moving)]
     planes = _planes(symmetry, points, patches)
-    faces = None if patches is None else _faces(patches)
-    if patches is not None and faces is not None:
-        _tell_of_free_faces(patches, faces, points, np.concatenate([moving, fixed]), planes)
-    return Boundary(points, moving, fixed, planes, faces)
+    outer = None if patches is None else OuterFaces.of(patches)
+    left = None
+    if patches is not None and outer is not None:
+        left = FreeFaces.of(patches, outer, _listed(points, np.concatenate([moving, fixed, free]), planes))
+    return Boundary(points, moving, fixed, planes, None if outer is None else outer.corners, left)
 
 
 def checked_points(points: Any) -> np.ndarray:
@@ -139,33 +163,17 @@ def _planes(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane
     return tuple(planes)
 
 
-def _faces(mesh: Mesh) -> dict[str, np.ndarray] | None:
-    """Finds the boundary faces of the cells of highest dimension, seen from outside; None for a mesh without cells."""
-    cells = {kind: np.asarray(corners) for kind, corners in filling(mesh.cells).items()}
-    return seen_from_outside(np.asarray(mesh.points), boundary_faces(cells, len(mesh.points))) if cells else None
-
-
-def _tell_of_free_faces(
-    mesh: Mesh, faces: Mapping[str, np.ndarray], points: np.ndarray, listed: np.ndarray, planes: tuple[Plane, ...]
-) -> None:
-    """Warns about boundary faces that belong to nothing that moves, is fixed, or is a symmetry plane."""
+def _listed(points: np.ndarray, listed: np.ndarray, planes: tuple[Plane, ...]) -> np.ndarray:
+    """Marks (n,) nodes that are listed, or lie on a symmetry plane."""
     is_listed = np.zeros(len(points), dtype=bool)
     is_listed[listed] = True
     for plane in planes:
         is_listed |= plane.holds(points)
-    free = {kind: corners[~is_listed[corners].all(axis=1)] for kind, corners in faces.items()}
-    count, total = (sum(map(len, each.values())) for each in (free, faces))
-    if not count:
-        return
-    patches = []
-    for name, nodes in mesh.patches.items():
-        inside = np.zeros(len(points), dtype=bool)
-        inside[np.asarray(nodes)] = True
-        if any(inside[corners].all(axis=1).any() for corners in free.values()):
-            patches.append(repr(name))
-    where = f", in {'patch' if len(patches) == 1 else 'patches'} {', '.join(patches)}" if patches else ""
-    warnings.warn(
-        f"{count} of {total} boundary faces are neither moving, fixed nor on a symmetry plane{where}: their nodes follow "
-        "like inner ones, and may leave the boundary. Name them in `fixed`, `moving` or `symmetry`.",
-        stacklevel=4,
-    )
+    return is_listed
+
+
+def _rows(nodes: np.ndarray, n: int) -> np.ndarray:
+    """Numbers (n,) the nodes by their rows, others by -1."""
+    row = np.full(n, -1, dtype=np.int32)
+    row[nodes] = np.arange(len(nodes))
+    return row

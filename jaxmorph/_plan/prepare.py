@@ -27,6 +27,7 @@ def prepare(
     *,
     method: AbstractMethod | None = None,
     symmetry: Plane | str | Sequence[Plane | str] = (),
+    free: str | Sequence[str] | Integer[ArrayLike, " k"] | Sequence[int | np.integer] = (),
 ) -> Plan:
     """Prepares a plan, once per mesh and on the host: all that does not depend on the displacement.
 
@@ -38,6 +39,7 @@ def prepare(
     - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both moves. All others follow.
     - `method`: `SurfaceReconstruction()` by default.
     - `symmetry`: planes, or names of the patches that lie in them. Nodes on a plane stay in it, moving ones too.
+    - `free`: node ids or names of patches whose nodes may follow like inner ones: not warned of. Default: none.
 
     **Returns:** a `Plan`.
 
@@ -46,7 +48,12 @@ def prepare(
     planes that hold no node or have nodes on both sides.
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
-    named = boundary(mesh, moving, fixed, symmetry)
+    return plan_of(boundary(mesh, moving, fixed, symmetry, free), method)
+
+
+def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
+    """Prepares a plan of what has been checked. It warns of boundary faces that no list names, and of lost precision."""
+    named.warn_of_free_faces()
     method = SurfaceReconstruction() if method is None else method
     surface, images, on_plane = surface_of(named)
     surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, named.points))
@@ -67,7 +74,7 @@ def prepare(
         warnings.warn(
             "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
             'Call jax.config.update("jax_enable_x64", True) first.',
-            stacklevel=2,
+            stacklevel=3,
         )
     plan = _with_tables(refit(plan, plan.points))
     method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
@@ -78,7 +85,7 @@ def surface_of(named: Boundary) -> tuple[Surface, Mirror | None, Bool[np.ndarray
     """Returns the surface that a method sees, its mirror, and which points lie on which plane."""
     nodes, moving = named.nodes, len(named.moving)
     everything, rows, images, on_plane = named.points[nodes], np.arange(len(nodes)), None, None
-    faces = _faces_between(named)
+    faces = named.surface_faces
     if named.planes:
         check_planes(named.planes, named.points)
         on_plane = np.stack([plane.holds(named.points) for plane in named.planes], axis=1)
@@ -99,16 +106,6 @@ def _is_open(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> bool 
     if on_plane is not None:
         is_held[np.flatnonzero(on_plane.any(axis=1))] = True
     return has_free_faces(named.points, named.faces, is_held)
-
-
-def _faces_between(named: Boundary) -> dict[str, np.ndarray] | None:
-    """Lists boundary faces all of whose nodes are moving or fixed, as rows of the surface."""
-    if named.faces is None:
-        return None
-    row = np.full(len(named.points), -1, dtype=np.int32)
-    row[named.nodes] = np.arange(len(named.nodes))
-    rows = {kind: row[corners] for kind, corners in named.faces.items()}
-    return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
 
 def _with_tables(plan: Plan) -> Plan:

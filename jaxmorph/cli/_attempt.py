@@ -10,7 +10,7 @@ import jaxmorph as jm
 
 from . import _gates
 from ._gates import Judged
-from ._method import NamedMethod, Patches, in_double
+from ._method import Patches, in_double
 from ._motion import Motions
 from ._requests import Deform
 from ._tables import inverted_cells
@@ -35,19 +35,6 @@ class Attempt:
         """The undeformed points of the moving nodes."""
         return self.base[self.patches.nodes]
 
-    def chunks(self, choice: NamedMethod) -> jm.Chunks:
-        """Cuts the mesh into parts of the requested size, in the requested precision."""
-        patches = self.patches
-        surface = (patches.points(choice), patches.nodes, patches.fixed_nodes)
-        return jm.prepare_in_chunks(*surface, size=self.request.chunk, method=choice.method, symmetry=patches.planes)
-
-    def plan(self, chunks: jm.Chunks) -> jm.Plan:
-        """Prepares the first part. Raises `ValueError` that names the patches in no list."""
-        try:
-            return chunks.plan(0)
-        except jm.MeshError as error:
-            raise self.patches.explained(error) from None
-
     def points(
         self, chunks: jm.Chunks, plan: jm.Plan, steps: int, done: Callable[[float], None] | None = None
     ) -> Float[np.ndarray, "n d"]:
@@ -55,6 +42,14 @@ class Attempt:
         path = self.motion.path(self.wall, steps)
         moved = chunks.march(path, first=plan, done=done if len(chunks) > 1 else None)
         return in_double(self.base, moved, self.patches.nodes, path[-1], plan.method.exact)
+
+    def wall_quality(self, points: Float[np.ndarray, "n d"]) -> jm.WallQuality | None:
+        """Measures the first grid line at the moving nodes; None where no side of a cell lies there, or no line begins."""
+        try:
+            wall = jm.wall_quality(self.patches.mesh, self.patches.nodes, points)
+        except ValueError:
+            return None
+        return wall if len(wall.nodes) else None
 
     def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, list[str]]:
         """Judges the moved mesh: its quality, and one sentence for each fault."""

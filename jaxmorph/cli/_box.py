@@ -2,13 +2,14 @@
 
 import json
 import pathlib
-import tomllib
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxmorph.shapes import FreeForm
+
+from ._toml import read
 
 
 def read_box(given: str, d: int) -> tuple[FreeForm, Float[np.ndarray, "*counts d"]]:
@@ -19,12 +20,13 @@ def read_box(given: str, d: int) -> tuple[FreeForm, Float[np.ndarray, "*counts d
     Raises `ValueError` for what does not fit a mesh in `d` dimensions.
     """
     where = "--box" if given.lstrip().startswith("{") else given
-    try:
-        table = (
-            json.loads(given) if where == "--box" else tomllib.loads(pathlib.Path(given).read_text(encoding="utf-8"))
-        )
-    except (json.JSONDecodeError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{where}: not a table in {'JSON' if where == '--box' else 'TOML'} ({error}).") from None
+    if where == "--box":
+        try:
+            table = json.loads(given)
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise ValueError(f"{where}: not a table in JSON ({error}).") from None
+    else:
+        table = read(where, pathlib.Path(given).read_bytes())
     expected = {"low", "high", "points", "moved"}
     if set(table) != expected or not isinstance(table["moved"], list):
         raise ValueError(

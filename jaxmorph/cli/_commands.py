@@ -1,7 +1,5 @@
 """All commands, and with them JAX."""
 
-import argparse
-
 import jax
 
 from jaxmorph import _demo
@@ -10,21 +8,21 @@ from ._deform import deform
 from ._inspect import info, quality
 from ._modes import modes
 from ._output import Output
-from ._requests import Deform, Demo, Info, Modes, Quality, Sensitivity, request_of
+from ._requests import Deform, Demo, Info, Modes, Quality, Request, Sensitivity
 from ._sensitivity import sensitivity
 
 
-def run(arguments: argparse.Namespace, out: Output) -> int:
-    """Runs the command that the arguments name, in double precision. Returns the exit status."""
+def run(request: Request, out: Output) -> int:
+    """Runs what is asked for, in double precision. Returns the exit status."""
     jax.config.update("jax_enable_x64", True)
-    match request_of(arguments):
-        case Deform() as request:
+    match request:
+        case Deform():
             return deform(request, out)
-        case Modes() as request:
+        case Modes():
             return modes(request, out)
-        case Sensitivity() as request:
+        case Sensitivity():
             return sensitivity(request, out)
-        case Quality() as request:
+        case Quality():
             return quality(request, out)
         case Info(file):
             return info(file, out)

@@ -1,5 +1,6 @@
 """`jaxmorph deform`."""
 
+import importlib
 import textwrap
 from pathlib import Path
 
@@ -7,16 +8,16 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
+from jaxmorph._host.files import complete
 
-from . import _gates, _picture
+from . import _gates
 from ._attempt import Attempt
-from ._files import save, write_moved
 from ._gates import Judged
 from ._method import NamedMethod, named_method, patches_of
 from ._motion import motions
 from ._output import Output
 from ._requests import Deform
-from ._tables import compared, count, numbers
+from ._tables import compared, count, numbers, wall_numbers, wall_rows
 from ._trials import explain
 
 LARGE, LONG = 500_000, 30.0
@@ -27,14 +28,19 @@ def deform(request: Deform, out: Output) -> int:
     """Reads, moves, judges, writes; says each on the terminal. Returns the exit status."""
     with out.progress(f"reading {request.file.name}"):
         mesh = io.read(request.file)
-    attempt, choice = _attempt(request, mesh, out)
+    attempt, choice, chunks = _attempt(request, mesh, out)
     foreseen = _foreseen(attempt, choice, out)
-    points = _moved(attempt, choice, foreseen, out)
+    points, inspection = _moved(attempt, chunks, foreseen, out)
     with out.progress("judging the cells", foreseen.judging / 2):
         after, bad = attempt.judge(points)
-        tables = [compared(attempt.before.report, after.report), _gates.table(request.gates, attempt.before, after)]
+        wall = attempt.wall_quality(points)
+        rows = wall_rows(wall, inspection, points)
+        tables = [compared(attempt.before.report, after.report, rows)]
+        tables.append(_gates.table(request.gates, attempt.before, after))
     out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
-    out.say(before=numbers(attempt.before.report), after=numbers(after.report))
+    start, end = wall_numbers(wall)
+    out.say(before=numbers(attempt.before.report) | start, after=numbers(after.report) | end)
+    out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
     out.say(gates=_gates.facts(request.gates, attempt.before, after))
     _write_beside(attempt, after, out)
     if bad:
@@ -43,12 +49,12 @@ def deform(request: Deform, out: Output) -> int:
         out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
         return 1
     with out.progress(f"writing {request.output.name}"):
-        write_moved(request.output, mesh, mesh.moved(points), after.report)
+        io.write_moved(request.output, mesh, mesh.moved(points), after.report)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 1 if bad else 0
 
 
-def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod]:
+def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod, jm.Chunks]:
     """Checks the request, describes it on the terminal, and collects what an attempt needs."""
     _check(request, mesh)
     patches = patches_of(request.surface, mesh, request.file)
@@ -59,6 +65,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     motion, wall = motions(request.groups, mesh, patches.nodes), np.asarray(mesh.points)[patches.nodes]
     with out.progress("choosing sources"):
         choice = named_method(request.method, wall)
+        chunks = patches.chunks(choice, request.chunk)
     way = np.linalg.norm(motion.path(wall, 1)[-1], axis=1)
     n, d = mesh.points.shape
     cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in mesh.cells.items())
@@ -76,7 +83,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
         before = Judged(mesh, mesh.points, jm.quality(mesh))
         for gate in request.gates:
             gate.extreme(before)  # what cannot be judged is told now
-    return Attempt(request, patches, motion, before), choice
+    return Attempt(request, patches, motion, before), choice, chunks
 
 
 def _foreseen(attempt: Attempt, choice: NamedMethod, out: Output) -> jm.Estimate:
@@ -93,31 +100,35 @@ def _foreseen(attempt: Attempt, choice: NamedMethod, out: Output) -> jm.Estimate
     return foreseen
 
 
-def _moved(attempt: Attempt, choice: NamedMethod, foreseen: jm.Estimate, out: Output) -> np.ndarray:
-    """Moves the points, and warns before of a motion that no method moves well."""
-    chunks, steps = attempt.chunks(choice), attempt.request.steps
+def _moved(attempt: Attempt, chunks: jm.Chunks, foreseen: jm.Estimate, out: Output) -> tuple[np.ndarray, jm.Inspection]:
+    """Moves the points, inspects the motion before, and warns of what no method moves well."""
+    steps = attempt.request.steps
     first = foreseen.preparing / len(chunks)
     with out.progress("preparing", first):
-        plan = attempt.plan(chunks)
+        plan = attempt.patches.plan(chunks)
     with out.progress("inspecting the motion"):
         inspection = jm.inspect(plan, attempt.motion.path(attempt.wall, 1)[-1])
         for warning in inspection.renumbered(chunks.nodes[0]).warnings:
             out.warn(warning)
     left = foreseen.preparing - first + foreseen.deforming
     with out.progress(f"deforming in {count(steps, 'step')}", left) as stage:
-        return attempt.points(chunks, plan, steps, stage.done)
+        return attempt.points(chunks, plan, steps, stage.done), inspection
 
 
 def _write_beside(attempt: Attempt, after: Judged, out: Output) -> None:
     """Writes the job file and the picture, also if cells are bad."""
     job, picture = attempt.request.job, attempt.request.picture
     if job is not None:
-        save(job[0], job[1].encode())
+        with complete(job[0]) as partial:
+            partial.write_bytes(job[1].encode())
         out.say(f"job      {job[0]}")
     if picture is not None:
         try:
             with out.progress("drawing"):
-                _picture.picture(picture, attempt.patches.mesh, attempt.patches.nodes, attempt.before, after)
+                from jaxmorph import plot
+
+                reports = attempt.before.report, after.report
+                plot.picture(picture, attempt.patches.mesh, after.points, moving=attempt.patches.nodes, reports=reports)
             out.say(f"picture  {picture}", picture=str(picture))
         except (ValueError, OSError) as error:  # the mesh is worth more
             out.warn(f"no picture: {error}")
@@ -144,4 +155,14 @@ def _check(request: Deform, mesh: Mesh) -> None:
         if job.resolve() == request.output.resolve():
             raise ValueError(f"--save-job {job}: OUT goes there.")
     if request.picture is not None:
-        _picture.check(request.picture, mesh)
+        _check_picture(request.picture, mesh)
+
+
+def _check_picture(path: Path, mesh: Mesh) -> None:
+    """Raises `ValueError` or `ImportError` for a picture that is sure to fail, before any work."""
+    endings = (".png",) if mesh.points.shape[1] == 2 else (".png", ".html")
+    if path.suffix.lower() not in endings:
+        raise ValueError(f"--picture {path}: a picture of this mesh ends in {' or '.join(endings)}.")
+    if not path.parent.is_dir():
+        raise ValueError(f"--picture {path}: there is no such folder.")
+    importlib.import_module("jaxmorph.plot")

@@ -27,11 +27,12 @@ def answer(words: Sequence[str]) -> int:
         warnings.showwarning = lambda message, *_: out.warn(one_line(message))
         try:
             arguments = top.parse_args(quoted(with_job(words)))
-            from . import _commands
+            from ._commands import run
+            from ._requests import request_of
 
             raise_again()
             out.verbose = getattr(arguments, "verbose", False)
-            return out.end(_commands.run(arguments, out))
+            return out.end(run(request_of(arguments), out))
         except OSError as error:
             named = f"{error.filename}: {error.strerror}" if error.filename else error
             out.complain(one_line(named))

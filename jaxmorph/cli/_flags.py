@@ -177,6 +177,8 @@ def _fixed(add: Add) -> None:
     add("--fixed", everyday=True, metavar="NAME", nargs="+", default=[], help="patches that stay")
     what = "plane patches in which nodes slide (one or two)"
     add("--symmetry", everyday=True, metavar="NAME", nargs="+", default=[], help=what)
+    what = "patches that may leave their place: their nodes follow like inner ones"
+    add("--free", metavar="NAME", nargs="+", action="extend", default=[], help=what)
 
 
 def _method(command: Parser) -> Add:

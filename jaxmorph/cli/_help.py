@@ -34,7 +34,9 @@ again by another --moving go on from there. With --steps N the mesh follows in N
 steps, each with 1/N of every angle, factor, translation and displacement.
 
 NAME is a patch, a regular expression for the whole of a name ("motorBike.*"),
-or a group that the file has (inGroups of an OpenFOAM case).
+or a group that the file has (inGroups of an OpenFOAM case). A patch with faces
+that are not named as moving, fixed, symmetry or free is an error: its nodes
+would follow like inner ones, and may leave the boundary.
 
 A box is a TOML file: low and high (two corners), points (how many control
 points each way), and for each that moves a [[moved]] with at (its numbers, from
@@ -71,8 +73,8 @@ exit status: 0; 1 when cells are inverted or a gate fails (OUT is then not
 written unless --allow-inverted is given); 2 for bad input"""
 
 DEFORM_SHORT = """\
-Scaling, twisting, bending, mode shapes, free-form boxes, other methods, limits
-of quality, job files, output for machines: jaxmorph deform --help-all
+Scaling, twisting, bending, mode shapes, free-form boxes, free patches, other
+methods, limits of quality, job files, JSON: jaxmorph deform --help-all
 
 examples:
   jaxmorph deform airfoil.su2 pitched.su2 --moving airfoil --fixed farfield \\

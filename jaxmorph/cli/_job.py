@@ -5,15 +5,16 @@ import dataclasses
 import json
 import os
 import pathlib
-import tomllib
+import reprlib
 from collections.abc import Sequence
 from typing import Any
 
 from ._flags import GATES
 from ._groups import Group
 from ._parser import meant
+from ._toml import read, written
 
-LISTS = ("fixed", "symmetry")
+LISTS = ("fixed", "symmetry", "free")
 VALUES = ("method", "sources", "steps", "chunk", "dtype", "preset", "picture", *GATES)
 SWITCHES = {"allow_inverted": True, "dry_run": False}
 """Names that are either true or false, and the value that has a flag."""
@@ -21,6 +22,12 @@ SWITCHES = {"allow_inverted": True, "dry_run": False}
 FILES = ("file", "output")
 PATHS = (*FILES, "picture", "displacement", "displacement_from", "box", "mode")
 """Names whose values are paths, relative to the job's folder. A mode begins with a path; a box may be a table instead."""
+
+SEVERAL = (*LISTS, "patches", "scale", "translate", "about", "axis", "along")
+"""Names whose values may be lists."""
+
+TEXTS = (*PATHS, *LISTS, "patches", "method", "dtype", "preset", "displacement_is")
+"""Names whose values are text; all others hold numbers."""
 
 MOTION = tuple(field.name for field in dataclasses.fields(Group) if field.name != "given")
 
@@ -44,18 +51,14 @@ def with_job(arguments: Sequence[str]) -> list[str]:
 
 
 def _flags(path: pathlib.Path) -> tuple[list[str], list[str]]:
-    try:
-        job = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not TOML ({error}).") from None
-    job = _known(path, "a job", job, (*FILES, *LISTS, *VALUES, *SWITCHES, "moving"))
+    job = _known(path, "a job", read(str(path), path.read_bytes()), (*FILES, *LISTS, *VALUES, *SWITCHES, "moving"))
     flags: list[str] = []
     for name in (*LISTS, *VALUES):
         if name in job:
             flags += [_flag(name), *_words(path, name, job[name])]
     for name, value in SWITCHES.items():
         if name in job and not isinstance(job[name], bool):
-            raise ValueError(f"{path}: {name} is true or false, found {job[name]!r}.")
+            raise ValueError(f"{path}: {name} is true or false, found {reprlib.repr(job[name])}.")
         if job.get(name) is value:
             flags.append(_flag(name) if value else _flag(f"no_{name}"))
     moving = job.get("moving", [])
@@ -66,11 +69,22 @@ def _flags(path: pathlib.Path) -> tuple[list[str], list[str]]:
         if not group.get("patches"):
             raise ValueError(f"{path}: a [[moving]] without patches.")
         flags += ["--moving", *_words(path, "patches", group.pop("patches"))]
-        for mode in group.pop("mode", []):
-            flags += ["--mode", *_words(path, "mode", mode)]
+        flags += _modes(path, group.pop("mode", []))
         for name, value in group.items():
             flags += [_flag(name), *_words(path, name, value)]
     return [word for name in FILES if name in job for word in _words(path, name, job[name])], flags
+
+
+def _modes(path: pathlib.Path, modes: Any) -> list[str]:
+    """Converts mode shapes to flags."""
+    flags: list[str] = []
+    for mode in modes if isinstance(modes, list) else [modes]:
+        if not isinstance(mode, list) or len(mode) != 2 or type(mode[1]) not in (int, float):
+            raise ValueError(
+                f'{path}: mode is a list of files with amplitudes, [["FILE", 0.1], ...], found {reprlib.repr(modes)}.'
+            )
+        flags += ["--mode", *_words(path, "mode", mode[0]), str(mode[1])]
+    return flags
 
 
 def _known(path: pathlib.Path, what: str, table: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
@@ -90,9 +104,14 @@ def _words(path: pathlib.Path, name: str, value: Any) -> list[str]:
     """Converts a value to words; a path becomes relative to the current folder."""
     if name == "box" and isinstance(value, dict):
         return [json.dumps(value)]
-    values = value if isinstance(value, list) else [value]
-    if not values or any(type(each) not in (str, int, float) for each in values):
-        raise ValueError(f"{path}: {name} cannot be {value!r}.")
+    values = value if isinstance(value, list) and name in SEVERAL else [value]
+    kinds = (str, int) if name in TEXTS else (int, float)
+    if not values or any(type(each) not in kinds for each in values):
+        what = f"{'text' if name in TEXTS else 'a number'}{', or a list of such' if name in SEVERAL else ''}"
+        raise ValueError(f"{path}: {name} is {what}, found {reprlib.repr(value)}.")
+    wrong = [each for each in map(str, values) if name in TEXTS and (each.startswith("-") or "\0" in each)]
+    if wrong:
+        raise ValueError(f"{path}: {name} cannot be {reprlib.repr(wrong[0])}; a job has no flags as values.")
     words = [str(each) for each in values]
     if name in PATHS and not words[0].lstrip().startswith("{"):
         words[0] = str(path.parent / words[0])
@@ -109,13 +128,13 @@ def text_of(arguments: argparse.Namespace, folder: pathlib.Path) -> str:
     for name, value in SWITCHES.items():
         if getattr(arguments, name) is value:
             job[name] = value
-    lines = [f"{name} = {_toml(value)}" for name, value in job.items()]
+    lines = [f"{name} = {written(value)}" for name, value in job.items()]
     for group in arguments.moving or ():
         lines += ["", "[[moving]]"]
         for name in MOTION:
             value = getattr(group, name)
             if value not in (None, []) and not (name == "displacement_is" and group.displacement is None):
-                lines.append(f"{name} = {_toml(_seen(name, value, folder))}")
+                lines.append(f"{name} = {written(_seen(name, value, folder))}")
     return "\n".join(lines) + "\n"
 
 
@@ -128,16 +147,3 @@ def _seen(name: str, value: Any, folder: pathlib.Path) -> Any:
     if str(value).lstrip().startswith("{"):
         return json.loads(value)
     return str(value) if os.path.isabs(value) else os.path.relpath(value, folder)
-
-
-def _toml(value: Any) -> str:
-    """Formats a value in TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {_toml(each)}" for key, each in value.items()) + " }"
-    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")

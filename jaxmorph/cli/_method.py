@@ -65,12 +65,13 @@ def about(sources: int, wall: Float[np.ndarray, "m d"]) -> jm.AbstractReduction:
 
 @dataclasses.dataclass(frozen=True)
 class Patches:
-    """A mesh, the names of the patches that move, stay and slide, and the planes of the last."""
+    """A mesh, the names of the patches that move, stay, slide and follow, and the planes of those that slide."""
 
     mesh: jm.Mesh
     moving: tuple[str, ...]
     fixed: tuple[str, ...]
     symmetry: tuple[str, ...]
+    free: tuple[str, ...]
     planes: tuple[jm.Plane, ...]
 
     @property
@@ -84,7 +85,8 @@ class Patches:
 
     def explained(self, error: jm.MeshError) -> ValueError:
         """Adds to an error the patches in no list that hold the nodes at fault."""
-        left = [name for name in self.mesh.patches if name not in {*self.moving, *self.fixed, *self.symmetry}]
+        named = {*self.moving, *self.fixed, *self.symmetry}
+        left = [name for name in self.mesh.patches if name not in named]
         left = [name for name in left if np.isin(error.nodes, self.mesh.patch(name)).any()]
         others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
         return ValueError(f"{error}{others}")
@@ -93,12 +95,22 @@ class Patches:
         """Returns the mesh's points in the precision of the calculation."""
         return np.asarray(self.mesh.points).astype(choice.dtype, copy=False)
 
-    def prepare(self, choice: NamedMethod) -> jm.Plan:
-        """Prepares the mesh. Raises the `ValueError` of `explained`."""
+    def chunks(self, choice: NamedMethod, size: int | None = None) -> jm.Chunks:
+        """Cuts the mesh into parts of `size` inner nodes. Raises the `ValueError` of `explained`, and one for unnamed patches."""
+        mesh, surface = self.mesh.moved(self.points(choice)), (self.moving, self.fixed)
+        method, planes = choice.method, self.planes
         try:
-            return jm.prepare(
-                self.points(choice), self.nodes, self.fixed_nodes, method=choice.method, symmetry=self.planes
-            )
+            chunks = jm.prepare_in_chunks(mesh, *surface, size=size, method=method, symmetry=planes, free=self.free)
+        except jm.MeshError as error:
+            raise self.explained(error) from None
+        if chunks.free_faces is not None and chunks.free_faces.patches:
+            raise ValueError(f"{chunks.free_faces} Name them by --fixed, --moving or --symmetry, or by --free.")
+        return chunks
+
+    def plan(self, chunks: jm.Chunks) -> jm.Plan:
+        """Prepares the first part. Raises the `ValueError` of `explained`."""
+        try:
+            return chunks.plan(0)
         except jm.MeshError as error:
             raise self.explained(error) from None
 
@@ -128,7 +140,7 @@ def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
             planes.append(jm.Plane.through(np.asarray(mesh.points), mesh.patch(name)))
         except ValueError as error:
             raise ValueError(f"--symmetry {name}: {error}") from None
-    return Patches(mesh, moving, fixed, symmetry, tuple(planes))
+    return Patches(mesh, moving, fixed, symmetry, mesh.patch_names(*surface.free), tuple(planes))
 
 
 def in_double(

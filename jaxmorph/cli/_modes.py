@@ -5,7 +5,6 @@ import dataclasses
 import itertools
 import pathlib
 from collections.abc import Iterator
-from xml.sax.saxutils import quoteattr
 
 import jax
 import numpy as np
@@ -15,13 +14,11 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io
 
 from . import _gates
-from ._files import save, write_moved
 from ._gates import Judged
 from ._method import Patches, in_double, named_method, patches_of
 from ._output import Output
 from ._requests import Modes
 from ._tables import count, inverted_cells, numbers
-from ._xdmf import Series
 
 BATCH = 8
 """Motions computed together."""
@@ -48,14 +45,14 @@ def modes(request: Modes, out: Output) -> int:
         shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.modes]
     with out.progress("preparing"):
         choice = named_method(request.method, np.asarray(mesh.points)[patches.nodes])
-        plan = patches.prepare(choice)
+        plan = patches.plan(patches.chunks(choice))
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitudes), 'amplitude')}"
     out.say(f"{request.file.name}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)
     out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{'min J/J0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
     before = Judged(mesh, mesh.points, jm.quality(mesh)) if request.gates else None
-    xdmf = Series(request.output, mesh) if _is_xdmf(request) else None
+    xdmf = io.XDMFSeries(request.output, mesh) if _is_xdmf(request) else None
     with xdmf or contextlib.nullcontext(), out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
             report = jm.quality(mesh, points)
@@ -67,7 +64,7 @@ def modes(request: Modes, out: Output) -> int:
                 if xdmf:
                     xdmf.add(case.time, mesh.moved(points), report)
                 else:
-                    write_moved(case.output, mesh, mesh.moved(points), report)
+                    io.write_moved(case.output, mesh, mesh.moved(points), report)
                 good.append(case)
             stage.done(case.number / len(cases))
     return _end(request, good, bad, len(cases), out)
@@ -137,25 +134,9 @@ def _end(request: Modes, good: list[Case], bad: int, total: int, out: Output) ->
             out.facts["output"] = str(request.output)
         out.say(f"wrote {files} ({out.seconds:.1f} s)")
     if request.output.suffix == ".pvd" and good:
-        save(request.output, _series(good).encode())
+        io.write_pvd(request.output, [case.output for case in good], [case.time for case in good])
         out.say(f"wrote {request.output}", output=str(request.output))
     if len(good) < total:
         missing = f"{total - len(good)} of {count(total, 'case')}"
         out.complain(f"{missing} not written; --allow-inverted writes all the same.")
     return 1 if bad else 0
-
-
-def _series(cases: list[Case]) -> str:
-    """Writes ParaView's collection of files, each at its time."""
-    rows = [f'    <DataSet timestep="{case.time!r}" part="0" file={quoteattr(case.output.name)}/>' for case in cases]
-    return "\n".join(
-        [
-            '<?xml version="1.0"?>',
-            '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">',
-            "  <Collection>",
-            *rows,
-            "  </Collection>",
-            "</VTKFile>",
-            "",
-        ]
-    )

@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 from ._flags import GATES
@@ -12,11 +13,12 @@ from ._job import text_of
 
 @dataclasses.dataclass(frozen=True)
 class PatchNames:
-    """Patches that move, stay and slide: names, patterns or groups."""
+    """Patches that move, stay, slide, and follow like inner nodes: names, patterns or groups."""
 
     moving: tuple[str, ...]
     fixed: tuple[str, ...]
     symmetry: tuple[str, ...]
+    free: tuple[str, ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +113,7 @@ def _deform(arguments: argparse.Namespace) -> Deform:
     return Deform(
         arguments.file,
         arguments.output,
-        PatchNames(names, tuple(arguments.fixed), tuple(arguments.symmetry)),
+        _surface(arguments, names),
         tuple(groups),
         _method(arguments),
         arguments.steps,
@@ -129,7 +131,7 @@ def _modes(arguments: argparse.Namespace) -> Modes:
     return Modes(
         arguments.file,
         arguments.output,
-        _surface(arguments),
+        _surface(arguments, arguments.moving),
         _method(arguments),
         tuple(arguments.mode),
         tuple(arguments.amplitude),
@@ -139,12 +141,12 @@ def _modes(arguments: argparse.Namespace) -> Modes:
 
 
 def _sensitivity(arguments: argparse.Namespace) -> Sensitivity:
-    surface, method = _surface(arguments), _method(arguments)
+    surface, method = _surface(arguments, arguments.moving), _method(arguments)
     return Sensitivity(arguments.file, arguments.sensitivity, arguments.output, surface, method)
 
 
-def _surface(arguments: argparse.Namespace) -> PatchNames:
-    return PatchNames(tuple(arguments.moving), tuple(arguments.fixed), tuple(arguments.symmetry))
+def _surface(arguments: argparse.Namespace, moving: Sequence[str]) -> PatchNames:
+    return PatchNames(tuple(moving), tuple(arguments.fixed), tuple(arguments.symmetry), tuple(arguments.free))
 
 
 def _method(arguments: argparse.Namespace) -> Method:

@@ -1,10 +1,12 @@
 """Quality as text, 80 columns wide."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from jaxmorph import QualityReport
+from jaxmorph import Inspection, QualityReport, WallQuality
 
 ROWS = (
     *(("mean", "skewness"), ("max", "skewness")),
@@ -22,15 +24,39 @@ def alone(report: QualityReport) -> str:
     return "\n".join(lines)
 
 
-def compared(before: QualityReport, after: QualityReport) -> str:
-    """Formats a table for a mesh before and after its motion, with the worst cells of the moved mesh."""
+def compared(before: QualityReport, after: QualityReport, more: Sequence[str] = ()) -> str:
+    """Formats a table for a mesh before and after its motion, with the worst cells of the moved mesh, and more rows below."""
     lines = [_heading(after), f"{'':<24}{'before':>12}{'after':>12}   worst cell after"]
     for kind, name in ROWS:
         lines.append(_row(after, kind, name, _number(before, kind, name) + _number(after, kind, name)))
     for kind, name in RATIOS:
         lines.append(_row(after, kind, name, f"{'-':>12}" + _number(after, kind, name)))
     lines.append(f"{'inverted cells':<24}{int(before.inverted):>12}{int(after.inverted):>12}")
-    return "\n".join(lines)
+    return "\n".join([*lines, *more])
+
+
+def wall_rows(wall: WallQuality | None, inspection: Inspection, points: Float[np.ndarray, "n d"]) -> list[str]:
+    """Formats the first grid line at the moving wall and the overshoot as rows of `compared`; `points` are the moved ones."""
+    rows = []
+    if wall is not None:
+        angle, height = np.asarray(wall.angle), np.asarray(wall.height)
+        rows = [
+            f"{'mean wall angle':<24}{0:>12}{angle.mean():>12.5g}",
+            f"{'max wall angle':<24}{0:>12}{angle.max():>12.5g}   {_node(wall, int(angle.argmax()), points)}",
+            f"{'min first-cell height':<24}{1:>12}{height.min():>12.5g}   {_node(wall, int(height.argmin()), points)}",
+        ]
+    for label, value in (("overshoot", inspection.overshoot), ("overshoot behind", inspection.overshoot_behind)):
+        rows.append(f"{label:<24}{'-':>12}{value:>12.5g}")
+    return rows
+
+
+def wall_numbers(wall: WallQuality | None) -> tuple[dict[str, float], dict[str, float]]:
+    """Collects the numbers of `wall_rows` for machines, before and after; none where the wall has no first grid line."""
+    if wall is None:
+        return {}, {}
+    names = ("mean_wall_angle", "max_wall_angle", "min_first_cell_height")
+    after = (float(wall.mean_angle), float(wall.max_angle), float(wall.min_height))
+    return dict(zip(names, (0.0, 0.0, 1.0), strict=True)), dict(zip(names, after, strict=True))
 
 
 def inverted_cells(report: QualityReport) -> str:
@@ -45,12 +71,21 @@ def inverted_cells(report: QualityReport) -> str:
 
 def place(report: QualityReport, cell: int) -> str:
     """Formats a cell's centroid."""
-    return "(" + ", ".join(f"{x:.3g}" for x in np.asarray(report.centroid[cell]).tolist()) + ")"
+    return _coordinates(report.centroid[cell])
 
 
 def count(number: int, what: str) -> str:
     """Writes a number with its noun: `1 step`, `2 steps`."""
     return f"{number} {what}" + ("" if number == 1 else "s")
+
+
+def _coordinates(x: Any) -> str:
+    return "(" + ", ".join(f"{each:.3g}" for each in np.asarray(x).tolist()) + ")"
+
+
+def _node(wall: WallQuality, row: int, points: Float[np.ndarray, "n d"]) -> str:
+    node = int(wall.nodes[row])
+    return f"node {node} near {_coordinates(points[node])}"
 
 
 def _heading(report: QualityReport) -> str:

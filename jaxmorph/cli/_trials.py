@@ -71,8 +71,8 @@ def _works(attempt: Attempt, method: Method, steps: int) -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            chunks = attempt.chunks(named_method(method, attempt.wall))
-            points = attempt.points(chunks, attempt.plan(chunks), steps)
+            chunks = attempt.patches.chunks(named_method(method, attempt.wall), attempt.request.chunk)
+            points = attempt.points(chunks, attempt.patches.plan(chunks), steps)
         except ValueError:
             return False
         return not attempt.judge(points)[1]

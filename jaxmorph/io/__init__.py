@@ -2,8 +2,14 @@
 
 from ._displacement import read_displacement as read_displacement
 from ._lattice import write_lattice as write_lattice
+from ._moved import cell_arrays as cell_arrays
+from ._moved import write_moved as write_moved
 from ._registry import check_output as check_output
 from ._registry import read as read
 from ._registry import write as write
+from ._sensitivity import check_sensitivity_output as check_sensitivity_output
 from ._sensitivity import read_sensitivity as read_sensitivity
+from ._sensitivity import write_sensitivity as write_sensitivity
+from ._series import XDMFSeries as XDMFSeries
+from ._series import write_pvd as write_pvd
 from ._surface import read_surface as read_surface

@@ -1,12 +1,14 @@
 """Sensitivities with respect to the points of a mesh, as an adjoint solver writes them."""
 
+import io
 import os
 import pathlib
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
+from jaxmorph._host.files import complete
 
 from ._shape import load_npz
 from ._surface import read_table
@@ -14,6 +16,9 @@ from .openfoam.field import is_foam_file, read_point_vectors
 
 NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 """SU2's names of the columns, in lower case."""
+
+ENDINGS = (".csv", ".npz")
+"""What `write_sensitivity` writes."""
 
 
 def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
@@ -69,3 +74,42 @@ def _arrays(path: pathlib.Path, n: int) -> tuple[np.ndarray, np.ndarray]:
     if ids.dtype.kind not in "iu" or ids.ndim != 1:
         raise ValueError(f"{path}: ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
     return ids, values
+
+
+def write_sensitivity(
+    path: str | os.PathLike[str], ids: Int[np.ndarray, " m"], values: Float[np.ndarray, "m d"]
+) -> None:
+    """Writes dJ/d(nodes) by node id: a table (.csv), or .npz of `ids` and `sensitivity`.
+
+    **Arguments:**
+
+    - `path`: the file.
+    - `ids`: the nodes' ids, as `plan.moving`.
+    - `values`: a row for each of them, as `pullback` gives.
+
+    **Raises:** `ValueError` for another ending.
+    """
+    path, values = check_sensitivity_output(path), np.asarray(values, dtype=float)
+    if path.suffix.lower() == ".npz":
+        stream = io.BytesIO()
+        np.savez_compressed(stream, ids=np.asarray(ids), sensitivity=values)
+        content = stream.getvalue()
+    else:
+        header = ",".join(["id", *(f"dJ_d{axis}" for axis in "xyz"[: values.shape[1]])])
+        rows = [
+            f"{node},{','.join(map(repr, row))}"
+            for node, row in zip(np.asarray(ids).tolist(), values.tolist(), strict=True)
+        ]
+        content = "\n".join([header, *rows, ""]).encode()
+    with complete(path) as partial:
+        partial.write_bytes(content)
+
+
+def check_sensitivity_output(path: str | os.PathLike[str]) -> pathlib.Path:
+    """Raises `ValueError` for a file that `write_sensitivity` cannot write, before any work; returns its path."""
+    path = pathlib.Path(path)
+    if path.suffix.lower() not in ENDINGS:
+        raise ValueError(f"{path}: {' or '.join(ENDINGS)} expected.")
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: there is no folder {path.parent}.")
+    return path

@@ -11,6 +11,7 @@ from ._curves import surface_errors as surface_errors
 from ._film import animate as animate
 from ._film import swing as swing
 from ._page import page as page
+from ._picture import picture as picture
 from ._plane import Window as Window
 from ._plane import before_after as before_after
 from ._plane import graph as graph

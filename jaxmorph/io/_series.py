@@ -1,17 +1,18 @@
-"""A time series in XDMF: one file of arrays (.h5), and one that says what they are, which ParaView opens."""
+"""Time series for ParaView: XDMF, with all arrays in one file (.h5), and collections of files (.pvd)."""
 
 import contextlib
+import os
 import pathlib
+from collections.abc import Sequence
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-import jaxmorph as jm
-from jaxmorph import Mesh
+from jaxmorph import Mesh, QualityReport
 from jaxmorph._host.files import complete
 
-from ._files import cell_arrays, save
+from ._moved import cell_arrays
 
 NUMBERS = {
     "line": (2, 2),
@@ -29,10 +30,23 @@ class _Nothing(Exception):
     """Tells the temporary file that nothing is to take its place."""
 
 
-class Series:
-    """A context, at whose end both files appear; without any step, or after an error, there are none."""
+class XDMFSeries:
+    """Writes moved states of a mesh as a time series in XDMF: one file of arrays (.h5), and one that says what they are.
 
-    def __init__(self, path: pathlib.Path, mesh: Mesh):
+    It is a context, at whose end both files appear; without any step, or after an error, there are none.
+
+    **Arguments:**
+
+    - `path`: a file that ends in .xdmf; the arrays go beside it, in the file of the same name that ends in .h5.
+    - `mesh`: the undeformed mesh.
+
+    **Raises:** `ImportError` where h5py is missing, `ValueError` for another ending.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], mesh: Mesh):
+        path = pathlib.Path(path)
+        if path.suffix != ".xdmf":
+            raise ValueError(f"{path}: .xdmf expected.")
         try:
             import h5py
         except ImportError as error:
@@ -48,19 +62,20 @@ class Series:
         self._topology = self._item("cells", np.concatenate(rows))
         self._count = sum(map(len, mesh.cells.values()))
 
-    def __enter__(self) -> "Series":
+    def __enter__(self) -> "XDMFSeries":
         return self
 
     def __exit__(self, kind, error, trace) -> None:
         self._file.close()
         if kind is None and self._grids:
             self._stack.close()
-            save(self.path, self._text().encode())
+            with complete(self.path) as partial:
+                partial.write_bytes(self._text().encode())
             return
         with contextlib.suppress(_Nothing):
             self._stack.__exit__(_Nothing, _Nothing(), None)
 
-    def add(self, time: float, moved: Mesh, report: jm.QualityReport) -> None:
+    def add(self, time: float, moved: Mesh, report: QualityReport) -> None:
         """Adds the moved mesh at a time, with its displacement and the quality of each cell."""
         step = str(len(self._grids))
         displacement = _in_3d(np.asarray(moved.points) - np.asarray(self._mesh.points))
@@ -92,3 +107,15 @@ class Series:
 
 def _in_3d(values: np.ndarray) -> np.ndarray:
     return np.pad(values.astype(float), ((0, 0), (0, 3 - values.shape[1])))
+
+
+def write_pvd(path: str | os.PathLike[str], files: Sequence[str | os.PathLike[str]], times: Sequence[float]) -> None:
+    """Writes ParaView's collection of files (.pvd), each of `files` at one of `times`, named as they stand in its folder."""
+    rows = [
+        f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(pathlib.Path(file).name)}/>'
+        for file, time in zip(files, times, strict=True)
+    ]
+    head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
+    text = "\n".join([*head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""])
+    with complete(pathlib.Path(path)) as partial:
+        partial.write_bytes(text.encode())

@@ -1,0 +1,167 @@
+"""Boundary faces that no list names: found, counted as the file has them, refused by the command line, declared free."""
+
+import json
+import warnings
+
+import foam
+import numpy as np
+import pytest
+from test_door import box
+from test_openfoam import PATCHES, mixed, split
+
+import jaxmorph as jm
+from jaxmorph import cases, io
+from jaxmorph._plan.door import boundary
+from jaxmorph.cli import main
+
+CHANNEL = ("--moving", "inner", "--fixed", "outer", "inlet", "outlet")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A channel whose four patches touch, with a bump for its inner wall, and the same without the name of one patch."""
+    folder = tmp_path_factory.mktemp("free")
+    mesh = cases.channel(columns=12, rows=8, first_cell=1e-3)
+    io.write(folder / "channel.su2", mesh)
+    nameless = {name: nodes for name, nodes in mesh.patches.items() if name != "outlet"}
+    io.write(folder / "nameless.vtu", jm.Mesh(mesh.points, mesh.cells, nameless))
+    inner = mesh.patch("inner")
+    (folder / "bump.dat").write_text(
+        "".join(f"{k} {dx!r} {dy!r}\n" for k, (dx, dy) in zip(inner, bump(mesh).tolist(), strict=True))
+    )
+    return folder
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def deform(file, *words):
+    motion = ["--displacement", "bump.dat", "--displacement-is", "displacement"]
+    return main(["deform", file, f"out.{file[-3:]}", *motion, *words])
+
+
+def bump(mesh):
+    x = np.asarray(mesh.points)[mesh.patch("inner"), 0]
+    return np.stack([0 * x, 0.05 * np.sin(np.pi * x) ** 2], axis=1)
+
+
+def test_the_command_line_prepares_the_mesh_as_python_does(here):
+    """Walls that touch are told apart by their faces: without them the result is another one."""
+    mesh = io.read("channel.su2")
+    names = ("inner", ("outer", "inlet", "outlet"))
+    plan, blind = (
+        jm.prepare(mesh, *names),
+        jm.prepare(mesh.points, *(mesh.patch(*np.atleast_1d(name)) for name in names)),
+    )
+    expected, other = (np.asarray(jm.deform(each, bump(mesh))) for each in (plan, blind))
+    assert np.abs(expected - other).max() > 1e-6
+    assert deform("channel.su2", *CHANNEL) == 0
+    np.testing.assert_allclose(io.read("out.su2").points, expected, rtol=0, atol=1e-15)
+    assert deform("channel.su2", *CHANNEL, "--chunk", "30") == 0
+    np.testing.assert_allclose(io.read("out.su2").points, expected, rtol=0, atol=1e-14)
+
+
+def test_a_patch_that_is_not_named_is_an_error_unless_it_is_free(here, capsys):
+    flags = ("--moving", "inner", "--fixed", "outer")
+    assert deform("channel.su2", *flags) == 2
+    error = capsys.readouterr().err
+    assert "16 of 40 boundary faces are neither moving" in error
+    assert "in patches 'inlet' (8), 'outlet' (8)" in error
+    assert "or by --free" in error
+    assert len(error.splitlines()) == 1
+    assert deform("channel.su2", *flags, "--free", "inlet") == 2
+    assert "8 of 40 boundary faces are neither moving, fixed nor on a symmetry plane, in patch 'outlet' (8)" in (
+        capsys.readouterr().err
+    )
+    assert deform("channel.su2", *flags, "--free", "inlet", "--free", "out.*", "--save-job", "job.toml") == 0
+    assert capsys.readouterr().err == ""
+    mesh, first = io.read("channel.su2"), np.asarray(io.read("out.su2").points)
+    plan = jm.prepare(mesh, "inner", "outer", free=["inlet", "outlet"])
+    np.testing.assert_allclose(first, jm.deform(plan, bump(mesh)), rtol=0, atol=1e-15)
+    assert 'free = ["inlet", "out.*"]' in (here / "job.toml").read_text()
+    assert main(["deform", "--job", "job.toml"]) == 0
+    np.testing.assert_array_equal(io.read("out.su2").points, first)
+    assert deform("channel.su2", *flags, "--free", "side") == 2
+    assert "no patch is called 'side'" in capsys.readouterr().err
+
+
+def test_modes_and_sensitivity_refuse_it_too(here, capsys):
+    flags = ["--moving", "inner", "--fixed", "outer", "inlet"]
+    assert main(["modes", "channel.su2", "all.su2", *flags, "--mode", "bump.dat"]) == 2
+    mesh = io.read("channel.su2")
+    np.savez("slope.npz", ids=np.arange(len(mesh.points)), sensitivity=np.ones_like(mesh.points))
+    assert main(["sensitivity", "channel.su2", "slope.npz", "wall.csv", *flags]) == 2
+    assert capsys.readouterr().err.count("in patch 'outlet' (8)") == 2
+    assert main(["sensitivity", "channel.su2", "slope.npz", "wall.csv", *flags, "--free", "outlet"]) == 0
+
+
+@pytest.mark.filterwarnings("default:.*boundary faces")
+def test_faces_that_have_no_name_are_warned_of(here, capsys):
+    """Nobody can name them on the command line."""
+    flags = ["--moving", "inner", "--fixed", "outer", "inlet"]
+    assert deform("nameless.vtu", *flags, "--json") == 0
+    (warning,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert "8 of 40 boundary faces are neither moving" in warning
+    assert "8 of them in no patch" in warning
+
+
+def test_free_patches_are_not_warned_of_in_python():
+    mesh = box()
+    names = [name for name in mesh.patches if name not in ("z0", "z1")]
+    with pytest.warns(UserWarning, match=r"36 of 54 boundary faces .* 'x0' \(9\)"):
+        plan = jm.prepare(mesh, "z1", "z0")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        free = jm.prepare(mesh, "z1", "z0", free=names)
+    np.testing.assert_array_equal(free.sources, plan.sources)
+    assert left_of(mesh, "z1", ("z0", "x1", "y0", "y1"), jm.Plane.through(np.asarray(mesh.points), mesh.patch("x0"))).count == 0
+
+
+def left_of(mesh, moving, fixed, symmetry=()):
+    """The faces that no list names."""
+    left = boundary(mesh, moving, fixed, symmetry).left
+    assert left is not None
+    return left
+
+
+@pytest.mark.parametrize("shape", [mixed, split])
+def test_faces_of_polyhedra_are_those_of_the_file(tmp_path, shape):
+    """Whole cells beside pieces of polyhedra share no face with them, and a polygon counts once."""
+    points, cells = shape()
+    foam.write_case(tmp_path / "case", points, cells, PATCHES)
+    mesh = io.read(tmp_path / "case")
+    inner, sides = len(foam.polyhedral(cells)[1]), sum(map(len, cells))
+    left = left_of(mesh, [0], ())
+    assert left.total == left.count == sides - 2 * inner
+    on_floor = sum(max(face) < 4 for faces in cells for face in faces)
+    assert left.patches["floor"] >= on_floor
+    assert left_of(mesh, "floor", "rest").count == 0
+
+
+def test_front_and_back_of_a_2d_case_are_no_boundary(tmp_path):
+    points = np.array([[x, y, z] for z in (0, 1) for y in (0, 1, 2) for x in (0, 1, 2)], float)
+    corners = np.array([0, 1, 4, 3, 9, 10, 13, 12])
+    cells = [[(corners + first)[face].tolist() for face in HEXAHEDRON] for first in (0, 1, 3, 4)]
+    sides = [
+        ("planes", "empty", lambda face: np.ptp(points[face, 2]) == 0),
+        ("floor", "wall", lambda face: not points[face, 1].any()),
+        ("rest", "patch", lambda face: True),
+    ]
+    foam.write_case(tmp_path / "case", points, cells, sides)
+    mesh = io.read(tmp_path / "case")
+    assert mesh.points.shape == (9, 2)
+    assert left_of(mesh, "floor", "rest").count == 0
+    left = left_of(mesh, "floor", ())
+    assert (left.count, left.total, left.patches) == (6, 8, {"rest": 6})
+
+
+HEXAHEDRON = [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+
+
+def test_a_surface_in_3d_has_no_boundary_faces():
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], float)
+    mesh = jm.Mesh(points, {"triangle": [[0, 1, 2], [1, 3, 2]]})
+    assert boundary(mesh, [0], [3], ()).left is None
