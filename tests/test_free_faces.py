@@ -117,7 +117,10 @@ def test_free_patches_are_not_warned_of_in_python():
         warnings.simplefilter("error")
         free = jm.prepare(mesh, "z1", "z0", free=names)
     np.testing.assert_array_equal(free.sources, plan.sources)
-    assert left_of(mesh, "z1", ("z0", "x1", "y0", "y1"), jm.Plane.through(np.asarray(mesh.points), mesh.patch("x0"))).count == 0
+    assert (
+        left_of(mesh, "z1", ("z0", "x1", "y0", "y1"), jm.Plane.through(np.asarray(mesh.points), mesh.patch("x0"))).count
+        == 0
+    )
 
 
 def left_of(mesh, moving, fixed, symmetry=()):

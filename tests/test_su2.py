@@ -215,7 +215,10 @@ BAD = {
     "type": (PLAIN.replace("5 1 2 4 1", "6 1 2 4 1"), "line 4: element type 6 is not known"),
     "corner missing": (PLAIN.replace("5 1 2 4 1", "5 1 2"), "line 4: an element of type 5 has 3 nodes, found 3"),
     "node out of range": (PLAIN.replace("5 1 2 4 1", "5 1 2 6 1"), r"line 4: nodes \[1, 2, 6\], but .* 0 to 5"),
-    "one coordinate more": (PLAIN.replace("2e0 0.0 2", "2e0 0.0 7 2"), "line 9: .* found 4 numbers, 3 on the rows before"),
+    "one coordinate more": (
+        PLAIN.replace("2e0 0.0 2", "2e0 0.0 7 2"),
+        "line 9: .* found 4 numbers, 3 on the rows before",
+    ),
     "three coordinates": (PLAIN.replace("1.5 0.25 1", "1.5 0.25 1.5"), r"found \[1.5\] as index"),
     "one node more": (PLAIN.replace("5 1 2 4 1", "5 1 2 4 3 1"), "line 4: an element of type 5 has 3 nodes, found 6"),
     "one node more without index": (PLAIN.replace("3 0 1\n", "3 0 1 2\n"), "a.* element of type 3 has 2 nodes"),

@@ -10,7 +10,7 @@ from jaxtyping import Int
 
 from .._host.errors import MeshError
 from .._mesh.mesh import Mesh
-from .faces import FreeFaces, OuterFaces
+from .faces import FreeFaces, free_faces, outer_faces
 from .symmetry import Plane
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
@@ -48,7 +48,7 @@ class Boundary:
         return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
 
     def warn_of_free_faces(self) -> None:
-        """Warns of boundary faces that no list names."""
+        """Warns about boundary faces that no list names."""
         if self.left:
             warnings.warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.", stacklevel=4)
 
@@ -77,10 +77,10 @@ def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = ()) 
     fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]
     fixed = fixed[~np.isin(fixed, moving)]
     planes = _planes(symmetry, points, patches)
-    outer = None if patches is None else OuterFaces.of(patches)
+    outer = None if patches is None else outer_faces(patches)
     left = None
     if patches is not None and outer is not None:
-        left = FreeFaces.of(patches, outer, _listed(points, np.concatenate([moving, fixed, free]), planes))
+        left = free_faces(patches, outer, _listed(points, np.concatenate([moving, fixed, free]), planes))
     return Boundary(points, moving, fixed, planes, None if outer is None else outer.corners, left)
 
 

@@ -22,25 +22,25 @@ class OuterFaces:
     corners: dict[str, np.ndarray]
     ids: dict[str, np.ndarray]
 
-    @classmethod
-    def of(cls, mesh: Mesh) -> "OuterFaces | None":
-        """Finds the boundary faces of a mesh; None where its cells do not fill its dimension."""
-        points = np.asarray(mesh.points)
-        cells = {kind: np.asarray(each) for kind, each in mesh.cells.items() if DIMENSION[kind] == points.shape[1]}
-        if not any(map(len, cells.values())):
-            return None
-        if mesh.polyhedra is not None:
-            return _of_polyhedra(mesh.polyhedra, points)
-        corners, ids, start = seen_from_outside(points, boundary_faces(cells, len(points))), {}, 0
-        for kind, each in corners.items():
-            ids[kind] = np.arange(start, start + len(each))
-            start += len(each)
-        return cls(corners, ids)
-
     def count(self, chosen: Mapping[str, np.ndarray] | None = None) -> int:
         """Counts the file's faces, or those of them that have a part that is `chosen` by a mask for each type."""
         ids = [each if chosen is None else each[chosen[kind]] for kind, each in self.ids.items()]
         return len(np.unique(np.concatenate(ids))) if ids else 0
+
+
+def outer_faces(mesh: Mesh) -> OuterFaces | None:
+    """Finds the boundary faces of a mesh; None where its cells do not fill its dimension."""
+    points = np.asarray(mesh.points)
+    cells = {kind: np.asarray(each) for kind, each in mesh.cells.items() if DIMENSION[kind] == points.shape[1]}
+    if not any(map(len, cells.values())):
+        return None
+    if mesh.polyhedra is not None:
+        return _of_polyhedra(mesh.polyhedra, points)
+    corners, ids, start = seen_from_outside(points, boundary_faces(cells, len(points))), {}, 0
+    for kind, each in corners.items():
+        ids[kind] = np.arange(start, start + len(each))
+        start += len(each)
+    return OuterFaces(corners, ids)
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray) -> OuterFaces:
@@ -69,21 +69,6 @@ class FreeFaces:
     patches: dict[str, int]
     unnamed: int
 
-    @classmethod
-    def of(cls, mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> "FreeFaces":
-        """Finds the faces of which a node is not listed; `is_listed` is a mask (n,)."""
-        free = {kind: np.asarray(~is_listed[corners].all(axis=1)) for kind, corners in faces.corners.items()}
-        count, patches = faces.count(free), {}
-        unnamed = dict(free)
-        for name, nodes in mesh.patches.items() if count else ():
-            inside = np.zeros(len(is_listed), dtype=bool)
-            inside[np.asarray(nodes)] = True
-            here = {kind: free[kind] & inside[corners].all(axis=1) for kind, corners in faces.corners.items()}
-            patches[name] = faces.count(here)
-            unnamed = {kind: each & ~here[kind] for kind, each in unnamed.items()}
-        patches = {name: number for name, number in patches.items() if number}
-        return cls(count, faces.count(), patches, faces.count(unnamed))
-
     def __bool__(self) -> bool:
         return self.count > 0
 
@@ -96,3 +81,18 @@ class FreeFaces:
             f"{self.count} of {self.total} boundary faces are neither moving, fixed nor on a symmetry plane{where}: "
             "their nodes follow like inner ones, and may leave the boundary."
         )
+
+
+def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
+    """Finds the faces of which a node is not listed; `is_listed` is a mask (n,)."""
+    free = {kind: np.asarray(~is_listed[corners].all(axis=1)) for kind, corners in faces.corners.items()}
+    count, patches = faces.count(free), {}
+    unnamed = dict(free)
+    for name, nodes in mesh.patches.items() if count else ():
+        inside = np.zeros(len(is_listed), dtype=bool)
+        inside[np.asarray(nodes)] = True
+        here = {kind: free[kind] & inside[corners].all(axis=1) for kind, corners in faces.corners.items()}
+        patches[name] = faces.count(here)
+        unnamed = {kind: each & ~here[kind] for kind, each in unnamed.items()}
+    patches = {name: number for name, number in patches.items() if number}
+    return FreeFaces(count, faces.count(), patches, faces.count(unnamed))

@@ -4,6 +4,7 @@ import jax
 
 from jaxmorph import _demo
 
+from ._compiled import keep_compiled
 from ._deform import deform
 from ._inspect import info, quality
 from ._modes import modes
@@ -15,6 +16,7 @@ from ._sensitivity import sensitivity
 def run(request: Request, out: Output) -> int:
     """Runs what is asked for, in double precision. Returns the exit status."""
     jax.config.update("jax_enable_x64", True)
+    keep_compiled()
     match request:
         case Deform():
             return deform(request, out)

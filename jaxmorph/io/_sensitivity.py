@@ -18,7 +18,7 @@ NAMES = ("sensitivity_x", "sensitivity_y", "sensitivity_z")
 """SU2's names of the columns, in lower case."""
 
 ENDINGS = (".csv", ".npz")
-"""What `write_sensitivity` writes."""
+"""Endings of the files that `write_sensitivity` writes."""
 
 
 def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:

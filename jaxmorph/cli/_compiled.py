@@ -1,0 +1,55 @@
+"""Compiled code, kept between runs."""
+
+import hashlib
+import os
+import pathlib
+import platform
+
+import jax
+
+LIMIT = 256 * 2**20
+"""Bytes that the folder holds at most; the program that was used longest ago goes first."""
+
+SWITCH = "JAXMORPH_CACHE"
+"""The environment variable that turns it off."""
+
+SHORTEST = 0.05
+"""Seconds of compilation from which on a program is kept."""
+
+
+def keep_compiled() -> None:
+    """Turns on JAX's persistent compilation cache in the user's cache folder.
+
+    Nothing is kept if `JAXMORPH_CACHE` is `off`, if JAX has a folder already, if the folder cannot be written to, or without
+    the packages that find and lock it.
+    """
+    if (
+        os.environ.get(SWITCH, "").lower() in ("off", "0", "no", "false")
+        or jax.config.values["jax_compilation_cache_dir"]
+    ):
+        return
+    try:
+        import filelock  # noqa: F401  JAX locks the folder with it
+        import platformdirs
+    except ImportError:
+        return
+    folder = platformdirs.user_cache_path("jaxmorph") / "compiled" / _machine()
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError:
+        return
+    if os.access(folder, os.W_OK):
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_compilation_cache_max_size", LIMIT)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST)
+
+
+def _machine() -> str:
+    """Names the kind of processor: machines that share a home folder may not run each other's code."""
+    facts = [platform.machine(), platform.processor()]
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
+        facts += sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))})
+    except OSError:
+        pass
+    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]
