@@ -168,3 +168,16 @@ def test_a_surface_in_3d_has_no_boundary_faces():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], float)
     mesh = jm.Mesh(points, {"triangle": [[0, 1, 2], [1, 3, 2]]})
     assert boundary(mesh, [0], [3], ()).left is None
+
+
+def test_a_part_knows_what_the_whole_knows():
+    """Faces off the surface are in no part, but a method that treats free sides otherwise sees that there are some."""
+    mesh = box()
+    for fixed in ("z0", ("z0", "x0", "x1", "y0", "y1")):
+        named = boundary(mesh, "z1", fixed, ())
+        part = named.part(np.unique(named.nodes))
+        assert part.is_open == named.is_open == (fixed == "z0")
+        faces, whole = part.surface_faces, named.surface_faces
+        assert faces is not None
+        assert whole is not None
+        np.testing.assert_array_equal(faces["quad"], whole["quad"])

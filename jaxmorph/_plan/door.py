@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from .._host.errors import MeshError
+from .._host.skin import has_free_faces
 from .._mesh.mesh import Mesh
 from .faces import FreeFaces, free_faces, outer_faces
 from .symmetry import Plane
@@ -25,6 +26,7 @@ class Boundary:
     - `planes`: symmetry planes.
     - `faces`: the mesh's boundary faces (k, corners) by type, as node ids, or None if the cells are not known.
     - `left`: the faces that no list names, or None as well.
+    - `is_open`: whether there are faces off the surface and the planes, free ones too, or None as well.
     """
 
     points: np.ndarray
@@ -33,6 +35,7 @@ class Boundary:
     planes: tuple[Plane, ...]
     faces: Mapping[str, np.ndarray] | None
     left: FreeFaces | None
+    is_open: bool | None
 
     @property
     def nodes(self) -> np.ndarray:
@@ -57,7 +60,7 @@ class Boundary:
         moving, fixed = np.searchsorted(nodes, self.moving), np.searchsorted(nodes, self.fixed)
         faces, surface = self.surface_faces, np.concatenate([moving, fixed])
         faces = None if faces is None else {kind: surface[rows] for kind, rows in faces.items()}
-        return Boundary(self.points[nodes], moving, fixed, self.planes, faces, self.left)
+        return Boundary(self.points[nodes], moving, fixed, self.planes, faces, self.left, self.is_open)
 
 
 def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = ()) -> Boundary:
@@ -78,10 +81,12 @@ def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = ()) 
     fixed = fixed[~np.isin(fixed, moving)]
     planes = _planes(symmetry, points, patches)
     outer = None if patches is None else outer_faces(patches)
-    left = None
-    if patches is not None and outer is not None:
-        left = free_faces(patches, outer, _listed(points, np.concatenate([moving, fixed, free]), planes))
-    return Boundary(points, moving, fixed, planes, None if outer is None else outer.corners, left)
+    if patches is None or outer is None:
+        return Boundary(points, moving, fixed, planes, None, None, None)
+    is_held = _listed(points, np.concatenate([moving, fixed]), planes)
+    is_open = has_free_faces(points, outer.corners, is_held)
+    is_held[free] = True
+    return Boundary(points, moving, fixed, planes, outer.corners, free_faces(patches, outer, is_held), is_open)
 
 
 def checked_points(points: Any) -> np.ndarray:

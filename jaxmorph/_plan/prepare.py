@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Integer, Real
 
-from .._host.skin import has_free_faces
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface, check_kind
 from .._methods.blocks import with_tables
@@ -94,18 +93,7 @@ def surface_of(named: Boundary) -> tuple[Surface, Mirror | None, Bool[np.ndarray
         faces = None if faces is None else {kind: images.faces(corners) for kind, corners in faces.items()}
     first = _first(rows)
     ids = np.where(np.arange(len(rows)) == first, nodes[rows], -1)
-    return Surface(everything, ids, moving, first, faces=faces, is_open=_is_open(named, on_plane)), images, on_plane
-
-
-def _is_open(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> bool | None:
-    """Tells whether boundary faces are in no list and on no plane; None where faces are not known."""
-    if named.faces is None:
-        return None
-    is_held = np.zeros(len(named.points), dtype=bool)
-    is_held[named.nodes] = True
-    if on_plane is not None:
-        is_held[np.flatnonzero(on_plane.any(axis=1))] = True
-    return has_free_faces(named.points, named.faces, is_held)
+    return Surface(everything, ids, moving, first, faces=faces, is_open=named.is_open), images, on_plane
 
 
 def _with_tables(plan: Plan) -> Plan:
