@@ -158,6 +158,23 @@ MISTAKES = {
         "24 of 24 displacements are not fin",
     ),
     "distortion of other points": (lambda: jm.distortion(MESH, MESH.points[:3]), r"`points` has shape \(3, 2\)"),
+    "points that are none": (lambda: jm.improve(MESH, MESH.points * np.nan), "points are not finite, first node 0"),
+    "motions that are none": (
+        lambda: jm.choose(MESH, "body", "far", np.full((1, 24, 2), np.nan)),
+        "48 components of `motions` are not finite",
+    ),
+    "a negative layer": (lambda: jm.NearWall(width=-1.0), "`width` is -1.0; it must be a positive length"),
+    "no layer": (lambda: jm.NearWall(width=0.0), "`width` is 0.0; it must be a positive length"),
+    "a layer of no length": (lambda: jm.NearWall(width=np.nan), "`width` is nan; it must be a positive length"),
+    "complex points": (lambda: MESH.moved(MESH.points + 1j), "`points` holds complex128; coordinates are real"),
+    "dates as points": (lambda: jm.Mesh(np.zeros((3, 2), "M8[s]")), r"`points` holds datetime64\[s\]; coordinates"),
+    "flags as points": (lambda: jm.Mesh(np.zeros((3, 2), bool)), "`points` holds bool; coordinates are real"),
+    "words as points": (lambda: jm.Mesh([["a", "b"]]), "`points` holds <U1; coordinates are real"),
+    "objects as points": (lambda: jm.Mesh(np.array([[None, 1.0]])), "`points` holds object; coordinates are real"),
+    "masked points": (
+        lambda: jm.Mesh(np.ma.masked_equal([[0.0, 1.0], [2.0, 3.0]], 2)),
+        "`points` masks 1 coordinates",
+    ),
     "deform of a mesh": (lambda: jm.deform(MESH, np.zeros((24, 2))), r"deform\(plan, u\)"),
 }
 

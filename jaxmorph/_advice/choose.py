@@ -105,7 +105,7 @@ def choose(
 
     **Returns:** a `Choice`.
 
-    **Raises:** `ValueError` when `motions` is not (s, m, d) or is zero, for no `leaves`, and what `prepare` raises
+    **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for no `leaves`, and what `prepare` raises
     where it refuses every candidate.
     """
     if not isinstance(mesh, Mesh):
@@ -118,6 +118,8 @@ def choose(
         raise ValueError(
             f"`motions` has shape {motions.shape}; expected (s, {expected[0]}, {expected[1]}), not all zero."
         )
+    if not np.isfinite(motions).all():
+        raise ValueError(f"{(~np.isfinite(motions)).sum()} components of `motions` are not finite.")
     if not len(leaves):
         raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
     surface, images, _ = surface_of(named)

@@ -12,7 +12,9 @@ import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Integer, Real
 
 from .._host.adjacency import neighbours
+from .._host.errors import MeshError
 from .._host.topology import FACES
+from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from .._plan.door import node_ids
 from .._quality.distortion import node_scales, solid, target
@@ -166,6 +168,10 @@ def _check(mesh: Mesh, points, fixed, size: float, max_steps: int) -> None:
         raise ValueError(f"the mesh has no cells that fill {d}-D space (cells: {types}); there is nothing to improve.")
     if tuple(points.shape) != (n, d):
         raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {(n, d)}.")
+    if is_known(points) and not (finite := np.isfinite(np.asarray(points)).all(axis=1)).all():
+        raise MeshError(
+            f"{(~finite).sum()} of {n} points are not finite, first node {{node}}.", np.flatnonzero(~finite)
+        )
     if fixed is not None:
         node_ids(fixed, "fixed", n)
     if not 0 <= size <= 1:

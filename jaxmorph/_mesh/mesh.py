@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
@@ -168,7 +169,12 @@ class Mesh(eqx.Module):
 
 def _floats(points) -> Any:
     """Returns coordinates as an array of floats, JAX's where they are JAX's: quality traces through a mesh's points."""
-    points = points if hasattr(points, "shape") else np.asarray(points, dtype=float)
+    points = points if hasattr(points, "shape") else np.asarray(points)
+    if np.ma.is_masked(points):
+        raise ValueError(f"`points` masks {np.ma.count_masked(points)} coordinates; every node needs all of its own.")
+    points = points.data if isinstance(points, np.ma.MaskedArray) else points
+    if not (np.issubdtype(points.dtype, np.integer) or jnp.issubdtype(points.dtype, np.floating)):
+        raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")
     return points.astype(float) if np.issubdtype(points.dtype, np.integer) else points
 
 

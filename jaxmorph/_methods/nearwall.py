@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.neighbours import near_walls, nearest_of
-from .._kernels.values import norm, root
+from .._kernels.values import is_known, norm, root
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
 from .blocks import map_points
@@ -53,6 +53,12 @@ class NearWall(AbstractMethod):
 
     def __check_init__(self):
         check_kind(self.correction, AbstractMethod, "correction", "jm.DelaunayGraph()")
+        if (
+            self.width is not None
+            and is_known(self.width)
+            and not (jnp.ndim(self.width) == 0 and 0 < self.width < jnp.inf)
+        ):
+            raise ValueError(f"`width` is {self.width}; it must be a positive length, or None.")
 
     @property
     def exact(self) -> bool:
