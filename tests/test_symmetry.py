@@ -76,6 +76,51 @@ def test_laws_with_symmetry_planes(name, dimension, planes):
     np.testing.assert_allclose(np.vdot(objective(part)[1], step), difference, rtol=1e-5, atol=1e-12)
 
 
+def between_planes(dimension):
+    """A round body half way between the planes y = 0 and y = 1, which hold nodes; both ends of the passage are fixed."""
+    rng = np.random.default_rng(3)
+    axes = [np.linspace(-2, 2, 21), np.linspace(0, 1, 9), np.linspace(-0.5, 0.5, 5)][:dimension]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dimension)
+    centre = np.array([0, 0.5, 0])[:dimension]
+    grid = grid[np.linalg.norm(grid - centre, axis=1) > 0.3]
+    directions = rng.normal(size=(24 if dimension == 2 else 80, dimension))
+    wall = centre + 0.25 * directions / np.linalg.norm(directions, axis=1)[:, None]
+    points = np.concatenate([wall, grid])
+    return points, np.arange(len(wall)), np.flatnonzero(np.abs(points[:, 0]) == 2)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_two_parallel_planes(dimension):
+    """Nodes stay in both planes; the rest moves nearly as between many images, and off a plane no faster than its distance."""
+    points, moving, fixed = between_planes(dimension)
+    planes = [jm.Plane(np.eye(dimension)[1], np.eye(dimension)[1] * y) for y in (0.0, 1.0)]
+    method = METHODS["full"]
+    plan = jm.prepare(points, moving, fixed, method=method, symmetry=planes)
+    u = 0.1 * np.random.default_rng(0).normal(size=dimension) + 0.05 * (points[moving] - points[moving].mean(axis=0))
+    moved = np.asarray(jm.deform(plan, u))
+    on = (points[:, 1] == 0) | (points[:, 1] == 1)
+    assert (moved[on, 1] == points[on, 1]).all()
+    assert np.abs(moved - points)[on, 0].max() > 0.01
+    np.testing.assert_array_equal(moved[moving], points[moving] + u)
+    copies, motions, still = [points[moving]], [u], [points[fixed]]
+    for shift in (-2, 0, 2):
+        for sign in (1, -1) if shift != 0 else (-1,):
+            turn = np.ones(dimension)
+            turn[1] = sign
+            copies.append(points[moving] * turn + shift * np.eye(dimension)[1])
+            motions.append(u * turn)
+            still.append(points[fixed] * turn + shift * np.eye(dimension)[1])
+    held = np.unique(np.round(np.concatenate(still), 9), axis=0)
+    whole = np.concatenate([*copies, held, points])
+    count = sum(map(len, copies))
+    reference = jm.prepare(whole, np.arange(count), count + np.arange(len(held)), method=method)
+    expected = np.asarray(jm.deform(reference, np.concatenate(motions)))[count + len(held) :]
+    assert np.abs(moved - expected).max() < 0.1 * np.abs(u).max()
+    near = np.minimum(points[:, 1], 1 - points[:, 1])
+    inside = ~on & (near < 0.2)
+    assert (np.abs(moved - points)[inside, 1] < 0.5 * near[inside]).all()
+
+
 def test_a_marched_symmetric_mesh():
     part, role, *_ = whole_and_part(2, 1)
     moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)
@@ -112,7 +157,7 @@ def test_what_is_not_a_symmetry_plane():
             jm.Plane(normal, origin)
     with pytest.raises(ValueError, match="normal has 3 components; the mesh has 2 dimensions"):
         jm.prepare(*arguments, method=GRAPH, symmetry=jm.Plane([0, 0, 1], [0, 0, 0]))
-    with pytest.raises(ValueError, match="at right angles"):
+    with pytest.raises(ValueError, match="parallel or at right angles"):
         jm.prepare(*arguments, method=GRAPH, symmetry=[jm.Plane([1, 0], [0, 0]), jm.Plane([1, 1], [0, 0])])
     with pytest.raises(ValueError, match=r"do not lie in one plane: node \d+ at"):
         jm.Plane.through(mesh.points, mesh.moving)

@@ -126,7 +126,8 @@ class Mirror(eqx.Module):
         row_of[mirrored @ bits, rows] = np.arange(len(rows))
         in_plane = on_plane[corners].all(axis=1) @ bits
         images = []
-        for flags in range(1 << planes):
+        for combination in combinations(np.asarray(self.normals)):
+            flags = int(np.array(combination) @ bits)
             kept = corners[(in_plane & flags) == 0]
             image = row_of[flags & ~(on_plane[kept] @ bits), kept]
             images.append(image[:, ::-1] if flags.bit_count() % 2 else image)  # seen from outside, as the face is
@@ -149,7 +150,7 @@ class Mirror(eqx.Module):
 
 
 def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
-    """Raises `ValueError` for planes of another dimension, not at right angles, or that do not bound the mesh."""
+    """Raises `ValueError` for planes of another dimension, neither parallel nor at right angles, or that do not bound the mesh."""
     dimension = points.shape[1]
     for plane in planes:
         if len(plane.normal) != dimension:
@@ -157,8 +158,9 @@ def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
                 f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has {dimension} dimensions."
             )
     normals = np.stack([plane.normal for plane in planes])
-    if np.abs(normals @ normals.T - np.eye(len(planes))).max() > 1e-9:
-        raise ValueError("several symmetry planes must be at right angles to each other.")
+    cosines = np.abs(normals @ normals.T)
+    if np.minimum(cosines, np.abs(cosines - 1)).max() > 1e-9:
+        raise ValueError("several symmetry planes must be parallel or at right angles to each other.")
     for plane in planes:
         _check_bounds(plane, points)
 
@@ -188,15 +190,25 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
         )
 
 
+def combinations(normals: Float[np.ndarray, "p d"]) -> list[tuple[bool, ...]]:
+    """Lists in which planes an image is reflected, for all images: in one of two parallel planes at most.
+
+    Two mirrors face to face have images without end. The first of each stand nearest; nodes on the planes stay in them anyway.
+    """
+    parallel = np.triu(np.abs(normals @ normals.T) > 0.5, 1)
+    every = itertools.product((False, True), repeat=len(normals))
+    return [flags for flags in every if not (parallel & np.outer(flags, flags)).any()]
+
+
 def mirror(planes: Sequence[Plane], on_plane: np.ndarray, moving: int) -> tuple[Mirror, int]:
     """Makes the images of the o original rows, the first `moving` of them moving; counts the rows that move, images too.
 
     `on_plane` (o, p) says which rows lie on which plane: they have no image in it.
     """
-    originals = np.arange(len(on_plane))
+    originals, flagged = np.arange(len(on_plane)), combinations(np.stack([plane.normal for plane in planes]))
     rows, flags, extended = [], [], 0
     for part in (originals[:moving], originals[moving:]):
-        for flag in itertools.product((False, True), repeat=len(planes)):
+        for flag in flagged:
             images = part[~(on_plane[part] & np.array(flag)).any(axis=1)]
             rows.append(images)
             flags.append(np.broadcast_to(flag, (len(images), len(planes))))
