@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import scipy.spatial
-from jaxtyping import ArrayLike, Real
+from jaxtyping import ArrayLike, Integer, Real
 
 from .._host.errors import MeshError
 from .._host.skin import edges
+from .._mesh.mesh import Mesh
 from .._methods.fitted import FittedRBF
 from .._plan.plan import Plan
+from .crossings import Crossings, crossings
 from .overshoot import overshoot
 
 STEEP = 0.5
@@ -33,6 +35,7 @@ class Inspection:
     - `slope`: how steeply the displacement changes along the wall, per length and without its affine part: that of the
       steepest edges but 2 %.
     - `is_fitted`: whether the coarse field is a `FittedRBF`, as in `prepare`'s default.
+    - `crossings`: where moved walls cross another boundary or themselves; None where `inspect` was given no mesh.
     """
 
     offset: float
@@ -44,10 +47,15 @@ class Inspection:
     overshoot_behind: float
     slope: float
     is_fitted: bool
+    crossings: Crossings | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each thing that no method moves well."""
+        return (*self._torn, *((str(self.crossings),) if self.crossings else ()))
+
+    @property
+    def _torn(self) -> tuple[str, ...]:
         if not len(self.contradictions):
             return ()
         first, second = self.contradictions[0]
@@ -74,23 +82,61 @@ class Inspection:
         node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
         return dataclasses.replace(self, offset_node=node, contradictions=pairs)
 
+    def __str__(self) -> str:
+        """Tells what no method moves well, then what another method may do better."""
+        return "\n".join((*self.warnings, *self.advice)) or "nothing to warn of."
 
-def inspect(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Inspection:
+
+def inspect(
+    plan: Plan,
+    u: Real[ArrayLike, "m d"] | Sequence[Any],
+    *,
+    mesh: Mesh | None = None,
+    nodes: Integer[ArrayLike, " n"] | None = None,
+) -> Inspection:
     """Checks a surface displacement on the host, and the motion that the mesh would make.
 
     Neighbouring surface nodes are contradictory where one moves, the other is fixed and the displacement is larger than
     their distance: a wall slides along a boundary that is held. They are also where both move and their distance more
     than doubles. No method moves such a mesh well.
 
+    With the mesh, moved walls that cross another boundary or themselves are found too. What crossed before does not count,
+    nor do faces that share a node or touch in coincident ones, as at a sharp trailing edge. Faces with a node that is neither
+    moving nor fixed are left out: where they go is not known yet.
+
     **Arguments:**
 
     - `plan`: what `prepare` returned.
     - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
+    - `mesh`: the mesh that the plan was made for. Default: none.
+    - `nodes`: the mesh's ids of the plan's points, where the plan is of a part of it (`Chunks.nodes`). Default: all.
 
-    **Returns:** an `Inspection`.
+    **Returns:** an `Inspection`, which names nodes of the mesh.
 
-    **Raises:** `ValueError` when the shape of `u` is not (m, d), or a component is not finite.
+    **Raises:** `ValueError` when the shape of `u` is not (m, d), or a component is not finite, or the mesh has another number
+    of points than the plan.
     """
+    if nodes is None and mesh is not None and tuple(mesh.points.shape) != tuple(plan.points.shape):
+        raise ValueError(
+            f"`mesh` has points of shape {tuple(mesh.points.shape)}; this plan was made for {tuple(plan.points.shape)}."
+        )
+    inspection = _of_plan(plan, u)
+    ids = np.arange(len(plan.points)) if nodes is None else np.asarray(nodes)
+    if mesh is not None:
+        surface = ids[np.concatenate([plan.moving, plan.fixed])]
+        inspection = dataclasses.replace(inspection, crossings=crossings(mesh, surface, _vectors(plan, u)))
+    return inspection if nodes is None else inspection.renumbered(ids)
+
+
+def _vectors(plan: Plan, u: Any) -> np.ndarray:
+    """Extends a displacement by zeros for the fixed nodes; nodes on a symmetry plane stay in it."""
+    vectors = np.zeros((plan.n_moving + len(plan.fixed), plan.points.shape[1]))
+    vectors[: plan.n_moving] = u
+    return vectors if plan.mirror is None else np.asarray(plan.mirror.within(vectors, plan.mirror.on_plane))
+
+
+def _of_plan(plan: Plan, u: Any) -> Inspection:
+    """Checks all that needs no faces."""
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
     points, nodes = np.asarray(plan.points), np.concatenate([plan.moving, plan.fixed])
     vectors = np.zeros((len(nodes), points.shape[1]), points.dtype)

@@ -107,8 +107,9 @@ def _moved(attempt: Attempt, chunks: jm.Chunks, foreseen: jm.Estimate, out: Outp
     with out.progress("preparing", first):
         plan = attempt.patches.plan(chunks)
     with out.progress("inspecting the motion"):
-        inspection = jm.inspect(plan, attempt.motion.path(attempt.wall, 1)[-1])
-        for warning in inspection.renumbered(chunks.nodes[0]).warnings:
+        u, mesh = attempt.motion.path(attempt.wall, 1)[-1], attempt.patches.mesh
+        inspection = jm.inspect(plan, u, mesh=mesh, nodes=chunks.nodes[0])
+        for warning in inspection.warnings:
             out.warn(warning)
     left = foreseen.preparing - first + foreseen.deforming
     with out.progress(f"deforming in {count(steps, 'step')}", left) as stage:

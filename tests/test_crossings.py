@@ -1,0 +1,233 @@
+"""`inspect(plan, u, mesh=mesh)` finds walls that run into another boundary or into themselves: closed forms."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import cases, io
+from jaxmorph._advice.crossings import Crossings, crossings
+from jaxmorph._host.crossings import crossing_faces, overlapping_boxes
+from jaxmorph.cli import main
+
+METHOD = jm.DelaunayGraph()
+
+
+def grid(shape, holes):
+    """Unit cells from the origin, without those in `holes` {name: (low, high)}, whose nodes are patches; `outer` is the rest."""
+    d = len(shape)
+    number = np.arange(np.prod(np.array(shape) + 1)).reshape(np.array(shape) + 1)
+    low, high = slice(0, -1), slice(1, None)
+    ring = [(low, low), (high, low), (high, high), (low, high)]
+    corners = [(*side, *end) for end in ([()] if d == 2 else [(low,), (high,)]) for side in ring]
+    cells = np.stack([number[corner] for corner in corners], axis=-1)
+    points = np.stack(np.meshgrid(*[np.arange(k + 1.0) for k in shape], indexing="ij"), axis=-1).reshape(-1, d)
+    keep, patches = np.ones(shape, bool), {}
+    for name, (first, last) in holes.items():
+        keep[tuple(slice(a, b) for a, b in zip(first, last, strict=True))] = False
+        inside = ((points >= first) & (points <= last)).all(axis=1)
+        patches[name] = inside & ((points == first) | (points == last)).any(axis=1)
+    outer = (points == 0).any(axis=1) | (points == shape).any(axis=1)
+    cells = cells[keep]
+    used = np.unique(cells)
+    patches = {name: np.searchsorted(used, np.flatnonzero(here)) for name, here in {**patches, "outer": outer}.items()}
+    kind = "quad" if d == 2 else "hexahedron"
+    return jm.Mesh(points[used], {kind: np.searchsorted(used, cells)}, patches)
+
+
+def found(mesh: jm.Mesh, moving: str, u: Any) -> Crossings:
+    """Moves the patch `moving` by `u`, a vector or a function of its points; all others rest."""
+    nodes = mesh.patch(moving)
+    rest = np.setdiff1d(mesh.patch(*mesh.patches), nodes)
+    base = np.asarray(mesh.points)[nodes]
+    vectors = np.asarray(u(base)) if callable(u) else np.tile(u, (len(nodes), 1))
+    all_vectors = np.concatenate([vectors, np.zeros((len(rest), base.shape[1]))])
+    report = crossings(mesh, np.concatenate([nodes, rest]), all_vectors)
+    assert report is not None
+    return report
+
+
+@pytest.fixture(scope="module")
+def squares():
+    return grid((9, 8), {"left": ((2, 3), (4, 5)), "right": ((5, 3), (7, 5))})
+
+
+@pytest.mark.parametrize("up", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize(("way", "overlap"), [(0.9, False), (0.999, False), (1.1, True), (1.5, True), (2.5, True)])
+def test_two_squares_cross_once_they_overlap(squares, way, up, overlap):
+    report = found(squares, "left", (way, up))
+    assert bool(report) == overlap
+    for pair in report.patches:
+        assert set(pair) == {"left", "right"}
+    for (x, y), (first, second) in zip(report.places, report.nodes, strict=True):
+        assert 5 <= x <= 4 + way + 1e-12
+        assert 3 - 1e-12 <= y <= 5 + up
+        assert first in squares.patch("left", "right")
+        assert second in squares.patch("left", "right")
+
+
+def test_the_number_of_crossings_of_two_squares_is_two(squares):
+    """The outlines of two squares, one moved up by less than a side, cross in two points. `inspect` says so."""
+    plan = jm.prepare(squares, "left", ("right", "outer"), method=METHOD)
+    u = np.tile([1.4, 0.7], (plan.n_moving, 1))
+    inspection = jm.inspect(plan, u, mesh=squares)
+    assert inspection.crossings is not None
+    places = inspection.crossings.places[np.argsort(inspection.crossings.places[:, 1])]
+    np.testing.assert_allclose(places, [[5, 3.7], [5.4, 5]])
+    assert "2 pairs of boundary faces cross" in str(inspection)
+    assert "'left' and 'right'" in inspection.warnings[-1]
+    assert jm.inspect(plan, u).crossings is None
+    assert str(jm.inspect(plan, 0.1 * u, mesh=squares)) == "nothing to warn of."
+    with pytest.raises(ValueError, match="this plan was made for"):
+        jm.inspect(plan, u, mesh=cases.naca0015(points=600))
+
+
+def test_a_wall_that_leaves_the_mesh(squares):
+    report = found(squares, "left", (-2.25, 0.25))
+    assert set(report.patches) <= {("left", "outer"), ("outer", "left")}
+    assert len(report) == 2
+    assert set(report.places[:, 0]) == {0}
+
+
+def test_a_flap_that_goes_through_another_wall():
+    """A thin flap turns about its left end; its right end reaches the wall above at the angle asin(1 / 4)."""
+    mesh = grid((8, 8), {"flap": ((2, 2), (6, 3)), "wall": ((4, 4), (7, 5))})
+
+    def turned(degrees):
+        def u(base):
+            return np.asarray(jm.shapes.rotate(base, np.deg2rad(degrees), [2.0, 3.0])) - base
+
+        return u
+
+    reached = np.rad2deg(np.arcsin(1 / 4))
+    for degrees, crosses in ((0.98 * reached, False), (1.05 * reached, True), (2 * reached, True)):
+        report = found(mesh, "flap", turned(degrees))
+        assert bool(report) == crosses
+    assert np.allclose(report.places[report.places[:, 1] < 4.999, 1].min(), 4)
+
+
+def plate(longest):
+    """A thin plate that is bent to the curve (t^2 - 1, t (t^2 - 1)), which crosses itself in the origin for t = -1 and 1."""
+    mesh = grid((40, 12), {"plate": ((10, 5), (30, 6))})
+
+    def u(base):
+        t, height = (base[:, 0] - 20) / 10 * longest, base[:, 1] - 5.5
+        slope = np.stack([2 * t, 3 * t**2 - 1], axis=1)
+        normal = np.stack([-slope[:, 1], slope[:, 0]], axis=1) / np.linalg.norm(slope, axis=1)[:, None]
+        curve = np.stack([t**2 - 1, t**3 - t], axis=1)
+        return [20, 6] + 3 * (curve + 0.1 * height[:, None] * normal) - base
+
+    return mesh, u
+
+
+def test_a_plate_folded_through_itself():
+    mesh, u = plate(1.5)
+    report = found(mesh, "plate", u)
+    assert set(report.patches) == {("plate", "plate")}
+    np.testing.assert_allclose(report.places, np.tile([20, 6], (4, 1)), atol=0.3)
+    assert "'plate' and itself" in str(report)
+    mesh, u = plate(0.9)
+    assert not found(mesh, "plate", u)
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """A sphere of radius 2 around (4, 4, 4) in a cube, whose floor is at z = 0."""
+    mesh = grid((8, 8, 8), {"ball": ((2, 2, 2), (6, 6, 6))})
+    points, nodes = np.array(mesh.points), mesh.patch("ball")
+    arms = points[nodes] - 4
+    points[nodes] = 4 + 2 * arms / np.linalg.norm(arms, axis=1)[:, None]
+    outer = mesh.patch("outer")
+    floor = outer[points[outer, 2] == 0]
+    return jm.Mesh(points, mesh.cells, {"ball": nodes, "floor": floor, "sides": np.setdiff1d(outer, floor)})
+
+
+@pytest.mark.parametrize(("way", "crosses"), [(1.9, False), (1.99, False), (2.2, True), (3.5, True)])
+def test_a_sphere_moved_into_a_plane(ball, way, crosses):
+    report = found(ball, "ball", (0.13, 0.21, -way))
+    assert bool(report) == crosses
+    assert {frozenset(pair) for pair in report.patches} == ({frozenset({"ball", "floor"})} if crosses else set())
+    centre = np.array([4.13, 4.21])
+    assert np.allclose(report.places[:, 2], 0, atol=1e-9)
+    assert (
+        np.linalg.norm(report.places[:, :2] - centre, axis=1) <= np.sqrt(4 - (4 - way) ** 2 if crosses else 0)
+    ).all()
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: cases.naca4("0012", points=600, sharp=True), lambda: cases.naca0015(points=600), cases.bricks]
+)
+def test_a_mesh_that_turns_as_a_whole_crosses_nothing(make):
+    """Wake cuts and sharp edges have coincident nodes."""
+    mesh = make()
+    nodes = np.unique(np.concatenate(list(mesh.patches.values())))
+    base = np.asarray(mesh.points)[nodes]
+    turn = np.eye(base.shape[1])
+    turn[:2, :2] = [[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]]
+    report = crossings(mesh, nodes, base @ turn.T + 1 / 3 - base)
+    assert report is not None
+    assert not len(report)
+    assert str(report) == ""
+
+
+def test_what_crossed_before_is_no_news(squares):
+    points = np.array(squares.points)
+    left = squares.patch("left")
+    points[left] += [1.4, 0.7]
+    tangled = squares.moved(points)
+    assert not found(tangled, "left", (0.01, 0.01))
+    assert len(found(squares, "left", (1.4, 0.7))) == 2
+
+
+def test_a_part_names_nodes_of_the_whole(squares):
+    chunks = jm.prepare_in_chunks(squares, "left", ("right", "outer"), size=40, method=METHOD)
+    plan = chunks.plan(0)
+    whole = found(squares, "left", (1.4, 0.7))
+    part = jm.inspect(plan, np.tile([1.4, 0.7], (plan.n_moving, 1)), mesh=squares, nodes=chunks.nodes[0])
+    assert part.crossings is not None
+    np.testing.assert_array_equal(np.sort(part.crossings.nodes, axis=None), np.sort(whole.nodes, axis=None))
+    assert part.offset_node in squares.patch("left", "right", "outer")
+
+
+def test_the_command_line_warns(squares, tmp_path, capsys):
+    io.write(tmp_path / "a.su2", squares)
+    names = ["--moving", "left", "--fixed", "right", "outer", "--translate", "1.4", "0.7"]
+    assert main(["deform", str(tmp_path / "a.su2"), str(tmp_path / "b.su2"), *names]) == 1
+    assert "2 pairs of boundary faces cross" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_overlapping_boxes_are_those_of_all_pairs(d):
+    """Sizes differ by four orders, as those of a wall and a far field do."""
+    random = np.random.default_rng(d)
+    corners = random.uniform(size=(300, 1, d)) + 10 ** random.uniform(-4, 0, (300, 1, 1)) * random.normal(
+        size=(300, d, d)
+    )
+    moves = random.uniform(size=300) < 0.3
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2) & (moves[:, None] | moves)
+    expected = {tuple(pair) for pair in np.argwhere(np.triu(overlap, 1))}
+    listed = [tuple(sorted(pair)) for pair in zip(*overlapping_boxes(corners, moves), strict=True)]
+    assert len(listed) == len(set(listed))
+    assert set(listed) == expected
+
+
+def test_random_triangles_cross_where_the_equations_say():
+    """Two triangles meet if a side of one passes through the other: solved for each pair by LAPACK."""
+    random = np.random.default_rng(0)
+    points = random.uniform(size=(120, 3))
+    apart = points + 1000 * (np.arange(120) // 3)[:, None]
+    faces = np.arange(120).reshape(-1, 3)
+    pairs, places = crossing_faces(apart, points, faces, np.arange(120))
+    expected = set()
+    for i in range(40):
+        for j in range(40):
+            for start, end in ((0, 1), (1, 2), (2, 0)):
+                p, q, (a, b, c) = points[faces[i, start]], points[faces[i, end]], points[faces[j]]
+                t, u, v = np.linalg.solve(np.stack([p - q, b - a, c - a], axis=1), p - a) if i != j else (2, 0, 0)
+                if 0 <= t <= 1 and min(u, v) >= 0 and u + v <= 1:
+                    expected.add((min(i, j), max(i, j)))
+    assert {tuple(sorted(pair)) for pair in pairs} == expected
+    assert np.isfinite(places).all()
+    assert len(expected) > 20
