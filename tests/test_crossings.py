@@ -190,6 +190,22 @@ def test_a_part_names_nodes_of_the_whole(squares):
     assert part.offset_node in squares.patch("left", "right", "outer")
 
 
+def test_a_wall_stays_in_its_symmetry_plane():
+    """A bump of the floor that is to go down along a plane of symmetry does not cross it; its neighbour is crossed."""
+    mesh = grid((8, 8), {"left": ((2, 0), (4, 3)), "right": ((5, 0), (7, 3))})
+    points = np.asarray(mesh.points)
+    rest = np.flatnonzero((points[:, 0] == 0) | (points[:, 0] == 8) | (points[:, 1] == 8))
+    nodes = {name: mesh.patch(name)[points[mesh.patch(name), 1] > 0] for name in ("left", "right")}
+    foot = {name: mesh.patch(name)[points[mesh.patch(name), 1] == 0][[0, -1]] for name in nodes}
+    moving, fixed = (np.concatenate([nodes[name], foot[name]]) for name in nodes)
+    plane = jm.Plane(normal=(0, 1), origin=(0, 0))
+    plan = jm.prepare(mesh, moving, np.union1d(fixed, rest), symmetry=plane, method=jm.RBF())
+    for way, count in ((0.5, 0), (1.5, 1)):
+        report = jm.inspect(plan, np.tile([way, 0.25], (len(moving), 1)), mesh=mesh).crossings
+        assert report is not None
+        assert len(report) == count
+
+
 def test_the_command_line_warns(squares, tmp_path, capsys):
     io.write(tmp_path / "a.su2", squares)
     names = ["--moving", "left", "--fixed", "right", "outer", "--translate", "1.4", "0.7"]

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import scipy.spatial
 from jaxtyping import ArrayLike, Integer, Real
@@ -132,7 +133,9 @@ def _vectors(plan: Plan, u: Any) -> np.ndarray:
     """Extends a displacement by zeros for the fixed nodes; nodes on a symmetry plane stay in it."""
     vectors = np.zeros((plan.n_moving + len(plan.fixed), plan.points.shape[1]))
     vectors[: plan.n_moving] = u
-    return vectors if plan.mirror is None else np.asarray(plan.mirror.within(vectors, plan.mirror.on_plane))
+    return (
+        vectors if plan.mirror is None else np.asarray(plan.mirror.within(jnp.asarray(vectors), plan.mirror.on_plane))
+    )
 
 
 def _of_plan(plan: Plan, u: Any) -> Inspection:

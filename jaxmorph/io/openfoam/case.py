@@ -10,6 +10,7 @@ import os
 import pathlib
 import re
 import shutil
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -20,6 +21,7 @@ from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
 from .._format import Arrays, Source, source_of
 from ..text.sections import replace_words
+from .cyclic import check_cyclic
 from .file import PARENTHESES, FoamFile, Patch, load, patches
 from .plane import Layer, layer, plane_cells
 from .topology import Topology, topology_of
@@ -93,6 +95,9 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     source = source_of(mesh, NAME)
     assert source is not None
     content: _CaseContent = source.content
+    check_cyclic(content.topology, content.points, _all_points(content, np.asarray(mesh.points)))
+    case = _case_of(content.topology)
+    _warn_of_parts(path, case)
     if _is_time(path):
         folder = path / "polyMesh"
         made = [each for each in (path, folder) if not each.exists()]
@@ -103,7 +108,6 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
             other = {"points": "points.gz", "points.gz": "points"}[content.file.path.name]
             (folder / other).unlink(missing_ok=True)
         return
-    case = _case_of(content.topology)
     assert case is not None
     with complete(path, folder=True) as partial:
         for name in COPIED:
@@ -117,9 +121,25 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         _write_points(folder / content.file.path.name, content, np.asarray(mesh.points))
 
 
+def _warn_of_parts(path: pathlib.Path, case: pathlib.Path | None) -> None:
+    """Warns where the case is decomposed: its parts keep the old points."""
+    parts = [] if case is None else [each for each in case.glob("processor*") if each.is_dir()]
+    if parts:
+        fate = "keep the old points" if _is_time(path) else "are not copied"
+        warnings.warn(
+            f"{path}: the case is decomposed, and its {len(parts)} folders processor* {fate}. "
+            "Run decomposePar -force on the written mesh before a parallel run.",
+            stacklevel=4,
+        )
+
+
+def _all_points(content: _CaseContent, points: np.ndarray) -> np.ndarray:
+    """Returns the points of both planes of a 2-D case, and those of others as they are."""
+    return points if content.plane is None else content.plane.in_space(content.points, points)
+
+
 def _write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray) -> None:
-    if content.plane is not None:
-        points = content.plane.in_space(content.points, points)
+    points = _all_points(content, points)
     file = content.file
     if np.array_equal(points, content.points):
         path.write_bytes(file.raw)

@@ -225,13 +225,17 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
 
 @dataclasses.dataclass(frozen=True)
 class Patch:
-    """An entry of `boundary`: its faces are those from `start`, `count` in number; `groups` has it in its `inGroups`."""
+    """An entry of `boundary`: its faces are those from `start`, `count` in number.
+
+    `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`, "" for a patch without.
+    """
 
     name: str
     type: str
     start: int
     count: int
     groups: tuple[str, ...] = ()
+    neighbour: str = ""
 
 
 def patches(file: FoamFile) -> list[Patch]:
@@ -283,6 +287,8 @@ def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
         groups = entries.get("inGroups", [])
         groups = groups[groups.index("(") + 1 : -1] if "(" in groups else []
         type_, start, count = (entries[key][0] for key in ("type", "startFace", "nFaces"))
-        return Patch(name.strip('"'), type_, int(start), int(count), tuple(word.strip('"') for word in groups))
+        neighbour = entries.get("neighbourPatch", [""])[0].strip('"')
+        groups = tuple(word.strip('"') for word in groups)
+        return Patch(name.strip('"'), type_, int(start), int(count), groups, neighbour)
     except (KeyError, ValueError, IndexError) as error:
         raise file.error(f"patch {name[:80]} has no good type, nFaces and startFace ({error})") from error

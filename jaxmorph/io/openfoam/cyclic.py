@@ -1,0 +1,57 @@
+"""Cyclic patches: pairs of patches whose faces lie in each other after one translation or one rotation."""
+
+import pathlib
+
+import numpy as np
+
+from .file import Patch, load, patches
+
+TOLERANCE = 1e-4
+"""Distance by which paired faces may miss each other, relative to their size: OpenFOAM's own `matchTolerance`."""
+
+
+def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> None:
+    """Raises `ValueError` where the cyclic patches of a case matched with the `old` points, and do not with the `new` ones."""
+    by_name = {patch.name: patch for patch in patches(load(topology, "boundary"))}
+    pairs = [(each, by_name[each.neighbour]) for each in by_name.values() if each.neighbour in by_name]
+    pairs = [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.start < b.start and a.count == b.count > 0]
+    if not pairs or np.array_equal(old, new):
+        return
+    labels, starts = load(topology, "faces").faces()
+    for first, second in pairs:
+        before, after = ([_faces(points, labels, starts, patch) for patch in (first, second)] for points in (old, new))
+        turns = bool((_misses(*before, turned=False) > TOLERANCE).any())
+        wrong = _misses(*after, turned=turns) - _misses(*before, turned=turns)
+        if (wrong > TOLERANCE).any():
+            face = int(wrong.argmax())
+            place = ", ".join(f"{x:.4g}" for x in after[0][0][face])
+            raise ValueError(
+                f"the cyclic patches {first.name!r} and {second.name!r} no longer match: {(wrong > TOLERANCE).sum()} of "
+                f"{first.count} pairs of faces miss each other, by up to {wrong[face]:.3g} of the face's size near ({place}). "
+                "Hold both patches fixed, or move both alike."
+            )
+
+
+def _faces(points: np.ndarray, labels: np.ndarray, starts: np.ndarray, patch: Patch) -> tuple[np.ndarray, np.ndarray]:
+    """Computes the middles (k, 3) and the sizes (k,) of a patch's faces; a size is the root of an area."""
+    begins = np.asarray(starts[patch.start : patch.start + patch.count + 1], dtype=np.int64)
+    corners = points[labels[begins[0] : begins[-1]]]
+    begins, sizes = begins[:-1] - begins[0], np.diff(begins)
+    middles = np.add.reduceat(corners, begins) / sizes[:, None]
+    after = np.arange(len(corners)) + 1
+    after[np.append(begins[1:], len(corners)) - 1] = begins
+    arms = corners - np.repeat(middles, sizes, axis=0)
+    areas = np.add.reduceat(np.cross(arms, arms[after]), begins) / 2
+    return middles, np.sqrt(np.linalg.norm(areas, axis=1))
+
+
+def _misses(first: tuple, second: tuple, turned: bool) -> np.ndarray:
+    """Measures by how much (k,) each face misses its partner, relative to its size, after the best translation or rotation."""
+    (middles, sizes), (partners, others) = first, second
+    arms, ends = middles - middles.mean(axis=0), partners - partners.mean(axis=0)
+    if turned:
+        left, _, right = np.linalg.svd(arms.T @ ends)
+        signs = np.array([1, 1, np.sign(np.linalg.det(left @ right))])
+        arms = arms @ (left * signs) @ right
+    distance = np.linalg.norm(arms - ends, axis=1)
+    return np.maximum(distance, np.abs(sizes - others)) / np.maximum(np.minimum(sizes, others), 1e-300)
