@@ -90,6 +90,7 @@ def test_a_change_of_shape_asks_for_the_fit_and_a_turn_does_not(problem, choice)
     assert not translation.table[translation.chosen]["fit"]
 
 
+@pytest.mark.slow
 def test_a_symmetry_plane_counts_the_image_too():
     """Half a ring: the errors are those of SciPy's interpolation on the whole one, whose motion is known."""
     angle, radius = np.meshgrid(np.pi * np.arange(17) / 16, np.geomspace(1, 6, 8))

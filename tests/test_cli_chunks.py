@@ -40,7 +40,11 @@ def run(file, out, *flags):
     return np.asarray(io.read(out).points)
 
 
-@pytest.mark.parametrize("flags", [["--steps", "2"], ["--method", "rbf", "--dtype", "float32"]], ids=" ".join)
+@pytest.mark.parametrize(
+    "flags",
+    [["--steps", "2"], pytest.param(["--method", "rbf", "--dtype", "float32"], marks=pytest.mark.slow)],
+    ids=" ".join,
+)
 def test_chunks_give_the_mesh_of_the_whole(here, sizes, flags):
     mesh = write_ring(here / "ring.su2")
     whole = run("ring.su2", "whole.su2", *MOVE, *flags)
@@ -61,6 +65,7 @@ def brick():
     )
 
 
+@pytest.mark.slow
 def test_nodes_slide_in_their_planes_in_every_chunk(sizes):
     """Without the judging of cells, which takes ten times longer to compile."""
     mesh, sides = brick(), ["x0", "y0"]

@@ -17,9 +17,16 @@ from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 
+FIRST = [
+    *(("default", 2), ("default", 3), ("published", 2), ("near-wall", 2), ("multiscale", 2), ("delaunay", 2)),
+    *(("delaunay", 3), ("reduced", 2), ("reduced", 3), ("wendland-none", 2), ("notebook's method", 2)),
+]
+"""Methods whose laws every run holds; those of the others, which compile for minutes, are among the slow tests."""
+
 
 def over(names):
-    return pytest.mark.parametrize(("name", "dimension"), names, ids=[f"{name}-{d}d" for name, d in names])
+    marked = [case if case in FIRST else pytest.param(*case, marks=pytest.mark.slow) for case in names]
+    return pytest.mark.parametrize(("name", "dimension"), marked, ids=[f"{name}-{d}d" for name, d in names])
 
 
 every_method = over(NAMES)

@@ -61,6 +61,7 @@ def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys):
         np.testing.assert_allclose(to_look_at.cell_data["aspect_ratio"][0], expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_sources_are_counted():
     mesh = cases.agard445(points=6_500)
     wing, far = mesh.patch("wing"), mesh.patch("farfield")

@@ -66,6 +66,7 @@ def test_the_closest_place_is_the_one_that_vtk_finds(tmp_path):
     np.testing.assert_allclose(u, place, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
     mesh = ring()
     nodes = mesh.patch("wall")

@@ -6,6 +6,8 @@ import subprocess
 import sys
 import tomllib
 
+import pytest
+
 import jaxmorph
 
 CODE = """
@@ -39,6 +41,7 @@ for name, call in calls.items():
 """
 
 
+@pytest.mark.slow
 def test_each_missing_extra_is_named(tmp_path):
     root = str(pathlib.Path(jaxmorph.__file__).parents[1])
     code = f"import sys; sys.path.insert(0, {root!r})\n{CODE}"

@@ -44,6 +44,7 @@ def test_no_offset_without_a_correction(mesh):
     assert jm.inspect(plan, rotation(mesh, 80)(1)).offset == 0
 
 
+@pytest.mark.slow
 def test_a_rotation_by_any_angle_is_no_contradiction(mesh):
     plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"))
     assert not len(jm.inspect(plan, rotation(mesh, 170)(1)).contradictions)

@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 SHARDED = """
 import json, re
 import jax, jax.numpy as jnp, numpy as np
@@ -39,6 +41,7 @@ print(json.dumps(found))
 """
 
 
+@pytest.mark.slow
 def test_equal_to_the_whole_with_one_all_reduce_outside_of_loops():
     """Points bit for bit but for the order of sums; gradients as far as the solve's conditioning lets them.
 
