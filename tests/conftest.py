@@ -60,7 +60,7 @@ def stack_limit():
 
 def pytest_runtest_teardown(item, nextitem):
     """Drops compiled code after each file, and where it fills memory, so that a worker stays below 1.5 GB."""
-    if nextitem is None or nextitem.path != item.path or _resident() > MEMORY.get("emptied", 0.5e9) + 0.5e9:
+    if nextitem is None or nextitem.path != item.path or _resident() > MEMORY.get("emptied", 0.5e9) + 0.4e9:
         eqx.clear_caches()
         jax.clear_caches()
         gc.collect()
