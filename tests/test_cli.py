@@ -127,7 +127,9 @@ def test_inverted_cells_end_with_1_and_no_file_unless_allowed(here, capsys):
     assert deform("inverted.su2", *motion) == 1
     assert not (here / "inverted.su2").exists()
     said = capsys.readouterr().err
-    assert re.search(r"^jaxmorph deform: \d+ of 192 cells are inverted, the worst is cell \d+ near \(", said, re.MULTILINE)
+    assert re.search(
+        r"^jaxmorph deform: \d+ of 192 cells are inverted, the worst is cell \d+ near \(", said, re.MULTILINE
+    )
     assert "inverted.su2 is not written; --allow-inverted" in said
     assert deform("inverted.su2", *motion, "--allow-inverted") == 1
     assert main(["quality", "ring.su2", "inverted.su2"]) == 1
