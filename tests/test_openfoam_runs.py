@@ -52,8 +52,7 @@ def assert_measured_alike(case, capsys):
     main(["quality", str(case), "--preset", "checkmesh", "--json"])
     found = {gate["gate"]: gate["after"] for gate in json.loads(capsys.readouterr().out)["gates"]}
     for name, pattern in MEASURES.items():
-        near = 2e-5 if name.startswith("max_face") else 2e-4  # faces that are not plane have another area vector
-        assert found[name] == pytest.approx(float(re.findall(pattern, said)[0]), rel=near), name
+        assert found[name] == pytest.approx(float(re.findall(pattern, said)[0]), rel=2e-5), name
 
 
 INCOMPRESSIBLE = {

@@ -44,9 +44,8 @@ class Judged:
 
     @property
     def non_orthogonality(self) -> np.ndarray:
-        """Non-orthogonality of the file's cells, also if the mesh holds pieces of them."""
-        is_cut = self.mesh.polyhedra is not None
-        return self.faces.non_orthogonality if is_cut else np.asarray(self.report.non_orthogonality)
+        """checkMesh's, exact also where faces are warped, of the file's cells also where the mesh holds pieces of them."""
+        return self.faces.non_orthogonality
 
     def values(self, measure: str) -> np.ndarray:
         """Lists a measure's values, one for each cell that counts."""
