@@ -29,7 +29,9 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 MEMORY = {}
-"""Largest resident memory of each worker, bytes; and of this process when its compiled code was dropped last."""
+"""Largest resident memory of each worker, bytes."""
+EMPTIED = [0.5e9]
+"""Memory of this process after compiled code was dropped, bytes, each time."""
 
 
 _raises = pytest.raises
@@ -60,13 +62,13 @@ def stack_limit():
 
 def pytest_runtest_teardown(item, nextitem):
     """Drops compiled code after each file, and where it fills memory, so that a worker stays below 1.5 GB."""
-    if nextitem is None or nextitem.path != item.path or _resident() > MEMORY.get("emptied", 0.5e9) + 0.4e9:
+    if nextitem is None or nextitem.path != item.path or _resident() > EMPTIED[-1] + 0.4e9:
         eqx.clear_caches()
         jax.clear_caches()
         gc.collect()
         with contextlib.suppress(OSError, AttributeError):  # glibc alone has it
             ctypes.CDLL(None).malloc_trim(0)
-        MEMORY["emptied"] = _resident()
+        EMPTIED.append(_resident())
 
 
 def _resident():
@@ -92,6 +94,5 @@ def pytest_testnodedown(node):
 
 
 def pytest_terminal_summary(terminalreporter):
-    MEMORY.pop("emptied", None)
     each = ", ".join(f"{name} {memory / 1e9:.2f} GB" for name, memory in sorted(MEMORY.items()))
     terminalreporter.write_line(f"memory: {each}")

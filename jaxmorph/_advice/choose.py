@@ -21,9 +21,9 @@ from .._methods.fitted import FittedRBF
 from .._methods.nearwall import NearWall
 from .._methods.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
-from .._plan.door import boundary
+from .._plan.door import Boundary, boundary
 from .._plan.plan import Plan, deform
-from .._plan.prepare import prepare, surface_of
+from .._plan.prepare import plan_of, surface_of
 from .._plan.symmetry import Mirror, Plane
 from .._quality.quality import quality
 from .._quality.wall import wall_quality
@@ -112,8 +112,7 @@ def choose(
         raise ValueError(f"call choose(mesh, moving, fixed, motions) with a Mesh, not {type(mesh).__name__}.")
     named = boundary(mesh, moving, fixed, symmetry)
     named.warn_of_free_faces()
-    moving, fixed = named.moving, named.fixed
-    motions, expected = np.asarray(motions, dtype=float), (len(moving), mesh.points.shape[1])
+    motions, expected = np.asarray(motions, dtype=float), (len(named.moving), mesh.points.shape[1])
     if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):
         raise ValueError(
             f"`motions` has shape {motions.shape}; expected (s, {expected[0]}, {expected[1]}), not all zero."
@@ -125,20 +124,23 @@ def choose(
     surface, images, _ = surface_of(named)
     columns = _columns(motions, len(named.nodes), images)
     rows, plans, refused = [], [], None
-    tries = [(count, kind) for count in leaves for kind in (False, True)] + [(count, None) for count in leaves]
-    for count, with_radius in tries:
-        coarse, row = _candidate(surface, columns, count, bool(with_radius))
-        if with_radius is None:
-            coarse = FittedRBF(coarse)
-        plan, refused = _prepared(mesh, (moving, fixed, named.planes), coarse, refused)
-        if with_radius is None:
+    for is_fit, count, with_radius in _tries(leaves):
+        coarse, row = _candidate(surface, columns, count, with_radius)
+        plan, refused = _prepared(named, FittedRBF(coarse) if is_fit else coarse, refused)
+        if is_fit:
             row |= {"error": _left(plan, motions), "rounding": None}
-        rows.append(row | {"fit": with_radius is None} | _judged(mesh, plan, motions))
+        rows.append(row | {"fit": is_fit} | _judged(mesh, plan, motions))
         plans.append(plan)
     if all(plan is None for plan in plans):
         raise refused or ValueError("every candidate was refused.")
     chosen = _best(rows, tolerance)
     return Choice(plans[chosen].method, plans[chosen], tuple(rows), chosen)
+
+
+def _tries(leaves: Sequence[int]) -> list[tuple[bool, int, bool]]:
+    """Lists what is tried: whether the field is fitted, the number of leaves, and whether its basis has a radius."""
+    interpolating = [(False, count, with_radius) for count in leaves for with_radius in (False, True)]
+    return interpolating + [(True, count, False) for count in leaves]
 
 
 def _columns(motions: np.ndarray, nodes: int, images: Mirror | None) -> np.ndarray:
@@ -205,14 +207,12 @@ def _left(plan: Plan | None, motions: np.ndarray) -> float:
 
 
 def _prepared(
-    mesh: Mesh, boundary, coarse: AbstractMethod, refused: ValueError | None
+    named: Boundary, coarse: AbstractMethod, refused: ValueError | None
 ) -> tuple[Plan | None, ValueError | None]:
-    moving, fixed, symmetry = boundary
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a condition that the table tells
         try:
-            method = SurfaceReconstruction(coarse, NearWall())
-            return prepare(mesh, moving, fixed, method=method, symmetry=symmetry), refused
+            return plan_of(named, SurfaceReconstruction(coarse, NearWall())), refused
         except ValueError as error:
             return None, error
 

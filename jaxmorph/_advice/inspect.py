@@ -53,10 +53,10 @@ class Inspection:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each thing that no method moves well."""
-        return (*self._torn, *((str(self.crossings),) if self.crossings else ()))
+        return (*self._contradicting, *((str(self.crossings),) if self.crossings else ()))
 
     @property
-    def _torn(self) -> tuple[str, ...]:
+    def _contradicting(self) -> tuple[str, ...]:
         if not len(self.contradictions):
             return ()
         first, second = self.contradictions[0]
@@ -125,25 +125,31 @@ def inspect(
     ids = np.arange(len(plan.points)) if nodes is None else np.asarray(nodes)
     if mesh is not None:
         surface = ids[np.concatenate([plan.moving, plan.fixed])]
-        inspection = dataclasses.replace(inspection, crossings=crossings(mesh, surface, _vectors(plan, u)))
+        inspection = dataclasses.replace(
+            inspection, crossings=crossings(mesh, surface, _within(plan, _extended(plan, u, float)))
+        )
     return inspection if nodes is None else inspection.renumbered(ids)
 
 
-def _vectors(plan: Plan, u: Any) -> np.ndarray:
-    """Extends a displacement by zeros for the fixed nodes; nodes on a symmetry plane stay in it."""
-    vectors = np.zeros((plan.n_moving + len(plan.fixed), plan.points.shape[1]))
+def _extended(plan: Plan, u: Any, dtype: Any) -> np.ndarray:
+    """Extends a displacement by zeros for the fixed nodes."""
+    vectors = np.zeros((plan.n_moving + len(plan.fixed), plan.points.shape[1]), dtype)
     vectors[: plan.n_moving] = u
-    return (
-        vectors if plan.mirror is None else np.asarray(plan.mirror.within(jnp.asarray(vectors), plan.mirror.on_plane))
-    )
+    return vectors
+
+
+def _within(plan: Plan, vectors: np.ndarray) -> np.ndarray:
+    """Keeps nodes on a symmetry plane in it."""
+    if plan.mirror is None:
+        return vectors
+    return np.asarray(plan.mirror.within(jnp.asarray(vectors), plan.mirror.on_plane))
 
 
 def _of_plan(plan: Plan, u: Any) -> Inspection:
     """Checks all that needs no faces."""
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
     points, nodes = np.asarray(plan.points), np.concatenate([plan.moving, plan.fixed])
-    vectors = np.zeros((len(nodes), points.shape[1]), points.dtype)
-    vectors[: plan.n_moving] = u
+    vectors = _extended(plan, u, points.dtype)
     finite = np.isfinite(vectors).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))

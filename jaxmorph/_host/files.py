@@ -12,6 +12,19 @@ import zlib
 from collections.abc import Iterator
 
 
+def output_path(path: str | os.PathLike[str], *endings: str) -> pathlib.Path:
+    """Checks the name of a file to write, before any work; returns it as a path.
+
+    It raises `ValueError` for a name that ends in none of `endings`, where there are any, and for a folder that is not there.
+    """
+    path = pathlib.Path(path)
+    if endings and path.suffix.lower() not in endings:
+        raise ValueError(f"{path}: the name should end in {' or '.join(endings)}.")
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: there is no folder {path.parent}.")
+    return path
+
+
 @contextlib.contextmanager
 def complete(path: pathlib.Path, *, folder: bool = False) -> Iterator[pathlib.Path]:
     """Yields a temporary file or folder beside `path` that takes its place at the end; on failure nothing is left.

@@ -73,6 +73,11 @@ FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
 _SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
 
 
+def solid(cells: Mapping[str, Any], dimension: int) -> dict[str, Any]:
+    """Selects the cells that fill the space: boundary elements and types without cells are left out."""
+    return {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == dimension and len(ids)}
+
+
 def repeated_cells(corners: np.ndarray) -> np.ndarray:
     """Finds the cells (k, corners) whose nodes are those of another cell, in any order: their places, ascending."""
     return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))

@@ -13,11 +13,11 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Integer, Real
 
 from .._host.adjacency import neighbours
 from .._host.errors import MeshError
-from .._host.topology import FACES
+from .._host.topology import FACES, solid
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from .._plan.door import node_ids
-from .._quality.distortion import node_scales, solid, target
+from .._quality.distortion import node_scales, target
 from .._quality.quality import quality
 from .._quality.vector import corners
 from .newton import Distortion, HessianSolver, ProjectedNewton

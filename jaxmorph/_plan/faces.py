@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .._host.topology import DIMENSION, boundary_faces
+from .._host.topology import boundary_faces, solid
 from .._host.walls import seen_from_outside
 from .._mesh.mesh import Mesh
 from .._mesh.polyhedra import Polyhedra, triangles
@@ -31,8 +31,8 @@ class OuterFaces:
 def outer_faces(mesh: Mesh) -> OuterFaces | None:
     """Finds the boundary faces of a mesh; None where its cells do not fill its dimension."""
     points = np.asarray(mesh.points)
-    cells = {kind: np.asarray(each) for kind, each in mesh.cells.items() if DIMENSION[kind] == points.shape[1]}
-    if not any(map(len, cells.values())):
+    cells = {kind: np.asarray(each) for kind, each in solid(mesh.cells, points.shape[1]).items()}
+    if not cells:
         return None
     if mesh.polyhedra is not None:
         return _of_polyhedra(mesh.polyhedra, points)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._host.topology import CORNERS, DIMENSION, FRAMES
+from .._host.topology import DIMENSION, FRAMES, solid
 from .._mesh.mesh import Mesh
 from . import measures
 from .quality import places
@@ -121,11 +121,6 @@ def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Fl
         for end, row in enumerate([whole, *rows]):
             stiffness = stiffness.at[ids[:, frames[:, end]].T].add(dot(row, row) / len(frames))
     return jnp.where(stiffness > 0, jnp.where(stiffness > 0, stiffness, 1) ** -0.5, 0)
-
-
-def solid(cells: dict[str, Any], dimension: int) -> dict[str, Any]:
-    """Selects the cells that fill the space: boundary elements have no target of their own."""
-    return {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == dimension and len(ids) and CORNERS[kind] > 2}
 
 
 def distortion(

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
+from jaxmorph._host.files import output_path
 
 from . import _gates
 from ._gates import Judged
@@ -93,8 +94,8 @@ def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
     patches = patches_of(request.surface, mesh, request.file)
     if not np.isfinite(request.amplitudes).all():
         raise ValueError("--amplitude needs finite numbers.")
-    if _is_xdmf(request) and not request.output.parent.is_dir():
-        raise ValueError(f"{request.output}: there is no folder {request.output.parent}.")
+    if _is_xdmf(request):
+        output_path(request.output)
     for case in cases if not _is_xdmf(request) else ():
         io.check_output(case.output, mesh)
     return patches

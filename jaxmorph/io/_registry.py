@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from jaxmorph import Mesh
-from jaxmorph._host.files import complete
+from jaxmorph._host import files
 from jaxmorph._host.topology import repeated_cells
 
 from ._format import FolderCodec, Format, Source
@@ -121,7 +121,7 @@ def write(
     if chosen.is_folder:
         chosen.codec().write(path, mesh, *arrays)
         return
-    with complete(path) as partial:
+    with files.complete(path) as partial:
         chosen.codec().write(partial, mesh, *arrays)
 
 
@@ -143,8 +143,7 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
 
 def _checked(path: pathlib.Path, mesh: Mesh) -> Format:
     chosen = format_of(path)
-    if not path.parent.is_dir():
-        raise ValueError(f"{path}: there is no folder {path.parent}.")
+    files.output_path(path)
     if chosen.is_folder:
         cast(FolderCodec, chosen.codec()).check(path, mesh)
     if isinstance(mesh.source, Source) and _same_file(path, mesh.source.path):

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
-from jaxmorph._host.files import complete
+from jaxmorph._host.files import complete, output_path
 
 from ._shape import load_npz
 from ._surface import read_table
@@ -107,9 +107,4 @@ def write_sensitivity(
 
 def check_sensitivity_output(path: str | os.PathLike[str]) -> pathlib.Path:
     """Raises `ValueError` for a file that `write_sensitivity` cannot write, before any work; returns its path."""
-    path = pathlib.Path(path)
-    if path.suffix.lower() not in ENDINGS:
-        raise ValueError(f"{path}: {' or '.join(ENDINGS)} expected.")
-    if not path.parent.is_dir():
-        raise ValueError(f"{path}: there is no folder {path.parent}.")
-    return path
+    return output_path(path, *ENDINGS)

@@ -17,9 +17,10 @@ def read(path: pathlib.Path) -> Mesh:
     """
     reader = meshio.vtu.read if path.suffix.lower() == ".vtu" else meshio.vtk.read
     mesh = load(path, path.suffix.lower(), reader)
-    last = path.read_bytes().rstrip().rpartition(b"\n")[2]
-    if reader is meshio.vtk.read and last.startswith((b"POINT_DATA", b"CELL_DATA", b"FIELD")):
-        raise ValueError(f"{path}: the file ends after {last.decode()!r}: it is cut short.")
+    if reader is meshio.vtk.read:
+        last = path.read_bytes().rstrip().rpartition(b"\n")[2]
+        if last.startswith((b"POINT_DATA", b"CELL_DATA", b"FIELD")):
+            raise ValueError(f"{path}: the file ends after {last.decode()!r}: it is cut short.")
     return to_mesh(path, mesh, Source(path, NAME, mesh))
 
 

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from jaxmorph._host.files import complete
+from jaxmorph._host.files import complete, output_path
 
 from ._plane import Axes, plt
 from ._space import WINDOW, box, kept, set_view, view_of, whole_view
-from ._style import check_suffix
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -69,7 +68,7 @@ def animate(
     **Raises:** `ValueError` for another ending, a folder that is not there, and a rate that is not positive. Also for fewer than
     2 frames, or frames of different shapes. `ImportError` for what is missing.
     """
-    path = check_suffix(path, ".gif", ".mp4")
+    path = output_path(path, ".gif", ".mp4")
     frames = [np.asarray(points) for points in frames]
     shapes = sorted({points.shape for points in frames})
     if len(frames) < 2 or len(shapes) > 1 or len(shapes[0]) != 2:

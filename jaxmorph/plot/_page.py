@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float, UInt32
 
 import jaxmorph as jm
-from jaxmorph._host.files import complete
+from jaxmorph._host.files import complete, output_path
 from jaxmorph._host.topology import CORNERS, VTK
 
 from ._plane import plt
 from ._space import outside, view_axes
-from ._style import COLOURS, DARK, DISPLACEMENT, Limits, Values, check_suffix, colour_scale
+from ._style import COLOURS, DARK, DISPLACEMENT, Limits, Values, colour_scale
 
 SLIDER = """
 const panel = document.createElement("form");
@@ -67,7 +67,7 @@ def page(
     **Raises:** `ValueError` as `surface` does, and for another ending or a folder that is not there. `ImportError` where k3d is
     missing.
     """
-    path = check_suffix(path, ".html", ".htm")
+    path = output_path(path, ".html", ".htm")
     try:
         k3d: Any = importlib.import_module("k3d")  # its own types know no time series
     except ImportError as error:

@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
-from jaxmorph._host.files import complete
+from jaxmorph._host.files import complete, output_path
 
 from ._page import page
 from ._plane import ROOM, Window, mesh
 from ._space import before_after_3d
-from ._style import check_suffix
 
 Reports = tuple[jm.QualityReport, jm.QualityReport]
 
@@ -39,7 +38,7 @@ def picture(
     **Raises:** `ValueError` for another ending.
     """
     d = before.points.shape[1]
-    path = check_suffix(path, *((".png",) if d == 2 else (".png", ".html")))
+    path = output_path(path, *((".png",) if d == 2 else (".png", ".html")))
     if d == 2:
         content = _in_2d(before, np.asarray(points), moving, reports or _reports(before, points))
     else:

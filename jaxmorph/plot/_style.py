@@ -1,7 +1,5 @@
 """Colours, limits and file names that all pictures share."""
 
-import os
-import pathlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -38,13 +36,3 @@ def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Li
         raise ValueError(f"`limits` are the values at the light and at the dark end of the colours, not {limits}.")
     light, dark = map(float, limits)
     return (colours, (light, dark)) if light < dark else (f"{colours}_r", (dark, light))
-
-
-def check_suffix(path: str | os.PathLike, *suffixes: str) -> pathlib.Path:
-    """Raises `ValueError` for a name that does not end in one of `suffixes`, or in a folder that is not there."""
-    path = pathlib.Path(path)
-    if path.suffix.lower() not in suffixes:
-        raise ValueError(f"{path.name!r} should end in {' or '.join(suffixes)}.")
-    if not path.parent.is_dir():
-        raise ValueError(f"there is no folder {str(path.parent)!r} to write {path.name!r} to.")
-    return path

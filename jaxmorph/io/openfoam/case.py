@@ -95,7 +95,8 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     source = source_of(mesh, NAME)
     assert source is not None
     content: _CaseContent = source.content
-    check_cyclic(content.topology, content.points, _all_points(content, np.asarray(mesh.points)))
+    points = _all_points(content, np.asarray(mesh.points))
+    check_cyclic(content.topology, content.points, points)
     case = _case_of(content.topology)
     _warn_of_parts(path, case)
     if _is_time(path):
@@ -104,7 +105,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         with _removed_on_failure(made):
             folder.mkdir(parents=True, exist_ok=True)
             with complete(folder / content.file.path.name) as partial:
-                _write_points(partial, content, np.asarray(mesh.points))
+                _write_points(partial, content, points)
             other = {"points": "points.gz", "points.gz": "points"}[content.file.path.name]
             (folder / other).unlink(missing_ok=True)
         return
@@ -118,7 +119,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         shutil.copytree(content.topology, folder, dirs_exist_ok=True)
         for name in ("points", "points.gz"):
             (folder / name).unlink(missing_ok=True)
-        _write_points(folder / content.file.path.name, content, np.asarray(mesh.points))
+        _write_points(folder / content.file.path.name, content, points)
 
 
 def _warn_of_parts(path: pathlib.Path, case: pathlib.Path | None) -> None:
@@ -139,7 +140,6 @@ def _all_points(content: _CaseContent, points: np.ndarray) -> np.ndarray:
 
 
 def _write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray) -> None:
-    points = _all_points(content, points)
     file = content.file
     if np.array_equal(points, content.points):
         path.write_bytes(file.raw)

@@ -12,7 +12,6 @@ from ..text.sections import chunks, parse
 
 _SPACE = re.compile(rb"(?:\s+|//[^\n]*|/\*.*?(?:\*/|\Z))*", re.DOTALL)
 _HEADER = re.compile(rb"FoamFile\s*\{(.*?)\}", re.DOTALL)
-_ENTRY = re.compile(r"\b(\w+)\s+(\"[^\"]*\"|[^;]*);")
 _COUNT = re.compile(rb"(\d*)\s*([({]?)")
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?(?:\*/|\Z)", re.DOTALL)
 _WORD = re.compile(r'"[^"\n]*"|[(){};]|[^\s(){};"]+|"')
@@ -219,7 +218,7 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
     match = _HEADER.search(data, 0, 1 << 14)
     if match is None:
         raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
-    header = {key: value.strip().strip('"') for key, value in _ENTRY.findall(match[1].decode(errors="replace"))}
+    header = {key: " ".join(values).strip('"') for key, values in _entries(_words(match[1])).items()}
     return FoamFile(path, raw, data, header, match.end())
 
 
@@ -244,7 +243,7 @@ def patches(file: FoamFile) -> list[Patch]:
     It raises `ValueError` for an entry without type, nFaces or startFace, and where the number before the list is not that of
     its entries.
     """
-    words = _WORD.findall(_COMMENT.sub(" ", file.data[file.end :].decode(errors="replace")))
+    words = _words(file.data[file.end :])
     stated = int(words[0]) if words and words[0].isdecimal() else None
     at = 0 if stated is None else 1
     if words[at : at + 1] != ["("]:
@@ -272,8 +271,15 @@ def _end_of_body(words: list[str], start: int) -> int | None:
     return None
 
 
-def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
-    entries, key, depth = {}, None, 0
+def _words(data: bytes) -> list[str]:
+    """Splits a text into words, quoted texts and marks, without its comments."""
+    return _WORD.findall(_COMMENT.sub(" ", data.decode(errors="replace")))
+
+
+def _entries(body: list[str]) -> dict[str, list[str]]:
+    """Lists the words of each entry `key word word;` by its key. Those of a dictionary in it are among its words."""
+    entries: dict[str, list[str]] = {}
+    key, depth = None, 0
     for word in body:
         depth += {"{": 1, "}": -1}.get(word, 0)
         if word == ";" or word == "}":
@@ -282,6 +288,11 @@ def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
             key, entries[word] = word, []
         else:
             entries[key].append(word)
+    return entries
+
+
+def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
+    entries = _entries(body)
     try:
         # List<word> 2(wall wing), or (wall wing)
         groups = entries.get("inGroups", [])
