@@ -128,7 +128,7 @@ def test_paraview_reads_the_lattice(tmp_path):
         assert grid.dimensions == (*box.counts, 1)[:3]
         expected = np.asarray(box.lattice(control)).reshape(*grid.dimensions, d)
         np.testing.assert_array_equal(grid.points[:, :d], expected.transpose(2, 1, 0, 3).reshape(-1, d))
-    with pytest.raises(ValueError, match=r"ends in \.vts"):
+    with pytest.raises(ValueError, match=r"should end in \.vts"):
         io.write_lattice(tmp_path / "box.vtk", box.lattice())
     with pytest.raises(ValueError, match="a lattice has shape"):
         io.write_lattice(tmp_path / "box.vts", np.zeros((4, 3)))

@@ -11,7 +11,7 @@ import jaxmorph as jm
 from . import _gates
 from ._gates import Judged
 from ._method import Patches, in_double
-from ._motion import Motions
+from ._motion import Motion
 from ._requests import Deform
 from ._tables import inverted_cells
 
@@ -22,7 +22,7 @@ class Attempt:
 
     request: Deform
     patches: Patches
-    motion: Motions
+    motion: Motion
     before: Judged
 
     @property

@@ -14,7 +14,7 @@ from . import _gates
 from ._attempt import Attempt
 from ._gates import Judged
 from ._method import NamedMethod, named_method, patches_of
-from ._motion import motions
+from ._motion import motion
 from ._output import Output
 from ._requests import Deform
 from ._tables import compared, count, numbers, wall_numbers, wall_rows
@@ -62,11 +62,12 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
         raise ValueError(f"--chunk must be 1 or more, found {request.chunk}.")
     if request.steps < 1:
         raise ValueError(f"--steps must be 1 or more, found {request.steps}.")
-    motion, wall = motions(request.groups, mesh, patches.nodes), np.asarray(mesh.points)[patches.nodes]
+    wall = np.asarray(mesh.points)[patches.nodes]
+    moves = motion(request.groups, mesh, patches.nodes, request.changes)
     with out.progress("choosing sources"):
         choice = named_method(request.method, wall)
         chunks = patches.chunks(choice, request.chunk)
-    way = np.linalg.norm(motion.path(wall, 1)[-1], axis=1)
+    way = np.linalg.norm(moves.path(wall, 1)[-1], axis=1)
     n, d = mesh.points.shape
     cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in mesh.cells.items())
     out.say(f"{request.file.name}: {n} points in {d}-D, {cells}", points=n)
@@ -83,7 +84,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
         before = Judged(mesh, mesh.points, jm.quality(mesh))
         for gate in request.gates:
             gate.extreme(before)  # what cannot be judged is told now
-    return Attempt(request, patches, motion, before), choice, chunks
+    return Attempt(request, patches, moves, before), choice, chunks
 
 
 def _foreseen(attempt: Attempt, choice: NamedMethod, out: Output) -> jm.Estimate:
@@ -117,12 +118,14 @@ def _moved(attempt: Attempt, chunks: jm.Chunks, foreseen: jm.Estimate, out: Outp
 
 
 def _write_beside(attempt: Attempt, after: Judged, out: Output) -> None:
-    """Writes the job file and the picture, also if cells are bad."""
+    """Writes the job file, lattices and the picture, also if cells are bad."""
     job, picture = attempt.request.job, attempt.request.picture
     if job is not None:
         with complete(job[0]) as partial:
             partial.write_bytes(job[1].encode())
         out.say(f"job      {job[0]}")
+    for file in attempt.motion.write_lattices():
+        out.say(f"lattice  {file}")
     if picture is not None:
         try:
             with out.progress("drawing"):
@@ -147,6 +150,8 @@ def _check(request: Deform, mesh: Mesh) -> None:
         for file in filter(None, inputs):
             if request.output.resolve() == Path(file).resolve():
                 raise ValueError(f"{request.output}: the displacements are read from this file; write to another one.")
+        if group.lattice is not None:
+            io.check_lattice_output(group.lattice)
         if group.patches and not len(mesh.patch(*group.patches)):
             raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
     if request.job is not None:

@@ -89,6 +89,7 @@ def _deform(command: Parser) -> None:
     add = command.section("motion of the patches of the last --moving (one at least)")
     _files(add)
     _motion(add)
+    _set(command.section("design variables"))
     add = _method(command)
     add("--steps", everyday=True, metavar="N", type=int, default=1, help="steps to make the motion in (default 1)")
     what = "prepare and move N points at a time: less memory until the cells are judged, some more time, the same mesh"
@@ -124,7 +125,11 @@ def _sensitivity(command: Parser) -> None:
     _input(add)
     what = "dJ/d(points) of all nodes: SU2's, OpenFOAM's, rows of node id and dJ/dx, dJ/dy[, dJ/dz], or .npz"
     add("sensitivity", everyday=True, metavar="SENS", type=Path, help=what)
-    add("output", everyday=True, metavar="OUT", type=Path, help="where to write it: .csv or .npz")
+    what = "where to write it: .csv or .npz; with --job .csv or .json"
+    add("output", everyday=True, metavar="OUT", type=Path, help=what)
+    what = "a job of deform: go on to its design variables (IN is then its file)"
+    add("--job", everyday=True, metavar="FILE", type=Path, help=what)
+    _set(add)
     _surface(command)
     _method(command)
     _speech(command)
@@ -211,6 +216,8 @@ def _files(add: Add) -> None:
     what = "a file of displacements, times a number; may come several times"
     add("--mode", metavar=("FILE", "AMPLITUDE"), nargs=2, action=Part, help=what)
     add("--box", metavar="FILE", action=Part, help="a free-form deformation box, see below")
+    what = "its lattice for ParaView, before and after: FILE_before.vts, FILE_after.vts"
+    add("--lattice", metavar="FILE.vts", type=Path, action=Part, help=what)
 
 
 def _motion(add: Add) -> None:
@@ -228,6 +235,23 @@ def _motion(add: Add) -> None:
     add("--along", **vector, help="line from --about of twisting and bending")
     what = "its length; default as far as the patches reach"
     add("--length", metavar="L", type=float, action=Part, help=what)
+    add("--name", metavar="NAME", action=Part, help="what --set calls this motion (default its patches)")
+
+
+def _set(add: Add) -> None:
+    what = "other numbers for named parts of the motion, such as twist=2 or 'box[1,2,0]=0.1'"
+    add("--set", metavar="NAME=NUMBER[,...]", nargs="+", action="extend", type=_change, default=[], help=what)
+
+
+def _change(word: str) -> tuple[str, tuple[float, ...]]:
+    name, _, numbers = word.rpartition("=")
+    try:
+        values = tuple(map(float, numbers.split(",")))
+    except ValueError:
+        values = ()
+    if not name or not values:
+        raise argparse.ArgumentTypeError(f"{word!r} is not NAME=NUMBER or NAME=NUMBER,NUMBER,...")
+    return name, values
 
 
 def _gates(command: Parser) -> None:

@@ -11,11 +11,13 @@ class Group:
     """Patches and their motion, as the flags give it; `given` are the flags that have been."""
 
     patches: list[str] = dataclasses.field(default_factory=list)
+    name: str | None = None
     displacement: pathlib.Path | None = None
     displacement_from: pathlib.Path | None = None
     displacement_is: str = "position"
     mode: list[tuple[str, float]] = dataclasses.field(default_factory=list)
     box: str | None = None
+    lattice: pathlib.Path | None = None
     scale: list[float] | None = None
     twist: float | None = None
     bend: float | None = None
@@ -28,7 +30,7 @@ class Group:
     given: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
 
     @property
-    def name(self) -> str:
+    def title(self) -> str:
         return ", ".join(self.patches)
 
 

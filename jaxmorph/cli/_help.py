@@ -40,12 +40,19 @@ would follow like inner ones, and may leave the boundary.
 
 A box is a TOML file: low and high (two corners), points (how many control
 points each way), and for each that moves a [[moved]] with at (its numbers, from
-0) and by (its displacement). Nodes outside of it stay.
+0) and by (its displacement). It may have degree (of B-splines) and continuity
+(k holds the k + 1 outer layers). Nodes outside of it stay.
 
 A job is a TOML file with the names of the flags: file, output, fixed, ..., and
 a [[moving]] (patches, rotate, about, ...) for each motion; in it modes are
 [["FILE", AMPLITUDE], ...], a box a file or a table. Paths in it are relative to
 its folder. Flags beside --job win.
+
+Design variables are the numbers of the motions, in the units of the flags:
+displacement, mode[0], box[1,2,0], scale, twist, bend, rotate, translate[0].
+--set gives them other values; a whole list is NAME=NUMBER,NUMBER. Where several
+motions have one of the name, begin with the motion's: flap.rotate=5. A job may
+have a table set.
 
 examples:
   pitch nose-up about the quarter chord, in three steps:
@@ -68,6 +75,8 @@ examples:
         --preset checkmesh --save-job flaps.toml
   the same from its job, in four steps:
     jaxmorph deform --job flaps.toml --steps 4
+  the same with another angle of the flap:
+    jaxmorph deform --job flaps.toml --set flap.rotate=12
 
 exit status: 0; 1 when cells are inverted or a gate fails (OUT is then not
 written unless --allow-inverted is given); 2 for bad input"""
@@ -116,10 +125,29 @@ SENSITIVITY = """\
 The transpose of deform, at the mesh as it is, for the same patches and method.
 Rows of OUT have the node ids of IN.
 
-example:
+With --job it goes on to the design variables that deform's --set names: OUT has
+the name, value and derivative of each, per degree for angles. SENS then belongs
+to the mesh that the job writes.
+
+examples:
   SU2's volume sensitivities to those of the wall's nodes:
     jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
         --moving airfoil --fixed farfield
+  on to twist, box and all else that a job moves by:
+    jaxmorph sensitivity --job wing.toml volume_sens.csv variables.json
+
+exit status: 0; 2 for bad input"""
+
+SENSITIVITY_SHORT = """\
+Methods, other values of design variables, output for machines:
+jaxmorph sensitivity --help-all
+
+examples:
+  SU2's volume sensitivities to those of the wall's nodes:
+    jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
+        --moving airfoil --fixed farfield
+  on to twist, box and all else that a job moves by:
+    jaxmorph sensitivity --job wing.toml volume_sens.csv variables.json
 
 exit status: 0; 2 for bad input"""
 
@@ -162,8 +190,10 @@ PAGES = {
     "sensitivity": Page(
         "pull an adjoint solver's dJ/d(volume nodes) back to the moving nodes",
         """IN SENS OUT --moving NAME ... --fixed NAME ...
-           [--symmetry NAME ...] [METHOD ...]""",
+           [--symmetry NAME ...] [METHOD ...]
+       jaxmorph sensitivity --job FILE SENS OUT""",
         SENSITIVITY,
+        SENSITIVITY_SHORT,
     ),
     "quality": Page("quality of a mesh's cells", "FILE [FILE2] [GATE ...]", QUALITY),
     "info": Page("what a mesh file holds", "FILE", INFO),

@@ -9,10 +9,11 @@ import reprlib
 from collections.abc import Sequence
 from typing import Any
 
+from jaxmorph._host.toml import read, written
+
 from ._flags import GATES
 from ._groups import Group
 from ._parser import meant
-from ._toml import read, written
 
 LISTS = ("fixed", "symmetry", "free")
 VALUES = ("method", "sources", "steps", "chunk", "dtype", "preset", "picture", *GATES)
@@ -20,24 +21,28 @@ SWITCHES = {"allow_inverted": True, "dry_run": False}
 """Names that are either true or false, and the value that has a flag."""
 
 FILES = ("file", "output")
-PATHS = (*FILES, "picture", "displacement", "displacement_from", "box", "mode")
+PATHS = (*FILES, "picture", "displacement", "displacement_from", "box", "lattice", "mode")
 """Names whose values are paths, relative to the job's folder. A mode begins with a path; a box may be a table instead."""
 
 SEVERAL = (*LISTS, "patches", "scale", "translate", "about", "axis", "along")
 """Names whose values may be lists."""
 
-TEXTS = (*PATHS, *LISTS, "patches", "method", "dtype", "preset", "displacement_is")
+TEXTS = (*PATHS, *LISTS, "patches", "name", "method", "dtype", "preset", "displacement_is")
 """Names whose values are text; all others hold numbers."""
 
 MOTION = tuple(field.name for field in dataclasses.fields(Group) if field.name != "given")
 
 
 def with_job(arguments: Sequence[str]) -> list[str]:
-    """Puts the flags of the file that `--job` names before the given ones. Raises `ValueError` for a file that is no job."""
+    """Puts the flags of the file that `--job` names before the given ones. Raises `ValueError` for a file that is no job.
+
+    For `sensitivity` it is the mesh that the job names.
+    """
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     finder.add_argument("--job", type=pathlib.Path)
     arguments = list(arguments)
-    if "deform" not in arguments[:1]:
+    command = arguments[:1]
+    if command not in (["deform"], ["sensitivity"]):
         return arguments
     try:
         path = finder.parse_known_args(arguments)[0].job
@@ -46,12 +51,18 @@ def with_job(arguments: Sequence[str]) -> list[str]:
     if path is None:
         return arguments
     files, flags = _flags(path)
+    if command == ["sensitivity"]:
+        if not files:
+            raise ValueError(f"{path}: file is missing: the mesh that the job moves.")
+        return [*command, files[0], *arguments[1:]]
     first = next((k for k, word in enumerate(arguments) if word.startswith("-")), len(arguments))
     return ["deform", *(arguments[1:first] or files), *flags, *arguments[first:]]
 
 
 def _flags(path: pathlib.Path) -> tuple[list[str], list[str]]:
-    job = _known(path, "a job", read(str(path), path.read_bytes()), (*FILES, *LISTS, *VALUES, *SWITCHES, "moving"))
+    job = _known(
+        path, "a job", read(str(path), path.read_bytes()), (*FILES, *LISTS, *VALUES, *SWITCHES, "set", "moving")
+    )
     flags: list[str] = []
     for name in (*LISTS, *VALUES):
         if name in job:
@@ -61,6 +72,7 @@ def _flags(path: pathlib.Path) -> tuple[list[str], list[str]]:
             raise ValueError(f"{path}: {name} is true or false, found {reprlib.repr(job[name])}.")
         if job.get(name) is value:
             flags.append(_flag(name) if value else _flag(f"no_{name}"))
+    flags += _changes(path, job.get("set", {}))
     moving = job.get("moving", [])
     if not isinstance(moving, list) or not all(isinstance(group, dict) for group in moving):
         raise ValueError(f"{path}: moving is a list of tables: begin each with [[moving]].")
@@ -73,6 +85,19 @@ def _flags(path: pathlib.Path) -> tuple[list[str], list[str]]:
         for name, value in group.items():
             flags += [_flag(name), *_words(path, name, value)]
     return [word for name in FILES if name in job for word in _words(path, name, job[name])], flags
+
+
+def _changes(path: pathlib.Path, changes: Any) -> list[str]:
+    """Converts numbers of design variables to flags."""
+    if not isinstance(changes, dict):
+        raise ValueError(f"{path}: set is a table of names and numbers, found {reprlib.repr(changes)}.")
+    flags: list[str] = []
+    for name, value in changes.items():
+        values = value if isinstance(value, list) else [value]
+        if not values or any(type(each) not in (int, float) for each in values):
+            raise ValueError(f"{path}: set.{name} is a number, or a list of such, found {reprlib.repr(value)}.")
+        flags += ["--set", f"{name}={','.join(map(str, values))}"]
+    return flags
 
 
 def _modes(path: pathlib.Path, modes: Any) -> list[str]:
@@ -128,6 +153,9 @@ def text_of(arguments: argparse.Namespace, folder: pathlib.Path) -> str:
     for name, value in SWITCHES.items():
         if getattr(arguments, name) is value:
             job[name] = value
+    changes = {name: values[0] if len(values) == 1 else values for name, values in arguments.set}
+    if changes:
+        job["set"] = changes
     lines = [f"{name} = {written(value)}" for name, value in job.items()]
     for group in arguments.moving or ():
         lines += ["", "[[moving]]"]

@@ -1,136 +1,161 @@
 """The motion of a surface that the command line describes, made of the library's shapes."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from jaxmorph import Mesh, io, shapes
 
-from ._box import read_box
 from ._groups import MOTIONS, Group
 
 Points = Float[np.ndarray, "m d"]
-Shape = Callable[[Float[Array | np.ndarray, "m d"], float], Float[Array | np.ndarray, "m d"]]
-"""Moves points by a share, from 0 to 1, of a motion."""
+Parts = dict[str, tuple[shapes.AbstractShape, Any]]
+"""Shapes in the order in which they are applied, each with the parameters that the flags say, by name."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """Displacements from files, then shapes one after the other."""
+    """Shape of the moving nodes, and its parameters by name of the patches, then of the flag.
 
-    displacement: Points
-    shapes: tuple[Shape, ...]
+    `boxes` are those with a file for their lattice, by the same two names.
+    """
 
-    def at(self, x: Points, share: float) -> Points:
-        """Moves points by a share of each part."""
-        moved: Float[Array | np.ndarray, "m d"] = x + share * self.displacement
-        for shape in self.shapes:
-            moved = shape(moved, share)
-        return np.asarray(moved)
-
-
-@dataclasses.dataclass(frozen=True)
-class Motions:
-    """Motions one after the other, each of some rows of a surface."""
-
-    parts: list[tuple[Int[np.ndarray, " k"], Motion]]
+    shape: shapes.Chain
+    parameters: dict[str, dict[str, Any]]
+    boxes: tuple[tuple[Path, shapes.FreeForm, tuple[str, str]], ...] = ()
 
     def path(self, surface: Points, steps: int) -> Float[np.ndarray, "k m d"]:
         """Computes the total displacement at the end of each of `steps` equal steps."""
-        return np.stack([self._at(surface, (j + 1) / steps) - surface for j in range(steps)])
+        return np.asarray(shapes.path(self.shape, surface, self.parameters, steps))
 
-    def _at(self, surface: Points, share: float) -> Points:
-        x = np.array(surface, float)
-        for rows, motion in self.parts:
-            x[rows] = motion.at(x[rows], share)
-        return x
+    def varied(self, changes: Mapping[str, Sequence[float]]) -> "Motion":
+        """Sets parameters by name. Raises `ValueError` for names that are none."""
+        try:
+            return dataclasses.replace(self, parameters=shapes.varied(self.parameters, changes))
+        except ValueError as error:
+            raise ValueError(f"--set: {error}") from None
+
+    def write_lattices(self) -> list[Path]:
+        """Writes the lattice of each box before and after its motion, and returns the files."""
+        files = []
+        for file, box, (patches, name) in self.boxes:
+            for when, control in (("before", None), ("after", self.parameters[patches][name])):
+                files.append(file.with_stem(f"{file.stem}_{when}"))
+                io.write_lattice(files[-1], box.lattice(control))
+        return files
 
 
-def motions(groups: Sequence[Group], mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motions:
-    """Makes the requested motion of the nodes `moving`.
+def motion(
+    groups: Sequence[Group], mesh: Mesh, moving: Int[np.ndarray, " m"], changes: Mapping[str, Sequence[float]]
+) -> Motion:
+    """Makes the requested motion of the nodes `moving`, with `changes` to its parameters.
 
     Raises `ValueError` if there is none, or if it does not fit the mesh or the nodes.
     """
-    parts = []
+    chains, parameters, boxes = {}, {}, []
     for group in groups:
         nodes = mesh.patch(*group.patches)
         try:
-            parts.append((np.searchsorted(moving, nodes), _motion(group, mesh, nodes)))
+            parts = _parts(group, mesh, nodes)
         except ValueError as error:
-            raise ValueError(f"{group.name}: {error}" if len(groups) > 1 else str(error)) from None
-    return Motions(parts)
+            raise ValueError(f"{group.title}: {error}" if len(groups) > 1 else str(error)) from None
+        key = _key(group, chains)
+        chain = shapes.Chain({name: shape for name, (shape, _) in parts.items()})
+        chains[key] = shapes.OnRows(chain, np.searchsorted(moving, nodes))
+        parameters[key] = {name: values for name, (_, values) in parts.items()}
+        if group.lattice is not None:
+            boxes.append((group.lattice, parts["box"][0], (key, "box")))
+    return Motion(shapes.Chain(chains), parameters, tuple(boxes)).varied(changes)
 
 
-def _motion(group: Group, mesh: Mesh, nodes: np.ndarray) -> Motion:
-    points = np.asarray(mesh.points)
-    d = points.shape[1]
+def _key(group: Group, others: Mapping[str, Any]) -> str:
+    """Names a group: as it is called, or by its patches; with a number if there is one of that name."""
+    name = group.name or "+".join(group.patches)
+    if group.name in others:
+        raise ValueError(f"--name {group.name}: another --moving is called so.")
+    return next(key for key in (name, *(f"{name}{k}" for k in range(2, len(others) + 3))) if key not in others)
+
+
+def _parts(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
+    surface, d = np.asarray(mesh.points)[nodes], mesh.points.shape[1]
     if not group.mode and all(getattr(group, name) is None for name in MOTIONS if name != "mode"):
         raise ValueError(f"no motion: give one of {', '.join(f'--{name}' for name in MOTIONS)}.")
     _check_used(group)
     about = _vector("--about", group.about, d)
-    parts = [
-        _box(group, d),
-        _scale(group, about),
-        _twist(group, points[nodes], about),
-        _bend(group, points[nodes], about),
-        _rotate(group, about),
-        _translate(group, d),
-    ]
-    displacement = _from_file(group, mesh, nodes) + _from_modes(group, mesh, nodes)
-    return Motion(displacement, tuple(part for part in parts if part is not None))
+    return {
+        **_displacement(group, mesh, nodes),
+        **_modes(group, mesh, nodes),
+        **_box(group, d),
+        **_scale(group, about),
+        **_twist(group, surface, about),
+        **_bend(group, surface, about),
+        **_rotate(group, about),
+        **_translate(group, d),
+    }
 
 
-def _box(group: Group, d: int) -> Shape | None:
+def _box(group: Group, d: int) -> Parts:
     if group.box is None:
-        return None
-    box, control = read_box(group.box, d)
-    return lambda x, share: box(x, share * control)
+        return {}
+    given: Any = group.box
+    if group.box.lstrip().startswith("{"):
+        try:
+            given = json.loads(group.box)
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise ValueError(f"--box: not a table in JSON ({error}).") from None
+    return {"box": io.read_box(given, d)}
 
 
-def _scale(group: Group, about: np.ndarray) -> Shape | None:
+def _scale(group: Group, about: np.ndarray) -> Parts:
     if group.scale is None:
-        return None
-    d = len(about)
-    factors = _vector("--scale", group.scale * d if len(group.scale) == 1 else group.scale, d)
-    return lambda x, share: shapes.scale(x, 1 + share * (factors - 1), about)
+        return {}
+    factors = _vector("--scale", group.scale, 1 if len(group.scale) == 1 else len(about))
+    factors = factors[0] if len(factors) == 1 else factors
+    shape = shapes.Function(lambda x, factors: shapes.scale(x, factors, about), np.ones_like(factors))
+    return {"scale": (shape, factors)}
 
 
-def _twist(group: Group, surface: Points, about: np.ndarray) -> Shape | None:
+def _twist(group: Group, surface: Points, about: np.ndarray) -> Parts:
     if group.twist is None:
-        return None
+        return {}
     if len(about) == 2:
         raise ValueError("--twist is for meshes in 3-D; this one is in 2-D.")
     angle, along = _angle("--twist", group.twist), _direction("--along", group.along, 3)
     length = _length("--twist", group.length, surface, about, along)
-    return lambda x, share: shapes.twist(x, share * angle, about, along, length)
+    shape = shapes.Function(lambda x, angle: shapes.twist(x, jnp.radians(angle), about, along, length), 0.0)
+    return {"twist": (shape, angle)}
 
 
-def _bend(group: Group, surface: Points, about: np.ndarray) -> Shape | None:
+def _bend(group: Group, surface: Points, about: np.ndarray) -> Parts:
     if group.bend is None:
-        return None
+        return {}
     d = len(about)
     angle, axis = _angle("--bend", group.bend), _axis("--bend", group, d)
     along = _direction("--along", group.along, d)
     if axis is not None and abs(axis @ along) > 1e-3:
         raise ValueError("--bend needs --axis and --along at right angles.")
     length = _length("--bend", group.length, surface, about, along)
-    return lambda x, share: shapes.bend(x, share * angle, about, along, length, axis)
+    shape = shapes.Function(lambda x, angle: shapes.bend(x, jnp.radians(angle), about, along, length, axis), 0.0)
+    return {"bend": (shape, angle)}
 
 
-def _rotate(group: Group, about: np.ndarray) -> Shape | None:
+def _rotate(group: Group, about: np.ndarray) -> Parts:
     if group.rotate is None:
-        return None
+        return {}
     angle, axis = _angle("--rotate", group.rotate), _axis("--rotate", group, len(about))
-    return lambda x, share: shapes.rotate(x, share * angle, about, axis)
+    return {"rotate": (shapes.Function(lambda x, angle: shapes.rotate(x, jnp.radians(angle), about, axis), 0.0), angle)}
 
 
-def _translate(group: Group, d: int) -> Shape | None:
+def _translate(group: Group, d: int) -> Parts:
     if group.translate is None:
-        return None
-    vector = _vector("--translate", group.translate, d)
-    return lambda x, share: shapes.translate(x, share * vector)
+        return {}
+    return {"translate": (shapes.Function(shapes.translate, np.zeros(d)), _vector("--translate", group.translate, d))}
 
 
 def _check_used(group: Group) -> None:
@@ -141,6 +166,7 @@ def _check_used(group: Group) -> None:
         "along": ("bend", "twist"),
         "length": ("bend", "twist"),
         "displacement_from": ("displacement",),
+        "lattice": ("box",),
     }
     for name, owners in needs.items():
         if getattr(group, name) is not None and all(getattr(group, owner) is None for owner in owners):
@@ -169,10 +195,10 @@ def _direction(option: str, values: list[float] | None, d: int) -> np.ndarray:
 
 
 def _angle(option: str, degrees: float) -> float:
-    """Converts degrees to radians. Raises `ValueError` for numbers that are not finite."""
+    """Returns an angle in degrees. Raises `ValueError` for numbers that are not finite."""
     if not np.isfinite(degrees):
         raise ValueError(f"{option} needs an angle in degrees, found {degrees}.")
-    return float(np.radians(degrees))
+    return degrees
 
 
 def _axis(option: str, group: Group, d: int) -> np.ndarray | None:
@@ -195,21 +221,20 @@ def _length(option: str, given: float | None, surface: Points, about: np.ndarray
     return length
 
 
-def _from_file(group: Group, mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
-    """Reads the displacement of each moving node, in their order; zeros without a file."""
+def _displacement(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
     if group.displacement is None:
-        return np.zeros((len(nodes), mesh.points.shape[1]))
+        return {}
     is_position = group.displacement_is == "position"
-    return io.read_displacement(
-        group.displacement, mesh, nodes, before=group.displacement_from, is_position=is_position
-    )
+    u = io.read_displacement(group.displacement, mesh, nodes, before=group.displacement_from, is_position=is_position)
+    return {"displacement": (shapes.Function(lambda x, factor: x + factor * u, 0.0), 1.0)}
 
 
-def _from_modes(group: Group, mesh: Mesh, nodes: np.ndarray) -> np.ndarray | float:
-    """Sums mode shapes, each times its amplitude."""
-    parts = []
+def _modes(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
+    """Reads mode shapes; each has an amplitude."""
+    if not group.mode:
+        return {}
     for file, amplitude in group.mode:
         if not np.isfinite(amplitude):
             raise ValueError(f"--mode {file} needs an amplitude, found {amplitude}.")
-        parts.append(amplitude * io.read_displacement(file, mesh, nodes, is_position=False))
-    return sum(parts, 0.0)
+    fields = [io.read_displacement(file, mesh, nodes, is_position=False) for file, _ in group.mode]
+    return {"mode": (shapes.Modes(np.stack(fields)), np.array([amplitude for _, amplitude in group.mode]))}

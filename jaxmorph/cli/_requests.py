@@ -5,10 +5,11 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-from ._flags import GATES
+from ._flags import GATES, parser
 from ._gates import Gate, gates
 from ._groups import Group
-from ._job import text_of
+from ._job import text_of, with_job
+from ._parser import quoted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,12 +33,13 @@ class Method:
 
 @dataclasses.dataclass(frozen=True)
 class Deform:
-    """Request of `jaxmorph deform`. `job` is a file to write and its text."""
+    """Request of `jaxmorph deform`. `changes` are to the motion, by name; `job` is a file to write and its text."""
 
     file: Path
     output: Path
     surface: PatchNames
     groups: tuple[Group, ...]
+    changes: dict[str, tuple[float, ...]]
     method: Method
     steps: int
     chunk: int | None
@@ -65,13 +67,14 @@ class Modes:
 
 @dataclasses.dataclass(frozen=True)
 class Sensitivity:
-    """Request of `jaxmorph sensitivity`."""
+    """Request of `jaxmorph sensitivity`; with a job on to what it moves by."""
 
     file: Path
     sensitivity: Path
     output: Path
     surface: PatchNames
     method: Method
+    job: Deform | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,6 +118,7 @@ def _deform(arguments: argparse.Namespace) -> Deform:
         arguments.output,
         _surface(arguments, names),
         tuple(groups),
+        dict(arguments.set),
         _method(arguments),
         arguments.steps,
         arguments.chunk,
@@ -142,7 +146,17 @@ def _modes(arguments: argparse.Namespace) -> Modes:
 
 def _sensitivity(arguments: argparse.Namespace) -> Sensitivity:
     surface, method = _surface(arguments, arguments.moving), _method(arguments)
-    return Sensitivity(arguments.file, arguments.sensitivity, arguments.output, surface, method)
+    files = arguments.file, arguments.sensitivity, arguments.output
+    if arguments.job is None:
+        if arguments.set:
+            raise ValueError("--set without --job: it names design variables of a job.")
+        return Sensitivity(*files, surface, method, None)
+    if (surface, method) != (PatchNames((), (), (), ()), Method()):
+        raise ValueError("--job says what moves and how; flags of patches and methods beside it make no sense.")
+    words = ["deform", str(arguments.file), str(arguments.file), "--job", str(arguments.job)]
+    job = _deform(parser()[0].parse_args(quoted(with_job(words))))
+    job = dataclasses.replace(job, changes=job.changes | dict(arguments.set))
+    return Sensitivity(*files, job.surface, job.method, job)
 
 
 def _surface(arguments: argparse.Namespace, moving: Sequence[str]) -> PatchNames:

@@ -1,6 +1,10 @@
 """Meshes from files and into files: everything but the coordinates as it was."""
 
+from ._box import read_box as read_box
 from ._displacement import read_displacement as read_displacement
+from ._gradient import check_gradient_output as check_gradient_output
+from ._gradient import write_gradient as write_gradient
+from ._lattice import check_lattice_output as check_lattice_output
 from ._lattice import write_lattice as write_lattice
 from ._moved import cell_arrays as cell_arrays
 from ._moved import write_moved as write_moved

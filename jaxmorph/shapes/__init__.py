@@ -1,6 +1,9 @@
 """Shapes: traced functions from positions to positions, from design variables to a new wall."""
 
 from ._axis import ReferenceAxis as ReferenceAxis
+from ._chain import Chain as Chain
+from ._chain import Function as Function
+from ._chain import OnRows as OnRows
 from ._combine import Linked as Linked
 from ._combine import Part as Part
 from ._combine import Together as Together
@@ -9,6 +12,8 @@ from ._curves import BSplineCurve as BSplineCurve
 from ._curves import HicksHenne as HicksHenne
 from ._curves import Modes as Modes
 from ._displacement import displacement as displacement
+from ._displacement import path as path
+from ._displacement import pullback as pullback
 from ._fit import Fit as Fit
 from ._fit import fit as fit
 from ._fit import fit_cst as fit_cst
@@ -25,6 +30,8 @@ from ._measures import volume as volume
 from ._measures import wall_faces as wall_faces
 from ._measures import wall_loop as wall_loop
 from ._naca import NACA4 as NACA4
+from ._names import names as names
+from ._names import varied as varied
 from ._rigid import rotate as rotate
 from ._rigid import scale as scale
 from ._rigid import translate as translate

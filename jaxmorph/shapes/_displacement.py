@@ -1,14 +1,23 @@
-"""From a shape to what `deform` takes."""
+"""From a shape to what `deform` and `march` take, and from sensitivities of a volume back to the shape's parameters."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from .._plan.plan import Plan
+from .._plan.plan import pullback as to_nodes
+from .._plan.steps import replay
+from ._door import Numbers, positions
 from ._shape import AbstractLinearShape
 
+AnyShape = Callable[[Any, Any], Any]
 
-def displacement(shape: Callable[[Any, Any], Any], plan: Any, parameters: PyTree) -> Float[Array, "m d"]:
+
+def displacement(shape: AnyShape, plan: Any, parameters: PyTree) -> Float[Array, "m d"]:
     """Computes the displacement of a plan's moving nodes by a shape: the `u` of `deform(plan, u)`.
 
     **Arguments:**
@@ -21,7 +30,82 @@ def displacement(shape: Callable[[Any, Any], Any], plan: Any, parameters: PyTree
 
     **Raises:** `ValueError` where the shape returns another number of positions.
     """
-    x = plan.points[plan.moving]
+    return moves(shape, plan.points[plan.moving], parameters)
+
+
+def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[Array, "k m d"]:
+    """Computes the total displacements at the ends of equal steps of the parameters: the path of `march`.
+
+    A rotation in steps is a path of rotated positions. Traced in positions and parameters.
+
+    **Arguments:**
+
+    - `shape`: a shape that tells its neutral parameters, where the path begins.
+    - `x`: positions (m, d).
+    - `parameters`: those at the end.
+    - `steps`: 1 or more.
+
+    **Returns:** displacements (k, m, d).
+
+    **Raises:** `ValueError` for no steps, for a plain function in more than one, and as `displacement` does.
+    """
+    x = positions(x)
+    if steps < 1:
+        raise ValueError(f"`steps` is {steps}; it must be 1 or more.")
+    if steps == 1:
+        return moves(shape, x, parameters)[None]
+    start = neutral(shape)
+    if jax.tree.structure(start) != jax.tree.structure(parameters):
+        raise ValueError(f"parameters for several steps must all be given: {jax.tree.structure(start)}.")
+    shares = [(j + 1) / steps for j in range(steps)]
+    at = [jax.tree.map(lambda a, b, share=share: a + share * (b - a), start, parameters) for share in shares]
+    return jnp.stack([moves(shape, x, each) for each in at])
+
+
+def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, cotangent: Numbers) -> PyTree:
+    """Takes dJ/d(points) of all nodes to dJ/d(parameters) of the shape that moved the mesh.
+
+    **Arguments:**
+
+    - `shape`: a shape, or a function of positions and parameters.
+    - `plan`: from `prepare`; or the plans that `march` returned for `path(shape, x, parameters, len(plans))`.
+    - `parameters`: those that the mesh was moved by.
+    - `cotangent`: dJ/d(points) (n, d) at the moved mesh.
+
+    **Returns:** dJ/d(parameters), of the structure of `parameters`.
+
+    **Raises:** `ValueError` for another number of nodes, and as `path` does.
+    """
+    plans = (plan,) if isinstance(plan, Plan) else tuple(plan)
+    if not plans or np.shape(cotangent) != plans[0].points.shape:
+        expected = plans[0].points.shape if plans else "plans of a march"
+        raise ValueError(f"`cotangent` has shape {np.shape(cotangent)}; expected {expected}.")
+    x, dtype = plans[0].points[plans[0].moving], plans[0].points.dtype
+    parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), parameters)
+    total, transpose = jax.vjp(lambda parameters: path(shape, x, parameters, len(plans)), parameters)
+    cotangent = jnp.asarray(cotangent, dtype)
+    if len(plans) == 1:
+        return transpose(to_nodes(plans[0], total[0], cotangent)[None])[0]
+    return transpose(jax.vjp(lambda total: replay(plans, total), total)[1](cotangent)[0])[0]
+
+
+def neutral(shape: AnyShape) -> PyTree:
+    """Returns the parameters of a shape that move nothing.
+
+    **Raises:** `ValueError` for a plain function.
+    """
+    if not hasattr(shape, "neutral"):
+        raise ValueError(
+            "a plain function does not tell its neutral parameters: take `shapes.Function(function, rest)`."
+        )
+    return shape.neutral()  # pyright: ignore[reportFunctionMemberAccess]
+
+
+def moves(shape: AnyShape, x: Float[Array, "m d"], parameters: PyTree) -> Float[Array, "m d"]:
+    """Computes the displacement of positions.
+
+    **Raises:** `ValueError` where the shape returns another number of positions.
+    """
     if isinstance(shape, AbstractLinearShape):
         return shape.at(x)(parameters)
     moved = shape(x, parameters)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from ._combine import Part, Together
 from ._curves import CST
+from ._displacement import neutral
 from ._door import Numbers, positions
 from ._section import Chord, upper_side
 from ._shape import AbstractLinearShape
@@ -61,10 +62,7 @@ def fit(
         raise ValueError(f"`points` has shape {points.shape}, `targets` {targets.shape}; they belong row to row.")
     if not np.isfinite(np.asarray(targets)).all():
         raise ValueError(f"{(~np.isfinite(np.asarray(targets)).all(axis=1)).sum()} of `targets` are not finite.")
-    if start is None:
-        if not hasattr(shape, "neutral"):
-            raise ValueError("`start` is missing: a plain function does not tell its parameters.")
-        start = shape.neutral()  # pyright: ignore[reportFunctionMemberAccess]
+    start = neutral(shape) if start is None else start
     flat, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, points.dtype), start))
 
     def miss(flat, _=None):

@@ -98,6 +98,17 @@ class FreeForm(AbstractLinearShape):
         """Makes the control displacements that move nothing: zeros (*counts, d)."""
         return jnp.zeros((*self.counts, len(self.counts)))
 
+    @property
+    def free(self) -> Bool[np.ndarray, "..."]:
+        """Control points (*counts,) that may move: those that `continuity` does not hold."""
+        held = -1 if self.continuity is None else self.continuity
+        free = np.ones(self.counts, bool)
+        for axis, count in enumerate(self.counts):
+            layer = np.arange(count)
+            shape = [-1 if other == axis else 1 for other in range(len(self.counts))]
+            free &= ((layer > held) & (layer < count - 1 - held)).reshape(shape)
+        return free
+
     def at(self, x: Numbers) -> LatticeOperator:
         """Computes the weights of positions (m, d) once, to be applied to many control displacements."""
         x = positions(x)
@@ -110,7 +121,7 @@ class FreeForm(AbstractLinearShape):
             first.append(_bspline.spans(t_along, count, degree))
             weights.append(_bspline.values(t_along, first[-1], count, degree))
         weights[0] = jnp.where(inside[:, None], weights[0], 0)
-        free = None if self.continuity is None else jnp.asarray(_free(self.counts, self.continuity))
+        free = None if self.continuity is None else jnp.asarray(self.free)
         if is_known(x, self) and len(x) >= MANY:
             return LatticeOperator(Blocks.sorted_by_span(tuple(weights), tuple(first), self.counts), free, self.counts)
         return LatticeOperator(Rows(tuple(weights), tuple(first), self.counts), free, self.counts)
@@ -165,8 +176,7 @@ class FreeForm(AbstractLinearShape):
             if (signs < 0).sum() != 1:
                 raise ValueError(f"edge {mirror} of the box is along no axis: its controls cannot be mirrored.")
             reflected = mirror, signs
-        if self.continuity is not None:
-            free &= _free(self.counts, self.continuity)[..., None]
+        free &= self.free[..., None]
         matrix = link_matrix(free, groups, reflected)
         if not matrix.shape[1]:
             raise ValueError("no control point is left free.")
@@ -208,16 +218,6 @@ def _checked_counts(counts, degree, d: int) -> tuple[tuple[int, ...], tuple[int,
     if any(not 1 <= p < count for p, count in zip(degrees, counts, strict=True)):
         raise ValueError(f"degrees {degrees} do not fit counts {counts}: each lies from 1 to count - 1.")
     return counts, degrees
-
-
-def _free(counts: tuple[int, ...], continuity: int) -> np.ndarray:
-    """Tells which control points are not among the k + 1 outer layers."""
-    free = np.ones(counts, bool)
-    for axis, count in enumerate(counts):
-        layer = np.arange(count)
-        shape = [-1 if other == axis else 1 for other in range(len(counts))]
-        free &= ((layer > continuity) & (layer < count - 1 - continuity)).reshape(shape)
-    return free
 
 
 def _is_control(each, counts: tuple[int, ...]) -> bool:

@@ -1,0 +1,68 @@
+"""Boxes of free-form deformation as files."""
+
+import os
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxmorph._host.toml import read
+from jaxmorph.shapes import FreeForm
+
+NEEDED, OPTIONAL = ("low", "high", "points", "moved"), ("degree", "continuity")
+
+
+def read_box(
+    source: str | os.PathLike[str] | Mapping[str, Any], dimensions: int
+) -> tuple[FreeForm, Float[np.ndarray, "*counts d"]]:
+    """Reads a box of control points along the axes, and the displacements of its control points.
+
+    The table has `low` and `high` (two corners), `points` (numbers of control points), and a list `moved`. Each of `moved` is a
+    table of `at` (a control point's numbers, from 0) and `by` (its displacement). `degree` and `continuity` are those of
+    `FreeForm`.
+
+    **Arguments:**
+
+    - `source`: a TOML file, or its table.
+    - `dimensions`: of the mesh, 2 or 3.
+
+    **Returns:** the box, and displacements (*counts, d).
+
+    **Raises:** `ValueError` for what is no such table, does not fit the dimensions, or moves a control point that is held.
+    """
+    d, where = dimensions, "--box" if isinstance(source, Mapping) else str(source)
+    table = dict(source) if isinstance(source, Mapping) else read(where, pathlib.Path(source).read_bytes())
+    if not set(NEEDED) <= set(table) <= {*NEEDED, *OPTIONAL} or not isinstance(table["moved"], list):
+        listed = ", ".join(table) or "nothing"
+        raise ValueError(f"{where}: low, high, points and a list moved expected, found {listed}.")
+    low, high = (_numbers(where, name, table[name], d) for name in ("low", "high"))
+    counts = _numbers(where, "points", table["points"], d)
+    if not (low < high).all() or not (counts >= 2).all() or (counts != np.floor(counts)).any():
+        raise ValueError(f"{where}: low must be below high, and points 2 or more whole numbers of control points.")
+    options = {name: table[name] for name in OPTIONAL if name in table}
+    if any(type(value) is not int for value in options.values()):
+        raise ValueError(f"{where}: degree and continuity are whole numbers, found {options}.")
+    try:
+        box = FreeForm(low, np.diag(high - low), counts.astype(int).tolist(), **options)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+    control = np.zeros((*box.counts, d))
+    for entry in table["moved"]:
+        if not isinstance(entry, dict) or set(entry) != {"at", "by"}:
+            raise ValueError(f"{where}: each of moved has at and by, found {entry}.")
+        at = _numbers(where, "at", entry["at"], d)
+        if (at < 0).any() or (at >= counts).any() or (at != np.floor(at)).any():
+            raise ValueError(f"{where}: at = {entry['at']} is none of the control points 0 to {counts - 1}.")
+        if not box.free[tuple(at.astype(int))]:
+            raise ValueError(f"{where}: control point {entry['at']} is held by continuity = {box.continuity}.")
+        control[tuple(at.astype(int))] += _numbers(where, "by", entry["by"], d)
+    return box, control
+
+
+def _numbers(where: str, name: str, values: Any, d: int) -> Float[np.ndarray, " d"]:
+    good = isinstance(values, list) and len(values) == d and all(type(value) in (int, float) for value in values)
+    if not good or not np.isfinite(values).all():
+        raise ValueError(f"{where}: {name} needs {d} numbers for a mesh in {d}-D, found {values}.")
+    return np.array(values, float)

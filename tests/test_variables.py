@@ -1,0 +1,249 @@
+"""Design variables: shapes in a chain, their names, and derivatives of a volume by them, in Python and from the command line."""
+
+import csv
+import json
+import pathlib
+import re
+
+import jax
+import numpy as np
+import pytest
+import pyvista
+from ring import write_ring
+
+import jaxmorph as jm
+from jaxmorph import io, shapes
+from jaxmorph.cli import main
+
+
+def turned(about):
+    return shapes.Function(lambda x, angle: shapes.rotate(x, angle, about), 0.0)
+
+
+def chain():
+    box = shapes.FreeForm([-2, -2], 4 * np.eye(2), (2, 3))
+    flap = shapes.OnRows(shapes.Chain({"angle": turned([1.0, 0.0])}), np.arange(4, 9))
+    return shapes.Chain({"turn": turned([0.5, 0.0]), "box": box, "flap": flap})
+
+
+def parameters(rng):
+    return {"turn": 0.3, "box": 0.1 * rng.normal(size=(2, 3, 2)), "flap": {"angle": -0.2}}
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory):
+    return write_ring(tmp_path_factory.mktemp("ring") / "ring.su2")
+
+
+def test_a_chain_is_its_shapes_nested(ring):
+    x, given, shape = ring.points[:24], parameters(np.random.default_rng(0)), chain()
+    box = shape.shapes[1](shapes.rotate(x, 0.3, [0.5, 0.0]), given["box"])
+    expected = np.array(box)
+    expected[4:9] = shapes.rotate(box[4:9], -0.2, [1.0, 0.0])
+    np.testing.assert_array_equal(shape(x, given), expected)
+    np.testing.assert_array_equal(shape(x, shape.neutral()), x)
+    np.testing.assert_array_equal(shape(x, {"turn": 0.3}), shapes.rotate(x, 0.3, [0.5, 0.0]))
+    path = shapes.path(shape, x, given, 3)
+    third = jax.tree.map(lambda leaf: leaf / 3, given)
+    np.testing.assert_allclose(path[0], shape(x, third) - x, atol=1e-15)
+    np.testing.assert_allclose(path[2], expected - x, atol=1e-15)
+
+
+def test_names_find_the_numbers_they_name():
+    given = parameters(np.random.default_rng(1))
+    names = shapes.names(given)
+    assert names[0] == "box[0,0,0]"
+    assert names[-2:] == ["flap.angle", "turn"]
+    flat = jax.flatten_util.ravel_pytree(given)[0]
+    for k in (0, 7, 12, 13):
+        changed = jax.flatten_util.ravel_pytree(shapes.varied(given, {names[k]: 9.0}))[0]
+        np.testing.assert_array_equal(changed, flat.at[k].set(9.0))
+    whole = shapes.varied(given, {"box": range(12), "angle": 5})
+    np.testing.assert_array_equal(whole["box"], np.arange(12.0).reshape(2, 3, 2))
+    assert (whole["flap"]["angle"], whole["turn"]) == (5, 0.3)
+    assert shapes.names(np.zeros(2)) == ["parameters[0]", "parameters[1]"]
+    assert shapes.names({}) == []
+
+
+@pytest.mark.parametrize("steps", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_pullback_is_the_derivative_by_every_parameter(ring, steps):
+    plan = jm.prepare(ring.points, np.arange(24), np.arange(192, 216), method=jm.RBF.classic())
+    rng, shape = np.random.default_rng(2), chain()
+    given, weights = parameters(rng), rng.normal(size=ring.points.shape)
+    flat, unravel = jax.flatten_util.ravel_pytree(given)
+    path = lambda p: shapes.path(shape, ring.points[:24], unravel(p), steps)  # noqa: E731
+    plans = jm.march(plan, path(flat))[0]
+    slope = shapes.pullback(shape, plan if steps == 1 else plans, given, weights)
+    value = lambda p: np.vdot(weights, jm.march(plan, path(p))[1])  # noqa: E731
+    h = 1e-5
+    for k in (0, 12, 13):
+        step = h * np.eye(len(flat))[k]
+        difference = (value(flat + step) - value(flat - step)) / (2 * h)
+        np.testing.assert_allclose(jax.flatten_util.ravel_pytree(slope)[0][k], difference, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda x: chain()(x, {"twist": 1}), "no shape is called twist; this chain has turn, box, flap"),
+        (lambda x: shapes.Chain({}), "needs one shape"),
+        (lambda x: shapes.OnRows(turned([0, 0]), [0, 24])(x, 0.1), "up to 24; `x` has 24"),
+        (lambda x: shapes.OnRows(turned([0, 0]), [1, 1]), "different row numbers"),
+        (lambda x: shapes.path(turned([0, 0]), x, 0.1, 0), "`steps` is 0"),
+        (lambda x: shapes.path(lambda x, p: x + p, x, 0.1, 2), "a plain function does not tell"),
+        (
+            lambda x: shapes.varied({"a": np.zeros(2), "b": {"c": 1.0, "a": 1.0}}, {"d": 1}),
+            "no design variable d; there are: a, ",
+        ),
+        (
+            lambda x: shapes.varied({"p": {"a": 1.0}, "q": {"a": 1.0}}, {"a": 1}),
+            "2 design variables are called a; .* p.a, q.a",
+        ),
+        (lambda x: shapes.varied({"a": np.zeros(2)}, {"a": 1}), r"a takes 2 finite numbers, found \[1.0\]"),
+        (lambda x: shapes.varied({"a": 0.0}, {"a": np.nan}), "a takes 1 finite numbers"),
+        (
+            lambda x: io.read_box({"low": [0, 0], "high": [1, 1], "points": [4, 4], "moved": [], "degree": 9}, 2),
+            "degrees",
+        ),
+        (
+            lambda x: io.read_box(
+                {
+                    "low": [0, 0],
+                    "high": [1, 1],
+                    "points": [3, 3],
+                    "moved": [{"at": [0, 1], "by": [1, 0]}],
+                    "continuity": 0,
+                },
+                2,
+            ),
+            r"control point \[0, 1\] is held by continuity = 0",
+        ),
+        (lambda x: io.write_gradient("x.csv", {"a": 1.0}, {"b": 1.0}), "a gradient of 1 numbers for 1"),
+    ],
+)
+def test_bad_input_is_refused(ring, call, message):
+    with pytest.raises(ValueError, match=message):
+        call(ring.points[:24])
+
+
+JOB = """\
+file = "ring.su2"
+fixed = ["far"]
+method = "graph"
+steps = 2
+set = { "wall2.rotate" = 8 }
+
+[[moving]]
+patches = ["wall"]
+name = "form"
+mode = [["shift.csv", 0.5]]
+box = { low = [-2, -2], high = [2, 2], points = [2, 3], moved = [{ at = [1, 2], by = [0.1, 0] }] }
+lattice = "box.vts"
+scale = 1.1
+
+[[moving]]
+patches = ["wall"]
+rotate = 3
+
+[[moving]]
+patches = ["wall"]
+rotate = -5
+translate = [0.1, 0]
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    mesh = write_ring(tmp_path / "ring.su2")
+    (tmp_path / "shift.csv").write_text("".join(f"{k},0.125,{-0.25 + 0.01 * k}\n" for k in range(24)))
+    (tmp_path / "job.toml").write_text(JOB)
+    weights = np.random.default_rng(3).normal(size=mesh.points.shape)
+    np.savez("volume.npz", sensitivity=weights)
+    return weights
+
+
+def objective(weights, *changes):
+    assert main(["deform", "ring.su2", "out.su2", "--job", "job.toml", *(("--set", *changes) if changes else ())]) == 0
+    return np.vdot(weights, io.read("out.su2").points)
+
+
+def test_sensitivities_of_a_job_are_the_slopes_of_what_deform_does(here, capsys):
+    """Against differences of runs of `deform --set`: the file, its JSON and the terminal say the same."""
+    assert main(["sensitivity", "--job", "job.toml", "volume.npz", "dJ.csv"]) == 0
+    said = capsys.readouterr().out
+    with open("dJ.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    values, slopes = ({row["variable"]: float(row[key]) for row in rows} for key in ("value", "dJ_dvalue"))
+    assert len(rows) == 18
+    assert (values["wall2.rotate"], values["form.box[1,2,0]"]) == (8, 0.1)
+    for name in ("form.mode[0]", "form.box[1,1,1]", "form.scale", "wall2.rotate"):
+        change = 1e-3 * (1 if name.endswith("rotate") else 0.1)
+        high, low = (objective(here, f"{name}={values[name] + sign * change!r}") for sign in (1, -1))
+        np.testing.assert_allclose(slopes[name], (high - low) / (2 * change), rtol=2e-6)
+        assert f"  {name}\n" in said
+    capsys.readouterr()
+    assert main(["sensitivity", "--job", "job.toml", "volume.npz", "dJ.json", "--set", "scale=1.2", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["variables"]
+    table = json.loads(pathlib.Path("dJ.json").read_text())
+    assert table["form.scale"]["value"] == 1.2
+    assert {name: entry["dJ_dvalue"] for name, entry in table.items()} == found
+    assert found["wall2.rotate"] != slopes["wall2.rotate"]
+
+
+def test_set_is_saved_and_lattices_are_written_before_and_after(here):
+    flags = ["--job", "job.toml", "--set", "translate=0,0.2", "box[1,2,0]=0.3", "--save-job", "saved.toml"]
+    assert main(["deform", "ring.su2", "one.su2", *flags]) == 0
+    assert main(["deform", "ring.su2", "two.su2", "--job", "saved.toml"]) == 0
+    np.testing.assert_array_equal(io.read("one.su2").points, io.read("two.su2").points)
+    before, after = (np.asarray(pyvista.read(f"box_{when}.vts").points) for when in ("before", "after"))
+    assert np.ptp(before, axis=0).tolist() == [4, 4, 0]
+    moves = (after - before)[np.abs(after - before).max(axis=1) > 0]
+    np.testing.assert_allclose(moves, [[0.3, 0, 0]], atol=1e-15)
+
+
+BAD = {
+    "unknown": (["deform", "--set", "twist=2"], r"--set: there is no design variable twist; there are: form.box, "),
+    "two of a name": (
+        ["deform", "--set", "rotate=2"],
+        "2 design variables are called rotate; take one of: wall.rotate, wall2",
+    ),
+    "count": (["deform", "--set", "box=2"], r"box takes 12 finite numbers, found \[2.0\]"),
+    "patches beside a job": (["sensitivity", "--moving", "wall"], "--job says what moves"),
+    "ending": (["sensitivity", "x.npz"], r"x.npz: the name should end in .csv or .json"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_design_variables_that_make_no_sense(here, capsys, what):
+    (command, *flags), message = BAD[what]
+    if command == "deform":
+        words = ["deform", "ring.su2", "never.su2", "--job", "job.toml", *flags]
+    else:
+        out = flags if len(flags) == 1 else ["never.csv", *flags]
+        words = ["sensitivity", "--job", "job.toml", "volume.npz", *out]
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert re.search(message, said.err), said.err
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("set = 3", "job.toml: set is a table of names and numbers, found 3"),
+        ("set = { a = 'x' }", "job.toml: set.a is a number, or a list of such, found 'x'"),
+    ],
+)
+def test_bad_changes_of_a_job(here, capsys, text, message):
+    pathlib.Path("job.toml").write_text(JOB.replace('set = { "wall2.rotate" = 8 }', text))
+    assert main(["deform", "ring.su2", "x.su2", "--job", "job.toml"]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_change_that_is_none(here, capsys):
+    with pytest.raises(SystemExit):
+        main(["deform", "ring.su2", "x.su2", "--job", "job.toml", "--set", "twist"])
+    assert "'twist' is not NAME=NUMBER" in capsys.readouterr().err
+    assert main(["sensitivity", "ring.su2", "volume.npz", "x.csv", "--set", "a=1"]) == 2
+    assert "--set without --job" in capsys.readouterr().err
