@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import nbformat
 import numpy as np
+from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 
@@ -30,6 +31,19 @@ class Case:
     translates: bool = True
     turns: bool = True
     dimensions: tuple[int, ...] = (2, 3)
+
+    def prepared(self, points, moving, fixed=(), length=1.0, order=None) -> jm.Plan:
+        """Prepares a plan for points of `body`, or the whole mesh with its cells for a method that needs them.
+
+        `order` lists the nodes of the body that the points are.
+        """
+        method = self.make(length)
+        if not method.needs_cells:
+            return jm.prepare(points, moving, fixed, method=method)
+        cells = body(points.shape[1]).cells
+        number = np.arange(len(points)) if order is None else np.argsort(order)
+        mesh = jm.Mesh(points, {"triangle" if points.shape[1] == 2 else "tetra": number[cells]})
+        return jm.prepare(mesh, moving, fixed, method=method, free=np.arange(len(points)))
 
 
 def full(basis, degree):
@@ -97,6 +111,19 @@ CASES = [
     ),
     Case("notebook's basis", lambda length: full(EXTENSION.Cubic(), 1), dimensions=(3,)),
     Case("notebook's method", lambda length: EXTENSION.InverseDistance(), affine=False, dimensions=(2,)),
+    Case("elasticity", lambda length: jm.LinearElasticity(), affine=False),
+    Case("torsional", lambda length: jm.TorsionalSprings(), affine=False),
+    Case("springs", lambda length: jm.SpringAnalogy(), affine=False, dimensions=(2,)),
+    Case("laplacian", lambda length: jm.Laplacian(), affine=False),
+    Case("laplacian-uniform", lambda length: jm.Laplacian(jm.ByVolume(0.0)), dimensions=(2,)),
+    Case("biharmonic", lambda length: jm.Biharmonic(), affine=False, dimensions=(2,)),
+    Case(
+        "laplacian-near-wall",
+        lambda length: jm.SurfaceReconstruction(jm.Laplacian(), jm.NearWall()),
+        affine=False,
+        turns=False,
+        dimensions=(2,),
+    ),
     Case("gaussian-1", lambda length: full(jm.Gaussian(0.1 * length), 1), dimensions=(2,)),
     Case("multiquadric-0", lambda length: full(jm.Multiquadric(0.1 * length), 0), affine=False, dimensions=(2,)),
 ]
@@ -115,6 +142,15 @@ class Body:
     @property
     def boundary(self) -> np.ndarray:
         return np.concatenate([self.moving, self.fixed])
+
+    @property
+    def cells(self) -> np.ndarray:
+        """Simplices between body and far field."""
+        corners = Delaunay(self.points).simplices
+        corners = corners[~np.isin(corners, self.moving).all(axis=1)]
+        edges = self.points[corners[:, 1:]] - self.points[corners[:, :1]]
+        size = np.linalg.norm(edges, axis=2).prod(axis=1)
+        return corners[np.abs(np.linalg.det(edges)) > 1e-3 * size]
 
     @property
     def inner(self) -> np.ndarray:

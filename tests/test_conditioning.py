@@ -27,7 +27,7 @@ def test_bases_too_wide_for_their_sources_are_refused(basis, degree, dimension):
         jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(basis, degree))
     method, ids = full(basis, degree), jnp.arange(len(mesh.boundary))
     sources, values = mesh.points[mesh.boundary], surface_values(mesh)[1]
-    field = method.field(ids, method.fit(ids, jnp.asarray(sources)), sources, jnp.asarray(values))
+    field = method.field(ids, method.fit(ids, jnp.asarray(sources), jnp.asarray(sources)), sources, jnp.asarray(values))
     assert np.abs(field.evaluate(sources, None) - values).max() > 1e-3 * np.abs(values).max()
 
 

@@ -84,7 +84,7 @@ class CountsTraces(jm.AbstractMethod):
     def connect(self, surface, points):
         return None, None
 
-    def fit(self, ids, surface):
+    def fit(self, ids, surface, points):
         return None
 
     def field(self, ids, factors, surface, u):

@@ -81,8 +81,8 @@ class Every(jm.AbstractMethod):
     def connect(self, surface, points):
         return self.inner.connect(surface, points)
 
-    def fit(self, ids, surface):
-        return self.inner.fit(ids, surface)
+    def fit(self, ids, surface, points):
+        return self.inner.fit(ids, surface, points)
 
     def field(self, ids, factors, surface, u):
         return self.inner.field(ids, factors, surface, jnp.zeros_like(u))

@@ -145,8 +145,8 @@ class Counting(jm.AbstractMethod):
         self.asked.append(len(points))
         return self.method.connect(surface, points)
 
-    def fit(self, ids, surface):
-        return self.method.fit(ids, surface)
+    def fit(self, ids, surface, points):
+        return self.method.fit(ids, surface, points)
 
     def field(self, ids, factors, surface, u):
         return self.method.field(ids, factors, surface, u)

@@ -10,7 +10,19 @@ import sys
 ROOT = pathlib.Path(__file__).parents[1]
 PACKAGE = ROOT / "jaxmorph"
 FILES = sorted(PACKAGE.rglob("*.py"))
-OPTIONAL = ("meshio", "h5py", "matplotlib", "pyvista", "vtk", "k3d", "gmsh", "rich", "platformdirs", "openmdao")
+OPTIONAL = (
+    "meshio",
+    "h5py",
+    "matplotlib",
+    "pyvista",
+    "vtk",
+    "k3d",
+    "gmsh",
+    "rich",
+    "platformdirs",
+    "openmdao",
+    "pyamg",
+)
 
 FLOORS = (
     ("_host", "_kernels"),

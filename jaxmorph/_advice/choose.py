@@ -192,7 +192,7 @@ def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
 @eqx.filter_jit
 def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Computes the root mean square of the error on the surface; and the size of the weights times the unit of rounding."""
-    field = rbf.field(ids, rbf.fit(ids, points), points, values)
+    field = rbf.field(ids, rbf.fit(ids, points, points), points, values)
     missed = values - jax.lax.map(lambda x: field(x, None), points, batch_size=256)
     unit = float(jnp.finfo(field.beta.dtype).eps)
     return jnp.sqrt(jnp.mean(missed**2)), unit * jnp.max(jnp.sum(jnp.abs(field.beta), axis=1))

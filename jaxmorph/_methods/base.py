@@ -22,6 +22,20 @@ BLOCK = 512
 
 
 @dataclasses.dataclass(frozen=True)
+class Cells:
+    """The cells of a mesh of n points, and the planes in which nodes slide.
+
+    - `corners`: node ids (k, corners) by type, the cells of highest dimension alone.
+    - `normals` (p, d): unit normals of the symmetry planes, parallel or at right angles to each other.
+    - `on_plane` (n, p): the nodes that lie on each.
+    """
+
+    corners: Mapping[str, np.ndarray]
+    normals: np.ndarray
+    on_plane: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
 class Surface:
     """The moving and fixed nodes as `AbstractMethod.connect` sees them, on the host.
 
@@ -35,6 +49,7 @@ class Surface:
       nothing to do.
     - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None without cells.
     - `is_open`: whether boundary faces of the mesh are neither moving, fixed nor on a symmetry plane, or None without cells.
+    - `cells`: the mesh's cells and symmetry planes, or None where they are not known: points alone, or a part of a mesh.
     """
 
     points: np.ndarray
@@ -44,6 +59,7 @@ class Surface:
     matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     faces: Mapping[str, np.ndarray] | None = None
     is_open: bool | None = None
+    cells: Cells | None = None
 
     @functools.cached_property
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -158,7 +174,7 @@ class AbstractMethod(eqx.Module):
     no node twice. Arguments have the same meaning in all of a method's functions:
 
     - `surface`: on the host a `Surface`; traced the coordinates (b, d) of its rows.
-    - `points`, `x`: all points (n, d) of the mesh; one of them (d,).
+    - `points`, `x`: all points (n, d) of the mesh, in `fit` and `carry` its base coordinates; one of them (d,).
     - `ids`: what `connect` returned for the surface; in `place`, and in the field, what it returned for one point.
     - `factors`: what `fit` returned.
     - `u`: displacements (b, d) of the surface's rows.
@@ -169,7 +185,7 @@ class AbstractMethod(eqx.Module):
         """Finds ids for the surface, and ids for every point (each leaf has n rows). Called once, on the host."""
 
     @abc.abstractmethod
-    def fit(self, ids: PyTree, surface: Float[Array, "b d"]) -> PyTree:
+    def fit(self, ids: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
         """Computes the part of the solve that does not depend on `u`. Traced."""
 
     @abc.abstractmethod
@@ -186,12 +202,12 @@ class AbstractMethod(eqx.Module):
         """
         return ids
 
-    def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
+    def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
         """Computes factors on the mesh that a step of `march` left; those of `fit` by default. Traced.
 
         What goes with the places that points keep (see `place`) stays as it is.
         """
-        return self.fit(ids, surface)
+        return self.fit(ids, surface, points)
 
     def matched(self, ids: PyTree) -> np.ndarray:
         """Returns the surface's rows whose displacement the field takes, of those that `connect` chose, on the host.
@@ -215,6 +231,11 @@ class AbstractMethod(eqx.Module):
 
         `u` is a displacement to try.
         """
+
+    @property
+    def needs_cells(self) -> bool:
+        """True if `connect` needs the cells of the whole mesh. The solve is of all nodes: a plan is not laid over devices."""
+        return False
 
     @property
     def exact(self) -> bool:

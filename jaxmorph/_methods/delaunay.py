@@ -30,7 +30,7 @@ class DelaunayGraph(AbstractMethod):
             vertices[inside], repaired, outside = location.vertices, location.repaired, location.outside
         return Located(jnp.asarray(repaired, jnp.int32), jnp.asarray(outside, jnp.int32)), vertices
 
-    def fit(self, ids, surface):
+    def fit(self, ids, surface, points):
         return None
 
     def place(self, x, ids, factors, surface):

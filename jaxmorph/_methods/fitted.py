@@ -130,9 +130,9 @@ class FittedRBF(AbstractMethod):
         values = jnp.concatenate([u[ids.moving], u[ids.fixed], jnp.zeros((len(ids.far), u.shape[1]), u.dtype)])
         self.rbf.check(jnp.arange(len(values)), factors.rbf, values)
 
-    def fit(self, ids: "WallIds", surface):
+    def fit(self, ids: "WallIds", surface, points):
         sources = _sources(ids, surface)
-        rbf = self.rbf.fit(jnp.arange(len(sources)), sources)
+        rbf = self.rbf.fit(jnp.arange(len(sources)), sources, points)
         surface = surface.astype(rbf.lu.dtype)
         count, moves, dimension = len(rbf.sources), len(ids.moving), surface.shape[1]
         start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]

@@ -58,12 +58,12 @@ class Multiscale(AbstractMethod):
         reach = padded(*overlaps(nodes, order, radius, points.astype(float)), len(points))
         return ids, Reach(*map(jnp.asarray, reach))
 
-    def fit(self, ids: "Hierarchy", surface):
+    def fit(self, ids: "Hierarchy", surface, points):
         squared = _squared(surface - surface[ids.nearest])
         entries = _wendland(_squared(surface[ids.row] - surface[ids.column]), squared[ids.column])
         return MultiscaleFactors(squared, entries)
 
-    def carry(self, ids, factors, surface):
+    def carry(self, ids, factors, surface, points):
         return factors
 
     def place(self, x, ids: "Reach", factors: "MultiscaleFactors", surface):

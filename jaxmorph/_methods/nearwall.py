@@ -64,6 +64,10 @@ class NearWall(AbstractMethod):
     def exact(self) -> bool:
         return self.correction.exact
 
+    @property
+    def needs_cells(self) -> bool:
+        return self.correction.needs_cells
+
     def connect(self, surface: Surface, points):
         correction, correction_at_points = self.correction.connect(surface, points)
         extent = self._extent(surface)
@@ -79,12 +83,12 @@ class NearWall(AbstractMethod):
         reached[inside[near]] = True
         return (correction, extent), (correction_at_points, WallRow(jnp.asarray(nodes), jnp.asarray(reached)))
 
-    def fit(self, ids, surface):
+    def fit(self, ids, surface, points):
         correction, extent = ids
-        return self.correction.fit(correction, surface), self._width(extent, surface)
+        return self.correction.fit(correction, surface, points), self._width(extent, surface)
 
-    def carry(self, ids, factors, surface):
-        return self.correction.carry(ids[0], factors[0], surface), factors[1]
+    def carry(self, ids, factors, surface, points):
+        return self.correction.carry(ids[0], factors[0], surface, points), factors[1]
 
     def place(self, x, ids, factors, surface):
         chi, weights = _blend(x, ids[1], factors[1], surface)

@@ -121,7 +121,7 @@ class RBF(AbstractMethod):
     def sources(self, ids):
         return np.asarray(ids)
 
-    def fit(self, ids: Int[Array, " s"], surface):
+    def fit(self, ids: Int[Array, " s"], surface, points):
         points = surface[ids].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))
         centre = points.mean(axis=0)
         extent = jnp.abs(points - centre[None]).max()

@@ -51,6 +51,10 @@ class SurfaceReconstruction(AbstractMethod):
     def exact(self) -> bool:
         return self.correction.exact
 
+    @property
+    def needs_cells(self) -> bool:
+        return self.coarse.needs_cells or self.correction.needs_cells
+
     def connect(self, surface: Surface, points):
         everywhere, more = surface.among(points)
         coarse, coarse_ids = self.coarse.connect(everywhere, more)
@@ -60,17 +64,17 @@ class SurfaceReconstruction(AbstractMethod):
         correction, correction_at_points = self.correction.connect(surface, points)
         return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)
 
-    def fit(self, ids, surface):
+    def fit(self, ids, surface, points):
         coarse, at_surface, correction = ids
-        factors = self.coarse.fit(coarse, surface)
+        factors = self.coarse.fit(coarse, surface, points)
         placed = place_points(self.coarse, surface, at_surface, factors, surface)
-        return factors, placed, self.correction.fit(correction, surface)
+        return factors, placed, self.correction.fit(correction, surface, points)
 
-    def carry(self, ids, factors, surface):
+    def carry(self, ids, factors, surface, points):
         coarse, _, correction = ids
         coarse_factors, placed, correction_factors = factors
-        carried = self.coarse.carry(coarse, coarse_factors, surface)
-        return carried, placed, self.correction.carry(correction, correction_factors, surface)
+        carried = self.coarse.carry(coarse, coarse_factors, surface, points)
+        return carried, placed, self.correction.carry(correction, correction_factors, surface, points)
 
     def place(self, x, ids, factors, surface):
         coarse = self.coarse.place(x, ids[0], factors[0], surface)

@@ -10,6 +10,7 @@ from jaxtyping import Int
 
 from .._host.errors import MeshError
 from .._host.skin import has_free_faces
+from .._host.topology import solid
 from .._mesh.mesh import Mesh
 from .faces import FreeFaces, free_faces, outer_faces
 from .symmetry import Plane
@@ -27,6 +28,7 @@ class Boundary:
     - `faces`: the mesh's boundary faces (k, corners) by type, as node ids, or None if the cells are not known.
     - `left`: the faces that no list names, or None as well.
     - `is_open`: whether there are faces off the surface and the planes, free ones too, or None as well.
+    - `cells`: node ids (k, corners) of the cells by type, or None as well, and for a part of a mesh.
     """
 
     points: np.ndarray
@@ -36,6 +38,7 @@ class Boundary:
     faces: Mapping[str, np.ndarray] | None
     left: FreeFaces | None
     is_open: bool | None
+    cells: Mapping[str, np.ndarray] | None = None
 
     @property
     def nodes(self) -> np.ndarray:
@@ -60,7 +63,8 @@ class Boundary:
         moving, fixed = np.searchsorted(nodes, self.moving), np.searchsorted(nodes, self.fixed)
         faces, surface = self.surface_faces, np.concatenate([moving, fixed])
         faces = None if faces is None else {kind: surface[rows] for kind, rows in faces.items()}
-        return Boundary(self.points[nodes], moving, fixed, self.planes, faces, self.left, self.is_open)
+        cells = self.cells if len(nodes) == len(self.points) else None
+        return Boundary(self.points[nodes], moving, fixed, self.planes, faces, self.left, self.is_open, cells)
 
 
 def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = ()) -> Boundary:
@@ -86,7 +90,8 @@ def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = ()) 
     is_held = _listed(points, np.concatenate([moving, fixed]), planes)
     is_open = has_free_faces(points, outer.corners, is_held)
     is_held[free] = True
-    return Boundary(points, moving, fixed, planes, outer.corners, free_faces(patches, outer, is_held), is_open)
+    cells = {kind: np.asarray(corners) for kind, corners in solid(patches.cells, points.shape[1]).items()}
+    return Boundary(points, moving, fixed, planes, outer.corners, free_faces(patches, outer, is_held), is_open, cells)
 
 
 def checked_points(points: Any) -> np.ndarray:

@@ -153,14 +153,14 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
     points = jnp.asarray(points, plan.volume.points.dtype)
     if points.shape != plan.points.shape:
         raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
-    old, volume = plan.surface, plan.volume
+    old, volume, whole = plan.surface, plan.volume, points
     surface = points[old.nodes]
     if old.mirror is not None:
         surface = old.mirror.points(surface)
     if plan.layout is not None:
         points = pad_rows(points, plan.layout)
     method = plan.method
-    factors = method.carry(old.ids, old.factors, surface) if carried else method.fit(old.ids, surface)
+    factors = method.carry(old.ids, old.factors, surface, whole) if carried else method.fit(old.ids, surface, whole)
     return Plan(
         method=method,
         surface=SurfaceHalf(surface, old.nodes, old.mirror, old.ids, factors),
@@ -273,9 +273,14 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     **Returns:** a `Plan`.
 
     **Raises:** `ValueError` when there are no devices, or the plan is laid over devices already.
+    Also for a method that solves for all nodes at once.
     """
     if plan.layout is not None:
         raise ValueError("this plan is laid over devices already: shard the plan that `prepare` returned.")
+    if plan.method.needs_cells:
+        raise ValueError(
+            f"{type(plan.method).__name__} solves for all nodes at once: its plan is not laid over devices."
+        )
     layout = Layout.over(devices, len(plan.volume.points))
     volume = jax.tree.map(lambda leaf: pad_rows(leaf, layout), without_tables(plan.volume))
     placed = with_tables(volume.placed, len(plan.surface.points), layout.mesh.size)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Integer, Real
 
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Surface, check_kind
+from .._methods.base import AbstractMethod, Cells, Surface, check_kind
 from .._methods.blocks import with_tables
 from .._methods.reconstruction import SurfaceReconstruction
 from .door import Boundary, boundary
@@ -54,6 +54,10 @@ def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
     """Prepares a plan of what has been checked. It warns of boundary faces that no list names, and of lost precision."""
     named.warn_of_free_faces()
     method = SurfaceReconstruction() if method is None else method
+    if method.needs_cells and named.cells is None:
+        raise ValueError(
+            f"{type(method).__name__} needs the cells of the whole mesh: pass the mesh, prepare(mesh, ...), not points or a part."
+        )
     surface, images, on_plane = surface_of(named)
     surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, named.points))
     plan = Plan(
@@ -93,7 +97,16 @@ def surface_of(named: Boundary) -> tuple[Surface, Mirror | None, Bool[np.ndarray
         faces = None if faces is None else {kind: images.faces(corners) for kind, corners in faces.items()}
     first = _first(rows)
     ids = np.where(np.arange(len(rows)) == first, nodes[rows], -1)
-    return Surface(everything, ids, moving, first, faces=faces, is_open=named.is_open), images, on_plane
+    cells = None if named.cells is None else _cells(named, on_plane)
+    surface = Surface(everything, ids, moving, first, faces=faces, is_open=named.is_open, cells=cells)
+    return surface, images, on_plane
+
+
+def _cells(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:
+    """Returns the cells and planes that a method sees."""
+    n, d = named.points.shape
+    normals = np.stack([plane.normal for plane in named.planes]) if named.planes else np.zeros((0, d))
+    return Cells(named.cells or {}, normals, np.zeros((n, 0), dtype=bool) if on_plane is None else on_plane)
 
 
 def _with_tables(plan: Plan) -> Plan:

@@ -1,0 +1,218 @@
+"""Sparse symmetric positive systems with one number, or one small block, for each pair of nodes. The last few are kept."""
+
+import collections
+import itertools
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg
+from scipy.sparse.csgraph import connected_components
+
+DIRECT = 12_000
+"""Unknowns up to which a 3-D system is factored. 2-D systems always are, since their factors hardly fill."""
+ACCURACY = 1e-9
+"""Residual, relative to the right side, at which conjugate gradients stop."""
+KEPT = 2
+"""Systems whose factors are kept, the latest ones."""
+
+_kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=KEPT)
+_lock = threading.Lock()
+
+
+def solve(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
+    """Solves A x = right for the free unknowns; x is zero for the others.
+
+    Leading axes of the arguments, as batches have them, are 1 or equal to each other.
+
+    **Arguments:**
+
+    - `pairs` (e, 2): nodes i and j of each pair, no pair twice.
+    - `values` (e,) or (e, d, d): the matrix's entries in row i and column j; those in row j are their transposes.
+    - `diagonal` (n,) or (n, d, d): entries of a node with itself.
+    - `masses` (n,) or (0,): where given, the matrix is K M^-1 K, with K the one described and M of these masses.
+    - `free` (n, d): unknowns to solve for.
+    - `places` (n, d): coordinates, for the rigid motions that a multigrid method keeps.
+    - `right` (n, k): k = d columns.
+
+    **Returns:** x (n, d), in the precision of `right`; NaN where a system is not finite or not positive.
+
+    **Raises:** `ImportError` for a large 3-D system without pyamg.
+    """
+    leading = np.ndim(right) - 2
+    arrays = [np.asarray(array) for array in (pairs, values, diagonal, masses, free, places, right)]
+    if leading == 0:
+        return _solved(*arrays)
+    shape = np.broadcast_shapes(*(array.shape[:leading] for array in arrays))
+    result = np.empty((*shape, *arrays[-1].shape[leading:]), arrays[-1].dtype)
+    for place in itertools.product(*map(range, shape)):
+        one = [
+            array[tuple(i if size > 1 else 0 for i, size in zip(place, array.shape, strict=False))] for array in arrays
+        ]
+        result[place] = _solved(*one)
+    return result
+
+
+def _solved(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
+    key = (pairs, values, diagonal, masses, free)
+    with _lock:
+        apply = next((apply for old, apply in _kept if all(map(_equal, old, key))), None)
+    if apply is None:
+        if not all(np.isfinite(array).all() for array in (values, diagonal, masses)):
+            return np.full_like(right, np.nan)
+        values, diagonal, masses = (array.astype(float) for array in (values, diagonal, masses))
+        apply = _inverse(pairs, values, diagonal, masses, free, places)
+        with _lock:
+            _kept.append((tuple(np.array(array) for array in key), apply))
+    return apply(right.astype(float)).astype(right.dtype)
+
+
+def _equal(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.shape == b.shape and a.dtype == b.dtype and bool(np.array_equal(a, b))
+
+
+def _inverse(pairs, values, diagonal, masses, free, places) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes the function that solves for right sides (n, d)."""
+    n, d = free.shape
+    if values.ndim == 3:
+        rows, used = np.flatnonzero(free.any(axis=1)), free[free.any(axis=1)]
+        matrix = _blocks(pairs, values, diagonal, rows, used)
+        one = _of_matrix(matrix, d, _rigid_motions(places[rows]) * used.ravel()[:, None])
+
+        def apply_blocks(right):
+            x = np.zeros((n, d))
+            x[rows] = one((right[rows] * used).ravel()).reshape(-1, d)
+            return x
+
+        return apply_blocks
+    matrix = _scalar(pairs, values, diagonal, n)
+    if masses.size:
+        matrix = (matrix @ sparse.diags(1 / masses) @ matrix).tocsr()
+    kinds, column_kind = np.unique(free, axis=1, return_inverse=True)
+    column_kind = np.ravel(column_kind)
+    rows = [np.flatnonzero(kind) for kind in kinds.T]
+    solvers = [_of_matrix(matrix[row][:, row], d, np.ones((len(row), 1))) for row in rows]
+
+    def apply(right):
+        x = np.zeros((n, d))
+        for kind, (row, one) in enumerate(zip(rows, solvers, strict=True)):
+            columns = np.flatnonzero(column_kind == kind)
+            x[np.ix_(row, columns)] = one(right[np.ix_(row, columns)])
+        return x
+
+    return apply
+
+
+def _scalar(pairs, values, diagonal, n) -> sparse.csr_matrix:
+    i, j = pairs.T
+    node = np.arange(n)
+    rows, columns = np.concatenate([i, j, node]), np.concatenate([j, i, node])
+    return sparse.csr_matrix((np.concatenate([values, values, diagonal]), (rows, columns)), shape=(n, n))
+
+
+def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
+    """Assembles the matrix of the nodes `rows` block by block; unknowns not `used` have a one on the diagonal."""
+    d = used.shape[1]
+    number = np.full(len(diagonal), -1)
+    number[rows] = np.arange(len(rows))
+    both = (number[pairs] >= 0).all(axis=1)
+    i, j = number[pairs[both]].T
+    node = np.arange(len(rows))
+    owner, columns = np.concatenate([i, j, node]), np.concatenate([j, i, node])
+    order = np.lexsort((columns, owner))
+    owner, columns = owner[order], columns[order]
+    data = np.concatenate([values[both], values[both].transpose(0, 2, 1), diagonal[rows]])[order]
+    data *= used[owner][:, :, None] & used[columns][:, None]
+    data[owner == columns] += ~used[:, :, None] * np.eye(d)
+    starts = np.searchsorted(owner, np.arange(len(rows) + 1))
+    return sparse.bsr_matrix((data, columns, starts), shape=(len(rows) * d,) * 2)
+
+
+def _of_matrix(matrix: Any, d: int, modes: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes the solver of one matrix, scaled to a diagonal of ones, for right sides (k,) or (k, c)."""
+    if matrix.shape[0] == 0:
+        return lambda right: right
+    if not (matrix.diagonal() > 0).all():
+        return lambda right: np.full_like(right, np.nan)
+    scale = 1 / np.sqrt(matrix.diagonal())
+    scaled = _scaled(matrix, scale)
+    if d == 2 or matrix.shape[0] <= DIRECT:
+        options = {"SymmetricMode": True}
+        try:
+            factors = linalg.splu(scaled.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+        except RuntimeError:  # singular
+            return lambda right: np.full_like(right, np.nan)
+        return lambda right: (factors.solve((right.T * scale).T).T * scale).T
+    return _multigrid(scaled, scale, modes)
+
+
+def _scaled(matrix: Any, scale: np.ndarray) -> Any:
+    """Multiplies rows and columns, and leaves blocks as they are."""
+    if matrix.format != "bsr":
+        return (sparse.diags(scale) @ matrix @ sparse.diags(scale)).tocsr()
+    size = matrix.blocksize[0]
+    scale = scale.reshape(-1, size)
+    owner = np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))
+    data = matrix.data * scale[owner][:, :, None] * scale[matrix.indices][:, None]
+    return sparse.bsr_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+def _multigrid(scaled: Any, scale: np.ndarray, modes: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes conjugate gradients with a cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996) as preconditioner."""
+    try:
+        import pyamg  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise ImportError(
+            f"{scaled.shape[0]} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
+        ) from error
+    smoother = ("chebyshev", {"degree": 2})
+    options = {"presmoother": smoother, "postsmoother": smoother, "max_coarse": 300, "coarse_solver": "splu"}
+    state = np.random.get_state()  # noqa: NPY002  pyamg draws from it: the same numbers each time, and the user's stay
+    np.random.seed(0)  # noqa: NPY002
+    try:
+        hierarchy = pyamg.smoothed_aggregation_solver(scaled, B=modes / scale[:, None], **options)
+    finally:
+        np.random.set_state(state)  # noqa: NPY002
+    cycle = hierarchy.aspreconditioner(cycle="V")
+
+    def one(right):
+        return linalg.cg(scaled, right, rtol=ACCURACY, maxiter=1000, M=cycle)[0]
+
+    def apply(right):
+        if right.ndim == 1:
+            return one(right * scale) * scale
+        return np.stack([one(column * scale) * scale for column in right.T], axis=1)
+
+    return apply
+
+
+def _rigid_motions(places: np.ndarray) -> np.ndarray:
+    """Returns translations and infinitesimal rotations (n d, modes) of the nodes."""
+    n, d = places.shape
+    arms = places - places.sum(axis=0) / max(1, n)
+    modes = [np.tile(axis, (n, 1)) for axis in np.eye(d)]
+    for a, b in itertools.combinations(range(d), 2):
+        turn = np.zeros((n, d))
+        turn[:, a], turn[:, b] = -arms[:, b], arms[:, a]
+        modes.append(turn)
+    return np.stack([mode.ravel() for mode in modes], axis=1)
+
+
+def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Tells which nodes (n,) hang together, by pairs (e, 2), with one that is `known` (n,)."""
+    n = len(known)
+    graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n))
+    part = connected_components(graph, directed=False)[1]
+    return np.bincount(part, known)[part] > 0
+
+
+def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Finds for each point (n,) the one that stands for all at its place: one of `first` if there is any, itself if it is one."""
+    order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
+    _, index, inverse = np.unique(points[order], axis=0, return_index=True, return_inverse=True)
+    stands = np.empty(len(points), dtype=np.int64)
+    stands[order] = order[index[np.ravel(inverse)]]
+    stands[first] = first
+    return stands

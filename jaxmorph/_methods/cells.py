@@ -1,0 +1,255 @@
+"""Methods that solve an equation on the mesh's cells, inner nodes and all: what they share."""
+
+import abc
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy.spatial import KDTree
+
+from .._host import linear
+from .._host.topology import CORNERS
+from .base import AbstractField, AbstractMethod, Surface
+from .blocks import map_rows
+
+CELLS = 4096
+"""Cells whose entries are computed together."""
+
+
+class CellIds(eqx.Module):
+    """Ids of k cells of one type.
+
+    - `corners`: of each cell.
+    - `entry`: the number of each of its pairs of corners in the list of pairs.
+    - `flipped`: for each of them, see below.
+    - `wall`: the moving node nearest to it.
+
+    An entry is `flipped` where the pair's first corner is the entry's second node. It is the number of pairs where the two
+    corners are one node.
+    """
+
+    corners: Int[Array, "k c"]
+    entry: Int[Array, "k p"]
+    flipped: Bool[Array, "k p"]
+    wall: Int[Array, " k"]
+
+
+class NodeIds(eqx.Module):
+    """Ids of a mesh's n nodes for a solve.
+
+    - `cells`: by type.
+    - `pairs` (e, 2): nodes that share an entry of the matrix, the smaller id first.
+    - `frame` (d, d): axes in its columns, of which each symmetry plane has one as its normal.
+    - `free` (n, d): unknowns, by node and axis of the frame.
+    - `rows`, `nodes` (r,): rows of the surface that are nodes of the mesh, and which.
+    """
+
+    cells: dict[str, CellIds]
+    pairs: Int[Array, "e 2"]
+    frame: Float[Array, "d d"]
+    free: Bool[Array, "n d"]
+    rows: Int[Array, " r"]
+    nodes: Int[Array, " r"]
+
+
+class NodeFactors(eqx.Module):
+    """The matrix, as `jaxmorph._host.linear.solve` takes it, and the nodes' places in the frame."""
+
+    values: Float[Array, "e ..."]
+    diagonal: Float[Array, "n ..."]
+    masses: Float[Array, " q"]
+    places: Float[Array, "n d"]
+
+
+class AbstractCellMethod(AbstractMethod):
+    """Solves a linear system for the displacements of all inner nodes, made of one small matrix for each cell.
+
+    The matrix is symmetric, and its rows add to zero: a translation is reproduced. Nodes at one place are one node. Nodes on
+    a symmetry plane slide in it. Nodes in no cell, or in cells that no moving or fixed node belongs to, rest.
+
+    The solve runs on the host, within traced code. In 2-D it factors the matrix; a large 3-D one takes conjugate gradients
+    with a multigrid cycle. The factors of the last two systems are kept. The transpose costs as much as the solve.
+    """
+
+    @abc.abstractmethod
+    def pairs(self, kind: str) -> tuple[tuple[int, int], ...]:
+        """Lists the pairs of corners of a type of cells that have an entry."""
+
+    @abc.abstractmethod
+    def entries(
+        self, kind: str, corners: Float[Array, "c d"], distance: Float[Array, ""]
+    ) -> Float[Array, "p"] | Float[Array, "p d d"]:
+        """Computes a cell's entries of the matrix: numbers, or blocks of rows of the first corner. Traced.
+
+        `distance` is that of the cell's centre from the nearest moving node.
+        """
+
+    def masses(self, ids: NodeIds, places: Float[Array, "n d"]) -> Float[Array, " q"]:
+        """Computes masses M of the nodes, for the matrix K M^-1 K; none by default. Traced."""
+        return jnp.zeros(0, places.dtype)
+
+    @property
+    def needs_cells(self) -> bool:
+        return True
+
+    def connect(self, surface: Surface, points):
+        cells = surface.cells
+        assert cells is not None  # the driver asks `needs_cells`
+        n = len(cells.on_plane)
+        rows = np.flatnonzero((surface.nodes >= 0) & (surface.nodes < n))
+        nodes = surface.nodes[rows]
+        stands = linear.coincident(points[:n], nodes)
+        corners = {kind: stands[ids] for kind, ids in cells.corners.items()}
+        pairs, ids = self._numbered(corners, n)
+        wall = nodes[rows < surface.moving]
+        tree = KDTree(points[wall])
+        nearest = {kind: wall[tree.query(points[each].mean(axis=1))[1]] for kind, each in corners.items()}
+        of_kind = {kind: _of_kind(corners[kind], *ids[kind], nearest[kind]) for kind in corners}
+        known = np.zeros(n, dtype=bool)
+        known[nodes] = True
+        is_free = linear.reached(pairs, known) & ~known & (np.bincount(pairs.ravel(), minlength=n) > 0)
+        frame = _frame(cells.normals)
+        slides = [cells.on_plane[:, np.abs(cells.normals @ axis) > 0.5].any(axis=1) for axis in frame.T]
+        free = is_free[:, None] & ~np.stack(slides, axis=1)
+        volume = stands.copy()
+        volume[nodes] = n + rows
+        beyond = np.flatnonzero(surface.nodes >= n)  # images: the surface alone has them
+        last = np.zeros(len(points) - n, dtype=np.int64)
+        last[surface.nodes[beyond] - n] = n + beyond
+        pairs, rows, nodes = (jnp.asarray(each, jnp.int32) for each in (pairs, rows, nodes))
+        node_ids = NodeIds(of_kind, pairs, jnp.asarray(frame), jnp.asarray(free), rows, nodes)
+        return node_ids, np.concatenate([volume, last]).astype(np.int32)
+
+    def _numbered(
+        self, corners: Mapping[str, np.ndarray], n: int
+    ) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
+        """Numbers the pairs of nodes (e, 2), and finds each cell's entries (k, p) and which of them are flipped."""
+        both = {kind: np.array(self.pairs(kind)).T for kind in corners}
+        first = {kind: corners[kind][:, i] for kind, (i, _) in both.items()}
+        second = {kind: corners[kind][:, j] for kind, (_, j) in both.items()}
+        keys = {
+            kind: np.minimum(first[kind], second[kind]) * n + np.maximum(first[kind], second[kind]) for kind in both
+        }
+        real = {kind: first[kind] != second[kind] for kind in both}
+        unique = np.unique(np.concatenate([np.zeros(0, np.int64), *(keys[kind][real[kind]] for kind in both)]))
+        entry = {kind: np.where(real[kind], np.searchsorted(unique, keys[kind]), len(unique)) for kind in both}
+        return np.stack(np.divmod(unique, n), axis=1), {k: (entry[k], first[k] > second[k]) for k in both}
+
+    def fit(self, ids: NodeIds, surface, points):
+        places = points @ ids.frame.astype(points.dtype)
+        count, n, parts = len(ids.pairs), len(places), []
+        for kind, cells in ids.cells.items():
+            parts.append((cells.entry.ravel(), self._of_cells(kind, cells, places)))
+        entry = jnp.concatenate([entry for entry, _ in parts])
+        values = jax.ops.segment_sum(jnp.concatenate([value for _, value in parts]), entry, count)
+        turned = jnp.swapaxes(values, 1, 2) if values.ndim == 3 else values
+        i, j = ids.pairs.T
+        diagonal = -jax.ops.segment_sum(values, i, n) - jax.ops.segment_sum(turned, j, n)
+        return NodeFactors(values, diagonal, self.masses(ids, places), places)
+
+    def _of_cells(self, kind: str, cells: CellIds, places):
+        """Computes the entries of all cells of one type, one row a pair of corners."""
+
+        def of_one(corners, wall, flipped):
+            corners, wall = places[corners], places[wall]
+            values = self.entries(kind, corners, jnp.linalg.norm(corners.mean(axis=0) - wall))
+            if values.ndim == 1:
+                return values
+            return jnp.where(flipped[:, None, None], jnp.swapaxes(values, 1, 2), values)
+
+        of_block = jax.checkpoint(lambda rows: jax.vmap(of_one)(*rows))
+        values = map_rows(of_block, (cells.corners, cells.wall, cells.flipped), CELLS)
+        return values.reshape(-1, *values.shape[2:])
+
+    def field(self, ids: NodeIds, factors: NodeFactors, surface, u):
+        frame = ids.frame.astype(u.dtype)
+        given = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set((u @ frame)[ids.rows])
+        moved = given + _solve(ids, factors, -_product(ids, factors, given))
+        return NodeField(jnp.concatenate([moved @ frame.T, u]))
+
+    def check(self, ids: NodeIds, factors: NodeFactors, u):
+        moved = self.field(ids, factors, u, u).values
+        if not bool(jnp.isfinite(moved).all()):
+            raise ValueError(
+                f"the stiffness of {type(self).__name__} is not finite or not positive: cells without volume, or a stiffness "
+                "that differs too much between cells. Try a smaller exponent."
+            )
+
+
+class NodeField(AbstractField):
+    """Displacements of the nodes, then of the surface's rows; a point's id is its place among them."""
+
+    values: Float[Array, "k d"]
+
+    @property
+    def block_size(self) -> None:
+        return None
+
+    def __call__(self, x, ids):
+        return self.values[ids]
+
+
+def _of_kind(corners, entry, flipped, wall) -> CellIds:
+    corners, entry, wall = (jnp.asarray(each, jnp.int32) for each in (corners, entry, wall))
+    return CellIds(corners, entry, jnp.asarray(flipped), wall)
+
+
+def _frame(normals: np.ndarray) -> np.ndarray:
+    """Completes the normals of planes, each parallel or at right angles to the others, to axes in the columns of a matrix."""
+    d = normals.shape[1]
+    axes: list[np.ndarray] = []
+    for direction in (*normals, *np.eye(d)):
+        rest = direction - sum((axis * (axis @ direction) for axis in axes), start=np.zeros(d))
+        if np.linalg.norm(rest) > 0.3 and len(axes) < d:
+            axes.append(rest / np.linalg.norm(rest))
+    return np.stack(axes, axis=1)
+
+
+def _product(ids: NodeIds, factors: NodeFactors, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """Multiplies by the matrix."""
+    once = symmetric_product(ids.pairs, factors.values, factors.diagonal, x)
+    if not len(factors.masses):
+        return once
+    return symmetric_product(ids.pairs, factors.values, factors.diagonal, once / factors.masses[:, None])
+
+
+def symmetric_product(pairs, values, diagonal, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """Multiplies by a symmetric matrix of numbers or blocks, one a pair of nodes and one a node. Traced."""
+    i, j = pairs.T
+
+    def times(a, b):
+        return a[:, None] * b if a.ndim == 1 else jnp.einsum("eab,eb->ea", a, b, precision="highest")
+
+    turned = values if values.ndim == 1 else jnp.swapaxes(values, 1, 2)
+    there = jax.ops.segment_sum(times(values, x[j]), i, len(x)) + jax.ops.segment_sum(times(turned, x[i]), j, len(x))
+    return times(diagonal, x) + there
+
+
+def _solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """Solves for the free unknowns, on the host; its derivatives are products and solves of the same kind."""
+    free = ids.free
+
+    def product(x):
+        return jnp.where(free, _product(ids, factors, jnp.where(free, x, 0)), x)
+
+    return solved_on_host(product, ids.pairs, factors, free, jnp.where(free, right, 0))
+
+
+def solved_on_host(product, pairs, factors: NodeFactors, free, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """Solves a symmetric system whose product with x is given, by `jaxmorph._host.linear.solve`. Traced."""
+    leaves = (pairs, factors.values, factors.diagonal, factors.masses, free, factors.places)
+
+    def solve(_, right):
+        shape = jax.ShapeDtypeStruct(right.shape, right.dtype)
+        stopped = jax.lax.stop_gradient(leaves)
+        return jax.pure_callback(linear.solve, shape, *stopped, right, vmap_method="expand_dims")
+
+    return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
+
+
+def all_pairs(kind: str) -> tuple[tuple[int, int], ...]:
+    """Lists all pairs of a cell's corners."""
+    return tuple((i, j) for j in range(CORNERS[kind]) for i in range(j))

@@ -1,0 +1,54 @@
+"""Linear elasticity: the mesh as a solid whose small cells are stiff (Tezduyar et al. 1992; Stein, Tezduyar and Benney 2003)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._kernels.values import is_known
+from .base import check_kind
+from .cells import AbstractCellMethod, all_pairs
+from .stiffness import AbstractStiffness, ByVolume, gradients
+
+
+def _ratio(value) -> Float[Array, ""]:
+    value = jnp.asarray(value, float)
+    if is_known(value) and not -1 < float(value) < 0.5:
+        raise ValueError(f"`poisson` must be between -1 and 0.5, not {float(value)}.")
+    return value
+
+
+class LinearElasticity(AbstractCellMethod):
+    """Moves the mesh like an elastic solid, of linear finite elements (in 2-D in plane strain).
+
+    It needs the mesh's cells. Symmetry planes are planes in which nodes slide freely. Translations, and small rotations, are
+    reproduced; a large rotation of everything is not, for the equation is linear.
+
+    **Arguments:**
+
+    - `stiffening`: a cell's modulus of elasticity: `ByVolume(exponent)` or `ByDistance(exponent)`. Default `ByVolume(1)`.
+    - `poisson`: Poisson's ratio, between -1 and 0.5. Default 0.3.
+
+    **Raises:** `ValueError` for another ratio. `prepare` raises it for points without cells, and for cells without volume.
+    """
+
+    stiffening: AbstractStiffness = eqx.field(default_factory=ByVolume)
+    poisson: Float[Array, ""] = eqx.field(converter=_ratio, default_factory=lambda: np.asarray(0.3))
+
+    def __check_init__(self):
+        check_kind(self.stiffening, AbstractStiffness, "stiffening", "jm.ByVolume(1)")
+
+    def pairs(self, kind):
+        return all_pairs(kind)
+
+    def entries(self, kind, corners, distance):
+        gradient, volume = gradients(kind, corners)
+        i, j = np.array(self.pairs(kind)).T
+        nu = self.poisson.astype(corners.dtype)
+        shear = 1 / (2 * (1 + nu))
+        dilation = nu / ((1 + nu) * (1 - 2 * nu))
+        outer = jnp.einsum("q,qpa,qpb->pab", volume, gradient[:, i], gradient[:, j], precision="highest")
+        trace = jnp.trace(outer, axis1=1, axis2=2)
+        isotropic = trace[:, None, None] * jnp.eye(corners.shape[1], dtype=corners.dtype)[None]
+        blocks = dilation * outer + shear * (jnp.swapaxes(outer, 1, 2) + isotropic)
+        return self.stiffening(volume.sum(), distance) * blocks

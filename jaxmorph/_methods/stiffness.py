@@ -1,0 +1,75 @@
+"""Stiffness of cells: a power of their volume, or of their distance from the moving surface."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._host.elements import quadrature
+
+
+class AbstractStiffness(eqx.Module):
+    """Gives each cell a stiffness, or a diffusivity."""
+
+    @abc.abstractmethod
+    def __call__(self, volume: Float[Array, ""], distance: Float[Array, ""]) -> Float[Array, ""]:
+        """Computes it from the cell's volume (area in 2-D), and its centre's distance from the nearest moving node. Traced."""
+
+
+class ByVolume(AbstractStiffness):
+    """Makes a cell as stiff as 1 / volume^exponent: small cells keep their shape.
+
+    **Arguments:**
+
+    - `exponent`: default 1. With 0 all cells are alike.
+    """
+
+    exponent: Float[Array, ""] = eqx.field(converter=jnp.asarray, default_factory=lambda: np.asarray(1.0))
+
+    def __call__(self, volume, distance):
+        return volume ** -self.exponent.astype(volume.dtype)
+
+
+class ByDistance(AbstractStiffness):
+    """Makes a cell as stiff as 1 / distance^exponent, with the distance of its centre from the nearest moving node.
+
+    OpenFOAM calls it `inverseDistance`, with the exponent 2 `quadratic inverseDistance`.
+
+    **Arguments:**
+
+    - `exponent`: default 1.
+    """
+
+    exponent: Float[Array, ""] = eqx.field(converter=jnp.asarray, default_factory=lambda: np.asarray(1.0))
+
+    def __call__(self, volume, distance):
+        return distance ** -self.exponent.astype(distance.dtype)
+
+
+def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
+    """Computes the shape functions' gradients at the points of a cell's quadrature, and the volume at each point. Traced."""
+    reference, weights = (jnp.asarray(table, corners.dtype) for table in quadrature(kind))
+    jacobian = jnp.einsum("qca,cb->qab", reference, corners, precision="highest")  # d place / d reference, transposed
+    inverse, determinant = _inverse(jacobian)
+    gradient = jnp.einsum("qba,qca->qcb", inverse, reference, precision="highest")
+    return gradient, weights * jnp.abs(determinant)
+
+
+def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"]]:
+    """Inverts in closed form; a matrix without volume has a large inverse, not an infinite one."""
+    rows = [matrix[:, k] for k in range(matrix.shape[1])]
+    if len(rows) == 2:
+        (a, b), (c, d) = (row.T for row in rows)
+        determinant = a * d - b * c
+        adjugate = jnp.stack([jnp.stack([d, -b], axis=1), jnp.stack([-c, a], axis=1)], axis=1)
+    else:
+        first, second, third = rows
+        columns = [jnp.cross(second, third), jnp.cross(third, first), jnp.cross(first, second)]
+        determinant = jnp.sum(first * columns[0], axis=1)
+        adjugate = jnp.stack(columns, axis=2)
+    size = jnp.sum(matrix**2, axis=(1, 2)) ** (len(rows) / 2)
+    least = float(jnp.finfo(matrix.dtype).eps) * jnp.where(size > 0, size, 1)
+    safe = jnp.where(jnp.abs(determinant) > least, determinant, least)
+    return adjugate / safe[:, None, None], safe

@@ -1,0 +1,168 @@
+"""Methods that solve on the mesh's cells: elements against closed forms, symmetry planes, coincident nodes, and the two solvers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, motion
+
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph._host import linear
+
+UNIFORM = jm.LinearElasticity(jm.ByVolume(0.0))
+
+
+def hull(points):
+    """The nodes of the unit cube's boundary."""
+    return np.flatnonzero(((points < 1e-9) | (points > 1 - 1e-9)).any(axis=1))
+
+
+@pytest.mark.parametrize("kind", ["hexahedron", "tetra", "pyramid", "wedge"])
+def test_patch_test(kind):
+    """An affine motion of the boundary moves the nodes inside alike, whatever their places and the type of their cells."""
+    mesh = cases.bricks(kind, cells=3)
+    boundary = hull(mesh.points)
+    inner = np.setdiff1d(np.arange(len(mesh.points)), boundary)
+    points = mesh.points.copy()
+    points[inner] += 0.04 * np.random.default_rng(0).uniform(-1, 1, (len(inner), 3))
+    shear = 0.3 * np.random.default_rng(1).normal(size=(3, 3))
+    plan = jm.prepare(mesh.moved(points), boundary, method=UNIFORM)
+    moved = jm.deform(plan, (points @ shear)[boundary])
+    np.testing.assert_allclose(moved, points + points @ shear, rtol=0, atol=1e-12)
+
+
+def test_laplacian_has_the_cotangents():
+    """A weight of Laplace's equation on triangles is half the sum of the cotangents of the angles that face the edge."""
+    mesh = body(2)
+    corners, n = mesh.cells, len(mesh.points)
+    matrix = np.zeros((n, n))
+    for one in corners:
+        for k in range(3):
+            apex, i, j = one[k], one[(k + 1) % 3], one[(k + 2) % 3]
+            a, b = mesh.points[i] - mesh.points[apex], mesh.points[j] - mesh.points[apex]
+            weight = 0.5 * (a @ b) / abs(a[0] * b[1] - a[1] * b[0])
+            matrix[[i, j, i, j], [j, i, i, j]] += np.array([-1, -1, 1, 1]) * weight
+    u, inner = motion(mesh.points[mesh.moving]), mesh.inner
+    expected = mesh.points.copy()
+    expected[mesh.moving] += u
+    expected[inner] -= np.linalg.solve(matrix[np.ix_(inner, inner)], matrix[np.ix_(inner, mesh.moving)] @ u)
+    plan = jm.prepare(
+        jm.Mesh(mesh.points, {"triangle": corners}),
+        mesh.moving,
+        mesh.fixed,
+        method=jm.Laplacian(jm.ByVolume(0.0)),
+        free=np.arange(n),
+    )
+    np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-11)
+
+
+def slab(columns):
+    """Quads in a strip of x from -columns to columns, y from 0 to 4; the bottom moves, the top is fixed."""
+    x, y = np.meshgrid(np.arange(-columns, columns + 1.0), np.arange(5.0), indexing="ij")
+    points = np.stack([x + 0.1 * np.sin(3 * x) * (abs(x) < columns), y + 0.1 * x**2 * y * (4 - y) / 16], axis=-1)
+    ids = np.arange(x.size).reshape(x.shape)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    return points.reshape(-1, 2), quads, ids
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.6])
+@pytest.mark.parametrize("method", [jm.LinearElasticity(), jm.Laplacian()], ids=["elasticity", "laplacian"])
+def test_nodes_slide_in_symmetry_planes(method, turn):
+    """A half, with a plane in any direction, moves like the half of the whole."""
+    points, quads, ids = slab(3)
+    frame = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    u = np.stack([0.1 * np.sin(points[ids[:, 0], 0]), 0.3 * np.cos(points[ids[:, 0], 0])], axis=1)
+    whole = jm.Mesh(points, {"quad": quads}, {"bottom": ids[:, 0], "top": ids[:, -1]})
+    kept = np.flatnonzero(points[:, 0] > -1e-9)
+    number = np.full(len(points), -1)
+    number[kept] = np.arange(len(kept))
+    inside = (number[quads] >= 0).all(axis=1)
+    half = jm.Mesh(points[kept] @ frame.T, {"quad": number[quads[inside]]})
+    plan = jm.prepare(whole, "bottom", "top", method=method, free=ids.ravel())
+    expected = jm.deform(plan, u)[kept] @ frame.T
+    bottom, top = number[ids[3:, 0]], number[ids[3:, -1]]
+    plane = jm.Plane(frame[:, 0], [0.0, 0.0])
+    half_plan = jm.prepare(half, bottom, top, method=method, symmetry=plane, free=np.arange(len(kept)))
+    moved = jm.deform(half_plan, u[3:] @ frame.T)
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-11)
+
+
+def test_nodes_at_one_place_move_alike():
+    """A cut that is no boundary, as behind a trailing edge, stays closed; nodes of no cell rest."""
+    points, quads, ids = slab(3)
+    cut = ids[3, 1:4]
+    points = np.concatenate([points, points[cut], [[9.0, 9.0]]])
+    doubled = quads.copy()
+    right = (points[quads].mean(axis=1) > points[ids[3, 0]])[:, 0]
+    for old, new in zip(cut, len(points) - 4 + np.arange(3), strict=True):
+        doubled[right] = np.where(doubled[right] == old, new, doubled[right])
+    u = 0.2 * np.stack([np.cos(points[ids[:, 0], 0]), np.sin(points[ids[:, 0], 0])], axis=1)
+    moved = []
+    for cells in (quads, doubled):
+        mesh = jm.Mesh(points, {"quad": cells})
+        plan = jm.prepare(mesh, ids[:, 0], ids[:, -1], method=UNIFORM, free=np.arange(len(points)))
+        moved.append(np.asarray(jm.deform(plan, u)))
+    np.testing.assert_allclose(moved[1][: ids.size], moved[0][: ids.size], rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(moved[1][-4:-1], moved[1][cut])
+    np.testing.assert_array_equal(moved[1][-1], points[-1])
+
+
+def test_multigrid_agrees_with_the_factors(monkeypatch):
+    pytest.importorskip("pyamg")
+    mesh, answers = cases.bricks("tetra", cells=4), []
+    rng = np.random.default_rng(3)
+    boundary = hull(mesh.points)
+    u, w = 0.1 * rng.normal(size=(len(boundary), 3)), rng.normal(size=mesh.points.shape)
+    for direct in (10**6, 10):
+        monkeypatch.setattr(linear, "DIRECT", direct)
+        linear._kept.clear()
+        for method in (jm.LinearElasticity(), jm.Laplacian()):
+            plan = jm.prepare(mesh, boundary, method=method)
+            answers.append((np.asarray(jm.deform(plan, u)), np.asarray(jm.pullback(plan, u, w))))
+    for direct, iterated in zip(answers[:2], answers[2:], strict=True):
+        for a, b in zip(direct, iterated, strict=True):
+            assert 0 < np.abs(a - b).max() < 1e-7
+        pushed, pulled = iterated[0] - mesh.points, iterated[1]
+        np.testing.assert_allclose(np.vdot(pushed, w), np.vdot(u, pulled), rtol=1e-6)
+
+
+def test_the_transpose_and_batches_of_meshes():
+    """Two meshes of one family under `vmap`: each has its own matrix, and none the other's answer."""
+    points, quads, ids = slab(2)
+    mesh = jm.Mesh(points, {"quad": quads})
+    plan = jm.prepare(mesh, ids[:, 0], ids[:, -1], method=jm.LinearElasticity(), free=ids.ravel())
+    rng = np.random.default_rng(4)
+    u, w = rng.normal(size=(5, 2)), rng.normal(size=points.shape)
+    pushed, pulled = jm.deform(plan, u) - points, jm.pullback(plan, u, w)
+    np.testing.assert_allclose(np.vdot(pushed, w), np.vdot(u, pulled), rtol=1e-12)
+    family = jnp.asarray(points)[None] * jnp.array([1.0, 2.0])[:, None, None] ** jnp.arange(2.0)[None, None]
+    moved = jax.vmap(lambda points: jm.deform(jm.refit(plan, points), u))(family)
+    for k in range(2):
+        alone = jm.deform(
+            jm.prepare(
+                mesh.moved(np.asarray(family[k])), plan.moving, plan.fixed, method=plan.method, free=ids.ravel()
+            ),
+            u,
+        )
+        np.testing.assert_allclose(moved[k], alone, rtol=0, atol=1e-12)
+
+
+def test_wrong_uses_are_told():
+    points, quads, ids = slab(2)
+    with pytest.raises(ValueError, match=r"LinearElasticity needs the cells of the whole mesh: pass the mesh"):
+        jm.prepare(points, ids[:, 0], ids[:, -1], method=jm.LinearElasticity())
+    mesh = jm.Mesh(points, {"quad": quads})
+    chunks = jm.prepare_in_chunks(mesh, ids[:, 0], ids[:, -1], size=4, method=jm.Laplacian(), free=ids.ravel())
+    with pytest.raises(ValueError, match=r"Laplacian needs the cells of the whole mesh"):
+        chunks.plan(0)
+    plan = jm.prepare(mesh, ids[:, 0], ids[:, -1], method=jm.Laplacian(), free=ids.ravel())
+    with pytest.raises(ValueError, match=r"solves for all nodes at once"):
+        jm.shard(plan, jax.devices())
+    with pytest.raises(ValueError, match=r"`poisson` must be between -1 and 0.5, not 0.5"):
+        jm.LinearElasticity(poisson=0.5)
+    with pytest.raises(ValueError, match=r"`stiffening` must be a stiffness object such as stiffening=jm.ByVolume"):
+        jm.LinearElasticity("volume")  # pyright: ignore[reportArgumentType]
+    method = jm.LinearElasticity(jm.ByVolume(3e4))
+    with pytest.raises(ValueError, match=r"stiffness of LinearElasticity is not finite"):
+        jm.prepare(mesh, ids[:, 0], ids[:, -1], method=method, free=ids.ravel())
