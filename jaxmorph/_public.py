@@ -38,12 +38,14 @@ from ._methods.cells import AbstractCellMethod as AbstractCellMethod
 from ._methods.delaunay import DelaunayGraph as DelaunayGraph
 from ._methods.elasticity import LinearElasticity as LinearElasticity
 from ._methods.fitted import FittedRBF as FittedRBF
+from ._methods.inverse_distance import InverseDistance as InverseDistance
 from ._methods.laplacian import Biharmonic as Biharmonic
 from ._methods.laplacian import Laplacian as Laplacian
 from ._methods.multiscale import Multiscale as Multiscale
 from ._methods.nearwall import NearWall as NearWall
 from ._methods.rbf import RBF as RBF
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
+from ._methods.rigid import RigidBlend as RigidBlend
 from ._methods.springs import SpringAnalogy as SpringAnalogy
 from ._methods.springs import TorsionalSprings as TorsionalSprings
 from ._methods.stiffness import AbstractStiffness as AbstractStiffness

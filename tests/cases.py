@@ -22,6 +22,7 @@ class Case:
 
     `exact`: the surface's nodes go where they are told. `affine`: an affine motion of the whole boundary is reproduced;
     `translates`: a translation at least. `turns`: the answer does not depend on the axes (a box reduction's does).
+    `faces`: it takes the mesh, for its boundary faces.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Case:
     translates: bool = True
     turns: bool = True
     dimensions: tuple[int, ...] = (2, 3)
+    faces: bool = False
 
     def prepared(self, points, moving, fixed=(), length=1.0, order=None) -> jm.Plan:
         """Prepares a plan for points of `body`, or the whole mesh with its cells for a method that needs them.
@@ -38,7 +40,7 @@ class Case:
         `order` lists the nodes of the body that the points are.
         """
         method = self.make(length)
-        if not method.needs_cells:
+        if not (method.needs_cells or self.faces):
             return jm.prepare(points, moving, fixed, method=method)
         cells = body(points.shape[1]).cells
         number = np.arange(len(points)) if order is None else np.argsort(order)
@@ -110,7 +112,7 @@ CASES = [
         dimensions=(2,),
     ),
     Case("notebook's basis", lambda length: full(EXTENSION.Cubic(), 1), dimensions=(3,)),
-    Case("notebook's method", lambda length: EXTENSION.InverseDistance(), affine=False, dimensions=(2,)),
+    Case("notebook's method", lambda length: EXTENSION.Shepard(), affine=False, dimensions=(2,)),
     Case("elasticity", lambda length: jm.LinearElasticity(), affine=False),
     Case("torsional", lambda length: jm.TorsionalSprings(), affine=False),
     Case("springs", lambda length: jm.SpringAnalogy(), affine=False, dimensions=(2,)),
@@ -123,6 +125,21 @@ CASES = [
         affine=False,
         turns=False,
         dimensions=(2,),
+    ),
+    Case("inverse-distance", lambda length: jm.InverseDistance(), affine=False),
+    Case(
+        "inverse-distance-turning",
+        lambda length: jm.InverseDistance(rotations=True),
+        affine=False,
+        dimensions=(2,),
+        faces=True,
+    ),
+    Case(
+        "rigid-blend",
+        lambda length: jm.SurfaceReconstruction(jm.RigidBlend(0.1 * length, 3 * length), jm.DelaunayGraph()),
+        affine=False,
+        translates=False,
+        dimensions=(3,),
     ),
     Case("gaussian-1", lambda length: full(jm.Gaussian(0.1 * length), 1), dimensions=(2,)),
     Case("multiquadric-0", lambda length: full(jm.Multiquadric(0.1 * length), 0), affine=False, dimensions=(2,)),

@@ -53,7 +53,7 @@ METHODS = {
         (),
     ),
     "own basis": (lambda: jm.RBF(power(), jm.AllPoints(), jm.AllPoints()), (Power, Law)),
-    "own method": (EXTENSION.InverseDistance, (EXTENSION.InverseDistance, EXTENSION.InverseDistanceField)),
+    "own method": (EXTENSION.Shepard, (EXTENSION.Shepard, EXTENSION.ShepardField)),
 }
 
 

@@ -192,7 +192,7 @@ class AbstractMethod(eqx.Module):
     def field(
         self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], u: Float[Array, "b d"]
     ) -> AbstractField:
-        """Makes the displacement field. Traced, and linear in `u`."""
+        """Makes the displacement field. Traced, and linear in `u` for a method that is `linear`."""
 
     def place(self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
         """Adds to a point's ids what its own place gives (barycentric coordinates), whatever `u` is. Traced.
@@ -236,6 +236,11 @@ class AbstractMethod(eqx.Module):
     def needs_cells(self) -> bool:
         """True if `connect` needs the cells of the whole mesh. The solve is of all nodes: a plan is not laid over devices."""
         return False
+
+    @property
+    def linear(self) -> bool:
+        """True if the displacement is linear in `u`. The transpose then does not depend on `u`."""
+        return True
 
     @property
     def exact(self) -> bool:

@@ -68,6 +68,10 @@ class NearWall(AbstractMethod):
     def needs_cells(self) -> bool:
         return self.correction.needs_cells
 
+    @property
+    def linear(self) -> bool:
+        return self.correction.linear
+
     def connect(self, surface: Surface, points):
         correction, correction_at_points = self.correction.connect(surface, points)
         extent = self._extent(surface)

@@ -176,7 +176,7 @@ class RBF(AbstractMethod):
     def rows(self, factors: "RBFFactors", points: Float[Array, "k d"]) -> Float[Array, "k t"]:
         """Computes rows at any points: times the weights of functions and polynomial they give the field. Traced."""
         scaled = (points - factors.centre[None]) * factors.scale
-        kernel = self._phi(_squared_distances(scaled, factors.sources), factors.scale)
+        kernel = self._phi(squared_distances(scaled, factors.sources), factors.scale)
         return jnp.concatenate([kernel, polynomial(scaled, self.degree)], axis=1)
 
 
@@ -209,7 +209,7 @@ def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
 @eqx.filter_jit
 def _system_rows(rbf: RBF, sources, scale, points):
     """Computes rows of the system (eq. 3) at any points, all in scaled coordinates."""
-    kernel = rbf._phi(_squared_distances(points, sources), scale)
+    kernel = rbf._phi(squared_distances(points, sources), scale)
     return jnp.concatenate([kernel, polynomial(points, rbf.degree)], axis=1)
 
 
@@ -244,7 +244,7 @@ class RBFField(AbstractField):
 
     def __call__(self, x, ids):
         x = (x - self.centre) * self.scale
-        phi = self.rbf._phi(_squared_distances(self.sources, x[None])[:, 0], self.scale)
+        phi = self.rbf._phi(squared_distances(self.sources, x[None])[:, 0], self.scale)
         terms = polynomial(x[None], self.rbf.degree)[0]
         return jnp.matmul(self.beta, phi, precision="highest") + jnp.matmul(self.alpha, terms, precision="highest")
 
@@ -260,7 +260,7 @@ class RBFField(AbstractField):
         """
         stretch = self.scale * jnp.eye(points.shape[1], dtype=points.dtype)
         x = jnp.matmul(stretch, (points - self.centre[None]).T, precision="highest")
-        phi = self.rbf._phi(_squared_distances(self.sources, x.T), self.scale)
+        phi = self.rbf._phi(squared_distances(self.sources, x.T), self.scale)
         terms = polynomial(x.T, self.rbf.degree).T
         tail = sum((self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)), start=jnp.zeros_like(x))
         return (few_rows_times(self.beta, phi) + tail).T
@@ -272,6 +272,6 @@ def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, 
     return {None: one[:, :0], 0: one, 1: jnp.concatenate([one, points], axis=1)}[degree]
 
 
-def _squared_distances(a: Float[Array, "k d"], b: Float[Array, "s d"]) -> Float[Array, "k s"]:
+def squared_distances(a: Float[Array, "k d"], b: Float[Array, "s d"]) -> Float[Array, "k s"]:
     """Computes squared distances by direct differences: the expanded form loses the small ones of a boundary layer."""
     return sum((a[:, None, k] - b[None, :, k]) ** 2 for k in range(a.shape[1]))  # pyright: ignore[reportReturnType]

@@ -55,6 +55,10 @@ class SurfaceReconstruction(AbstractMethod):
     def needs_cells(self) -> bool:
         return self.coarse.needs_cells or self.correction.needs_cells
 
+    @property
+    def linear(self) -> bool:
+        return self.coarse.linear and self.correction.linear
+
     def connect(self, surface: Surface, points):
         everywhere, more = surface.among(points)
         coarse, coarse_ids = self.coarse.connect(everywhere, more)

@@ -176,8 +176,8 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     """Moves the mesh: row i of `u` displaces node `plan.moving[i]`, fixed nodes stay, all others follow.
 
     Both hold exactly for a method that is `exact`. A reduced `RBF` alone follows both approximately, and moves fixed
-    nodes. It is one step, linear in `u`. Traced: `jit`, `grad`, `jvp`, `vmap` and `scan` apply. Judge the result with
-    `quality`: nothing here knows about cells.
+    nodes. It is one step, linear in `u` for a method that is `linear`. Traced: `jit`, `grad`, `jvp`, `vmap` and `scan`
+    apply. Judge the result with `quality`: the driver knows nothing of cells.
 
     **Arguments:**
 
@@ -243,8 +243,8 @@ def pullback(
     **Arguments:**
 
     - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) of the moving nodes. It only sets the shape: `deform` is linear, so the result does not
-      depend on its value.
+    - `u`: displacements (m, d) of the moving nodes. For a method that is `linear` it only sets the shape: the result does
+      not depend on its value.
     - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
 
     **Returns:** dJ/du (m, d).

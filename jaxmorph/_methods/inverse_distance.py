@@ -1,0 +1,181 @@
+"""Inverse distance weighting (Luke, Collins and Blades, J. Comput. Phys. 231, 2012), with or without rotations of the nodes."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._kernels.values import is_known
+from .base import BLOCK, AbstractField, AbstractMethod, Surface
+from .rbf import KERNEL_BLOCK, squared_distances
+
+SMALLEST = 1e-12
+"""Distance, relative to the surface's extent, below which a point is at a node."""
+
+
+def _positive(value) -> Float[Array, ""]:
+    value = jnp.asarray(value, float)
+    if is_known(value) and not (bool(jnp.isfinite(value)) and float(value) > 0):
+        raise ValueError(f"exponents and `alpha` of InverseDistance are positive and finite, not {float(value)}.")
+    return value
+
+
+class InverseDistance(AbstractMethod):
+    """Moves each point by the mean of what the surface's nodes do, weighted by inverse powers of their distance.
+
+    The weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary faces, and the same for
+    all without cells. L is the largest distance of a surface node from the middle of the moving ones. There is no system to
+    solve. IDWarp has the defaults of the weights, and `rotations=True`.
+    (`method.linear` says so). Derivatives are complete, at u = 0 too. A node's rotation about its own normal is not seen.
+
+    **Arguments:**
+
+    - `far`, `near`: exponents. Defaults 3 and 5.
+    - `alpha`: share of L within which the nearest nodes prevail. Default 0.25.
+    - `rotations`: whether nodes turn. Default False.
+
+    **Raises:** `ValueError` for a number that is not positive. `prepare` raises it for rotations without boundary faces.
+    """
+
+    far: float = eqx.field(static=True, default=3.0)
+    near: float = eqx.field(static=True, default=5.0)
+    alpha: Float[Array, ""] = eqx.field(converter=_positive, default_factory=lambda: np.asarray(0.25))
+    rotations: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        for exponent in (self.far, self.near):
+            _positive(exponent)
+
+    @property
+    def linear(self) -> bool:
+        return not self.rotations
+
+    def connect(self, surface: Surface, points):
+        faces = {kind: np.asarray(ids, np.int32) for kind, ids in (surface.faces or {}).items() if len(ids)}
+        if self.rotations and not faces:
+            raise ValueError(
+                "InverseDistance(rotations=True) needs the boundary faces: pass the mesh, prepare(mesh, ...), not points."
+            )
+        return (faces, np.int32(surface.moving)), None
+
+    def fit(self, ids, surface, points):
+        faces, moving = ids
+        count = jnp.arange(len(surface)) < moving
+        middle = jnp.sum(jnp.where(count[:, None], surface, 0), axis=0) / moving
+        extent = jnp.sqrt(jnp.max(jnp.sum((surface - middle[None]) ** 2, axis=1)))
+        return _areas(faces, surface) if faces else jnp.ones(len(surface), surface.dtype), extent
+
+    def field(self, ids, factors, surface, u):
+        turns = None
+        if self.rotations:
+            turns = _turns(_normals(ids[0], surface), _changes(ids[0], surface, u))
+        area, extent = factors
+        return InverseDistanceField(self, area, extent, surface, u, turns)
+
+
+class InverseDistanceField(AbstractField):
+    """Evaluates the weighted mean; `turns` are the nodes' rotations less the identity."""
+
+    method: InverseDistance
+    area: Float[Array, " b"]
+    extent: Float[Array, ""]
+    surface: Float[Array, "b d"]
+    u: Float[Array, "b d"]
+    turns: Float[Array, "b d d"] | None
+
+    @property
+    def block_size(self) -> int:
+        return min(BLOCK, max(64, KERNEL_BLOCK // len(self.surface) // 64 * 64))
+
+    def __call__(self, x, ids):
+        return self.evaluate(x[None], ids)[0]
+
+    def evaluate(self, points, ids):
+        weights = self._weights(points)
+        if self.turns is None:
+            return jnp.matmul(weights, self.u, precision="highest")
+        about = self.u - jnp.einsum("bij,bj->bi", self.turns, self.surface, precision="highest")
+        turn = jnp.einsum("kb,bij->kij", weights, self.turns, precision="highest")
+        return jnp.matmul(weights, about, precision="highest") + jnp.einsum("kij,kj->ki", turn, points)
+
+    def _weights(self, points: Float[Array, "k d"]) -> Float[Array, "k b"]:
+        """Computes weights that add to one. They are taken relative to the nearest node's, so that none overflows."""
+        far, near, alpha = self.method.far, self.method.near, self.method.alpha.astype(points.dtype)
+        squared = jnp.maximum(squared_distances(points, self.surface), (SMALLEST * self.extent) ** 2)
+        least = jax.lax.stop_gradient(squared.min(axis=1, keepdims=True))
+        ratio = least / squared
+        local = alpha**near * (self.extent**2 / least) ** ((near - far) / 2)
+        weights = self.area[None] * (_power(ratio, far) + local * _power(ratio, near))
+        return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]:
+    """Computes a power of a root; a whole one by products, many times faster."""
+    if exponent != int(exponent):
+        return squared ** (exponent / 2)
+    whole = jax.lax.integer_pow(squared, int(exponent) // 2)
+    return whole * jnp.sqrt(squared) if exponent % 2 else whole
+
+
+def _vectors(corners: Float[Array, "k c d"]) -> Float[Array, "k d"]:
+    """Computes the area of each face times its normal: of an edge, a triangle or a quad."""
+    if corners.shape[1] == 2:
+        edge = corners[:, 1] - corners[:, 0]
+        return jnp.stack([edge[:, 1], -edge[:, 0]], axis=1)
+    return jnp.cross(*_diagonals(corners)) / 2
+
+
+def _diagonals(corners: Float[Array, "k c 3"]) -> tuple[Float[Array, "k 3"], Float[Array, "k 3"]]:
+    return corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]
+
+
+def _normals(faces: Mapping[str, Int[Array, "k c"]], surface: Float[Array, "b d"]) -> Float[Array, "b d"]:
+    """Adds the vectors of each node's faces."""
+    total = jnp.zeros_like(surface)
+    for ids in faces.values():
+        total = total.at[ids].add(_vectors(surface[ids])[:, None])
+    return total
+
+
+def _areas(faces: Mapping[str, Int[Array, "k c"]], surface: Float[Array, "b d"]) -> Float[Array, " b"]:
+    """Computes each node's share of its faces; a node without any has the mean share."""
+    total = jnp.zeros(len(surface), surface.dtype)
+    for ids in faces.values():
+        squared = jnp.sum(_vectors(surface[ids]) ** 2, axis=1)
+        size = jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+        total = total.at[ids].add(size[:, None] / ids.shape[1])
+    return jnp.where(total > 0, total, total.mean())
+
+
+def _changes(
+    faces: Mapping[str, Int[Array, "k c"]], surface: Float[Array, "b d"], u: Float[Array, "b d"]
+) -> Float[Array, "b d"]:
+    """Computes how `_normals` change by a displacement: zero, bit for bit, where there is none."""
+    total = jnp.zeros_like(surface)
+    for ids in faces.values():
+        change = _vectors(u[ids])
+        if ids.shape[1] > 2:
+            before, after = (_diagonals(each[ids]) for each in (surface, u))
+            change = change + (jnp.cross(before[0], after[1]) + jnp.cross(after[0], before[1])) / 2
+        total = total.at[ids].add(change[:, None])
+    return total
+
+
+def _turns(before: Float[Array, "b d"], change: Float[Array, "b d"]) -> Float[Array, "b d d"]:
+    """Computes the least rotations from normals to changed ones, less the identity: zero where nothing changes."""
+    squared = jnp.sum(before**2, axis=1) * jnp.sum((before + change) ** 2, axis=1)
+    scale = jnp.where(squared > 0, 1 / jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+    cosine = jnp.where(squared > 0, jnp.sum(before * (before + change), axis=1) * scale, 1)
+    least = float(jnp.finfo(before.dtype).eps) ** 0.5
+    opposite = 1 / jnp.maximum(1 + cosine, least)
+    if before.shape[1] == 2:
+        sine = (before[:, 0] * change[:, 1] - before[:, 1] * change[:, 0]) * scale
+        less = jnp.where(cosine > 0, -(sine**2) * opposite, cosine - 1)
+        return jnp.stack([jnp.stack([less, -sine], axis=1), jnp.stack([sine, less], axis=1)], axis=1)
+    x, y, z = (jnp.cross(before, change) * scale[:, None]).T
+    zero = jnp.zeros_like(x)
+    skew = jnp.stack([jnp.stack(row, axis=1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=1)
+    return skew + jnp.matmul(skew, skew, precision="highest") * opposite[:, None, None]

@@ -1,0 +1,122 @@
+"""A rigid motion of the body that fades with distance: translation and rotation blended along a great circle (slerp)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.spatial import KDTree
+
+from .._host.products import cofactors, determinant
+from .._kernels.values import is_known
+from .base import AbstractField, AbstractMethod, Surface
+
+POLAR = 12
+"""Newton steps to the rotation of a matrix: they converge quadratically."""
+
+
+class RigidBlend(AbstractMethod):
+    """Moves points near the moving surface rigidly with it, and less the farther they are.
+
+    The rigid motion is the one nearest to the displacements, about the middle of the moving nodes. Its angle and translation
+    are those of the body up to `inner` from the nearest moving node, zero from `outer` on, and fade smoothly between. It is
+    a coarse field, `SurfaceReconstruction(RigidBlend(0.5, 10), NearWall())`, for rotations by up to 180 degrees in one step;
+    OpenFOAM's `sixDoFRigidBodyMotion` moves meshes so. It is not linear in `u`. Several bodies count as one.
+
+    **Arguments:**
+
+    - `inner`, `outer`: distances in the mesh's units.
+
+    **Raises:** `ValueError` unless 0 <= inner < outer.
+    """
+
+    inner: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, float))
+    outer: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, float))
+
+    def __check_init__(self):
+        if is_known((self.inner, self.outer)) and not 0 <= float(self.inner) < float(self.outer):
+            raise ValueError(f"RigidBlend needs 0 <= inner < outer, not {float(self.inner)} and {float(self.outer)}.")
+
+    @property
+    def exact(self) -> bool:
+        return False
+
+    @property
+    def linear(self) -> bool:
+        return False
+
+    def connect(self, surface: Surface, points):
+        nearest = np.asarray(KDTree(surface.points[: surface.moving]).query(points)[1], dtype=np.int32)
+        return np.int32(surface.moving), nearest
+
+    def fit(self, ids, surface, points):
+        return None
+
+    def field(self, ids, factors, surface, u):
+        moves = (jnp.arange(len(surface)) < ids)[:, None]
+        middle, carried = (jnp.sum(jnp.where(moves, each, 0), axis=0) / ids for each in (surface, u))
+        arms, rest = (jnp.where(moves, each, 0) for each in (surface - middle[None], u - carried[None]))
+        turn = _angle(arms, rest) if surface.shape[1] == 2 else _rotation_vector(arms, rest)
+        return RigidField(self, surface, middle, carried, turn)
+
+
+class RigidField(AbstractField):
+    """Evaluates the blended motion: `turn` is the angle, or the rotation vector, about `middle`, which is `carried` along."""
+
+    method: RigidBlend
+    surface: Float[Array, "b d"]
+    middle: Float[Array, " d"]
+    carried: Float[Array, " d"]
+    turn: Float[Array, "..."]
+
+    def __call__(self, x, ids):
+        inner, outer = self.method.inner.astype(x.dtype), self.method.outer.astype(x.dtype)
+        far = jnp.clip((_length(x - self.surface[ids]) - inner) / (outer - inner), 0, 1)
+        share = 1 - far**3 * (10 - 15 * far + 6 * far**2)
+        arm, turn = x - self.middle, share * self.turn
+        if len(x) == 2:
+            along, across = -2 * jnp.sin(turn / 2) ** 2, jnp.sin(turn)
+            return share * self.carried + along * arm + across * jnp.stack([-arm[1], arm[0]])
+        half = _sinc(jnp.sum(turn**2) / 4)
+        once = jnp.cross(turn, arm)
+        return share * self.carried + _sinc(jnp.sum(turn**2)) * once + half**2 / 2 * jnp.cross(turn, once)
+
+
+def _length(x: Float[Array, " d"]) -> Float[Array, ""]:
+    squared = jnp.sum(x**2)
+    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+
+
+def _sinc(squared: Float[Array, ""]) -> Float[Array, ""]:
+    """Computes sin(a) / a from a^2."""
+    small = squared < 1e-6
+    a = jnp.sqrt(jnp.where(small, 1, squared))
+    return jnp.where(small, 1 - squared / 6 + squared**2 / 120, jnp.sin(a) / a)
+
+
+def _angle(arms: Float[Array, "b 2"], u: Float[Array, "b 2"]) -> Float[Array, ""]:
+    """Computes the angle of the nearest rotation."""
+    across = jnp.sum(arms[:, 0] * u[:, 1] - arms[:, 1] * u[:, 0])
+    return jnp.arctan2(across, jnp.sum(arms**2) + jnp.sum(arms * u))
+
+
+def _rotation_vector(arms: Float[Array, "b 3"], u: Float[Array, "b 3"]) -> Float[Array, "3"]:
+    """Computes the rotation vector of the rotation in the affine motion nearest to the displacements."""
+    spread = jnp.matmul(arms.T, arms, precision="highest")
+    spread = spread + 1e-12 * jnp.trace(spread) * jnp.eye(3, dtype=spread.dtype)  # a flat body has no thickness
+    gradient = jnp.matmul(u.T @ arms, _inverse(spread), precision="highest")
+
+    def nearer(_, matrix):
+        return (matrix + _inverse(matrix).T) / 2
+
+    turned = jax.lax.fori_loop(0, POLAR, nearer, jnp.eye(3, dtype=u.dtype) + gradient)
+    axis = jnp.stack([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]) / 2
+    cosine, squared = (jnp.trace(turned) - 1) / 2, jnp.sum(axis**2)
+    small = squared < 1e-12
+    sine = jnp.sqrt(jnp.where(small, 1, squared))
+    return axis * jnp.where(small & (cosine > 0), 1 + squared / 6, jnp.arctan2(sine, cosine) / sine)
+
+
+def _inverse(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    columns = list(matrix.T)
+    return jnp.stack([jnp.stack(row) for row in cofactors(columns)]) / determinant(columns)

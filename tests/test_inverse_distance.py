@@ -1,0 +1,99 @@
+"""Inverse distances and rigid blends: closed forms, rotations in full, derivatives at rest."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body
+from scipy.spatial.transform import Rotation
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+ROTATION = Rotation.from_rotvec([0.7, -1.1, 0.5]).as_matrix()
+
+
+def turned(points, angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, s], [-s, c]]) - points
+
+
+def test_the_weights_are_lukes():
+    mesh, rng = body(2), np.random.default_rng(0)
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance())
+    u = rng.normal(size=(len(mesh.moving), 2))
+    surface = mesh.points[mesh.boundary]
+    length = np.linalg.norm(surface - mesh.points[mesh.moving].mean(axis=0), axis=1).max()
+    apart = np.linalg.norm(mesh.points[mesh.inner][:, None] - surface[None], axis=2)
+    weights = (length / apart) ** 3 + (0.25 * length / apart) ** 5
+    expected = weights @ np.concatenate([u, np.zeros((len(mesh.fixed), 2))]) / weights.sum(axis=1)[:, None]
+    moved = jm.deform(plan, u) - mesh.points
+    np.testing.assert_allclose(moved[mesh.inner], expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_turning_body_turns_the_points_near_it(dimension):
+    """Each of a body's nodes says the same rigid motion, so the mean is that motion; without rotations it is not.
+
+    In 3-D the least rotation of normals lacks the twist about them: a body whose faces twist not at all turns about its axis.
+    """
+    if dimension == 2:
+        mesh = cases.naca0015(points=1200)
+        base, moving, fixed = mesh.points, mesh.patch("airfoil"), ()
+        motion = turned(base, 0.8)
+    else:
+        mesh = cases.bricks("hexahedron", cells=3)
+        base = mesh.points
+        moving, fixed = np.flatnonzero(base[:, 2] < 1e-9), ()
+        motion = base @ Rotation.from_rotvec([0.8, 0, 0]).as_matrix().T - base
+    everything = np.arange(len(base))
+    miss = []
+    for rotations in (True, False):
+        method = jm.InverseDistance(rotations=rotations)
+        plan = jm.prepare(mesh, moving, fixed, method=method, free=everything)
+        miss.append(np.abs(jm.deform(plan, motion[moving]) - base - motion).max())
+    assert miss[0] < 1e-9 < 0.1 < miss[1]
+    assert not jm.InverseDistance(rotations=True).linear
+
+
+def test_derivatives_of_turning_nodes_at_rest():
+    """The part of the derivative that rotations give is there at u = 0 too."""
+    mesh = cases.naca0015(points=1200)
+    plan = jm.prepare(mesh, "airfoil", "farfield", method=jm.InverseDistance(rotations=True))
+    rng = np.random.default_rng(1)
+    v, w = rng.normal(size=(plan.n_moving, 2)), rng.normal(size=mesh.points.shape)
+    for u in (np.zeros_like(v), 0.003 * v):
+        difference = (jm.deform(plan, u + 1e-7 * v) - jm.deform(plan, u - 1e-7 * v)) / 2e-7
+        pushed = jax.jvp(lambda u: jm.deform(plan, u), (jnp.asarray(u),), (jnp.asarray(v),))[1]
+        np.testing.assert_allclose(pushed, difference, rtol=0, atol=1e-5 * np.abs(difference).max())
+        np.testing.assert_allclose(np.vdot(pushed, w), np.vdot(v, jm.pullback(plan, u, w)), rtol=1e-9)
+    assert (jm.deform(plan, 0 * v) == mesh.points).all()
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_rigid_blend_is_rigid_near_the_body(dimension):
+    mesh = body(dimension)
+    middle = mesh.points[mesh.moving].mean(axis=0)
+    frame = ROTATION if dimension == 3 else np.array([[-0.99, -((1 - 0.99**2) ** 0.5)], [(1 - 0.99**2) ** 0.5, -0.99]])
+    shift = np.array([0.3, -0.1, 0.2])[:dimension]
+    motion = (mesh.points - middle) @ frame.T + middle + shift - mesh.points
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.RigidBlend(0.6, 2.0))
+    moved = np.asarray(jm.deform(plan, motion[mesh.moving]) - mesh.points)
+    apart = np.linalg.norm(mesh.points[:, None] - mesh.points[mesh.moving][None], axis=2).min(axis=1)
+    np.testing.assert_allclose(moved[apart < 0.6], motion[apart < 0.6], rtol=0, atol=1e-10)
+    assert (moved[apart > 2.0] == 0).all()
+    v = 0.01 * np.sin(5 * mesh.points[mesh.moving])
+    for u in (0 * v, motion[mesh.moving]):
+        pushed = jax.jvp(lambda u: jm.deform(plan, u), (jnp.asarray(u),), (jnp.asarray(v),))[1]
+        difference = (jm.deform(plan, u + 1e-5 * v) - jm.deform(plan, u - 1e-5 * v)) / 2e-5
+        np.testing.assert_allclose(pushed, difference, rtol=0, atol=1e-8)
+
+
+def test_wrong_arguments_are_told():
+    mesh = body(2)
+    with pytest.raises(ValueError, match=r"positive and finite, not -1.0"):
+        jm.InverseDistance(near=-1.0)
+    with pytest.raises(ValueError, match=r"needs the boundary faces: pass the mesh"):
+        jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(rotations=True))
+    with pytest.raises(ValueError, match=r"0 <= inner < outer, not 2.0 and 1.0"):
+        jm.RigidBlend(2.0, 1.0)
