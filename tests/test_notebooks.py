@@ -20,6 +20,7 @@ SMALL = {
     "06_external_solver.ipynb": {"points": 2000},
     "07_extend.ipynb": {"points": 2000},
     "08_openfoam.ipynb": {"cells": 24},
+    "10_flap.ipynb": {"size": 0.008, "deflections": 4},
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
 
@@ -188,6 +189,18 @@ def check_coupling(said):
     assert "inverted cells 0" in said
 
 
+def check_flap(said):
+    """No cell folds, the worst cell is no worse than the biharmonic extension's, and checkMesh agrees where it is."""
+    rows = re.findall(r"^(\S.*?) {2,}(-?[0-9.]+) +(-?[0-9.]+) +(\d+) +(\d+|-)$", said, re.MULTILINE)
+    found = {name: (float(smallest), int(inverted), complaints) for name, smallest, _, inverted, complaints in rows}
+    assert found["jaxmorph"][0] >= found["biharmonic"][0] > 0 > found["harmonic"][0]
+    assert found["jaxmorph"][1] == 0 < found["harmonic"][1]
+    assert found["jaxmorph"][2] in ("0", "-")
+    if found["jaxmorph"][2] != "-":
+        assert int(found["harmonic"][2]) > 0
+        assert len(re.findall(r"the flap is off by at most [0-9]e-1[5-9] m", said)) == 2
+
+
 CHECKS = {
     "00_first_steps.ipynb": check_first_steps,
     "01_airfoil.ipynb": check_airfoil,
@@ -198,6 +211,7 @@ CHECKS = {
     "06_external_solver.ipynb": check_chain,
     "07_extend.ipynb": check_extension,
     "08_openfoam.ipynb": check_openfoam,
+    "10_flap.ipynb": check_flap,
 }
 
 
