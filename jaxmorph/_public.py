@@ -54,6 +54,7 @@ from ._methods.stiffness import ByVolume as ByVolume
 from ._plan.chunks import Chunks as Chunks
 from ._plan.chunks import prepare_in_chunks as prepare_in_chunks
 from ._plan.faces import FreeFaces as FreeFaces
+from ._plan.periodic import Periodic as Periodic
 from ._plan.plan import Plan as Plan
 from ._plan.plan import deform as deform
 from ._plan.plan import pullback as pullback
@@ -62,6 +63,8 @@ from ._plan.plan import shard as shard
 from ._plan.prepare import prepare as prepare
 from ._plan.save import load as load
 from ._plan.save import save as save
+from ._plan.slide import Revolution as Revolution
+from ._plan.slide import Slide as Slide
 from ._plan.steps import march as march
 from ._plan.steps import replay as replay
 from ._plan.symmetry import Plane as Plane

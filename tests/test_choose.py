@@ -120,7 +120,7 @@ def test_a_symmetry_plane_counts_the_image_too():
     missed = np.sqrt(np.mean((values - interpolant(whole)) ** 2))
     assert missed > 1e-4
     np.testing.assert_allclose(row["error"], missed, rtol=1e-6)
-    assert choice.plan.mirror is not None
+    assert choice.plan.images is not None
 
 
 @pytest.mark.parametrize("motions", [np.zeros((1, 3, 2)), np.zeros((3, 2))])

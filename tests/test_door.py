@@ -96,7 +96,7 @@ def test_planes_by_name_each_once():
     mesh = box()
     both = jm.Mesh(mesh.points, mesh.cells, {**mesh.patches, "again": mesh.patch("y0")})
     plan = jm.prepare(both, "z1", ("z0", "x1", "y1", "x0"), symmetry=("y0", "again"))
-    assert plan.mirror.normals.shape == (1, 3)
+    assert plan.images.normals.shape == (1, 3)
 
 
 def test_sources_and_offset_of_a_plan():

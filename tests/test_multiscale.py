@@ -101,7 +101,7 @@ def test_mirror_images_move_alike(method):
     u[part[moving, 0] == 0, 0] = 0
     surface = plan.surface
     own = jnp.zeros((len(surface.nodes), 2)).at[: len(moving)].set(u)
-    field = plan.method.field(surface.ids, surface.factors, surface.points, surface.mirror.vectors(own))
+    field = plan.method.field(surface.ids, surface.factors, surface.points, surface.images.vectors(own))
     displacement = np.asarray(field.evaluate(plan.points, plan.volume.placed))
     on = part[:, 0] == 0
     assert (on & (role == 0)).sum() > 3

@@ -22,9 +22,12 @@ from .._methods.nearwall import NearWall
 from .._methods.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
 from .._plan.door import Boundary, boundary
+from .._plan.images import Images
+from .._plan.periodic import Periodic
 from .._plan.plan import Plan, deform
 from .._plan.prepare import plan_of, surface_of
-from .._plan.symmetry import Mirror, Plane
+from .._plan.slide import Slide
+from .._plan.symmetry import Plane
 from .._quality.quality import quality
 from .._quality.wall import wall_quality
 
@@ -79,6 +82,8 @@ def choose(
     motions: Real[ArrayLike, "s m d"] | Sequence[Any],
     *,
     symmetry: Plane | Sequence[Plane] = (),
+    periodic: Periodic | Sequence[Periodic] = (),
+    sliding: Slide | str | Sequence[Slide | str] = (),
     leaves: Sequence[int] = (8, 32, 128),
     tolerance: float = 0.01,
 ) -> Choice:
@@ -98,7 +103,7 @@ def choose(
 
     **Arguments:**
 
-    - `mesh`, `moving`, `fixed`, `symmetry`: those of `prepare`.
+    - `mesh`, `moving`, `fixed`, `symmetry`, `periodic`, `sliding`: those of `prepare`.
     - `motions`: displacements (s, m, d) of the moving nodes that the mesh is to bear: modes, or samples.
     - `leaves`: numbers of leaves of the k-d tree to try, default 8, 32, 128.
     - `tolerance`: the error on the surface that is allowed, relative to the largest displacement. Default 0.01.
@@ -110,7 +115,7 @@ def choose(
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(f"call choose(mesh, moving, fixed, motions) with a Mesh, not {type(mesh).__name__}.")
-    named = boundary(mesh, moving, fixed, symmetry)
+    named = boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
     named.warn_of_free_faces()
     motions, expected = np.asarray(motions, dtype=float), (len(named.moving), mesh.points.shape[1])
     if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):
@@ -121,8 +126,9 @@ def choose(
         raise ValueError(f"{(~np.isfinite(motions)).sum()} components of `motions` are not finite.")
     if not len(leaves):
         raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
-    surface, images, _ = surface_of(named)
-    columns = _columns(motions, len(named.nodes), images)
+    known = named.alone() if len(named.guided) else named
+    surface, images, _ = surface_of(known)
+    columns = _columns(motions, len(known.nodes), images)
     rows, plans, refused = [], [], None
     for is_fit, count, with_radius in _tries(leaves):
         coarse, row = _candidate(surface, columns, count, with_radius)
@@ -143,7 +149,7 @@ def _tries(leaves: Sequence[int]) -> list[tuple[bool, int, bool]]:
     return interpolating + [(True, count, False) for count in leaves]
 
 
-def _columns(motions: np.ndarray, nodes: int, images: Mirror | None) -> np.ndarray:
+def _columns(motions: np.ndarray, nodes: int, images: Images | None) -> np.ndarray:
     """Lists the displacements of all rows of the surface, images too, motion after motion, scaled to a largest component of 1."""
     columns = []
     for motion in motions:

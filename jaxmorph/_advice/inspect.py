@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import scipy.spatial
 from jaxtyping import ArrayLike, Integer, Real
@@ -124,42 +123,27 @@ def inspect(
     inspection = _of_plan(plan, u)
     ids = np.arange(len(plan.points)) if nodes is None else np.asarray(nodes)
     if mesh is not None:
-        surface = ids[np.concatenate([plan.moving, plan.fixed])]
-        inspection = dataclasses.replace(
-            inspection, crossings=crossings(mesh, surface, _within(plan, _extended(plan, u, float)))
-        )
+        surface, vectors = ids[np.asarray(plan.surface_nodes)], np.asarray(plan.of_surface(u), dtype=float)
+        inspection = dataclasses.replace(inspection, crossings=crossings(mesh, surface, vectors))
     return inspection if nodes is None else inspection.renumbered(ids)
-
-
-def _extended(plan: Plan, u: Any, dtype: Any) -> np.ndarray:
-    """Extends a displacement by zeros for the fixed nodes."""
-    vectors = np.zeros((plan.n_moving + len(plan.fixed), plan.points.shape[1]), dtype)
-    vectors[: plan.n_moving] = u
-    return vectors
-
-
-def _within(plan: Plan, vectors: np.ndarray) -> np.ndarray:
-    """Keeps nodes on a symmetry plane in it."""
-    if plan.mirror is None:
-        return vectors
-    return np.asarray(plan.mirror.within(jnp.asarray(vectors), plan.mirror.on_plane))
 
 
 def _of_plan(plan: Plan, u: Any) -> Inspection:
     """Checks all that needs no faces."""
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
-    points, nodes = np.asarray(plan.points), np.concatenate([plan.moving, plan.fixed])
-    vectors = _extended(plan, u, points.dtype)
-    finite = np.isfinite(vectors).all(axis=1)
+    points, nodes = np.asarray(plan.points), np.asarray(plan.surface_nodes)
+    finite = np.isfinite(np.asarray(u)).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))
         raise MeshError(
             f"{(~finite).sum()} of {plan.n_moving} displacements are not finite, first that of node {{node}} (row {row}).",
-            nodes[~finite],
+            nodes[: plan.n_moving][~finite],
         )
+    vectors = np.asarray(plan.of_surface(u))
+    is_fixed = np.isin(nodes, plan.fixed)
     size = np.asarray(scipy.spatial.KDTree(points).query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
-    pairs = _torn(points[nodes], vectors, plan.n_moving)
+    pairs = _torn(points[nodes], vectors, is_fixed)
     torn = nodes[pairs].reshape(-1, 2)
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
@@ -189,7 +173,7 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
     return float(np.quantile(apart / length, 0.98))
 
 
-def _torn(points: np.ndarray, vectors: np.ndarray, moves: int) -> np.ndarray:
+def _torn(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:
     """Finds pairs of neighbouring rows whose displacements contradict each other, the worst first."""
     count = min(2 * points.shape[1], len(points) - 1)
     distance, nearest = map(np.asarray, scipy.spatial.KDTree(points).query(points, k=count + 1))
@@ -197,7 +181,7 @@ def _torn(points: np.ndarray, vectors: np.ndarray, moves: int) -> np.ndarray:
     distance = distance[:, 1:].ravel()
     apart = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
     after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
-    mixed = (first < moves) != (second < moves)
+    mixed = is_fixed[first] != is_fixed[second]
     # nodes that nearly coincide are one place by accident: the two sides of a wake, of an interface, of a sharp edge
     scale = 1e-9 * np.ptp(points, axis=0).max()
     excess = np.where(mixed, apart / (distance + scale), (after - distance) / (distance + scale))

@@ -13,8 +13,10 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .door import Boundary, boundary
 from .faces import FreeFaces
+from .periodic import Periodic
 from .plan import Plan, deform
 from .prepare import plan_of
+from .slide import Slide
 from .steps import march
 from .symmetry import Plane
 
@@ -23,7 +25,7 @@ from .symmetry import Plane
 class Chunks:
     """A mesh to be moved in parts.
 
-    - `points`, `moving`, `fixed`, `method`, `symmetry`: those of `prepare_in_chunks`.
+    - `points`, `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`: those of `prepare_in_chunks`.
     - `nodes`: the ids of each part's nodes, ascending: the surface, and with it some of the other nodes. All parts have one
       length, so that they share compiled code; some nodes are in two of them.
     """
@@ -84,6 +86,8 @@ def prepare_in_chunks(
     size: int | None = None,
     method: AbstractMethod | None = None,
     symmetry: Plane | str | Sequence[Plane | str] = (),
+    periodic: Periodic | Sequence[Periodic] = (),
+    sliding: Slide | str | Sequence[Slide | str] = (),
     free: str | Sequence[str] | Integer[ArrayLike, " k"] | Sequence[int | np.integer] = (),
 ) -> Chunks:
     """Divides a mesh into parts that are prepared and moved one after the other.
@@ -93,7 +97,7 @@ def prepare_in_chunks(
 
     **Arguments:**
 
-    - `mesh`, `moving`, `fixed`, `method`, `symmetry`, `free`: as `prepare` takes them.
+    - `mesh`, `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare` takes them.
     - `size`: how many inner nodes each part has; None makes one part.
 
     **Returns:** `Chunks`; nothing is prepared yet.
@@ -102,7 +106,7 @@ def prepare_in_chunks(
     """
     if size is not None and size < 1:
         raise ValueError(f"`size` must be 1 or more, not {size}.")
-    named = boundary(mesh, moving, fixed, symmetry, free)
+    named = boundary(mesh, moving, fixed, symmetry, free, periodic, sliding)
     points, planes = named.points, named.planes
     surface, outermost = np.unique(named.nodes), [points.argmin(axis=0), points.argmax(axis=0)]
     always = np.unique(

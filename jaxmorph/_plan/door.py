@@ -1,4 +1,4 @@
-"""The door of `prepare`: what a caller names becomes checked points, node ids, planes and faces."""
+"""The door of `prepare`: what a caller names becomes checked points, node ids, planes, pairs and faces."""
 
 import dataclasses
 import warnings
@@ -13,7 +13,10 @@ from .._host.skin import has_free_faces
 from .._host.topology import solid
 from .._mesh.mesh import Mesh
 from .faces import FreeFaces, free_faces, outer_faces
+from .periodic import Pairing, Periodic, paired
+from .slide import Slide, tracks_of, wall_of
 from .symmetry import Plane
+from .walls import Track
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
 
@@ -24,7 +27,10 @@ class Boundary:
 
     - `points` (n, d): base coordinates.
     - `moving` (m,), `fixed` (f,): node ids, no node twice.
+    - `guided` (g,): node ids of sliding and periodic patches that are in neither list.
     - `planes`: symmetry planes.
+    - `pairings`: pairs of nodes that move alike.
+    - `tracks`: nodes that stay on walls.
     - `faces`: the mesh's boundary faces (k, corners) by type, as node ids, or None if the cells are not known.
     - `left`: the faces that no list names, or None as well.
     - `is_open`: whether there are faces off the surface and the planes, free ones too, or None as well.
@@ -34,7 +40,10 @@ class Boundary:
     points: np.ndarray
     moving: np.ndarray
     fixed: np.ndarray
+    guided: np.ndarray
     planes: tuple[Plane, ...]
+    pairings: tuple[Pairing, ...]
+    tracks: tuple[Track, ...]
     faces: Mapping[str, np.ndarray] | None
     left: FreeFaces | None
     is_open: bool | None
@@ -42,8 +51,8 @@ class Boundary:
 
     @property
     def nodes(self) -> np.ndarray:
-        """Ids of the surface's nodes: moving, then fixed."""
-        return np.concatenate([self.moving, self.fixed])
+        """Ids of the surface's nodes: moving, fixed, then guided."""
+        return np.concatenate([self.moving, self.fixed, self.guided])
 
     @property
     def surface_faces(self) -> dict[str, np.ndarray] | None:
@@ -60,14 +69,37 @@ class Boundary:
 
     def part(self, nodes: np.ndarray) -> "Boundary":
         """Returns the same of the mesh's nodes `nodes` alone, ascending ids that hold the whole surface."""
-        moving, fixed = np.searchsorted(nodes, self.moving), np.searchsorted(nodes, self.fixed)
-        faces, surface = self.surface_faces, np.concatenate([moving, fixed])
+        moving, fixed, guided = (np.searchsorted(nodes, ids) for ids in (self.moving, self.fixed, self.guided))
+        faces, surface = self.surface_faces, np.concatenate([moving, fixed, guided])
         faces = None if faces is None else {kind: surface[rows] for kind, rows in faces.items()}
+        place = _rows(nodes, len(self.points))
+        lists = moving, fixed, guided, self.planes, *renumbered(self.pairings, self.tracks, place)
         cells = self.cells if len(nodes) == len(self.points) else None
-        return Boundary(self.points[nodes], moving, fixed, self.planes, faces, self.left, self.is_open, cells)
+        return Boundary(self.points[nodes], *lists, faces, self.left, self.is_open, cells)
+
+    def alone(self) -> "Boundary":
+        """Returns the same with the surface's nodes as the only points, of which the guided ones are in no list."""
+        known = len(self.moving) + len(self.fixed)
+        rows, place = np.arange(known), _rows(self.nodes, len(self.points))
+        faces = self.surface_faces
+        if faces is not None:
+            faces = {kind: corners[(corners < known).all(axis=1)] for kind, corners in faces.items()}
+        joined = renumbered(self.pairings, self.tracks, place)
+        m, is_open = len(self.moving), None if faces is None else bool(self.tracks)
+        lists = rows[:m], rows[m:], rows[:0], self.planes, *joined
+        return Boundary(self.points[self.nodes], *lists, faces, None, is_open)
 
 
-def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = ()) -> Boundary:
+def renumbered(
+    pairings: Sequence[Pairing], tracks: Sequence[Track], place: np.ndarray
+) -> tuple[tuple[Pairing, ...], tuple[Track, ...]]:
+    """Returns pairs and tracks with node k called `place[k]`."""
+    return tuple(each.renumbered(place) for each in pairings), tuple(each.renumbered(place) for each in tracks)
+
+
+def boundary(
+    mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = (), periodic: Any = (), sliding: Any = ()
+) -> Boundary:
     """Checks what `prepare` was given. Raises `ValueError` in one sentence that names the call to make."""
     points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
     patches = mesh if isinstance(mesh, Mesh) else None
@@ -84,14 +116,23 @@ def boundary(mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = ()) 
     fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]
     fixed = fixed[~np.isin(fixed, moving)]
     planes = _planes(symmetry, points, patches)
-    outer = None if patches is None else outer_faces(patches)
+    outer, pairings = None if patches is None else outer_faces(patches), _pairings(periodic, points, patches)
+    tracks, held = _tracks(sliding, points, patches, planes, None if outer is None else outer.corners)
+    if np.isin(held, moving).any():
+        corner = held[np.isin(held, moving)]
+        raise MeshError("node {node} moves, but it is a corner of sliding patches and cannot.", corner)
+    fixed = np.append(fixed, held[~np.isin(held, fixed)])
+    tracks = tuple(Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
+    tracks = tuple(track for track in tracks if len(track.rows))
+    lists = moving, fixed, _guided(pairings, tracks, moving, fixed, len(points)), planes, pairings, tracks
     if patches is None or outer is None:
-        return Boundary(points, moving, fixed, planes, None, None, None)
-    is_held = _listed(points, np.concatenate([moving, fixed]), planes)
+        return Boundary(points, *lists, None, None, None)
+    is_held = _listed(points, np.concatenate(lists[:3]), planes)
     is_open = has_free_faces(points, outer.corners, is_held)
     is_held[free] = True
     cells = {kind: np.asarray(corners) for kind, corners in solid(patches.cells, points.shape[1]).items()}
-    return Boundary(points, moving, fixed, planes, outer.corners, free_faces(patches, outer, is_held), is_open, cells)
+    left = free_faces(patches, outer, is_held)
+    return Boundary(points, *lists, outer.corners, left, is_open, cells)
 
 
 def checked_points(points: Any) -> np.ndarray:
@@ -171,6 +212,62 @@ def _planes(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane
         if not any(each.equals(plane, points) for plane in planes):
             planes.append(each)
     return tuple(planes)
+
+
+def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pairing, ...]:
+    """Finds the pairs of nodes of periodic patches."""
+    several = [periodic] if isinstance(periodic, Periodic) else periodic
+    if not isinstance(several, Sequence) or not all(isinstance(each, Periodic) for each in several):
+        raise ValueError(
+            f"`periodic` must be pairs such as jm.Periodic('lower', 'upper', translation=(0, 1)), not {periodic!r}."
+        )
+    pairings = []
+    for each in several:
+        first, second = (np.unique(_nodes(side, "periodic", mesh, len(points))) for side in (each.patch, each.partner))
+        pairings.append(paired(each, first, second, points))
+    return tuple(pairings)
+
+
+def _tracks(
+    sliding: Any,
+    points: np.ndarray,
+    mesh: Mesh | None,
+    planes: tuple[Plane, ...],
+    faces: Mapping[str, np.ndarray] | None,
+) -> tuple[tuple[Track, ...], np.ndarray]:
+    """Groups the sliding nodes by the walls that keep them; returns those that are held between these, too."""
+    several = [sliding] if isinstance(sliding, Slide | str) else sliding
+    several = [Slide(each) if isinstance(each, str) else each for each in several if each is not None]
+    if not all(isinstance(each, Slide) for each in several):
+        raise ValueError(
+            f"`sliding` must be slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), not {sliding!r}."
+        )
+    walls = []
+    for each in several:
+        nodes = np.unique(_nodes(each.patch, "sliding", mesh, len(points)))
+        walls.append((wall_of(each, nodes, points, faces), nodes))
+    return tracks_of(walls, planes if walls else (), points)
+
+
+def _guided(
+    pairings: Sequence[Pairing], tracks: Sequence[Track], moving: np.ndarray, fixed: np.ndarray, n: int
+) -> np.ndarray:
+    """Lists sliding and periodic nodes that are in no list. Raises `ValueError` where the partner of one is."""
+    role = np.zeros(n, dtype=int)
+    role[moving], role[fixed] = 1, 2
+    for pairing in pairings:
+        first, second = np.asarray(pairing.first), np.asarray(pairing.second)
+        odd = np.flatnonzero(role[first] != role[second])
+        if odd.size:
+            words, worst = ("in neither list", "in `moving`", "in `fixed`"), odd[0]
+            raise MeshError(
+                f"{len(odd)} periodic pairs have nodes in different lists: node {{node}} is {words[role[first[worst]]]}, its "
+                f"partner {second[worst]} {words[role[second[worst]]]}. Name both, or neither.",
+                first[odd],
+            )
+    nodes = [np.zeros(0, dtype=np.int64), *(pairing.nodes for pairing in pairings), *(track.rows for track in tracks)]
+    every = np.unique(np.concatenate(nodes))
+    return every[role[every] == 0]
 
 
 def _listed(points: np.ndarray, listed: np.ndarray, planes: tuple[Plane, ...]) -> np.ndarray:

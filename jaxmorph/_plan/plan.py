@@ -14,17 +14,57 @@ from .._methods.base import AbstractMethod, Located
 from .._methods.blocks import is_rows, map_points, place_points, with_tables, with_tables_of, without_tables
 from .compile import compiled
 from .devices import Layout, over_points, pad_rows, rows_here
-from .symmetry import Mirror
+from .images import Images
+from .periodic import Pairing
+from .walls import Track
 
 
 class SurfaceHalf(eqx.Module):
-    """Holds the half that every device has whole: the surface (b rows: moving, then fixed, each with its images) and the solve."""
+    """Holds the half that every device has whole: the surface and the solve.
+
+    Its o own rows are the nodes that move, those that are fixed and those that are guided; b rows have images too.
+    """
 
     points: Float[Array, "b d"]
     nodes: Int[Array, " o"]
-    mirror: Mirror | None
+    images: Images | None
     ids: PyTree
     factors: PyTree
+    guide: "Guide | None" = None
+
+
+class Guide(eqx.Module):
+    """Moves nodes along boundaries: a field of the moving and fixed nodes alone moves them, and they are kept where they belong.
+
+    - `plan`: moves the surface's own rows, which are its points.
+    - `pairings`: pairs of own rows.
+    - `tracks`: own rows that stay on walls.
+    - `rows`: own rows that are kept, also by a method that is not exact.
+    """
+
+    plan: "Plan"
+    pairings: tuple[Pairing, ...]
+    tracks: tuple[Track, ...]
+    rows: Int[Array, " r"]
+
+    def __call__(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+        """Computes the displacements of all own rows from those of the moving and fixed ones."""
+        plan, known = self.plan, len(self.plan.surface.nodes)
+        given = vectors[:known] if plan.images is None else plan.images.kept(vectors[:known])
+        u = self._on_walls(jnp.concatenate([given, jnp.zeros_like(vectors[known:])]))
+        moved = deform_surface(plan, u[:known]) - plan.points
+        u = self._alike(jnp.concatenate([u[:known], moved[known:]]))
+        return self._alike(self._on_walls(u)) if self.tracks else u
+
+    def _on_walls(self, u):
+        for track in self.tracks:
+            u = track.along(self.plan.points, u)
+        return u
+
+    def _alike(self, u):
+        for pairing in self.pairings:
+            u = pairing.alike(u)
+        return u
 
 
 class VolumeHalf(eqx.Module):
@@ -50,6 +90,7 @@ class Plan(eqx.Module):
     surface: SurfaceHalf
     volume: VolumeHalf
     n_moving: int = eqx.field(static=True)
+    n_guided: int = eqx.field(static=True, default=0)
     carried: bool = eqx.field(static=True, default=False)
     layout: Layout | None = eqx.field(static=True, default=None)
 
@@ -66,34 +107,55 @@ class Plan(eqx.Module):
     @property
     def fixed(self) -> Int[Array, " f"]:
         """Node ids of the fixed nodes, those that also move left out."""
-        return self.surface.nodes[self.n_moving :]
+        return self.surface.nodes[self.n_moving : len(self.surface.nodes) - self.n_guided]
+
+    @property
+    def guided(self) -> Int[Array, " g"]:
+        """Node ids of sliding and periodic patches' nodes that neither move nor are fixed: they follow along these."""
+        return self.surface.nodes[len(self.surface.nodes) - self.n_guided :]
+
+    @property
+    def is_linear(self) -> bool:
+        """Tells whether `deform` is linear in `u`: the method is, and no nodes slide along curved walls."""
+        guide = self.surface.guide
+        along = guide is None or (guide.plan.is_linear and all(track.is_linear for track in guide.tracks))
+        return self.method.linear and along
+
+    @property
+    def surface_nodes(self) -> Int[Array, " o"]:
+        """Node ids of the surface: moving, fixed, then guided."""
+        return self.surface.nodes
 
     @property
     def sources(self) -> Int[np.ndarray, " s"]:
-        """Node ids of the coarse field's sources, on the host: moving ones first, without mirror images.
+        """Node ids of the coarse field's sources, on the host: moving ones first, without images.
 
         A source is a control point of the field: the centre of one radial basis function.
         """
         rows = np.asarray(self.method.sources(self.surface.ids), dtype=np.int64)
-        if self.mirror is not None:
-            is_image = np.any(self.mirror.mirrored, axis=1)
-            rows = np.asarray(self.mirror.rows)[rows[~is_image[rows]]]
+        if self.images is not None:
+            rows = rows[np.asarray(self.images.kind)[rows] == 0]
+            rows = np.asarray(self.images.rows)[rows]
         return np.asarray(self.surface.nodes)[rows]
 
     @property
-    def mirror(self) -> Mirror | None:
-        """Symmetry planes, and the images that they make of the surface; None without planes."""
-        return self.surface.mirror
+    def images(self) -> Images | None:
+        """Symmetry planes and periodic pairs, and the images that they make of the surface; None without either."""
+        return self.surface.images
 
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes the displacement that is left to the correction (eq. 5), of the moving, then the fixed nodes. Traced in `u`."""
-        vectors, surface = _of_surface(self, u), self.surface
-        extended = vectors if surface.mirror is None else surface.mirror.extended(vectors)
+        """Computes the displacement left to the correction (eq. 5), of moving, fixed and guided nodes. Traced in `u`."""
+        vectors, surface = self.of_surface(u), self.surface
+        extended = vectors if surface.images is None else surface.images.vectors(vectors)
         offset = self.method.offset(surface.ids, surface.factors, surface.points, extended)
-        if surface.mirror is None:
+        if surface.images is None:
             return offset
-        rows = jnp.where(surface.mirror.mirrored.any(axis=1), len(vectors), surface.mirror.rows)
+        rows = jnp.where(surface.images.kind > 0, len(vectors), surface.images.rows)
         return jnp.zeros_like(vectors).at[rows].set(offset, mode="drop")
+
+    def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
+        """Computes the displacements of moving, fixed and guided nodes from those of the moving ones. Traced."""
+        return _kept(self, _of_surface(self, u))
 
     def __repr__(self) -> str:
         """Describes the plan, whatever its leaves are: concrete, stacked or traced arrays, shapes, or None."""
@@ -101,7 +163,9 @@ class Plan(eqx.Module):
         parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):
             n, d = points.shape[-2:] if self.layout is None else (self.layout.count, points.shape[-1])
-            parts = [f"{n} points in {d}-D", *parts, f"{nodes.shape[-1] - self.n_moving} fixed", f"{points.dtype}"]
+            fixed = nodes.shape[-1] - self.n_moving - self.n_guided
+            guided = [f"{self.n_guided} guided"] if self.n_guided else []
+            parts = [f"{n} points in {d}-D", *parts, f"{fixed} fixed", *guided, f"{points.dtype}"]
         for located in jax.tree.leaves(self.surface.ids, is_leaf=_is_located):
             counts = (located.repaired, located.outside) if _is_located(located) else ()
             if counts and all(map(eqx.is_array, counts)) and is_known(counts):
@@ -130,6 +194,10 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
     **Raises:** `ValueError` when the shape of `points` differs from the plan's.
     """
+    return _refitted(plan, points)
+
+
+def _refitted(plan: Plan, points) -> Plan:
     plan = _fitted(plan, points)
 
     def place(shared, rows: VolumeHalf) -> PyTree:
@@ -149,23 +217,30 @@ def carry(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     return _fitted(plan, points, carried=True)
 
 
+def _stepped(plan: Plan, points, carried: bool) -> Plan:
+    return _fitted(plan, points, carried=True) if carried else _refitted(plan, points)
+
+
 def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
     points = jnp.asarray(points, plan.volume.points.dtype)
     if points.shape != plan.points.shape:
         raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
     old, volume, whole = plan.surface, plan.volume, points
     surface = points[old.nodes]
-    if old.mirror is not None:
-        surface = old.mirror.points(surface)
+    if old.images is not None:
+        surface = old.images.points(surface)
     if plan.layout is not None:
         points = pad_rows(points, plan.layout)
-    method = plan.method
+    method, guide = plan.method, old.guide
+    if guide is not None:
+        guide = eqx.tree_at(lambda guide: guide.plan, guide, _stepped(guide.plan, whole[old.nodes], carried))
     factors = method.carry(old.ids, old.factors, surface, whole) if carried else method.fit(old.ids, surface, whole)
     return Plan(
         method=method,
-        surface=SurfaceHalf(surface, old.nodes, old.mirror, old.ids, factors),
+        surface=SurfaceHalf(surface, old.nodes, old.images, old.ids, factors, guide),
         volume=VolumeHalf(points, volume.on_plane, volume.ids, volume.placed),
         n_moving=plan.n_moving,
+        n_guided=plan.n_guided,
         carried=carried,
         layout=plan.layout,
     )
@@ -176,8 +251,9 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     """Moves the mesh: row i of `u` displaces node `plan.moving[i]`, fixed nodes stay, all others follow.
 
     Both hold exactly for a method that is `exact`. A reduced `RBF` alone follows both approximately, and moves fixed
-    nodes. It is one step, linear in `u` for a method that is `linear`. Traced: `jit`, `grad`, `jvp`, `vmap` and `scan`
-    apply. Judge the result with `quality`: the driver knows nothing of cells.
+    nodes. It is one step, linear in `u` for a method that is `linear`, unless nodes slide along curved walls
+    (`plan.is_linear`). Traced: `jit`, `grad`, `jvp`, `vmap` and `scan` apply. Judge the result with `quality`: the driver knows
+    nothing of cells.
 
     **Arguments:**
 
@@ -206,25 +282,33 @@ def _of_surface(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n d"]:
     """Moves the mesh as `deform` does, with displacements for the fixed nodes too, whose rows follow those of the moving ones."""
-    surface = plan.surface
-    u = vectors
-    if surface.mirror is not None:
-        vectors = surface.mirror.within(vectors, surface.mirror.on_plane)
-        u = surface.mirror.vectors(vectors)
+    surface, vectors = plan.surface, _kept(plan, vectors)
+    u = vectors if surface.images is None else surface.images.vectors(vectors)
     field = plan.method.field(surface.ids, surface.factors, surface.points, u)
-    shared = field, vectors, surface.nodes, surface.mirror
-    moved = over_points(plan.layout, _moved(plan.layout, plan.method.exact), shared, plan.volume)
+    nodes, assigned = surface.nodes, vectors
+    if not plan.method.exact:
+        rows = jnp.zeros(0, int) if surface.guide is None else surface.guide.rows
+        nodes, assigned = nodes[rows], vectors[rows]
+    moved = over_points(plan.layout, _moved(plan.layout), (field, assigned, nodes, surface.images), plan.volume)
     return moved if plan.layout is None else moved[: plan.layout.count]
 
 
-def _moved(layout: Layout | None, exact: bool) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
+def _kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+    """Changes displacements of the surface's own rows so that they stay on planes, and follow along boundaries."""
+    surface = plan.surface
+    if surface.guide is not None:
+        vectors = surface.guide(vectors)
+    return vectors if surface.images is None else surface.images.kept(vectors)
+
+
+def _moved(layout: Layout | None) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
     def move(shared, volume):
-        field, vectors, nodes, mirror = shared
+        field, vectors, nodes, images = shared
         displacement = map_points(field, volume.points, volume.placed)
-        if mirror is not None:
-            displacement = mirror.within(displacement, volume.on_plane)
+        if images is not None:
+            displacement = images.within(displacement, volume.on_plane)
         moved = volume.points + displacement
-        if exact:
+        if len(nodes):
             at = rows_here(layout, nodes, len(moved))
             moved = moved.at[at].set(volume.points[at] + vectors, mode="drop", unique_indices=True)
         return moved
@@ -243,8 +327,8 @@ def pullback(
     **Arguments:**
 
     - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) of the moving nodes. For a method that is `linear` it only sets the shape: the result does
-      not depend on its value.
+    - `u`: displacements (m, d) of the moving nodes. Where `plan.is_linear`, it only sets the shape: the result does not
+      depend on its value.
     - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
 
     **Returns:** dJ/du (m, d).
@@ -292,5 +376,11 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     )
     volume = layout.divided(volume)
     return Plan(
-        layout.replicated(plan.method), layout.replicated(plan.surface), volume, plan.n_moving, plan.carried, layout
+        layout.replicated(plan.method),
+        layout.replicated(plan.surface),
+        volume,
+        plan.n_moving,
+        plan.n_guided,
+        plan.carried,
+        layout,
     )

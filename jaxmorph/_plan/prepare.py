@@ -1,5 +1,6 @@
 """Preparation: everything about a mesh that does not depend on the displacement, found once on the host."""
 
+import dataclasses
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -13,10 +14,14 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Integer, Real
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Cells, Surface, check_kind
 from .._methods.blocks import with_tables
+from .._methods.guiding import guiding
 from .._methods.reconstruction import SurfaceReconstruction
-from .door import Boundary, boundary
-from .plan import Plan, SurfaceHalf, VolumeHalf, refit
-from .symmetry import Mirror, Plane, check_planes, mirror
+from .door import Boundary, boundary, renumbered
+from .images import Images, images_of
+from .periodic import Periodic, check_pairings
+from .plan import Guide, Plan, SurfaceHalf, VolumeHalf, refit
+from .slide import Slide
+from .symmetry import Plane, check_planes
 
 
 def prepare(
@@ -26,6 +31,8 @@ def prepare(
     *,
     method: AbstractMethod | None = None,
     symmetry: Plane | str | Sequence[Plane | str] = (),
+    periodic: Periodic | Sequence[Periodic] = (),
+    sliding: Slide | str | Sequence[Slide | str] = (),
     free: str | Sequence[str] | Integer[ArrayLike, " k"] | Sequence[int | np.integer] = (),
 ) -> Plan:
     """Prepares a plan, once per mesh and on the host: all that does not depend on the displacement.
@@ -38,68 +45,58 @@ def prepare(
     - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both moves. All others follow.
     - `method`: `SurfaceReconstruction()` by default.
     - `symmetry`: planes, or names of the patches that lie in them. Nodes on a plane stay in it, moving ones too.
+    - `periodic`: pairs of patches of which one repeats the other. Their nodes move alike, and neighbours are felt.
+    - `sliding`: patches whose nodes stay on their surface and move along it; a name stands for the patch's own faces.
     - `free`: node ids or names of patches whose nodes may follow like inner ones: not warned of. Default: none.
 
     **Returns:** a `Plan`.
 
     **Raises:** `ValueError` for ids out of range or named twice in `moving`, and coordinates that are not finite. Also for
     points outside of the hull of the surface (graph mapping), and sources that do not determine the interpolation. Also for
-    planes that hold no node or have nodes on both sides.
+    planes that hold no node or have nodes on both sides, for periodic patches that do not match,
+    and sliding ones that do not lie on their surface.
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
-    return plan_of(boundary(mesh, moving, fixed, symmetry, free), method)
+    return plan_of(boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method)
 
 
 def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
     """Prepares a plan of what has been checked. It warns of boundary faces that no list names, and of lost precision."""
     named.warn_of_free_faces()
+    if named.planes:
+        check_planes(named.planes, named.points)
+    check_pairings(named.pairings, named.planes, float(np.ptp(named.points, axis=0).max()))
     method = SurfaceReconstruction() if method is None else method
     if method.needs_cells and named.cells is None:
         raise ValueError(
             f"{type(method).__name__} needs the cells of the whole mesh: pass the mesh, prepare(mesh, ...), not points or a part."
         )
-    surface, images, on_plane = surface_of(named)
-    surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, named.points))
-    plan = Plan(
-        method=method,
-        surface=SurfaceHalf(
-            jnp.asarray(surface.points), jnp.asarray(named.nodes, jnp.int32), images, surface_ids, None
-        ),
-        volume=VolumeHalf(
-            jnp.asarray(named.points),
-            None if on_plane is None else jnp.asarray(on_plane),
-            volume_ids,
-            None,
-        ),
-        n_moving=len(named.moving),
-    )
+    guide = _guide_of(named, method)
+    plan = _plan_of(dataclasses.replace(named, pairings=(), tracks=()), method, guide)
     if plan.points.dtype != named.points.dtype:
         warnings.warn(
             "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
             'Call jax.config.update("jax_enable_x64", True) first.',
             stacklevel=3,
         )
-    plan = _with_tables(refit(plan, plan.points))
-    method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan
 
 
-def surface_of(named: Boundary) -> tuple[Surface, Mirror | None, Bool[np.ndarray, "n p"] | None]:
-    """Returns the surface that a method sees, its mirror, and which points lie on which plane."""
-    nodes, moving = named.nodes, len(named.moving)
-    everything, rows, images, on_plane = named.points[nodes], np.arange(len(nodes)), None, None
-    faces = named.surface_faces
-    if named.planes:
-        check_planes(named.planes, named.points)
-        on_plane = np.stack([plane.holds(named.points) for plane in named.planes], axis=1)
-        images, moving = mirror(named.planes, on_plane[nodes], moving)
-        everything, rows = np.asarray(images.points(jnp.asarray(everything))), np.asarray(images.rows)
-        faces = None if faces is None else {kind: images.faces(corners) for kind, corners in faces.items()}
-    first = _first(rows)
-    ids = np.where(np.arange(len(rows)) == first, nodes[rows], -1)
-    cells = None if named.cells is None else _cells(named, on_plane)
-    surface = Surface(everything, ids, moving, first, faces=faces, is_open=named.is_open, cells=cells)
-    return surface, images, on_plane
+def _plan_of(named: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:
+    surface, images, on_plane = surface_of(named)
+    surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, named.points))
+    nodes = jnp.asarray(named.nodes, jnp.int32)
+    on_plane = None if on_plane is None else jnp.asarray(on_plane)
+    plan = Plan(
+        method=method,
+        surface=SurfaceHalf(jnp.asarray(surface.points), nodes, images, surface_ids, None, guide),
+        volume=VolumeHalf(jnp.asarray(named.points), on_plane, volume_ids, None),
+        n_moving=len(named.moving),
+        n_guided=len(named.guided),
+    )
+    plan = _with_tables(refit(plan, plan.points))
+    method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
+    return plan
 
 
 def _cells(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:
@@ -107,6 +104,46 @@ def _cells(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:
     n, d = named.points.shape
     normals = np.stack([plane.normal for plane in named.planes]) if named.planes else np.zeros((0, d))
     return Cells(named.cells or {}, normals, np.zeros((n, 0), dtype=bool) if on_plane is None else on_plane)
+
+
+def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray, "n p"] | None]:
+    """Returns the surface that a method sees, its images, and which points lie on which plane."""
+    points, nodes, moving, faces = named.points, named.nodes, len(named.moving), named.surface_faces
+    if not named.planes and not named.pairings:
+        rows = np.arange(len(nodes))
+        cells = None if named.cells is None else _cells(named, None)
+        return Surface(points[nodes], nodes, moving, rows, faces=faces, is_open=named.is_open, cells=cells), None, None
+    on_plane = np.zeros((len(points), len(named.planes)), dtype=bool)
+    for k, plane in enumerate(named.planes):
+        on_plane[:, k] = plane.holds(points)
+    images, copies = images_of(named.planes, named.pairings, on_plane, nodes, moving)
+    everything = np.asarray(images.points(jnp.asarray(points[nodes])))
+    faces = None if faces is None else {kind: copies.faces(corners) for kind, corners in faces.items()}
+    ids = np.where(copies.kind == 0, nodes[copies.rows], -1)
+    cells = None if named.cells is None else _cells(named, on_plane)
+    surface = Surface(everything, ids, copies.moving, copies.first, faces=faces, is_open=named.is_open, cells=cells)
+    return surface, images, on_plane
+
+
+def _guide_of(named: Boundary, method: AbstractMethod) -> Guide | None:
+    """Prepares what moves nodes along boundaries."""
+    if not named.pairings and not named.tracks:
+        return None
+    alone = named.alone()
+    plan = _plan_of(alone, guiding(method))
+    rows = [*(pairing.nodes for pairing in alone.pairings), *(np.asarray(track.rows) for track in alone.tracks)]
+    pairings, tracks = jax.tree.map(jnp.asarray, (alone.pairings, alone.tracks))
+    return Guide(plan, pairings, tracks, jnp.asarray(np.unique(np.concatenate(rows)), jnp.int32))
+
+
+def boundary_of(plan: Plan) -> Boundary:
+    """Returns what a plan was made of; without faces, which it does not keep."""
+    points, moving, fixed, guided = map(np.asarray, (plan.points, plan.moving, plan.fixed, plan.guided))
+    nodes, guide = np.concatenate([moving, fixed, guided]), plan.surface.guide
+    planes = () if plan.images is None else plan.images.planes
+    pairings, tracks = ((), ()) if guide is None else jax.tree.map(np.asarray, (guide.pairings, guide.tracks))
+    joined = renumbered(pairings, tracks, nodes)
+    return Boundary(points, moving, fixed, guided, planes, *joined, None, None, None)
 
 
 def _with_tables(plan: Plan) -> Plan:
@@ -117,17 +154,11 @@ def _with_tables(plan: Plan) -> Plan:
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:
     """Makes a smooth displacement of the moving nodes that no polynomial gives, of size one, fixed nodes at rest."""
-    points, mirror = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.surface.mirror
+    points, images = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.images
     moving = points[: plan.n_moving]
     arms = moving - moving.mean(axis=0)
     u = np.zeros_like(points)
     u[: plan.n_moving] = np.cos(2 * arms / (np.abs(arms).max() or 1))
-    if mirror is None:
+    if images is None:
         return jnp.asarray(u)
-    return mirror.extended(jnp.asarray(u))
-
-
-def _first(rows: np.ndarray) -> np.ndarray:
-    """Finds for each row the first one with the same value."""
-    _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
-    return first[inverse]
+    return images.extended(jnp.asarray(u))

@@ -1,5 +1,6 @@
 """Several steps: a path of surface displacements, followed on the host and replayed in traced code."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,8 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .plan import Plan, carry, deform_surface, refit
-from .prepare import prepare
-from .symmetry import Plane
+from .prepare import boundary_of, plan_of
 
 
 def march(
@@ -89,6 +89,4 @@ def _advance(plan: Plan, target: Float[Array, "o d"]) -> Float[Array, "n d"]:
 
 
 def _anew(plan: Plan, points) -> Plan:
-    mirror = plan.surface.mirror
-    planes = [] if mirror is None else [Plane(*plane) for plane in zip(mirror.normals, mirror.origins, strict=True)]
-    return prepare(np.asarray(points), plan.moving, plan.fixed, method=plan.method, symmetry=planes)
+    return plan_of(dataclasses.replace(boundary_of(plan), points=np.asarray(points)), plan.method)

@@ -1,12 +1,11 @@
-"""Symmetry planes: the surface is mirrored before a method sees it, and nodes on a plane stay in it."""
+"""Symmetry planes: where they may stand, and which nodes lie on them."""
 
 import itertools
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Float, Int
 
 from .._host.errors import MeshError
 from .._host.reduction import roundoff
@@ -64,7 +63,7 @@ class Plane(eqx.Module):
         if np.abs(np.delete(normal, axis)).max() < 1e-7:  # the usual case: keep the coordinate bit for bit
             normal, origin[axis] = np.eye(len(normal))[axis], np.median(patch[:, axis])
         deviation = np.abs((patch - origin) @ normal)
-        if deviation.max() > _tolerance(points):
+        if deviation.max() > tolerance(points):
             worst_first = np.argsort(-deviation, kind="stable")
             place = ", ".join(f"{x:.6g}" for x in patch[worst_first[0]])
             raise MeshError(
@@ -77,76 +76,20 @@ class Plane(eqx.Module):
         """Tells whether both are one plane, to the tolerance within which nodes lie on it."""
         if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
             return False
-        return abs(float(self.height(other.origin[None])[0])) <= _tolerance(points)
+        return abs(float(self.height(other.origin[None])[0])) <= tolerance(points)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """Tells which points lie on the plane: booleans (n,)."""
-        return np.abs(self.height(points)) <= _tolerance(points)
+        return np.abs(self.height(points)) <= tolerance(points)
 
     def height(self, points: np.ndarray) -> np.ndarray:
         """Computes the distance (n,) of each point from the plane, positive on the side of its normal."""
         return (points - self.origin) @ self.normal
 
 
-def _tolerance(points: np.ndarray) -> float:
+def tolerance(points: np.ndarray) -> float:
+    """Returns the distance from a plane within which a node lies on it."""
     return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
-
-
-class Mirror(eqx.Module):
-    """Extends the own rows of a surface by their images in the planes.
-
-    Extended row i is the image of own row `rows[i]` in the planes k for which `mirrored[i, k]`; own row j lies on the planes
-    for which `on_plane[j, k]`.
-    """
-
-    normals: Float[Array, "p d"]
-    origins: Float[Array, "p d"]
-    rows: Int[Array, " b"]
-    mirrored: Bool[Array, "b p"]
-    on_plane: Bool[Array, "o p"]
-
-    def points(self, points: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the coordinates of all rows, images too."""
-        return self._reflected(points[self.rows], self.origins)
-
-    def vectors(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the displacements of all rows, images too."""
-        return self._reflected(u[self.rows], jnp.zeros_like(self.origins))
-
-    def extended(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the displacements of all rows from any of the original rows: rows on a plane stay in it."""
-        return self.vectors(self.within(u, self.on_plane))
-
-    def faces(self, corners: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "l c"]:
-        """Extends, on the host, faces between original rows by their images; a face in a plane has no image in it."""
-        on_plane, mirrored, rows = (np.asarray(leaf) for leaf in (self.on_plane, self.mirrored, self.rows))
-        planes = on_plane.shape[1]
-        bits = 1 << np.arange(planes)
-        row_of = np.full((1 << planes, len(on_plane)), -1, dtype=np.int32)
-        row_of[mirrored @ bits, rows] = np.arange(len(rows))
-        in_plane = on_plane[corners].all(axis=1) @ bits
-        images = []
-        for combination in combinations(np.asarray(self.normals)):
-            flags = int(np.array(combination) @ bits)
-            kept = corners[(in_plane & flags) == 0]
-            image = row_of[flags & ~(on_plane[kept] @ bits), kept]
-            images.append(image[:, ::-1] if flags.bit_count() % 2 else image)  # seen from outside, as the face is
-        return np.concatenate(images)
-
-    def _reflected(self, vectors, origins):
-        for k, normal in enumerate(self.normals):
-            normal = normal.astype(vectors.dtype)
-            height = (vectors - origins[k].astype(vectors.dtype)[None]) @ normal
-            image = vectors - 2 * height[:, None] * normal[None]
-            vectors = jnp.where(self.mirrored[:, k, None], image, vectors)
-        return vectors
-
-    def within(self, u: Float[Array, "n d"], on_plane: Bool[Array, "n p"]) -> Float[Array, "n d"]:
-        """Removes the components of displacements normal to the planes on which the nodes lie."""
-        for k, normal in enumerate(self.normals):
-            normal = normal.astype(u.dtype)
-            u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal[None], u)
-        return u
 
 
 def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
@@ -173,7 +116,7 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
         nearest = np.abs(height).argmin()
         raise MeshError(
             f"{name} holds no node of the mesh: the nearest, node {{node}}, is {abs(height[nearest]):.3g} away (tolerance "
-            f"{_tolerance(points):.3g}). `Plane.through(points, nodes)` finds the plane of a patch.",
+            f"{tolerance(points):.3g}). `Plane.through(points, nodes)` finds the plane of a patch.",
             np.array([nearest]),
         )
     above, below = ~on & (height > 0), ~on & (height < 0)
@@ -198,21 +141,3 @@ def combinations(normals: Float[np.ndarray, "p d"]) -> list[tuple[bool, ...]]:
     parallel = np.triu(np.abs(normals @ normals.T) > 0.5, 1)
     every = itertools.product((False, True), repeat=len(normals))
     return [flags for flags in every if not (parallel & np.outer(flags, flags)).any()]
-
-
-def mirror(planes: Sequence[Plane], on_plane: np.ndarray, moving: int) -> tuple[Mirror, int]:
-    """Makes the images of the o original rows, the first `moving` of them moving; counts the rows that move, images too.
-
-    `on_plane` (o, p) says which rows lie on which plane: they have no image in it.
-    """
-    originals, flagged = np.arange(len(on_plane)), combinations(np.stack([plane.normal for plane in planes]))
-    rows, flags, extended = [], [], 0
-    for part in (originals[:moving], originals[moving:]):
-        for flag in flagged:
-            images = part[~(on_plane[part] & np.array(flag)).any(axis=1)]
-            rows.append(images)
-            flags.append(np.broadcast_to(flag, (len(images), len(planes))))
-        extended = extended or sum(map(len, rows))
-    normals, origins = np.stack([plane.normal for plane in planes]), np.stack([plane.origin for plane in planes])
-    parts = (normals, origins, np.concatenate(rows).astype(np.int32), np.concatenate(flags), on_plane)
-    return Mirror(*map(jnp.asarray, parts)), extended

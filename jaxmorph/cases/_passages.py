@@ -11,7 +11,9 @@ LENGTH = 1.7  # of the cascade's passage, in chords
 OUTERMOST = 2.2  # the last ray node's radius about the blade's circle, before it is carried to the passage's boundary
 
 
-def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pitch: float = 1.0) -> jm.Mesh:
+def cascade(
+    *, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pitch: float = 1.0, periodic: bool = False
+) -> jm.Mesh:
     """Makes an O-grid of quads around a cambered turbine blade of unit chord, in a passage `pitch` chords wide.
 
     The blade's trailing edge is sharp, at (1, 0); the passage is 1.7 chords long. Its sides run straight and half a pitch
@@ -24,6 +26,7 @@ def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pi
     - `layers`: cells from the blade to the passage's boundary, 8 or more. Default 60.
     - `first_cell`: height of the cells at the blade, in chords. Default 1e-5.
     - `pitch`: width of the passage, 1 to 3 chords. Default 1.
+    - `periodic`: whether `upper` has the nodes of `lower`, a pitch above them. Default False.
 
     **Returns:** a `Mesh`.
 
@@ -37,7 +40,7 @@ def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pi
     near = rays(section, around, layers, first_cell, OUTERMOST) @ np.array([1, 1j])
     turn = np.arange(around) / around
     middle, half = section(OUTERMOST, turn).mean(), np.array([LENGTH / 2, pitch / 2])
-    outer = middle + _box(near[-1] - middle, half)
+    outer = middle + _box(near[-1] - middle, half, periodic)
     share = geometric(layers, first_cell / pitch)[:, None]
     weight = share**2 * (3 - 2 * share)
     places = (1 - weight) * near + weight * outer
@@ -52,12 +55,20 @@ def cascade(*, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pi
     return jm.Mesh(nodes.reshape(-1, 2), {"quad": quads(closed)}, patches)
 
 
-def _box(directions: np.ndarray, half: np.ndarray) -> np.ndarray:
+def _box(directions: np.ndarray, half: np.ndarray, periodic: bool) -> np.ndarray:
     """Places complex points of a rectangle's boundary in the given directions; the nearest to each corner is put there."""
     reach = np.minimum(half[0] / np.abs(np.real(directions)), half[1] / np.abs(np.imag(directions)))
     points = directions * reach
-    for corner in (complex(x, y) for x in (-half[0], half[0]) for y in (-half[1], half[1])):
-        points[np.abs(points - corner).argmin()] = corner
+    corners = [complex(x, y) for x, y in half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])]
+    nodes = [int(np.abs(points - corner).argmin()) for corner in corners]
+    if periodic:
+        step = 1 if np.imag(np.conj(points[0]) * points[1]) > 0 else -1
+        lower = step * np.arange((step * (nodes[1] - nodes[0])) % len(points) + 1)
+        nodes[3] = (nodes[2] + lower[-1]) % len(points)
+        below, above = (nodes[0] + lower) % len(points), (nodes[2] + lower[::-1]) % len(points)
+        along = np.sort((np.real(points[below]) + np.real(points[above])) / 2)
+        points[below], points[above] = along - 1j * half[1], along + 1j * half[1]
+    points[nodes] = corners
     return points
 
 

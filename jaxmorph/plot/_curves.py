@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
+from jaxmorph._plan.prepare import boundary_of, plan_of
 from jaxmorph._quality.report import MEASURES
 
 from ._plane import Axes, given_or_new
@@ -93,18 +94,17 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
         raise ValueError("`u` is zero: every reduction follows it.")
     if not len(reductions):
         raise ValueError("`reductions` is empty: name at least one, such as jm.KDTree(16).")
-    nodes, mirror = np.concatenate([plan.moving, plan.fixed]), plan.mirror
-    b, planes = len(nodes), ()
-    if mirror is not None:  # of the volume only the nodes that tell where the planes are
-        planes = tuple(jm.Plane(*each) for each in zip(mirror.normals, mirror.origins, strict=True))
-        on_plane = np.flatnonzero(np.any([plane.holds(points) for plane in planes], axis=0))
-        nodes = np.concatenate([nodes, np.setdiff1d(on_plane, nodes)])
-    target = points[nodes[:m]] + u
+    named = boundary_of(plan)
+    nodes, planes = named.nodes, named.planes
+    if planes:  # of the volume only the nodes that tell where the planes are
+        nodes = np.union1d(nodes, np.flatnonzero(np.any([plane.holds(points) for plane in planes], axis=0)))
+    part = named.part(np.unique(nodes))
+    target = points[np.asarray(plan.moving)] + u
     rows = []
     for reduction in reductions:
         method = jm.RBF(rbf.basis, reduction, rbf.fixed_reduction, rbf.degree)
-        reduced = jm.prepare(points[nodes], np.arange(m), np.arange(m, b), method=method, symmetry=planes)
-        missed = np.linalg.norm(np.asarray(jm.deform(reduced, u))[:m] - target, axis=1)
+        reduced = plan_of(part, method)
+        missed = np.linalg.norm(np.asarray(jm.deform(reduced, u))[np.asarray(reduced.moving)] - target, axis=1)
         rows.append((len(of_plan(reduced)[1]), missed.max(), missed.mean()))
     number, largest, mean = (np.array(column) for column in zip(*rows, strict=True))
     size = np.linalg.norm(u, axis=1).max()

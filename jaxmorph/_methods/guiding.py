@@ -1,0 +1,20 @@
+"""The method that moves nodes along boundaries that are neither moving nor fixed."""
+
+from .base import AbstractMethod
+from .delaunay import DelaunayGraph
+from .fitted import FittedRBF
+from .multiscale import Multiscale
+from .nearwall import NearWall
+from .reconstruction import SurfaceReconstruction
+
+
+def guiding(method: AbstractMethod) -> AbstractMethod:
+    """Returns the method that guides nodes along boundaries for another one.
+
+    Such nodes lie outside of the hull of the moving and fixed ones, where no graph reaches, and have no cells among themselves;
+    near those they have to follow exactly. It keeps the other method's coarse field, with a `Multiscale` correction.
+    """
+    coarse = method.coarse if isinstance(method, SurfaceReconstruction) else method
+    if coarse.needs_cells or isinstance(coarse, DelaunayGraph | NearWall):
+        coarse = FittedRBF()
+    return coarse if coarse is method and coarse.exact else SurfaceReconstruction(coarse, Multiscale())

@@ -1,0 +1,179 @@
+"""Images of the surface: mirrored in symmetry planes and repeated by periodic transforms before a method sees it."""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .periodic import Pairing
+from .symmetry import Plane, combinations
+
+
+class Images(eqx.Module):
+    """Extends the own rows of a surface by their images.
+
+    Extended row i is the image of own row `rows[i]` by the transform `kind[i]`, x -> `matrices` x + `shifts`; kind 0 is the row
+    itself. Own row j lies on the planes k for which `on_plane[j, k]`; `pairings` pair own rows.
+    """
+
+    normals: Float[Array, "p d"]
+    origins: Float[Array, "p d"]
+    on_plane: Bool[Array, "o p"]
+    rows: Int[Array, " b"]
+    kind: Int[Array, " b"]
+    matrices: Float[Array, "t d d"]
+    shifts: Float[Array, "t d"]
+    pairings: tuple[Pairing, ...]
+
+    def points(self, points: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Computes the coordinates of all rows, images too."""
+        return self.vectors(points) + self.shifts.astype(points.dtype)[self.kind]
+
+    def vectors(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Computes the displacements of all rows, images too."""
+        turns = self.matrices.astype(u.dtype)[self.kind]
+        image = jnp.einsum("bij,bj->bi", turns, u[self.rows], precision="highest")
+        return jnp.where(self.kind[:, None] == 0, u[self.rows], image)
+
+    def extended(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Computes the displacements of all rows from any of the original rows."""
+        return self.vectors(self.kept(u))
+
+    def kept(self, u: Float[Array, "o d"]) -> Float[Array, "o d"]:
+        """Changes displacements of the own rows so that rows on a plane stay in it, and periodic ones move alike."""
+        u = self.within(u, self.on_plane)
+        for pairing in self.pairings:
+            u = pairing.alike(u)
+        return u
+
+    def within(self, u: Float[Array, "n d"], on_plane: Bool[Array, "n p"]) -> Float[Array, "n d"]:
+        """Removes the components of displacements normal to the planes on which the nodes lie."""
+        for k, normal in enumerate(self.normals):
+            normal = normal.astype(u.dtype)
+            u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal[None], u)
+        return u
+
+    @property
+    def planes(self) -> tuple[Plane, ...]:
+        """The symmetry planes, on the host."""
+        return tuple(Plane(*each) for each in zip(self.normals, self.origins, strict=True))
+
+
+@dataclasses.dataclass(frozen=True)
+class Copies:
+    """Lists, on the host, where the images of a surface's own rows stand.
+
+    - `places` (t, o): a number for the place of each own row's image by each of t transforms; equal ones coincide.
+    - `roots` (o,): the own row for which a row stands that a periodic transform leads to.
+    - `rows`, `kind` (b,): own row and transform of each extended row, no place twice; the first `moving` ones move.
+    - `matrices` (t, d, d), `shifts` (t, d): the transforms.
+    - `sides` (o, s): which own rows lie on which sides of the periodic pairs.
+    """
+
+    places: np.ndarray
+    roots: np.ndarray
+    rows: np.ndarray
+    kind: np.ndarray
+    moving: int
+    matrices: np.ndarray
+    shifts: np.ndarray
+    sides: np.ndarray
+
+    @property
+    def first(self) -> np.ndarray:
+        """For each extended row the first one (b,) that is the same row or its periodic partner."""
+        _, first, inverse = np.unique(self.roots[self.rows], return_index=True, return_inverse=True)
+        return first[inverse]
+
+    def faces(self, corners: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "l c"]:
+        """Extends faces between own rows by their images: each place once, and none between a copy and the next."""
+        between = self.sides[corners].all(axis=1)
+        corners = corners[~between.any(axis=-1)]
+        wanted = self.places[:, corners]
+        flipped = np.linalg.det(self.matrices) < 0
+        wanted[flipped] = wanted[flipped][..., ::-1]  # seen from outside, as the face is
+        wanted = wanted.reshape(-1, corners.shape[1])
+        at = self.places[self.kind, self.rows]
+        order = np.argsort(at)
+        once = np.sort(np.unique(np.sort(wanted, axis=1), axis=0, return_index=True)[1])
+        return order[np.searchsorted(at[order], wanted[once])].astype(np.int32)
+
+
+def copies(
+    planes: Sequence[Plane], pairings: Sequence[Pairing], on_plane: Bool[np.ndarray, "o p"], moving: int
+) -> Copies:
+    """Finds the images of own rows, the first `moving` of them moving; `pairings` are of own rows.
+
+    The nearest come first. A place has a number made of its root, of how often it is transformed, and in which planes mirrored.
+    """
+    count, size = on_plane.shape
+    flags = combinations(np.stack([plane.normal for plane in planes])) if planes else [()]
+    powers = [pairing.powers for pairing in pairings]
+    elements = sorted(
+        itertools.product(itertools.product(*powers), flags), key=lambda each: sum(map(abs, each[0]))
+    )  # stable: as they come among those as near
+    roots, radix = np.arange(count), 1 << size
+    places = np.array([[np.array(flag, dtype=np.int64) @ (1 << np.arange(size))] for _, flag in elements])
+    places = places & ~(on_plane @ (1 << np.arange(size)))[None]
+    for p, pairing in enumerate(pairings):
+        power = np.array([each[p] for each, _ in elements])[:, None]
+        ahead = np.zeros(count, dtype=np.int64)
+        ahead[pairing.second] = 1
+        span = pairing.turn or 2 * pairing.copies + 2
+        steps = (power + ahead[None] + pairing.copies) % span
+        steps[:, pairing.alone] = 0
+        places, radix = places + radix * steps, radix * span
+        to_first = np.arange(count)
+        to_first[pairing.second] = pairing.first
+        roots = to_first[roots]
+    places = places + radix * roots[None]
+    kind, rows = np.divmod(np.arange(places.size), count)
+    moves = rows < moving
+    order = np.concatenate([np.flatnonzero(moves), np.flatnonzero(~moves)])
+    order = order[np.sort(np.unique(places.ravel()[order], return_index=True)[1])]
+    matrices, shifts = zip(*(_transform(planes, pairings, *element) for element in elements), strict=True)
+    lying = [np.union1d(side, each.alone) for each in pairings for side in (each.first, each.second)]
+    sides = np.zeros((count, len(lying)), dtype=bool)
+    for column, rows_there in zip(sides.T, lying, strict=True):
+        column[rows_there] = True
+    extended = int((rows[order] < moving).sum())
+    return Copies(places, roots, rows[order], kind[order], extended, np.stack(matrices), np.stack(shifts), sides)
+
+
+def _transform(planes: Sequence[Plane], pairings: Sequence[Pairing], powers, flags) -> tuple[np.ndarray, np.ndarray]:
+    """Composes the transform of one image: periodic ones, then reflections."""
+    dimension = len(planes[0].normal) if planes else len(pairings[0].shift)
+    matrix, shift = np.eye(dimension), np.zeros(dimension)
+    for pairing, k in zip(pairings, powers, strict=True):
+        turn, by = pairing.power(k)
+        matrix, shift = turn @ matrix, turn @ shift + by
+    for plane, is_mirrored in zip(planes, flags, strict=True):
+        if is_mirrored:
+            turn = np.eye(dimension) - 2 * np.outer(plane.normal, plane.normal)
+            matrix, shift = turn @ matrix, turn @ shift + 2 * (plane.origin @ plane.normal) * plane.normal
+    return matrix, shift
+
+
+def images_of(
+    planes: Sequence[Plane],
+    pairings: Sequence[Pairing],
+    on_plane: Bool[np.ndarray, "n p"],
+    nodes: np.ndarray,
+    moving: int,
+) -> tuple[Images, Copies]:
+    """Makes the images of the surface's `nodes`, the first `moving` of them moving, and lists where they stand."""
+    place = np.full(len(on_plane), -1, dtype=np.int32)
+    place[nodes] = np.arange(len(nodes))
+    rows = [pairing.renumbered(place) for pairing in pairings]
+    made = copies(planes, rows, on_plane[nodes], moving)
+    dimension = made.shifts.shape[1]
+    normals = np.stack([plane.normal for plane in planes]) if planes else np.zeros((0, dimension))
+    origins = np.stack([plane.origin for plane in planes]) if planes else np.zeros((0, dimension))
+    kind, images = made.kind.astype(np.int32), made.rows.astype(np.int32)
+    parts = (normals, origins, on_plane[nodes], images, kind, made.matrices, made.shifts)
+    return Images(*jax.tree.map(jnp.asarray, (*parts, tuple(rows)))), made

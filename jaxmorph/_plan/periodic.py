@@ -1,0 +1,241 @@
+"""Periodic boundaries: which node of one patch is which of its partner, found and checked by the transform between them."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.spatial import KDTree
+
+from .._host.errors import MeshError
+from .symmetry import Plane, tolerance
+
+MISMATCH = 1e-4
+"""Distance of two nodes of a pair after the transform, relative to the distance to the next node, that files may have."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
+class Periodic:
+    """Joins two patches of which the second repeats the first: passages of a cascade, sectors of a wheel, ends of a duct.
+
+    The surface is repeated by the transform before a method sees it, so the field knows its neighbours. What is left is made
+    equal by averaging each pair of nodes. Both patches move: they keep no shape but that of each other.
+
+    Without `rotation`, `about` and `axis` the transform is a translation.
+
+    **Arguments:**
+
+    - `patch`, `partner`: names of patches, or ids of their nodes. The transform leads from `patch` to `partner`.
+    - `translation`: vector (d,), in the mesh's units. Default: from the middle of one patch to that of the other.
+    - `rotation`: angle in radians. Default: found from the middles of the patches.
+    - `about`: a point (d,) that the rotation keeps. Default: the origin.
+    - `axis`: direction (3,) of the rotation's axis, in 3-D alone.
+    - `copies`: how often the surface is repeated on either side. Default 1; 2 gives a little better cells, and takes longer.
+
+    **Raises:** `ValueError` for a translation with a rotation, and for less than one copy.
+    """
+
+    patch: str | np.ndarray
+    partner: str | np.ndarray
+    translation: np.ndarray | None
+    rotation: float | None
+    about: np.ndarray | None
+    axis: np.ndarray | None
+    copies: int
+
+    def __init__(self, patch, partner, *, translation=None, rotation=None, about=None, axis=None, copies: int = 1):
+        if translation is not None and not (rotation is None and about is None and axis is None):
+            raise ValueError("a periodic pair has a translation or a rotation, not both.")
+        if copies < 1:
+            raise ValueError(f"`copies` must be 1 or more, not {copies}.")
+        translation, about, axis = (
+            None if each is None else np.asarray(each, dtype=float) for each in (translation, about, axis)
+        )
+        values = {"patch": patch, "partner": partner, "translation": translation, "about": about, "axis": axis}
+        values |= {"rotation": None if rotation is None else float(rotation), "copies": int(copies)}
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def name(self) -> str:
+        """Names both patches for a message."""
+        names = [
+            repr(each) if isinstance(each, str) else f"of {len(each)} nodes" for each in (self.patch, self.partner)
+        ]
+        return f"the periodic patches {names[0]} and {names[1]}"
+
+    @property
+    def is_rotation(self) -> bool:
+        """Tells whether the transform is a rotation."""
+        return not (self.rotation is None and self.about is None and self.axis is None)
+
+
+class Pairing(eqx.Module):
+    """Holds pairs of nodes, and the transform x -> `matrix` x + `shift` that leads from `first` to `second`.
+
+    - `first`, `second` (q,): ids of nodes, or rows of them.
+    - `alone` (s,): those that the transform leaves where they are, on the axis of a rotation.
+    - `keeps` (d, d): projection on the vectors that the transform does not turn.
+    - `turn`: how many sectors make a whole turn, 0 where the transform never comes back.
+    - `copies`: as `Periodic` has it.
+    """
+
+    first: Int[Array | np.ndarray, " q"]
+    second: Int[Array | np.ndarray, " q"]
+    alone: Int[Array | np.ndarray, " s"]
+    matrix: Float[Array | np.ndarray, "d d"]
+    shift: Float[Array | np.ndarray, " d"]
+    keeps: Float[Array | np.ndarray, "d d"]
+    turn: int = eqx.field(static=True)
+    copies: int = eqx.field(static=True)
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Ids of all nodes of both patches, on the host."""
+        return np.concatenate([self.first, self.second, self.alone])
+
+    @property
+    def powers(self) -> list[int]:
+        """Lists how often images are transformed, the nearest first: 0, 1, -1, 2, ..., no place twice in a whole turn."""
+        every = sorted(range(-self.copies, self.copies + 1), key=lambda k: (abs(k), -k))
+        return list({k % self.turn: k for k in every[::-1]}.values())[::-1] if self.turn else every
+
+    def power(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Returns matrix and shift of the transform applied k times, on the host."""
+        dimension = len(self.shift)
+        once = np.eye(dimension + 1)
+        once[:dimension, :dimension], once[:dimension, dimension] = self.matrix, self.shift
+        if k < 0:
+            once[:dimension, :dimension], once[:dimension, dimension] = self.matrix.T, -self.matrix.T @ self.shift
+        whole = np.linalg.matrix_power(once, abs(k))
+        return whole[:dimension, :dimension], whole[:dimension, dimension]
+
+    def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
+        """Returns the same with node k called `place[k]`; pairs of which a node has none (-1) are left out."""
+        first, second, alone = (place[np.asarray(nodes)] for nodes in (self.first, self.second, self.alone))
+        kept = (first >= 0) & (second >= 0)
+        numbers = first[kept], second[kept], alone[alone >= 0]
+        return eqx.tree_at(lambda pairing: (pairing.first, pairing.second, pairing.alone), self, numbers)
+
+    def alike(self, u: Float[Array, "n d"]) -> Float[Array, "n d"]:
+        """Makes the displacements of each pair equal after the transform: both take the mean. Traced."""
+        matrix, keeps = jnp.asarray(self.matrix, u.dtype), jnp.asarray(self.keeps, u.dtype)
+        mean = (u[self.first] + _product(u[self.second], matrix)) / 2
+        u = u.at[self.first].set(mean).at[self.second].set(_product(mean, matrix.T))
+        return u.at[self.alone].set(_product(u[self.alone], keeps)) if len(self.alone) else u
+
+
+def _product(rows: Float[Array, "n d"], matrix: Float[Array, "d d"]) -> Float[Array, "n d"]:
+    return jnp.matmul(rows, matrix, precision="highest")
+
+
+def paired(
+    periodic: Periodic, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " l"], points: Float[np.ndarray, "n d"]
+) -> Pairing:
+    """Finds the pairs of two patches' nodes. Raises `ValueError`, with the worst node, where they do not match."""
+    exact = points.astype(float)
+    if not len(first) or not len(second):
+        raise ValueError(f"{periodic.name}: one of them has no nodes.")
+    matrix, shift, angle = _transform(periodic, exact[first].mean(axis=0), exact[second].mean(axis=0))
+    images = exact[first] @ matrix.T + shift
+    tree = KDTree(exact[second])
+    distance, nearest = map(np.asarray, tree.query(images))
+    spacing = np.ptp(exact, axis=0).max() if len(second) < 2 else np.asarray(tree.query(exact[second], k=2)[0])[:, 1]
+    allowed = np.maximum(MISMATCH * np.broadcast_to(spacing, len(second))[nearest], 2 * tolerance(points))
+    apart = np.flatnonzero(distance > allowed)
+    if apart.size or len(np.unique(nearest)) < len(second):
+        _refuse(periodic, (first, second), (distance, apart, nearest), points)
+    same = first == second[nearest]
+    whole = 2 * np.pi / abs(angle) if angle else 0
+    turn = round(whole) if abs(whole - round(whole)) < 1e-6 * whole else 0
+    copies = periodic.copies if turn or not angle else max(1, min(periodic.copies, int((whole - 1) / 2)))
+    pairs = first[~same].astype(np.int32), second[nearest][~same].astype(np.int32)
+    alone, keeps = first[same].astype(np.int32), _keeps(periodic, len(shift))
+    return Pairing(*pairs, alone, matrix, shift, keeps, turn, copies)
+
+
+def _keeps(periodic: Periodic, dimension: int) -> np.ndarray:
+    """Projects on what the transform does not turn: all, or the direction of the axis, or nothing."""
+    if not periodic.is_rotation:
+        return np.eye(dimension)
+    return np.eye(dimension) - _generator(periodic.axis, dimension)[1]
+
+
+def _refuse(periodic: Periodic, nodes: tuple, matches: tuple, points: np.ndarray) -> None:
+    """Raises: names the worst node of those without a partner."""
+    first, second = nodes
+    distance, apart, nearest = matches
+    if not apart.size:
+        lonely = second[np.setdiff1d(np.arange(len(second)), nearest)]
+        place = ", ".join(f"{x:.6g}" for x in points[lonely[0]])
+        raise MeshError(
+            f"{periodic.name} do not match: {len(lonely)} of {len(second)} nodes of the second have no partner, first node "
+            f"{{node}} at ({place}). Both need the same nodes: mesh one as the copy of the other.",
+            lonely,
+        )
+    worst_first = apart[np.argsort(-distance[apart], kind="stable")]
+    place = ", ".join(f"{x:.6g}" for x in points[first[worst_first[0]]])
+    raise MeshError(
+        f"{periodic.name} do not match: {len(apart)} of {len(first)} nodes of the first have no partner, the worst is node "
+        f"{{node}} at ({place}): {distance[worst_first[0]]:.3g} from the nearest after the transform. Check `translation`, or "
+        "`rotation`, `about` and `axis`; they lead from the first patch to the second.",
+        first[worst_first],
+    )
+
+
+def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Returns matrix, shift and angle (0 for a translation) of the transform."""
+    dimension = len(middle)
+    for name in ("translation", "about", "axis"):
+        value = getattr(periodic, name)
+        if value is not None and value.shape != (dimension,):
+            raise ValueError(f"{periodic.name}: `{name}` has shape {value.shape}; the mesh has {dimension} dimensions.")
+    if not periodic.is_rotation:
+        shift = other - middle if periodic.translation is None else periodic.translation
+        if periodic.translation is None:  # the usual case: keep the coordinate bit for bit
+            shift = np.where(np.abs(shift) < 1e-9 * np.abs(shift).max(), 0, shift)
+        if not np.abs(shift).max() > 0:
+            raise ValueError(f"{periodic.name}: the translation is zero; give `rotation`, `about` or `axis`.")
+        return np.eye(dimension), shift, 0.0
+    if dimension == 3 and (periodic.axis is None or not np.linalg.norm(periodic.axis) > 0):
+        raise ValueError(f"{periodic.name}: a rotation in 3-D needs an `axis` that is not zero.")
+    if dimension == 2 and periodic.axis is not None:
+        raise ValueError(f"{periodic.name}: a rotation in 2-D has no `axis`; give `about`.")
+    about = np.zeros(dimension) if periodic.about is None else periodic.about
+    cross, plane = _generator(periodic.axis, dimension)
+    angle = periodic.rotation
+    if angle is None:
+        start, end = plane @ (middle - about), plane @ (other - about)
+        angle = float(np.arctan2(end @ cross @ start, end @ start))
+    if not abs(np.sin(angle / 2)) > 1e-12:
+        raise ValueError(f"{periodic.name}: the angle of the rotation is zero.")
+    matrix = np.eye(dimension) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+    return matrix, about - matrix @ about, angle
+
+
+def _generator(axis: np.ndarray | None, dimension: int) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the matrix of the cross product with the axis, and the projection onto the plane at right angles to it."""
+    if axis is None:
+        return np.array([[0.0, -1.0], [1.0, 0.0]]), np.eye(dimension)
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return cross, -cross @ cross
+
+
+def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: float) -> None:
+    """Raises `ValueError` for transforms that do not keep each other's images: a plane that is turned, axes that differ."""
+    for k, pairing in enumerate(pairings):
+        for normal in (plane.normal for plane in planes):
+            along = pairing.matrix @ normal
+            if np.abs(along - normal).max() > 1e-9 or abs(normal @ pairing.shift) > 1e-9 * size:
+                raise ValueError(
+                    f"the symmetry plane with normal {normal.tolist()} is not kept by a periodic transform: it must stand along "
+                    "the translation, or at right angles to the rotation's axis."
+                )
+        for other in pairings[:k]:
+            there = pairing.matrix @ other.shift + pairing.shift - other.matrix @ pairing.shift - other.shift
+            back = pairing.matrix @ other.matrix - other.matrix @ pairing.matrix
+            if np.abs(there).max() > 1e-6 * size or np.abs(back).max() > 1e-6:
+                raise ValueError("two periodic transforms must give the same in either order: rotations need one axis.")

@@ -1,0 +1,203 @@
+"""Walls along which nodes slide, as traced code sees them: the nearest point on a plane, a surface of revolution, or faces."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+STEPS = 6
+"""Newton steps to a curved wall, or to where two walls meet; they end quadratically."""
+
+BLOCK = 512
+"""Nodes whose nearest face is sought together."""
+
+
+class AbstractWall(eqx.Module):
+    """Keeps points on a surface (a curve in 2-D)."""
+
+    @abc.abstractmethod
+    def height(self, x: Float[Array, "k d"]) -> tuple[Float[Array, " k"], Float[Array, "k d"]]:
+        """Measures how far points are off the wall, along unit normals that it returns too."""
+
+    @property
+    def is_flat(self) -> bool:
+        """Tells whether one step leads to the wall, linear in the point."""
+        return False
+
+
+class Flat(AbstractWall):
+    """A plane, or a line in 2-D."""
+
+    normal: Float[Array | np.ndarray, " d"]
+    origin: Float[Array | np.ndarray, " d"]
+
+    def height(self, x):
+        normal = jnp.asarray(self.normal, x.dtype)
+        above = jnp.matmul(x - jnp.asarray(self.origin, x.dtype)[None], normal, precision="highest")
+        return above, jnp.broadcast_to(normal, x.shape)
+
+    @property
+    def is_flat(self) -> bool:
+        return True
+
+
+class Round(AbstractWall):
+    """A circle in 2-D, a surface of revolution in 3-D: its profile is a line, or a cubic spline of the radius along the axis.
+
+    - `axis`, `origin` (d,): the axis, zero in 2-D, and a point of it.
+    - `line` (3,): (a, b, c) with a z + b r = c and a^2 + b^2 = 1 at places z along the axis and radii r.
+    - `knots` (k + 1,), `spline` (4, k): places and coefficients, cubic ones first; None for a line.
+    """
+
+    axis: Float[Array | np.ndarray, " d"]
+    origin: Float[Array | np.ndarray, " d"]
+    line: Float[Array | np.ndarray, " 3"]
+    knots: Float[Array | np.ndarray, " l"] | None = None
+    spline: Float[Array | np.ndarray, "4 k"] | None = None
+
+    def height(self, x):
+        axis = jnp.asarray(self.axis, x.dtype)
+        arm = x - jnp.asarray(self.origin, x.dtype)[None]
+        along = jnp.matmul(arm, axis, precision="highest")
+        outward = arm - along[:, None] * axis[None]
+        squared = jnp.sum(outward**2, axis=1)
+        off = squared > 0  # twice `where`: a root has no derivative at zero
+        radius = jnp.where(off, jnp.sqrt(jnp.where(off, squared, 1)), 0)
+        outward = outward / jnp.where(off, radius, 1)[:, None]
+        if self.spline is None or self.knots is None:
+            a, b, c = (jnp.asarray(each, x.dtype) for each in self.line)
+            above, a, b = (
+                a * along + b * radius - c,
+                jnp.broadcast_to(a, radius.shape),
+                jnp.broadcast_to(b, radius.shape),
+            )
+        else:
+            knots, spline = jnp.asarray(self.knots, x.dtype), jnp.asarray(self.spline, x.dtype)
+            piece = jnp.clip(jnp.searchsorted(knots, along, side="right") - 1, 0, spline.shape[1] - 1)
+            t, (cubic, square, slope, value) = along - knots[piece], spline[:, piece]
+            steep = slope + t * (2 * square + 3 * t * cubic)
+            b = 1 / jnp.sqrt(1 + steep**2)
+            a, above = -steep * b, (radius - value - t * (slope + t * (square + t * cubic))) * b
+        return above, a[:, None] * axis[None] + b[:, None] * outward
+
+
+class Faceted(AbstractWall):
+    """Faces between nodes: triangles, or lines in 2-D.
+
+    - `vertices` (v, d), `normals` (v, d): nodes, and unit normals smoothed over their faces.
+    - `faces` (e, d): rows of their corners.
+    - `around` (v, w): faces near each vertex; its last ones are repeated.
+    """
+
+    vertices: Float[Array | np.ndarray, "v d"]
+    normals: Float[Array | np.ndarray, "v d"]
+    faces: Int[Array | np.ndarray, "e d"]
+    around: Int[Array | np.ndarray, "v w"]
+
+    def height(self, x):
+        place, normal = self.nearest(x)
+        return jnp.sum((x - place) * normal, axis=1), normal
+
+    def nearest(self, x: Float[Array, "k d"]) -> tuple[Float[Array, "k d"], Float[Array, "k d"]]:
+        """Finds the nearest points of the faces, and the normals of these."""
+        return jax.lax.map(self._nearest, x, batch_size=BLOCK)
+
+    def _nearest(self, x: Float[Array, " d"]) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
+        vertices, normals = jnp.asarray(self.vertices, x.dtype), jnp.asarray(self.normals, x.dtype)
+        squared = jnp.sum((vertices - x[None]) ** 2, axis=1)
+        vertex = jnp.argmin(squared)
+        corners = vertices[jnp.asarray(self.faces)[jnp.asarray(self.around)[vertex]]]
+        places = jax.vmap(_nearest_of, in_axes=(None, 0))(x, corners)
+        distances = jnp.sum((places - x[None]) ** 2, axis=1)
+        chosen = jnp.argmin(jax.lax.stop_gradient(distances))
+        place, normal = places[chosen], _normal(corners[chosen])
+        # at a node, where faces meet, the tangent is that of the smoothed normal: the mean of those on all sides
+        node, smooth = vertices[vertex], normals[vertex]
+        size = jnp.max(jnp.sum((corners[:, 1] - corners[:, 0]) ** 2, axis=1))
+        is_node = squared[vertex] <= 1e-20 * size
+        tangent = node + (x - node) - jnp.sum((x - node) * smooth) * smooth
+        return jnp.where(is_node, tangent, place), jnp.where(is_node, smooth, normal)
+
+
+def _nearest_of(x: Float[Array, " d"], corners: Float[Array, "d d"]) -> Float[Array, " d"]:
+    """Finds the nearest point of a triangle, or of a line."""
+    if len(corners) == 2:
+        return _on_edge(x, corners[0], corners[1])
+    first, second, third = corners
+    normal = _normal(corners)
+    inside = x - jnp.sum((x - first) * normal) * normal
+    sides = [
+        jnp.sum(jnp.cross(b - a, inside - a) * normal) for a, b in ((first, second), (second, third), (third, first))
+    ]
+    on_edges = jnp.stack([_on_edge(x, *edge) for edge in ((first, second), (second, third), (third, first))])
+    nearest = on_edges[jnp.argmin(jax.lax.stop_gradient(jnp.sum((on_edges - x[None]) ** 2, axis=1)))]
+    return jnp.where(jnp.min(jnp.stack(sides)) >= 0, inside, nearest)
+
+
+def _on_edge(x, first, second):
+    edge = second - first
+    return first + jnp.clip(jnp.sum((x - first) * edge) / jnp.sum(edge**2), 0, 1) * edge
+
+
+def _normal(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
+    if len(corners) == 2:
+        along = corners[1] - corners[0]
+        normal = jnp.stack([along[1], -along[0]])
+    else:
+        normal = jnp.cross(corners[1] - corners[0], corners[2] - corners[0])
+    return normal / jnp.sqrt(jnp.sum(normal**2))
+
+
+class Track(eqx.Module):
+    """Keeps rows on one wall, or where two walls meet.
+
+    - `rows` (k,): ids of nodes, or rows of them.
+    - `walls`: one or two walls.
+    """
+
+    rows: Int[Array | np.ndarray, " k"]
+    walls: tuple[AbstractWall, ...]
+
+    @property
+    def is_linear(self) -> bool:
+        """Tells whether displacements along the track are linear in those that are given."""
+        return all(wall.is_flat for wall in self.walls)
+
+    def along(self, points: Float[Array, "n d"], u: Float[Array, "n d"]) -> Float[Array, "n d"]:
+        """Changes displacements so that the rows stay as near to the walls as they are. Traced."""
+        start, given = points[self.rows], u[self.rows]
+        if self.is_linear:
+            normals = [jnp.asarray(wall.height(start[:1])[1][0]) for wall in self.walls]
+            kept = given - _least(normals, [jnp.matmul(given, normal, precision="highest") for normal in normals])
+        else:
+            kept = self.project(start + given) - self.project(start)
+        return u.at[self.rows].set(kept)
+
+    def project(self, x: Float[Array, "k d"]) -> Float[Array, "k d"]:
+        """Moves points to the walls."""
+        if len(self.walls) == 1 and isinstance(self.walls[0], Faceted):
+            return self.walls[0].nearest(x)[0]
+        first = self.walls[0]
+        is_exact = self.is_linear or (len(self.walls) == 1 and isinstance(first, Round) and first.spline is None)
+        for _ in range(1 if is_exact else STEPS):
+            above, normals = zip(*(wall.height(x) for wall in self.walls), strict=True)
+            x = x - _least(normals, above)
+        return x
+
+    def renumbered(self, place: Int[np.ndarray, " n"]) -> "Track":
+        """Returns the same with node k called `place[k]`."""
+        return Track(place[np.asarray(self.rows)], self.walls)
+
+
+def _least(normals, above):
+    """Computes the shortest vectors that have the components `above` along one or two normals."""
+    if len(normals) == 1:
+        return above[0][:, None] * jnp.broadcast_to(normals[0], (len(above[0]), normals[0].shape[-1]))
+    first, second = (jnp.broadcast_to(normal, (len(above[0]), normal.shape[-1])) for normal in normals)
+    cosine = jnp.sum(first * second, axis=1)
+    whole = 1 - cosine**2
+    a, b = (above[0] - cosine * above[1]) / whole, (above[1] - cosine * above[0]) / whole
+    return a[:, None] * first + b[:, None] * second

@@ -1,0 +1,152 @@
+"""Periodic patches: nodes of a pair move alike, a sector moves as the whole wheel would, and pairs that are none."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import few, full
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+TPS = full(jm.ThinPlateSpline(), 1)
+LOCAL = jm.SurfaceReconstruction(few(), jm.NearWall(width=0.2))
+
+
+def turn(angle, dimension):
+    matrix = np.eye(dimension)
+    matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return matrix
+
+
+def sector(dimension, sectors=4, whole=False):
+    """A ring from radius 1, which moves, to 2, which is fixed with both ends in 3-D; its nodes, lists, sides and a motion."""
+    steps = 6
+    count = steps * sectors if whole else steps + 1
+    axes = [np.linspace(1, 2, 5), 2 * np.pi / sectors / steps * np.arange(count), np.linspace(0, 1, 4)][:dimension]
+    r, angle, *z = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    points = np.stack([r * np.cos(angle), r * np.sin(angle), *z], axis=1)
+    held = (r == 2) | (np.isin(z[0], (0, 1)) if z else False)
+    moving, fixed = np.flatnonzero((r == 1) & ~held), np.flatnonzero(held)
+    first, last = np.flatnonzero(angle == 0), np.flatnonzero(np.isclose(angle, 2 * np.pi / sectors))
+    wave = np.stack([np.cos(2 * r), np.sin(sectors * angle + 1), *z], axis=1)
+    u = np.einsum("nij,nj->ni", np.stack([turn(each, dimension) for each in angle]), 0.03 * wave)
+    return points, moving, fixed, (first, last), u[moving]
+
+
+def joined(dimension, sides, **keywords):
+    axis = {"axis": (0, 0, 2)} if dimension == 3 else {"about": (0, 0)}
+    return jm.Periodic(*sides, rotation=np.pi / 2, **axis, **keywords)
+
+
+@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_a_sector_moves_as_the_whole_wheel(dimension):
+    """The field between all four sectors is known: the one that moves the sides of the quarter is it."""
+    points, moving, fixed, sides, u = sector(dimension)
+    plan = jm.prepare(points, moving, fixed, method=TPS, periodic=joined(dimension, sides, copies=2))
+    moved = np.asarray(jm.deform(plan, u))
+    everything, all_moving, all_fixed, (first, _), all_u = sector(dimension, whole=True)
+    expected = np.asarray(jm.deform(jm.prepare(everything, all_moving, all_fixed, method=TPS), all_u))[first]
+    np.testing.assert_allclose(moved[sides[0]], expected, rtol=0, atol=1e-11)
+    assert np.abs(moved - points)[plan.guided].max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("dimension", "method"),
+    [(2, TPS), pytest.param(2, LOCAL, marks=pytest.mark.slow), pytest.param(3, TPS, marks=pytest.mark.slow)],
+    ids=["2d", "2d-local", "3d"],
+)
+def test_laws_with_periodic_sides(dimension, method, tmp_path):
+    points, moving, fixed, sides, u = sector(dimension)
+    plan = jm.prepare(points, moving, fixed, method=method, periodic=joined(dimension, sides))
+    moved = np.asarray(jm.deform(plan, u))
+    np.testing.assert_allclose(moved[sides[1]], moved[sides[0]] @ turn(np.pi / 2, dimension).T, rtol=0, atol=3e-15)
+    np.testing.assert_allclose(moved[moving], points[moving] + u, rtol=0, atol=1e-16)
+    assert (moved[fixed] == points[fixed]).all()
+    assert (jm.deform(plan, 0 * u) == points).all()
+    assert set(plan.guided.tolist()) == set(np.concatenate(sides)) - {*moving, *fixed}
+    rng = np.random.default_rng(0)
+    v, w = rng.normal(size=u.shape), rng.normal(size=points.shape)
+    other = jm.deform(plan, v) - points  # a motion that is not periodic is made so
+    np.testing.assert_allclose(jm.deform(plan, 2 * u - v) - points, 2 * (moved - points) - other, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        (points + other)[sides[1]], (points + other)[sides[0]] @ turn(np.pi / 2, dimension).T, atol=1e-13
+    )
+    np.testing.assert_allclose(np.vdot(jm.pullback(plan, v, w), v), np.vdot(w, other), rtol=1e-10)
+    jm.save(tmp_path / "plan.npz", plan)
+    assert (jm.deform(jm.load(tmp_path / "plan.npz"), u) == moved).all()
+
+    @jax.jit
+    @jax.value_and_grad
+    def objective(points):
+        return jnp.sum(w * jm.deform(jm.refit(plan, points), v))
+
+    step = 1e-7 * rng.normal(size=points.shape)
+    step[sides[1]] = step[sides[0]] @ turn(np.pi / 2, dimension).T
+    difference = (objective(points + step)[0] - objective(points - step)[0]) / 2
+    np.testing.assert_allclose(np.vdot(objective(points)[1], step), difference, rtol=1e-5)
+
+
+def test_steps_and_parts_of_a_periodic_mesh():
+    points, moving, fixed, sides, u = sector(2)
+    arguments = {"method": TPS, "periodic": joined(2, sides)}
+    plan, path = jm.prepare(points, moving, fixed, **arguments), np.stack([u, 3 * u])
+    for rebuild in (False, True):
+        plans, end = jm.march(plan, path, rebuild=rebuild)
+        np.testing.assert_allclose(end[sides[1]], end[sides[0]] @ turn(np.pi / 2, 2).T, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(jm.replay(plans, path), end, rtol=0, atol=1e-12)
+    chunks = jm.prepare_in_chunks(points, moving, fixed, size=6, **arguments)
+    assert len(chunks) > 1
+    np.testing.assert_allclose(chunks.march(u[None]), jm.deform(plan, u), rtol=0, atol=1e-12)
+    sharded = jm.shard(plan, jax.devices()[:1])
+    np.testing.assert_allclose(jm.deform(sharded, u), jm.deform(plan, u), rtol=0, atol=1e-12)
+
+
+def test_two_directions_and_a_plane():
+    """A box repeated along x and y, mirrored in z: corners are in two pairs, and all that repeat each other move alike."""
+    axes = np.linspace(0, 1, 5)
+    points = np.stack(np.meshgrid(axes, axes, axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    centre = np.abs(points - np.array([0.5, 0.5, 0.0])).max(axis=1) <= 0.26
+    moving, fixed = np.flatnonzero(centre), np.flatnonzero(points[:, 2] == 1)
+    ends = [[np.flatnonzero(points[:, axis] == side) for side in (0, 1)] for axis in range(2)]
+    pairs = [jm.Periodic(*ends[0], translation=(1, 0, 0)), jm.Periodic(*ends[1])]
+    plane = jm.Plane([0, 0, 1], [0, 0, 0])
+    plan = jm.prepare(points, moving, fixed, method=TPS, periodic=pairs, symmetry=plane)
+    u = np.broadcast_to([0.05, 0.02, 0.03], (len(moving), 3)).copy()
+    u[points[moving, 2] == 0, 2] = 0
+    d = np.asarray(jm.deform(plan, u)) - points
+    assert np.abs(d[plan.guided]).max() > 1e-3
+    for first, second in ends:
+        np.testing.assert_allclose(d[first], d[second], rtol=0, atol=1e-15)
+    assert (d[points[:, 2] == 0, 2] == 0).all()
+    with pytest.raises(ValueError, match="must stand along the translation"):
+        jm.prepare(points, moving, fixed, method=TPS, periodic=pairs, symmetry=jm.Plane([1, 0, 0], [0, 0, 0]))
+
+
+@pytest.mark.slow
+def test_a_blade_turns_farther_between_periodic_sides():
+    mesh = cases.cascade(around=80, layers=16, first_cell=1e-2, periodic=True)
+    blade = np.asarray(mesh.points)[mesh.patch("blade")]
+    u = np.asarray(jm.shapes.rotate(blade, np.radians(15), about=(0.5, 0))) - blade
+    method, ends = full(jm.WendlandC2(2.0), None), ("inlet", "outlet")
+    held = jm.prepare(mesh, "blade", (*ends, "lower", "upper"), method=method)
+    plan = jm.prepare(mesh, "blade", ends, method=method, periodic=jm.Periodic("lower", "upper"))
+    before, after = (jm.quality(mesh, jm.deform(each, u)).min_jacobian_ratio for each in (held, plan))
+    assert after > before + 0.1
+    assert not jm.inspect(plan, u, mesh=mesh).crossings
+
+
+def test_what_is_not_periodic():
+    points, moving, fixed, sides, _ = sector(2)
+    with pytest.raises(ValueError, match="a translation or a rotation, not both"):
+        jm.Periodic(*sides, translation=(1, 0), rotation=1.0)
+    with pytest.raises(ValueError, match=r"5 of 5 nodes of the first have no partner, the worst is node \d+ at"):
+        jm.prepare(points, moving, fixed, method=TPS, periodic=jm.Periodic(*sides, rotation=1.0))
+    with pytest.raises(ValueError, match="1 of 5 nodes of the second have no partner"):
+        jm.prepare(points, moving, fixed, method=TPS, periodic=joined(2, (sides[0][1:], sides[1])))
+    with pytest.raises(ValueError, match=r"node \d+ is in `moving`, its partner \d+ in neither list"):
+        jm.prepare(points, moving[:-1], fixed, method=TPS, periodic=joined(2, sides))
+    with pytest.raises(ValueError, match="the translation is zero"):
+        jm.prepare(points, moving, fixed, method=TPS, periodic=jm.Periodic(sides[0], sides[0]))
+    with pytest.raises(ValueError, match=r"pairs such as jm.Periodic\('lower', 'upper'"):
+        jm.prepare(points, moving, fixed, method=TPS, periodic="lower")

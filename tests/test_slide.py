@@ -1,0 +1,220 @@
+"""Sliding patches: nodes stay on lines, planes, surfaces of revolution and faces, and on the edges between them."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import full
+from scipy.interpolate import CubicSpline
+
+import jaxmorph as jm
+
+TPS = full(jm.ThinPlateSpline(), 1)
+AXIS = jm.Revolution((0, 0, 3))
+
+
+@functools.cache
+def box(cells=8):
+    """A square of quads with a square hole in the middle, as a mesh; its outer sides are patches."""
+    points = np.stack(np.meshgrid(*[np.arange(cells + 1.0)] * 2, indexing="ij"), axis=-1).reshape(-1, 2) - cells / 2
+    ids = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = quads[(np.abs(points[quads].mean(axis=1)) > 1).any(axis=1)]
+    used, quads = np.unique(quads, return_inverse=True)
+    points, half = points[used], cells / 2
+    patches = {"hole": np.flatnonzero((np.abs(points) <= 1).all(axis=1))}
+    for name, axis, side in (("left", 0, -half), ("right", 0, half), ("bottom", 1, -half), ("top", 1, half)):
+        patches[name] = np.flatnonzero(points[:, axis] == side)
+    return jm.Mesh(points, {"quad": quads.reshape(-1, 4)}, patches)
+
+
+@functools.cache
+def drum(shape="cylinder"):
+    """Bricks between an inner cylinder and a shroud around z, 12 around, 4 along; lids at z = 0 and 1."""
+    r, angle, z = np.meshgrid(np.linspace(0, 1, 4), 2 * np.pi / 12 * np.arange(12), np.linspace(0, 1, 5), indexing="ij")
+    outer = {"cylinder": 2 + 0 * z, "cone": 2 + 0.5 * z, "bell": 2 + 0.3 * np.sin(2 * z)}[shape]
+    radius = 1 + r * (outer - 1)
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
+    ids = np.arange(r.size).reshape(r.shape)
+    ids = np.concatenate([ids, ids[:, :1]], axis=1)
+    low = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
+    cells = np.stack([each[..., :-1] for each in low] + [each[..., 1:] for each in low], axis=-1).reshape(-1, 8)
+    patches = {
+        "hub": ids[0].ravel(),
+        "shroud": ids[-1].ravel(),
+        "bottom": ids[..., 0].ravel(),
+        "top": ids[..., -1].ravel(),
+    }
+    return jm.Mesh(points, {"hexahedron": cells}, {name: np.unique(nodes) for name, nodes in patches.items()})
+
+
+def wrung(points, moving, size=0.3):
+    """A twist that grows along z, and a bend that does not keep any of the surfaces."""
+    p = points[moving]
+    angle = size * p[:, 2]
+    turned = np.stack(
+        [p[:, 0] * np.cos(angle) - p[:, 1] * np.sin(angle), p[:, 0] * np.sin(angle) + p[:, 1] * np.cos(angle)], 1
+    )
+    u = np.zeros_like(p)
+    u[:, :2] = turned - p[:, :2] + 0.1 * size * p[:, 2:] ** 2
+    return u
+
+
+def check_derivatives(plan, u, rtol=1e-6):
+    """Forward and reverse derivatives against differences and each other."""
+    rng = np.random.default_rng(0)
+    v, w = rng.normal(size=u.shape), rng.normal(size=plan.points.shape)
+    push = jax.jit(lambda u: jax.jvp(lambda u: jm.deform(plan, u), (u,), (jnp.asarray(v),))[1])
+    for at in (u, 0 * u):
+        pushed, h = np.asarray(push(jnp.asarray(at))), 1e-6
+        difference = (np.asarray(jm.deform(plan, at + h * v)) - np.asarray(jm.deform(plan, at - h * v))) / (2 * h)
+        np.testing.assert_allclose(pushed, difference, rtol=0, atol=rtol * np.abs(pushed).max())
+        np.testing.assert_allclose(np.vdot(jm.pullback(plan, at, w), v), np.vdot(w, pushed), rtol=1e-8)
+
+
+def test_a_block_in_a_box_of_sliding_sides():
+    mesh, sides = box(), ["left", "right", "bottom", "top"]
+    plan = jm.prepare(mesh, "hole", sliding=sides, method=TPS)
+    assert plan.is_linear
+    block, points = mesh.points[plan.moving], mesh.points
+    u = np.asarray(jm.shapes.rotate(block, 0.8, about=(0, 0))) + 0.5 - block
+    moved = np.asarray(jm.deform(plan, u))
+    for name in sides:
+        axis = 0 if name in ("left", "right") else 1
+        nodes = mesh.patch(name)
+        assert (moved[nodes, axis] == points[nodes, axis]).all()
+        assert np.abs(moved - points)[nodes].max() > 0.1
+    corners = np.flatnonzero((np.abs(points) == 4).all(axis=1))
+    assert set(plan.fixed.tolist()) == set(corners)
+    assert (moved[corners] == points[corners]).all()
+    assert (moved[plan.moving] == block + u).all()
+    assert (jm.deform(plan, 0 * u) == points).all()
+    held = jm.deform(jm.prepare(mesh, "hole", sides, method=TPS), u)
+    assert jm.quality(mesh, moved).min_jacobian_ratio > jm.quality(mesh, held).min_jacobian_ratio + 0.05
+    v, w = np.random.default_rng(1).normal(size=(2, *u.shape)), np.random.default_rng(2).normal(size=points.shape)
+    other = jm.deform(plan, v[0]) - points
+    np.testing.assert_allclose(jm.deform(plan, 2 * u - v[0]) - points, 2 * (moved - points) - other, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(np.vdot(jm.pullback(plan, u, w), v[0]), np.vdot(w, other), rtol=1e-10)
+    named = [jm.Slide(name, jm.Plane.through(points, mesh.patch(name))) for name in sides]
+    again = jm.prepare(
+        points, mesh.patch("hole"), sliding=[jm.Slide(mesh.patch(s.patch), s.on) for s in named], method=TPS
+    )
+    assert (jm.deform(again, u) == moved).all()
+    assert not jm.inspect(plan, 0.1 * u, mesh=mesh).warnings
+
+
+@pytest.mark.parametrize(
+    "shape", ["cylinder", *(pytest.param(each, marks=pytest.mark.slow) for each in ("cone", "bell"))]
+)
+def test_a_shroud_between_sliding_lids(shape, tmp_path):
+    """Nodes stay on the surface, on the lids, and on both at the rim; the hub's ends, which move, stay on the lids."""
+    mesh = drum(shape)
+    slides = [jm.Slide("shroud", AXIS), "bottom", "top"]
+    plan = jm.prepare(mesh, "hub", sliding=slides, method=TPS)
+    assert not plan.is_linear
+    u = wrung(mesh.points, mesh.patch("hub"))
+    moved = np.asarray(jm.deform(plan, u))
+    z, r = moved[mesh.patch("shroud"), 2], np.linalg.norm(moved[mesh.patch("shroud"), :2], axis=1)
+    knots = np.linspace(0, 1, 5)
+    spline = CubicSpline(knots, 2 + 0.3 * np.sin(2 * knots), bc_type="natural")
+    expected = {"cylinder": 2 + 0 * z, "cone": 2 + 0.5 * z, "bell": spline(np.clip(z, 0, 1))}[shape]
+    np.testing.assert_allclose(r, expected, rtol=0, atol=1e-12)
+    for name, level in (("bottom", 0), ("top", 1)):
+        np.testing.assert_allclose(moved[mesh.patch(name), 2], level, rtol=0, atol=1e-13)
+    assert np.abs(moved - mesh.points)[mesh.patch("shroud")].max() > 0.1
+    assert (jm.deform(plan, 0 * u) == mesh.points).all()
+    jm.save(tmp_path / "plan.npz", plan)
+    assert (jm.deform(jm.load(tmp_path / "plan.npz"), u) == moved).all()
+    check_derivatives(plan, u)
+
+
+@pytest.mark.slow
+def test_steps_along_a_shroud():
+    mesh = drum()
+    plan = jm.prepare(mesh, "hub", ("bottom", "top"), sliding=jm.Slide("shroud", AXIS), method=TPS)
+    u = wrung(mesh.points, plan.moving)
+    path = np.stack([u / 2, u])
+    for rebuild in (False, True):
+        plans, end = jm.march(plan, path, rebuild=rebuild)
+        np.testing.assert_allclose(np.linalg.norm(end[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(jm.replay(plans, path), end, rtol=0, atol=1e-12)
+    chunks = jm.prepare_in_chunks(mesh, "hub", ("bottom", "top"), sliding=jm.Slide("shroud", AXIS), method=TPS, size=40)
+    np.testing.assert_allclose(chunks.march(u[None]), jm.deform(plan, u), rtol=0, atol=1e-12)
+    sharded = jm.shard(plan, jax.devices()[:1])
+    np.testing.assert_allclose(jm.deform(sharded, u), jm.deform(plan, u), rtol=0, atol=1e-12)
+
+
+def off_faces(points, corners):
+    """Measures distances (k,) of points from the polygon or polyhedron of faces, by brute force."""
+    first, second = corners[:, 0], corners[:, 1]
+    edge = second - first
+    t = np.clip(np.einsum("kfd,fd->kf", points[:, None] - first[None], edge) / np.sum(edge**2, axis=1), 0, 1)
+    return np.linalg.norm(points[:, None] - first[None] - t[..., None] * edge[None], axis=2).min(axis=1)
+
+
+def ring():
+    """Quads between a square of radius 1 and a circle of radius 2 that is a polygon of 16 sides."""
+    angle = 2 * np.pi / 16 * np.arange(16)
+    points = np.concatenate([r * np.stack([np.cos(angle), np.sin(angle)], axis=1) for r in (1, 1.5, 2)])
+    ids = np.arange(48).reshape(3, 16)
+    ids = np.concatenate([ids, ids[:, :1]], axis=1)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    return jm.Mesh(points, {"quad": quads}, {"inner": np.arange(16), "outer": np.arange(32, 48)})
+
+
+def test_a_polygon_and_a_circle():
+    mesh = ring()
+    inner = mesh.points[mesh.patch("inner")]
+    u = np.asarray(jm.shapes.rotate(inner, 0.3, about=(0, 0))) + 0.1 - inner
+    on_faces = jm.prepare(mesh, "inner", sliding="outer", method=TPS)
+    moved = np.asarray(jm.deform(on_faces, u))
+    polygon = mesh.points[mesh.patch("outer")]
+    off = off_faces(moved[mesh.patch("outer")], np.stack([polygon, np.roll(polygon, -1, axis=0)], axis=1))
+    assert off.max() < 1e-14
+    assert np.abs(moved - mesh.points)[mesh.patch("outer")].max() > 0.2
+    assert (jm.deform(on_faces, 0 * u) == mesh.points).all()
+    check_derivatives(on_faces, 0.9 * u, rtol=6e-2)  # a kink at each node: there the mean of both sides
+    on_circle = jm.prepare(mesh, "inner", sliding=jm.Slide("outer", jm.Revolution()), method=TPS)
+    exact = np.asarray(jm.deform(on_circle, u))
+    np.testing.assert_allclose(np.linalg.norm(exact[mesh.patch("outer")], axis=1), 2, rtol=0, atol=1e-13)
+    assert np.abs(exact - moved).max() < 0.05
+
+
+@pytest.mark.slow
+def test_a_shroud_of_faces():
+    mesh = drum("bell")
+    plan = jm.prepare(mesh, "hub", sliding=["shroud", "bottom", "top"], method=TPS)
+    u = wrung(mesh.points, plan.moving)
+    moved = np.asarray(jm.deform(plan, u))
+    for name, level in (("bottom", 0), ("top", 1)):
+        np.testing.assert_allclose(moved[mesh.patch(name), 2], level, rtol=0, atol=1e-13)
+    exact = np.asarray(
+        jm.deform(jm.prepare(mesh, "hub", sliding=[jm.Slide("shroud", AXIS), "bottom", "top"], method=TPS), u)
+    )
+    assert np.abs(moved - exact).max() < 0.1
+    assert (jm.deform(plan, 0 * u) == mesh.points).all()
+
+
+def test_what_does_not_slide():
+    mesh = box()
+    plane = jm.Plane((1, 0), (0, 0))
+    with pytest.raises(
+        ValueError, match=r"'left' does not lie on its surface: 9 of 9 nodes are off, the worst is node \d+ at"
+    ):
+        jm.prepare(mesh, "hole", sliding=jm.Slide("left", plane), method=TPS)
+    with pytest.raises(ValueError, match="slides on its faces, which points alone do not have"):
+        jm.prepare(mesh.points, mesh.patch("hole"), sliding=jm.Slide(mesh.patch("left")), method=TPS)
+    with pytest.raises(ValueError, match=r"node \d+ moves, but it is a corner of sliding patches"):
+        jm.prepare(mesh, ("hole", "left"), "right", sliding=("left", "top"), method=TPS)
+    with pytest.raises(ValueError, match=r"a patch slides on a jm\.Plane, a jm\.Revolution or its own faces"):
+        jm.Slide("left", "top")
+    with pytest.raises(ValueError, match="a surface of revolution has an axis in 3-D, and none in 2-D"):
+        jm.prepare(mesh, "hole", sliding=jm.Slide("left", AXIS), method=TPS)
+    with pytest.raises(ValueError, match="places along the axis, ascending, and radii"):
+        jm.Revolution((1, 0, 0), profile=[(1, 1), (0, 1)])
+    bricks = drum()
+    halves = [bricks.patch("shroud")[bricks.points[bricks.patch("shroud"), 0] * side >= -1e-9] for side in (1, -1)]
+    with pytest.raises(ValueError, match=r"without an edge between them\. Let them slide as one"):
+        jm.prepare(bricks, "hub", ("bottom", "top"), sliding=[jm.Slide(half, AXIS) for half in halves], method=TPS)
