@@ -141,6 +141,25 @@ CASES = [
         translates=False,
         dimensions=(3,),
     ),
+    Case("compact", lambda length: jm.CompactRBF(2 * length), affine=False, translates=False),
+    Case(
+        "compact-automatic",
+        lambda length: jm.SurfaceReconstruction(few(), jm.CompactRBF()),
+        turns=False,
+        dimensions=(2,),
+    ),
+    Case(
+        "ridge",
+        lambda length: jm.RBF(jm.ThinPlateSpline(), jm.AllPoints(), jm.AllPoints(), ridge=1e-4),
+        exact=False,
+        dimensions=(2,),
+    ),
+    Case(
+        "power",
+        lambda length: jm.SurfaceReconstruction(jm.RBF(reduction=jm.PGreedy(8)), jm.DelaunayGraph()),
+        turns=False,
+        dimensions=(2,),
+    ),
     Case("gaussian-1", lambda length: full(jm.Gaussian(0.1 * length), 1), dimensions=(2,)),
     Case("multiquadric-0", lambda length: full(jm.Multiquadric(0.1 * length), 0), affine=False, dimensions=(2,)),
 ]

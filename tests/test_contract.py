@@ -32,6 +32,7 @@ def over(names, more=()):
 every_method = over(NAMES)
 CHEAP = [
     ("elasticity", 2),
+    ("compact", 2),
     ("inverse-distance", 2),
     ("torsional", 2),
     ("torsional", 3),

@@ -34,7 +34,7 @@ def solve(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
     - `diagonal` (n,) or (n, d, d): entries of a node with itself.
     - `masses` (n,) or (0,): where given, the matrix is K M^-1 K, with K the one described and M of these masses.
     - `free` (n, d): unknowns to solve for.
-    - `places` (n, d): coordinates, for the rigid motions that a multigrid method keeps.
+    - `places` (n, d): coordinates, for the rigid motions that a multigrid method keeps; (n, 0) for no such method.
     - `right` (n, k): k = d columns.
 
     **Returns:** x (n, d), in the precision of `right`; NaN where a system is not finite or not positive.
@@ -93,7 +93,7 @@ def _inverse(pairs, values, diagonal, masses, free, places) -> Callable[[np.ndar
     kinds, column_kind = np.unique(free, axis=1, return_inverse=True)
     column_kind = np.ravel(column_kind)
     rows = [np.flatnonzero(kind) for kind in kinds.T]
-    solvers = [_of_matrix(matrix[row][:, row], d, np.ones((len(row), 1))) for row in rows]
+    solvers = [_of_matrix(matrix[row][:, row], d, np.ones((len(row), min(1, places.shape[1])))) for row in rows]
 
     def apply(right):
         x = np.zeros((n, d))
@@ -145,7 +145,8 @@ def _of_matrix(matrix: Any, d: int, modes: np.ndarray) -> Callable[[np.ndarray],
         except RuntimeError:  # singular
             return lambda right: np.full_like(right, np.nan)
         return lambda right: (factors.solve((right.T * scale).T).T * scale).T
-    return _multigrid(scaled, scale, modes)
+    cycle = None if modes.shape[1] == 0 else _multigrid(scaled, modes / scale[:, None])
+    return _conjugate_gradients(scaled, scale, cycle)
 
 
 def _scaled(matrix: Any, scale: np.ndarray) -> Any:
@@ -159,8 +160,8 @@ def _scaled(matrix: Any, scale: np.ndarray) -> Any:
     return sparse.bsr_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
-def _multigrid(scaled: Any, scale: np.ndarray, modes: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes conjugate gradients with a cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996) as preconditioner."""
+def _multigrid(scaled: Any, modes: np.ndarray) -> Any:
+    """Makes a cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996)."""
     try:
         import pyamg  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -172,10 +173,14 @@ def _multigrid(scaled: Any, scale: np.ndarray, modes: np.ndarray) -> Callable[[n
     state = np.random.get_state()  # noqa: NPY002  pyamg draws from it: the same numbers each time, and the user's stay
     np.random.seed(0)  # noqa: NPY002
     try:
-        hierarchy = pyamg.smoothed_aggregation_solver(scaled, B=modes / scale[:, None], **options)
+        hierarchy = pyamg.smoothed_aggregation_solver(scaled, B=modes, **options)
     finally:
         np.random.set_state(state)  # noqa: NPY002
-    cycle = hierarchy.aspreconditioner(cycle="V")
+    return hierarchy.aspreconditioner(cycle="V")
+
+
+def _conjugate_gradients(scaled: Any, scale: np.ndarray, cycle: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes conjugate gradients for right sides (k,) or (k, c), with a preconditioner or without."""
 
     def one(right):
         return linalg.cg(scaled, right, rtol=ACCURACY, maxiter=1000, M=cycle)[0]

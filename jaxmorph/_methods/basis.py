@@ -12,7 +12,7 @@ from .._kernels.log import half_x_log_x
 from .._kernels.values import is_known
 
 
-def _length(value: Any) -> Float[Array, ""]:
+def checked_length(value: Any) -> Float[Array, ""]:
     """Makes a floating point array; what is concrete must be finite and positive, what is traced passes."""
     value = jnp.asarray(value)
     if not jnp.issubdtype(value.dtype, jnp.floating):
@@ -68,7 +68,7 @@ class WendlandC2(AbstractBasis):
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=_length)
+    support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
     def __call__(self, r2):
         return _wendland_c2(r2, self.support_radius.astype(r2.dtype))
@@ -84,7 +84,7 @@ class Gaussian(AbstractBasis):
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """
 
-    radius: Float[Array, ""] = eqx.field(converter=_length)
+    radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
     def __call__(self, r2):
         return jnp.exp(r2 * (-1 / self.radius.astype(r2.dtype) ** 2))
@@ -101,20 +101,20 @@ class Multiquadric(AbstractBasis):
     """
 
     min_degree: ClassVar[int | None] = 0
-    radius: Float[Array, ""] = eqx.field(converter=_length)
+    radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
     def __call__(self, r2):
         return jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
 
 
-def _relative_radius(r2, support_radius):
+def relative_radius(r2, support_radius):
     """Computes r / R, but never less than round-off: its derivative would be infinite at 0."""
     return jnp.sqrt(r2 * (1 / support_radius**2) + float(jnp.finfo(r2.dtype).eps) ** 2)
 
 
 @jax.custom_jvp
 def _wendland_c2(r2, support_radius):
-    xi = _relative_radius(r2, support_radius)
+    xi = relative_radius(r2, support_radius)
     inner = 1 - xi
     return jnp.where(xi >= 1, 0, (inner * inner) * (inner * inner) * (4 * xi + 1))
 
@@ -124,6 +124,6 @@ def _wendland_c2_jvp(primals, tangents):
     # d phi / d r2 = -10 (1 - xi)^3 / R^2 is regular at r = 0, where the chain rule through the root is not
     r2, support_radius = primals
     r2_dot, radius_dot = tangents
-    xi = _relative_radius(r2, support_radius)
+    xi = relative_radius(r2, support_radius)
     slope = jnp.where(xi >= 1, 0, -10 * (1 - xi) ** 3 / support_radius**2)
     return _wendland_c2(r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)

@@ -29,6 +29,9 @@ class InverseDistance(AbstractMethod):
     The weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary faces, and the same for
     all without cells. L is the largest distance of a surface node from the middle of the moving ones. There is no system to
     solve. IDWarp has the defaults of the weights, and `rotations=True`.
+
+    With `rotations` each node also turns its surroundings, as its normal turns: a body that pitches keeps the cells around it.
+    The normals come from the boundary faces, so `prepare` needs the mesh. The displacement is then not linear in `u`
     (`method.linear` says so). Derivatives are complete, at u = 0 too. A node's rotation about its own normal is not seen.
 
     **Arguments:**

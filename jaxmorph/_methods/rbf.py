@@ -42,9 +42,12 @@ class RBF(AbstractMethod):
       `Graded()`. More sources follow the surface closer, and cost more.
     - `degree`: degree of the polynomial p: None (no polynomial), 0, or 1, which reproduces rigid and affine motions. Default 1.
 
-    **Raises:** `ValueError` for another degree. `prepare` raises it where the sources cannot determine the polynomial (all in
-    one plane). It also does so if rounding changes displacements by more than 1 %, because the radius is wide or sources
-    nearly coincide. It warns from 1e-6 on (1e-3 without x64).
+    - `ridge`: added to the matrix at each source, in units of phi at the sources' extent (of phi itself for a basis with a
+      radius). The field then smooths noise and misses the sources. Default 0.
+
+    **Raises:** `ValueError` for another degree or a negative ridge. `prepare` raises it where the sources cannot determine
+    the polynomial (all in one plane). It also does so if rounding changes displacements by more than 1 %, because the radius
+    is wide or sources nearly coincide. It warns from 1e-6 on (1e-3 without x64).
 
     The dense system (eq. 3) is factored once per plan, in float64 if JAX's x64 mode is on. The effect of rounding is measured.
     A smooth motion is interpolated, and so is what the result misses at the sources. The largest value of this second field,
@@ -57,6 +60,7 @@ class RBF(AbstractMethod):
     reduction: AbstractReduction = eqx.field(static=True, default=KDTree(64))
     fixed_reduction: AbstractReduction = eqx.field(static=True, default=Graded())
     degree: int | None = eqx.field(static=True, default=1)
+    ridge: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self):
         check_kind(self.basis, AbstractBasis, "basis", "jm.ThinPlateSpline()")
@@ -64,6 +68,8 @@ class RBF(AbstractMethod):
         check_kind(self.fixed_reduction, AbstractReduction, "fixed_reduction", "jm.KDTree(16)")
         if self.degree not in (None, 0, 1):
             raise ValueError(f"`degree` of the polynomial is None, 0 or 1, not {self.degree!r}.")
+        if not 0 <= self.ridge < np.inf:
+            raise ValueError(f"`ridge` must be zero or positive and finite, not {self.ridge}.")
         if self._below_min_degree:
             warnings.warn(
                 f"{type(self.basis).__name__} without a polynomial of degree {self.basis.min_degree} may give a singular system.",
@@ -92,7 +98,8 @@ class RBF(AbstractMethod):
 
     @property
     def exact(self) -> bool:
-        return isinstance(self.reduction, AllPoints) and isinstance(self.fixed_reduction, AllPoints)
+        every = isinstance(self.reduction, AllPoints) and isinstance(self.fixed_reduction, AllPoints)
+        return every and not self.ridge
 
     def connect(self, surface: Surface, points):
         sources = surface.reduced(self.reduction, self.fixed_reduction)
@@ -125,16 +132,22 @@ class RBF(AbstractMethod):
         points = surface[ids].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))
         centre = points.mean(axis=0)
         extent = jnp.abs(points - centre[None]).max()
+        if self.ridge:  # its effect depends on the scale, which must then not depend on the axes
+            extent = jnp.sqrt(jnp.sum((points - centre[None]) ** 2, axis=1).max())
         scale = 1 / jnp.where(extent > 0, extent, 1)
-        centre, scale = (
-            jax.lax.stop_gradient((centre, scale)) if not self._below_min_degree else (centre, jnp.ones_like(scale))
-        )
+        if self._below_min_degree:
+            scale = jnp.ones_like(scale)
+        elif not self.ridge:
+            centre, scale = jax.lax.stop_gradient((centre, scale))
         sources = (points - centre[None]) * scale
         tail = polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges those wrongly with the transposition
         # that LAPACK asks for, and the jitted gradient with respect to one coordinate of the sources is wrong or NaN.
         distances = jnp.sum((sources[:, None] - sources[None]) ** 2, axis=-1)
         kernel = self._phi(distances, scale)
+        if self.ridge:  # on the side of the definite part: phi is negative definite where its order is one
+            sign = -1 if self.basis.min_degree == 0 else 1
+            kernel = kernel + sign * self.ridge * jnp.eye(len(kernel), dtype=kernel.dtype)
         corner = jnp.zeros((tail.shape[1],) * 2, kernel.dtype)
         matrix = jnp.block([[kernel, tail], [tail.T, corner]])  # eq. (3)
         lu, pivots = jax.scipy.linalg.lu_factor(matrix)
@@ -200,7 +213,11 @@ def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
         return result
 
     with np.errstate(all="ignore"):
-        missed = values - field(weights(values), sources)
+        first = weights(values)
+        missed = values - field(first, sources)
+        if rbf.ridge:
+            sign = -1 if rbf.basis.min_degree == 0 else 1
+            missed = missed - sign * rbf.ridge * first[:count]
         between = [(sources + np.roll(sources, shift, axis=0)) / 2 for shift in (1, 1 + count // 2)]
         moved = field(weights(missed), np.concatenate([sources, *between]))
         return float(np.abs(np.concatenate([missed, moved])).max())

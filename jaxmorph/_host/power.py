@@ -1,0 +1,52 @@
+"""Sources by the power function: the largest error that an interpolation can have at a point (De Marchi et al. 2005)."""
+
+import dataclasses
+
+import numpy as np
+
+from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
+
+
+@dataclasses.dataclass(frozen=True)
+class PGreedy(AbstractReduction):
+    """Picks points one after the other, each where the power function of those before is largest.
+
+    They depend on the places alone, not on a motion. The function is Wendland's C2 of a radius as large as the points'
+    extent. The factors grow by a column for each point (Newton's basis), so that 300 of 16,000 take a second.
+
+    **Arguments:**
+
+    - `count`: how many points to choose; fewer where they come closer than `separation`.
+    - `separation`: least distance of two of them, relative to the extent. Default 1e-3.
+    """
+
+    count: int
+    _: dataclasses.KW_ONLY
+    separation: float = 1e-3
+
+    def __post_init__(self):
+        if self.count < 1:
+            raise ValueError(f"`count` must be at least 1, not {self.count}.")
+        check_separation(self.separation)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return chosen_in_order(points, self._chosen)
+
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        radius = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
+        count, closest = min(self.count, len(points)), self.closest(points)
+        basis, power, chosen = np.zeros((count, len(points))), np.ones(len(points)), []
+        node = int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax())
+        while len(chosen) < count and power[node] > 1e-14:
+            k = len(chosen)
+            apart = np.sqrt(((points - points[node]) ** 2).sum(axis=1))
+            xi = np.minimum(apart / radius, 1)
+            column = (1 - xi) ** 4 * (4 * xi + 1) - basis[:k, node] @ basis[:k]
+            basis[k] = column / np.sqrt(power[node])
+            power = np.where(apart <= closest, 0, np.maximum(power - basis[k] ** 2, 0))
+            chosen.append(node)
+            node = int(power.argmax())
+        return np.array(chosen)
+
+    def closest(self, points: np.ndarray) -> float:
+        return least_distance(points, self.separation)

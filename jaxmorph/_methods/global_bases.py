@@ -1,0 +1,52 @@
+"""Bases without a support, beside `ThinPlateSpline`, `Gaussian` and `Multiquadric`."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .basis import AbstractBasis, checked_length
+
+
+class LinearSpline(AbstractBasis):
+    """Evaluates phi(r) = r: without a parameter; needs a constant polynomial. It has a cone at each source."""
+
+    min_degree: ClassVar[int | None] = 0
+    scale_free: ClassVar[bool] = True
+
+    def __call__(self, r2):
+        return _root(r2)
+
+
+class CubicSpline(AbstractBasis):
+    """Evaluates phi(r) = r^3, the smoothest interpolation in 3-D: without a parameter; needs a linear polynomial."""
+
+    min_degree: ClassVar[int | None] = 1
+    scale_free: ClassVar[bool] = True
+
+    def __call__(self, r2):
+        return r2 * _root(r2)
+
+
+class InverseMultiquadric(AbstractBasis):
+    """Evaluates phi(r) = 1 / sqrt(1 + r^2 / R^2); positive definite, R in the mesh's units."""
+
+    radius: Float[Array, ""] = eqx.field(converter=checked_length)
+
+    def __call__(self, r2):
+        return 1 / jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
+
+
+class InverseQuadratic(AbstractBasis):
+    """Evaluates phi(r) = 1 / (1 + r^2 / R^2); positive definite, R in the mesh's units."""
+
+    radius: Float[Array, ""] = eqx.field(converter=checked_length)
+
+    def __call__(self, r2):
+        return 1 / (1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
+
+
+def _root(r2):
+    positive = r2 > 0  # twice `where`: a root has no derivative at zero
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, r2, 1)), 0)

@@ -1,0 +1,122 @@
+"""De Boer's bases: values in 40 digits, derivatives at a source and at the edge of the support, definiteness."""
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+
+R = 0.8
+TABLE = {
+    jm.WendlandC0: lambda x: (1 - x) ** 2,
+    jm.WendlandC2: lambda x: (1 - x) ** 4 * (4 * x + 1),
+    jm.WendlandC4: lambda x: (1 - x) ** 6 * (mpmath.mpf(35) / 3 * x**2 + 6 * x + 1),
+    jm.WendlandC6: lambda x: (1 - x) ** 8 * (32 * x**3 + 25 * x**2 + 8 * x + 1),
+    jm.CompactC0: lambda x: (1 - x) ** 5,
+    jm.CompactC1: lambda x: (
+        1 + mpmath.mpf(80) / 3 * x**2 - 40 * x**3 + 15 * x**4 - mpmath.mpf(8) / 3 * x**5 + 20 * x**2 * mpmath.log(x)
+    ),
+    jm.CompactC2a: lambda x: 1 - 30 * x**2 - 10 * x**3 + 45 * x**4 - 6 * x**5 - 60 * x**3 * mpmath.log(x),
+    jm.CompactC2b: lambda x: 1 - 20 * x**2 + 80 * x**3 - 45 * x**4 - 16 * x**5 + 60 * x**4 * mpmath.log(x),
+}
+GLOBAL = {
+    jm.InverseMultiquadric: lambda x: 1 / mpmath.sqrt(1 + x**2),
+    jm.InverseQuadratic: lambda x: 1 / (1 + x**2),
+}
+SPLINES = {jm.LinearSpline: lambda r: r, jm.CubicSpline: lambda r: r**3}
+ALL = [
+    *((kind(R), form, R) for kind, form in (TABLE | GLOBAL).items()),
+    *((kind(), form, 1.0) for kind, form in SPLINES.items()),
+]
+FAST = ("WendlandC4", "CompactC1", "CubicSpline")
+NAMES = [type(row[0]).__name__ for row in ALL]
+MARKED = [
+    pytest.param(*row, marks=() if name in FAST else pytest.mark.slow) for name, row in zip(NAMES, ALL, strict=True)
+]
+every = pytest.mark.parametrize(("basis", "form", "radius"), MARKED, ids=NAMES)
+
+
+@every
+def test_values_and_slopes(basis, form, radius):
+    mpmath.mp.dps = 40
+    xi = np.concatenate([np.geomspace(1e-4, 0.9, 12), [1 - 1e-6]])
+    value = [float(form(mpmath.mpf(float(x)))) for x in xi]
+    slope = [float(mpmath.diff(form, mpmath.mpf(float(x)))) / radius for x in xi]
+    r = xi * radius
+    np.testing.assert_allclose(basis(r**2), value, rtol=1e-10, atol=1e-14)  # they cancel at the edge
+    found = jax.vmap(jax.grad(lambda r: basis(r**2)))(jnp.asarray(r))
+    np.testing.assert_allclose(found, slope, rtol=1e-9, atol=1e-11)
+
+
+@every
+def test_at_a_source_and_beyond_the_support(basis, form, radius):
+    name, value = type(basis).__name__, basis(jnp.zeros(1))[0]
+    np.testing.assert_allclose(value, 0 if name in ("LinearSpline", "CubicSpline") else 1, rtol=3e-15)
+    x = jnp.zeros(3)
+    gradient = jax.grad(lambda x: basis(jnp.sum(x**2)))(x)
+    assert (gradient == 0).all()
+    assert np.isfinite(jax.hessian(lambda x: basis(jnp.sum(x**2)))(x)).all()
+    if isinstance(basis, tuple(TABLE)):
+        assert (basis(jnp.array([R**2 * (1 + 1e-12), 50.0])) == 0).all()
+        assert float(jax.grad(lambda radius: type(basis)(radius)(jnp.asarray(4 * R**2)))(R)) == 0
+        radius_dot = jax.grad(lambda radius: type(basis)(radius)(jnp.asarray(0.09)))(R)
+        difference = (type(basis)(R + 1e-6)(0.09 * jnp.ones(())) - type(basis)(R - 1e-6)(0.09 * jnp.ones(()))) / 2e-6
+        np.testing.assert_allclose(radius_dot, difference, rtol=1e-6)
+
+
+@every
+def test_definite_on_random_points(basis, form, radius):
+    """With the polynomial that a basis asks for, the quadratic form has one sign; a conditional one has it off the polynomial."""
+    points = np.random.default_rng(0).uniform(0, 1.5, (40, 3))
+    matrix = np.asarray(basis(((points[:, None] - points[None]) ** 2).sum(axis=2)))
+    if basis.min_degree is not None:
+        terms = np.concatenate([np.ones((40, 1)), points][: 1 + basis.min_degree], axis=1)
+        complement = np.linalg.svd(terms, full_matrices=True)[0][:, terms.shape[1] :]
+        matrix = complement.T @ matrix @ complement * (-1) ** (basis.min_degree + 1)
+    assert np.linalg.eigvalsh(matrix).min() > 1e-9
+
+
+def test_a_ridge_smooths_noise():
+    """On noisy values of a smooth motion the field with a ridge is nearer to the motion than the one that follows them."""
+    rng = np.random.default_rng(1)
+    points, between = rng.uniform(0, 1, (120, 2)), rng.uniform(0.1, 0.9, (200, 2))
+    everything = np.concatenate([points, between])
+    motion = np.sin(3 * everything)
+    u = motion[:120] + 0.05 * rng.normal(size=(120, 2))
+    miss = []
+    for ridge in (0.0, 3e-2):
+        method = jm.RBF(jm.CubicSpline(), jm.AllPoints(), jm.AllPoints(), ridge=ridge)
+        assert method.exact == (ridge == 0)
+        moved = jm.deform(jm.prepare(everything, np.arange(120), method=method), u) - everything
+        miss.append(np.sqrt(np.mean((moved - motion)[120:] ** 2)))
+    assert miss[1] < 0.6 * miss[0]
+    with pytest.raises(ValueError, match="`ridge` must be zero or positive and finite, not -1"):
+        jm.RBF(ridge=-1.0)
+
+
+def test_power_greedy_chooses_as_the_dense_power_function():
+    """Each is where 1 - k(x)^T K^-1 k(x), by a dense solve, is largest."""
+    points = np.random.default_rng(2).uniform(size=(200, 3))
+    radius = np.linalg.norm(np.ptp(points, axis=0))
+    kernel = np.asarray(jm.WendlandC2(radius)(((points[:, None] - points[None]) ** 2).sum(axis=2)))
+    chosen = [int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax())]
+    while len(chosen) < 15:
+        weights = np.linalg.solve(kernel[np.ix_(chosen, chosen)], kernel[chosen])
+        chosen.append(int((1 - (kernel[chosen] * weights).sum(axis=0)).argmax()))
+    assert set(jm.PGreedy(15)(points).tolist()) == set(chosen)
+    assert len(jm.PGreedy(300)(points)) == 200
+
+
+def test_compact_functions_are_a_sparse_system():
+    """Against the dense interpolation with the same function, and its automatic radius."""
+    rng = np.random.default_rng(3)
+    points, u = rng.uniform(size=(300, 3)), rng.normal(size=(80, 3))
+    dense = jm.prepare(points, np.arange(60), np.arange(60, 80), method=jm.RBF.classic(jm.WendlandC2(0.4), degree=None))
+    sparse = jm.prepare(points, np.arange(60), np.arange(60, 80), method=jm.CompactRBF(0.4))
+    np.testing.assert_allclose(jm.deform(sparse, u[:60]), jm.deform(dense, u[:60]), rtol=0, atol=1e-12)
+    with pytest.raises(ValueError, match="radius of a basis must be positive"):
+        jm.CompactRBF(-1.0)
+    with pytest.raises(ValueError, match="nodes coincide"):
+        jm.prepare(np.concatenate([points, points[:1]]), np.r_[0:60, 300], method=jm.CompactRBF(0.4))
