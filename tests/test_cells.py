@@ -166,3 +166,11 @@ def test_wrong_uses_are_told():
     method = jm.LinearElasticity(jm.ByVolume(3e4))
     with pytest.raises(ValueError, match=r"stiffness of LinearElasticity is not finite"):
         jm.prepare(mesh, ids[:, 0], ids[:, -1], method=method, free=ids.ravel())
+
+
+def test_a_missing_solver_is_told(monkeypatch):
+    mesh = cases.bricks("tetra", cells=3)
+    monkeypatch.setattr(linear, "DIRECT", 10)
+    monkeypatch.setattr(linear, "find_spec", lambda name: None)
+    with pytest.raises(ImportError, match=r"24 unknowns in 3-D .* pip install 'jaxmorph\[solvers\]'"):
+        jm.prepare(mesh, hull(mesh.points), method=jm.LinearElasticity())

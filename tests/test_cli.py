@@ -96,6 +96,16 @@ def test_the_wall_and_the_overshoot_stand_in_the_table(here, capsys):
     assert max(map(len, text.split("\n"))) <= 80
 
 
+@pytest.mark.parametrize("name", ["elasticity", pytest.param("inverse-distance", marks=pytest.mark.slow)])
+def test_methods_by_name(here, name):
+    assert deform("by_name.su2", "--rotate", "20", "--method", name) == 0
+    before, after = io.read("ring.su2"), io.read("by_name.su2")
+    method = {"elasticity": jm.LinearElasticity(), "inverse-distance": jm.InverseDistance()}[name]
+    plan = jm.prepare(before, "wall", "far", method=method)
+    expected = jm.deform(plan, (after.points - before.points)[plan.moving])
+    np.testing.assert_allclose(after.points, expected, rtol=0, atol=1e-12)
+
+
 def test_order_of_the_motions_and_steps_along_the_circle(here):
     motion = ("--scale", "2", "1", "--rotate", "90", "--translate", "0.25", "0", "--displacement", "shift.csv")
     assert deform("a.su2", *motion, "--displacement-is", "displacement", "--steps", "3", "--sources", "8") == 0

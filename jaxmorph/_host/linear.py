@@ -4,6 +4,7 @@ import collections
 import itertools
 import threading
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,6 @@ def solve(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
     - `right` (n, k): k = d columns.
 
     **Returns:** x (n, d), in the precision of `right`; NaN where a system is not finite or not positive.
-
-    **Raises:** `ImportError` for a large 3-D system without pyamg.
     """
     leading = np.ndim(right) - 2
     arrays = [np.asarray(array) for array in (pairs, values, diagonal, masses, free, places, right)]
@@ -53,6 +52,14 @@ def solve(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
         ]
         result[place] = _solved(*one)
     return result
+
+
+def check_solver(unknowns: int, dimension: int) -> None:
+    """Raises `ImportError` where a system needs multigrid, and pyamg is missing."""
+    if dimension == 3 and unknowns > DIRECT and find_spec("pyamg") is None:
+        raise ImportError(
+            f"{unknowns} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
+        )
 
 
 def _solved(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
@@ -162,12 +169,8 @@ def _scaled(matrix: Any, scale: np.ndarray) -> Any:
 
 def _multigrid(scaled: Any, modes: np.ndarray) -> Any:
     """Makes a cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996)."""
-    try:
-        import pyamg  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise ImportError(
-            f"{scaled.shape[0]} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
-        ) from error
+    import pyamg  # pyright: ignore[reportMissingImports]
+
     smoother = ("chebyshev", {"degree": 2})
     options = {"presmoother": smoother, "postsmoother": smoother, "max_coarse": 300, "coarse_solver": "splu"}
     state = np.random.get_state()  # noqa: NPY002  pyamg draws from it: the same numbers each time, and the user's stay

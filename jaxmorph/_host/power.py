@@ -12,7 +12,8 @@ class PGreedy(AbstractReduction):
     """Picks points one after the other, each where the power function of those before is largest.
 
     They depend on the places alone, not on a motion. The function is Wendland's C2 of a radius as large as the points'
-    extent. The factors grow by a column for each point (Newton's basis), so that 300 of 16,000 take a second.
+    extent. The factors grow by a column for each point (Newton's basis), so that 300 of 16,000 take three
+    seconds.
 
     **Arguments:**
 

@@ -114,6 +114,7 @@ class AbstractCellMethod(AbstractMethod):
         frame = _frame(cells.normals)
         slides = [cells.on_plane[:, np.abs(cells.normals @ axis) > 0.5].any(axis=1) for axis in frame.T]
         free = is_free[:, None] & ~np.stack(slides, axis=1)
+        linear.check_solver(int(free.sum()), points.shape[1])
         volume = stands.copy()
         volume[nodes] = n + rows
         beyond = np.flatnonzero(surface.nodes >= n)  # images: the surface alone has them

@@ -10,7 +10,10 @@ from . import _help
 from ._groups import Job, Moving, Part
 from ._parser import Parser
 
-METHODS = ("default", "published", "rbf", "graph")
+METHODS = (
+    *("default", "published", "rbf", "graph"),
+    *("elasticity", "laplacian", "biharmonic", "springs", "torsional", "inverse-distance", "compact"),
+)
 RENAMED = {"paper": "default", "dgm": "graph"}
 """Methods by the names that they had."""
 
@@ -190,9 +193,10 @@ def _method(command: Parser) -> Add:
     add = command.section("method")
     what = (
         "default: reduced radial basis functions, corrected near the wall; published: corrected by Delaunay graph mapping, "
-        "as in the paper; rbf: all surface nodes as sources; graph: Delaunay graph mapping alone"
+        "as in the paper; rbf: all surface nodes as sources; graph: Delaunay graph mapping alone; elasticity, laplacian, "
+        "biharmonic, springs, torsional: solved on the cells; inverse-distance; compact: radial basis functions of compact support"
     )
-    add("--method", choices=METHODS, type=_method_name, default="default", help=what)
+    add("--method", metavar="NAME", choices=METHODS, type=_method_name, default="default", help=what)
     what = "about how many nodes of the moving patches are sources"
     add("--sources", everyday=True, metavar="N", type=int, help=what)
     what = "precision of the calculation; float32 takes half the memory, and is too coarse for boundary layers"

@@ -1,6 +1,7 @@
 """The method and the boundary that the command line asks for."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
@@ -11,6 +12,20 @@ from ._requests import Method, PatchNames
 
 SEARCHES = 24
 """Reductions tried to find one of about as many sources as asked for."""
+
+
+OTHERS: dict[str, tuple[Callable[[], jm.AbstractMethod], str, bool]] = {
+    "rbf": (jm.RBF.classic, "full radial basis functions", True),
+    "graph": (jm.DelaunayGraph, "Delaunay graph mapping", False),
+    "elasticity": (jm.LinearElasticity, "linear elasticity, stiff by 1/volume", False),
+    "laplacian": (jm.Laplacian, "Laplace's equation, diffusivity 1/distance^2", False),
+    "biharmonic": (jm.Biharmonic, "the biharmonic equation", False),
+    "springs": (jm.SpringAnalogy, "springs along the edges", False),
+    "torsional": (jm.TorsionalSprings, "torsional springs", False),
+    "inverse-distance": (jm.InverseDistance, "inverse distances", True),
+    "compact": (jm.CompactRBF, "radial basis functions of compact support", True),
+}
+"""Methods without a number of sources: how to make each, its name, and whether every node of the wall is a source."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,10 +42,9 @@ def named_method(asked: Method, wall: Float[np.ndarray, "m d"]) -> NamedMethod:
     """Makes the requested method. Raises `ValueError` for a number of sources if the method has none to choose."""
     if asked.sources is not None and asked.name not in ("default", "published"):
         raise ValueError(f"--sources is for the methods default and published; {asked.name} has no sources to choose.")
-    if asked.name == "rbf":
-        return NamedMethod(jm.RBF.classic(), "full radial basis functions", len(wall), asked.dtype)
-    if asked.name == "graph":
-        return NamedMethod(jm.DelaunayGraph(), "Delaunay graph mapping", 0, asked.dtype)
+    if asked.name in OTHERS:
+        make, name, every = OTHERS[asked.name]
+        return NamedMethod(make(), name, len(wall) if every else 0, asked.dtype)
     is_default, number = asked.name == "default", ""
     method = jm.SurfaceReconstruction() if is_default else jm.SurfaceReconstruction.published()
     if asked.sources is not None:

@@ -14,9 +14,8 @@ HINTS = {
     "default": MORE,
     "published": f"--method default, or {MORE}",
     "rbf": "more --steps",
-    "graph": "--method default",
 }
-"""Advice when cells are bad."""
+"""Advice when cells are bad, for other methods to take the default."""
 
 PATIENCE = 120.0
 """Seconds that an attempt may have taken for others to be tried after it."""
@@ -30,7 +29,7 @@ def explain(attempt: Attempt, choice: NamedMethod, bad: list[str], out: Output) 
     if _gates.hopeless(request.gates, attempt.before):
         out.complain(bad[-1])
         return
-    hint = HINTS[request.method.name]
+    hint = HINTS.get(request.method.name, "--method default")
     if out.seconds > PATIENCE or not request.dry_run:
         out.complain(f"{bad[-1]} Try {hint}.")
         return
@@ -56,7 +55,7 @@ def _tried(attempt: Attempt, choice: NamedMethod, out: Output) -> str:
 
 def _trials(asked: Method, steps: int, sources: int, most: int) -> list[tuple[Method, int]]:
     """Lists methods and numbers of steps, in the order in which they are tried."""
-    if asked.name in ("graph", "published"):
+    if asked.name not in ("default", "rbf"):
         better = dataclasses.replace(asked, name="default")
         return [(better, steps), (better, 4 * steps)]
     if asked.name == "rbf":
