@@ -1,6 +1,7 @@
 """The component of OpenMDAO, judged by OpenMDAO's own checks."""
 
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -51,6 +52,23 @@ def test_partials_pass_openmdaos_check(plan, flat):
         assert found[mode].shape == (plan.points.size, u.size)
         np.testing.assert_allclose(found[mode], found["J_fd"], atol=1e-12)
     assert np.abs(found["J_fd"]).max() == pytest.approx(1)
+
+
+def test_no_matrix_is_set_aside():
+    """A mesh of 64,764 nodes with 16,230 on its wing would need 70 GiB."""
+    x = np.linspace(0, 1, 41)
+    points = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    inner = ((points > 0) & (points < 1)).all(axis=1)
+    moving = np.flatnonzero(inner)[::3]
+    plan = jm.prepare(points, moving, np.flatnonzero(~inner), method=jm.DelaunayGraph())
+    problem = om.Problem(reports=False)
+    problem.model.add_subsystem("mesh", component(plan=plan), promotes=["*"])
+    tracemalloc.start()
+    problem.setup()
+    problem.final_setup()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * points.size * 2 * len(moving) / 4
 
 
 @pytest.mark.parametrize("mode", ["fwd", "rev"])

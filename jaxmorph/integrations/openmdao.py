@@ -50,9 +50,6 @@ class MeshDeformation(om.ExplicitComponent):
         self.add_input("displacements", val=rest.ravel() if flat else rest, units=units)
         self.add_output("points", val=points.ravel() if flat else points, units=units)
 
-    def setup_partials(self) -> None:
-        self.declare_partials("points", "displacements")
-
     def compute(self, inputs, outputs, discrete_inputs=None, discrete_outputs=None) -> None:
         points = jm.deform(self.options["plan"], self._rows(inputs["displacements"]))
         outputs["points"] = np.asarray(points).reshape(outputs["points"].shape)
