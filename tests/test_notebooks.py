@@ -20,7 +20,9 @@ SMALL = {
     "06_external_solver.ipynb": {"points": 2000},
     "07_extend.ipynb": {"points": 2000},
     "08_openfoam.ipynb": {"cells": 24},
+    "09_wave_drag.ipynb": {"around": 52, "layers": 16, "steps": 3, "refined": ()},
     "10_flap.ipynb": {"size": 0.008, "deflections": 4},
+    "11_wing_openmdao.ipynb": {"points": 6500, "steps": 8},
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
 
@@ -189,6 +191,16 @@ def check_coupling(said):
     assert "inverted cells 0" in said
 
 
+def check_wave_drag(said):
+    """The gradient is that of differences, and the drag falls at the wanted lift and the first area; no cell is inverted."""
+    assert float(re.search(r"largest relative difference (\S+)", said)[1]) < 1e-5
+    rows = re.findall(r"step +\d+: drag (\S+), lift (\S+), area (\S+), (\d+) inverted", said)
+    assert {inverted for *_, inverted in rows} == {"0"}
+    assert float(rows[-1][2]) >= float(rows[0][2]) - 2e-5
+    (first, last) = re.findall(r"^ +832 +(\S+) +(\S+) +\S+%$", said, re.MULTILINE)[0]
+    assert float(last) < 0.8 * float(first)
+
+
 def check_flap(said):
     """No cell folds, the worst cell is no worse than the biharmonic extension's, and checkMesh agrees where it is."""
     rows = re.findall(r"^(\S.*?) {2,}(-?[0-9.]+) +(-?[0-9.]+) +(\d+) +(\d+|-)$", said, re.MULTILINE)
@@ -201,6 +213,22 @@ def check_flap(said):
         assert len(re.findall(r"the flap is off by at most [0-9]e-1[5-9] m", said)) == 2
 
 
+def check_wing_openmdao(said):
+    """OpenMDAO's totals are the differences, the drag falls at the same lift and within all limits, no cell is inverted."""
+    assert float(re.search(r"largest relative difference (\S+)", said)[1]) < 1e-6
+    first, last = map(float, re.search(r"induced drag (\S+) to (\S+):", said).groups())
+    lift, bending, volume, thickness = (
+        float(re.findall(before + r" ([0-9.]+)", said)[-1])
+        for before in ("less at lift", "root bending moment", "volume", "at least")
+    )
+    assert last < 0.985 * first
+    assert lift == pytest.approx(0.3, abs=1e-3)
+    assert bending < 1.001
+    assert volume > 0.999
+    assert thickness > 0.949
+    assert "6592 nodes, 0 inverted cells" in said
+
+
 CHECKS = {
     "00_first_steps.ipynb": check_first_steps,
     "01_airfoil.ipynb": check_airfoil,
@@ -211,7 +239,9 @@ CHECKS = {
     "06_external_solver.ipynb": check_chain,
     "07_extend.ipynb": check_extension,
     "08_openfoam.ipynb": check_openfoam,
+    "09_wave_drag.ipynb": check_wave_drag,
     "10_flap.ipynb": check_flap,
+    "11_wing_openmdao.ipynb": check_wing_openmdao,
 }
 
 
