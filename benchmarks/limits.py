@@ -1,6 +1,6 @@
 """How far each method goes before the first inverted cell, on the paper's airfoil: pitching, and a flap deflected.
 
-python benchmarks/limits.py
+python benchmarks/limits.py [--points 39666] [--method "elasticity 1/V" ...]
 """
 
 import argparse
@@ -19,6 +19,14 @@ METHODS = {
     "the paper's, 4 + 6": jm.SurfaceReconstruction.published(1, 2),
     "the paper's, 32 + 6": jm.SurfaceReconstruction.published(8, 2),
     "`prepare`'s default": None,
+    "elasticity 1/V": jm.LinearElasticity(),
+    "elasticity 1/d": jm.LinearElasticity(jm.ByDistance(1.0)),
+    "elasticity 1/d^2": jm.LinearElasticity(jm.ByDistance(2.0)),
+    "torsional springs": jm.TorsionalSprings(),
+    "Laplacian 1/d^2": jm.Laplacian(),
+    "springs 1/l^2": jm.SpringAnalogy(),
+    "inverse distance": jm.InverseDistance(),
+    "the same, turning": jm.InverseDistance(rotations=True),
 }
 
 
@@ -53,12 +61,16 @@ if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--points", type=int, default=39_666)
-    mesh = cases.naca0015(points=parser.parse_args().points)
+    parser.add_argument("--method", nargs="+", choices=METHODS, default=list(METHODS))
+    asked = parser.parse_args()
+    mesh = cases.naca0015(points=asked.points)
     base = mesh.points[mesh.patch("airfoil")]
     about(points=len(mesh.points), first_cell=1e-5)
     print("\n| method | pitch to 180, 1 step | in 9 steps | flap to 120, 1 step | in 9 steps |\n|---|---|---|---|---|")
-    for name, method in METHODS.items():
-        plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
+    for name in asked.method:
+        method = METHODS[name]
+        whole = method is not None and (method.needs_cells or not method.linear)
+        plan = jm.prepare(mesh if whole else mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=method)
         reached = []
         for motion, most in ((pitch, 180.0), (flap, 120.0)):
             for steps in (1, 9):

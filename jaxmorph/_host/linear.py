@@ -95,12 +95,14 @@ def _inverse(pairs, values, diagonal, masses, free, places) -> Callable[[np.ndar
 
         return apply_blocks
     matrix = _scalar(pairs, values, diagonal, n)
-    if masses.size:
-        matrix = (matrix @ sparse.diags(1 / masses) @ matrix).tocsr()
     kinds, column_kind = np.unique(free, axis=1, return_inverse=True)
     column_kind = np.ravel(column_kind)
     rows = [np.flatnonzero(kind) for kind in kinds.T]
-    solvers = [_of_matrix(matrix[row][:, row], d, np.ones((len(row), min(1, places.shape[1])))) for row in rows]
+    if masses.size:
+        root = sparse.diags(masses**-0.5) @ matrix
+        solvers = [_of_square(root[:, row]) for row in rows]
+    else:
+        solvers = [_of_matrix(matrix[row][:, row], d, np.ones((len(row), min(1, places.shape[1])))) for row in rows]
 
     def apply(right):
         x = np.zeros((n, d))
@@ -154,6 +156,26 @@ def _of_matrix(matrix: Any, d: int, modes: np.ndarray) -> Callable[[np.ndarray],
         return lambda right: (factors.solve((right.T * scale).T).T * scale).T
     cycle = None if modes.shape[1] == 0 else _multigrid(scaled, modes / scale[:, None])
     return _conjugate_gradients(scaled, scale, cycle)
+
+
+def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes the solver of B^T B x = right for a sparse B (n, k): by the system of both, whose condition is not squared."""
+    n = root.shape[0]
+    scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))
+    scaled = root @ sparse.diags(scale)
+    both = sparse.bmat([[-sparse.identity(n), scaled], [scaled.T, None]], format="csc")
+    try:
+        factors = linalg.splu(both, permc_spec="COLAMD")
+    except RuntimeError:  # singular
+        return lambda right: np.full_like(right, np.nan)
+
+    def apply(right):
+        given = np.concatenate([np.zeros((n, *right.shape[1:])), (right.T * scale).T])
+        x = factors.solve(given)
+        x = x + factors.solve(given - both @ x)  # a step of refinement
+        return (x[n:].T * scale).T
+
+    return apply
 
 
 def _scaled(matrix: Any, scale: np.ndarray) -> Any:

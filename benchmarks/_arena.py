@@ -1,0 +1,131 @@
+"""The meshes, motions and methods of championship.py. Each motion takes the moving nodes and an amount, 1 as it is meant."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from _walls import bump, camber, flap, pitch, up
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+Motion = Callable[[np.ndarray, float], np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """A mesh, its patches, the planes in which nodes slide, and motions by name."""
+
+    name: str
+    mesh: jm.Mesh
+    moving: str
+    fixed: tuple[str, ...]
+    symmetry: tuple[str, ...]
+    motions: dict[str, Motion]
+
+    def plan(self, method: jm.AbstractMethod | None) -> jm.Plan:
+        return jm.prepare(self.mesh, self.moving, self.fixed, symmetry=self.symmetry, method=method)
+
+    @property
+    def wall(self) -> np.ndarray:
+        return self.mesh.points[self.mesh.patch(self.moving)]
+
+
+def thicker(base: np.ndarray, amount: float) -> np.ndarray:
+    return up(base, 0.3 * amount * base[:, -1])[0]
+
+
+def waves(base: np.ndarray, amount: float) -> np.ndarray:
+    return up(base, 0.02 * amount * np.sin(4 * np.pi * base[:, 0]))[0]
+
+
+def far_away(base: np.ndarray, amount: float) -> np.ndarray:
+    return up(base, np.full(len(base), 0.5 * amount))[0]
+
+
+SECTION: dict[str, Motion] = {
+    "pitch 15": lambda base, amount: pitch(base, 15 * amount)[0],
+    "pitch 45": lambda base, amount: pitch(base, 45 * amount)[0],
+    "flap 20": lambda base, amount: flap(base, 20 * amount)[0],
+    "camber 5 %": lambda base, amount: camber(base, 0.05 * amount)[0],
+    "bump 3 %": lambda base, amount: bump(base, 0.03 * amount)[0],
+    "thickness 30 %": thicker,
+    "waves 2 %": waves,
+    "heave 0.5": far_away,
+}
+
+
+def bend(base: np.ndarray, amount: float) -> np.ndarray:
+    return up(base, 0.3 * amount * base[:, 1] ** 2 / np.abs(base[:, 1]).max())[0]
+
+
+def twist(base: np.ndarray, amount: float) -> np.ndarray:
+    angle = np.deg2rad(20 * amount) * base[:, 1] / np.abs(base[:, 1]).max()
+    x, z = base[:, 0] - 0.5 * np.median(base[:, 0]), base[:, 2]
+    moved = np.stack(
+        [x * np.cos(angle) + z * np.sin(angle) - x, 0 * x, z * np.cos(angle) - x * np.sin(angle) - z], axis=1
+    )
+    return moved
+
+
+def dent(base: np.ndarray, amount: float) -> np.ndarray:
+    """Pushes the floor of the cube up in its middle."""
+    return up(base, 0.3 * amount * np.exp(-8 * ((base[:, 0] - 0.5) ** 2 + (base[:, 1] - 0.5) ** 2)))[0]
+
+
+WING = {"bend": bend, "twist 20": twist}
+
+
+def brick(kind: str) -> Case:
+    """A cube whose floor moves, and whose other sides are fixed."""
+    mesh = cases.bricks(kind, cells=5)
+    points = mesh.points
+    floor = np.flatnonzero(points[:, 2] < 1e-9)
+    sides = np.flatnonzero(((points < 1e-9) | (points > 1 - 1e-9)).any(axis=1) & (points[:, 2] > 1e-9))
+    patches = {"floor": floor, "sides": sides}
+    return Case(f"bricks, {kind}", jm.Mesh(points, mesh.cells, patches), "floor", ("sides",), (), {"dent": dent})
+
+
+def all_cases(points: int) -> list[Case]:
+    """Generated meshes of about so many points in 2-D, and a few times as many in 3-D."""
+    around = max(60, int((points / 0.5) ** 0.5))
+    c_grid, viscous = cases.naca0015(points=points), cases.naca4("4412", points=points)
+    o_grid = cases.sharp_o_grid(around=around, layers=points // around, first_cell=1e-5)
+    blade = cases.cascade(around=around, layers=points // around)
+    wing = cases.wing(points=max(300, points // 5), stations=7)
+    far = ("farfield",)
+    return [
+        Case("C-grid", c_grid, "airfoil", far, (), SECTION),
+        Case("cambered, viscous", viscous, "airfoil", far, (), SECTION),
+        Case("O-grid", o_grid, "airfoil", far, (), SECTION),
+        Case("cascade", blade, _moving(blade), _others(blade), (), SECTION),
+        Case("wing", wing, "wing", far, ("root", "tip"), {"bump 3 %": SECTION["bump 3 %"], "waves 2 %": waves}),
+        *map(brick, ("hexahedron", "tetra", "pyramid", "wedge")),
+    ]
+
+
+def _moving(mesh: jm.Mesh) -> str:
+    return next(name for name in mesh.patches if name in ("blade", "airfoil", "wall"))
+
+
+def _others(mesh: jm.Mesh) -> tuple[str, ...]:
+    return tuple(name for name in mesh.patches if name != _moving(mesh))
+
+
+METHODS: dict[str, Callable[[float], jm.AbstractMethod | None]] = {
+    "default": lambda size: None,
+    "published": lambda size: jm.SurfaceReconstruction.published(),
+    "classic RBF": lambda size: jm.RBF.classic(),
+    "graph": lambda size: jm.DelaunayGraph(),
+    "multiscale": lambda size: jm.Multiscale.whole(2 * size, 0.1),
+    "compact RBF": lambda size: jm.CompactRBF(size),
+    "elasticity 1/V": lambda size: jm.LinearElasticity(),
+    "elasticity 1/d": lambda size: jm.LinearElasticity(jm.ByDistance(1.0)),
+    "torsional springs": lambda size: jm.TorsionalSprings(),
+    "springs 1/l^2": lambda size: jm.SpringAnalogy(),
+    "Laplacian 1/d^2": lambda size: jm.Laplacian(),
+    "biharmonic": lambda size: jm.Biharmonic(),
+    "inverse distance": lambda size: jm.InverseDistance(),
+    "the same, turning": lambda size: jm.InverseDistance(rotations=True),
+}
+"""By name, for a moving surface of a size."""

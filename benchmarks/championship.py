@@ -1,0 +1,197 @@
+"""Every method on every case: quality after a motion, how far it goes, what it costs, and whether its derivative is right.
+
+python -m benchmarks.championship [--points 2000] [--case C-grid ...] [--method default ...] [--json championship.json]
+                                  [--entry NAME=FOLDER ...] [--write FOLDER]
+
+`--write FOLDER` writes, for another tool, each case and motion as CASE/MOTION.npz: `points` (n, d), `moving` (m,) and `fixed` (f,)
+node ids, `u` (m, d), and `cells_TYPE` (k, corners). `--entry NAME=FOLDER` reads that tool's CASE/MOTION.npz, each with `points`
+(n, d), its moved points, and judges them in the same table.
+
+The JSON file is {"format": "jaxmorph championship", "version": 1, "points": ..., "rows": [...]}. A row has `case`, `motion`,
+`method`, and numbers, each null where it was not measured: `inverted` cells; `max_skewness`, `mean_skewness` (by area);
+`min_jacobian` over its undeformed value; `angle`, degrees by which the first grid line has left its angle to the wall, in the
+mean; `min_height`, smallest first cell over its undeformed height; `behind`, largest motion of a node behind a part of the wall
+that rests over the largest of the wall; `limit`, the multiple of the motion at which the first cell inverts, at most 4; CPU
+seconds `setup`, `move` and `gradient`; `memory`, largest resident memory of the process so far, bytes; `derivative`, the relative
+error of <w, J v> against a central difference. `error` says why a method refused.
+"""
+
+import argparse
+import json
+import pathlib
+import resource
+import sys
+import time
+import warnings
+
+sys.path.insert(0, str(pathlib.Path(__file__).parent))
+
+import jax
+import numpy as np
+from _arena import METHODS, Case, all_cases
+from _measure import about
+
+import jaxmorph as jm
+from jaxmorph._advice.overshoot import overshoot
+
+MOST = 4.0
+NUMBERS = (
+    *("inverted", "max_skewness", "mean_skewness", "min_jacobian", "angle", "min_height", "behind", "limit"),
+    *("setup", "move", "gradient", "memory", "derivative"),
+)
+
+
+def quality(case: Case, points) -> dict[str, float]:
+    report = jm.quality(case.mesh, points)
+    wall = jm.wall_quality(case.mesh, case.moving, points)
+    return {
+        "inverted": int(report.inverted),
+        "max_skewness": float(report.max_skewness),
+        "mean_skewness": float(report.mean_skewness),
+        "min_jacobian": float(np.min(report.jacobian_ratio)),
+        "angle": float(wall.mean_angle),
+        "min_height": float(wall.min_height),
+    }
+
+
+def limit(case: Case, plan: jm.Plan, motion) -> float:
+    """Multiple of the motion that leaves no cell inverted, to 2 %."""
+
+    def fine(amount: float) -> bool:
+        return int(jm.quality(case.mesh, jm.deform(plan, motion(case.wall, amount))).inverted) == 0
+
+    low, high = 0.0, MOST
+    if fine(high):
+        return high
+    while high - low > 0.02 * high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if fine(middle) else (low, middle)
+    return low
+
+
+def costs(plan: jm.Plan, u: np.ndarray) -> dict[str, float]:
+    """CPU seconds of one motion and one gradient, compiled before, and the derivative's error."""
+    rng = np.random.default_rng(0)
+    w, v = rng.normal(size=plan.points.shape), rng.normal(size=u.shape) * np.abs(u).max()
+    pulled = jm.pullback(plan, u, w)
+    h = 1.0 if plan.method.linear else 1e-6  # a small step would amplify the round-off of an ill-conditioned solve
+    difference = (jm.deform(plan, u + h * v) - jm.deform(plan, u - h * v)) / (2 * h)
+    expected = np.vdot(difference, w)
+    error = abs(np.vdot(v, pulled) - expected) / (np.linalg.norm(difference) * np.linalg.norm(w))
+    began = time.process_time()
+    jax.block_until_ready(jm.deform(plan, u))
+    middle = time.process_time()
+    jax.block_until_ready(jm.pullback(plan, u, w))
+    return {"move": middle - began, "gradient": time.process_time() - middle, "derivative": float(error)}
+
+
+def rows_of(case: Case, name: str) -> list[dict]:
+    """Runs one method on all motions of one case; where it refuses, the rows say why."""
+    size, began = float(np.ptp(case.wall, axis=0).max()), time.process_time()
+    try:
+        plan = case.plan(METHODS[name](size))
+    except ValueError as error:
+        return [row(case, motion, name, error=str(error)[:200]) for motion in case.motions]
+    rows, setup = [], time.process_time() - began
+    for motion, make in case.motions.items():
+        u = make(case.wall, 1.0)
+        numbers = (
+            quality(case, jm.deform(plan, u)) | costs(plan, u) | {"setup": setup, "limit": limit(case, plan, make)}
+        )
+        numbers["behind"] = overshoot(plan, u)[1]
+        numbers["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        rows.append(row(case, motion, name, **numbers))
+    return rows
+
+
+def row(case: Case, motion: str, method: str, error: str | None = None, **numbers: float) -> dict:
+    known = dict.fromkeys(NUMBERS) | {key: value if np.isfinite(value) else None for key, value in numbers.items()}
+    return {"case": case.name, "motion": motion, "method": method, "error": error} | known
+
+
+def place(folder: pathlib.Path, case: Case, motion: str) -> pathlib.Path:
+    return folder / case.name.replace(" ", "_") / f"{motion.replace(' ', '_')}.npz"
+
+
+def write(folder: pathlib.Path, case: Case) -> None:
+    """Writes the motions of a case for another tool."""
+    ids = {"moving": case.mesh.patch(case.moving), "fixed": case.mesh.patch(*case.fixed)}
+    cells = {f"cells_{kind}": corners for kind, corners in case.mesh.cells.items()}
+    for motion, make in case.motions.items():
+        file = place(folder, case, motion)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(file, points=case.mesh.points, u=make(case.wall, 1.0), **ids, **cells)
+
+
+def entered(name: str, folder: pathlib.Path, case: Case) -> list[dict]:
+    """Judges another tool's moved points."""
+    rows = []
+    for motion in case.motions:
+        file = place(folder, case, motion)
+        if file.exists():
+            with np.load(file) as data:
+                rows.append(row(case, motion, name, **quality(case, data["points"])))
+    return rows
+
+
+def first_places(rows: list[dict]) -> list[tuple[str, int, int, float, float, float, float]]:
+    """Adds up, for each method: rows without inverted cells, rows won by skewness, and medians over all rows."""
+    names = list(dict.fromkeys(each["method"] for each in rows))
+    best: dict[tuple, str] = {}
+    for each in rows:
+        key = each["case"], each["motion"]
+        fine = [r for r in rows if (r["case"], r["motion"]) == key and r["inverted"] == 0]
+        if fine:
+            best[key] = min(fine, key=lambda r: r["max_skewness"])["method"]
+    summary = []
+    for name in names:
+        own = [each for each in rows if each["method"] == name]
+        medians = [
+            float(np.median([each[key] for each in own if each[key] is not None] or [np.nan]))
+            for key in ("max_skewness", "angle", "limit", "move")
+        ]
+        summary.append((name, sum(each["inverted"] == 0 for each in own), list(best.values()).count(name), *medians))
+    return sorted(summary, key=lambda line: (-line[1], line[3]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--points", type=int, default=2000)
+    parser.add_argument("--case", nargs="+")
+    parser.add_argument("--method", nargs="+", choices=METHODS)
+    parser.add_argument("--entry", nargs="+", default=[])
+    parser.add_argument("--write", type=pathlib.Path)
+    parser.add_argument("--json", type=pathlib.Path)
+    asked = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    warnings.simplefilter("ignore")
+    about(points=asked.points)
+    rows = []
+    print("\n| case | motion | method | inverted | skewness | Jacobian | angle | height | behind | limit | move |")
+    print("|---" * 11 + "|")
+    for case in all_cases(asked.points):
+        if asked.case and case.name not in asked.case:
+            continue
+        if asked.write:
+            write(asked.write, case)
+        groups = [rows_of(case, name) for name in asked.method or METHODS]
+        groups += [
+            entered(name, pathlib.Path(folder), case) for name, _, folder in (e.partition("=") for e in asked.entry)
+        ]
+        for each in (each for group in groups for each in group):
+            rows.append(each)
+            keys = ("inverted", "max_skewness", "min_jacobian", "angle", "min_height", "behind", "limit", "move")
+            cells = ["-" if each[key] is None else f"{each[key]:.3g}" for key in keys]
+            print("| " + " | ".join([each["case"], each["motion"], each["method"], *cells]) + " |", flush=True)
+        jax.clear_caches()
+        if asked.json:
+            content = {"format": "jaxmorph championship", "version": 1, "points": asked.points, "rows": rows}
+            asked.json.write_text(json.dumps(content, indent=1))
+    heads = "method", "rows without inverted cells", "rows won", "median skewness", "angle", "limit", "move (s)"
+    print(f"\n{len(rows)} rows\n\n| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
+    for name, *numbers in first_places(rows):
+        print(f"| {name} | " + " | ".join(f"{number:.3g}" for number in numbers) + " |")
+
+
+if __name__ == "__main__":
+    main()
