@@ -318,6 +318,28 @@ def test_symmetry_planes_on_the_command_line(tmp_path):
     np.testing.assert_allclose(moved[sides["z0"]], points[sides["z0"]] + [0, 0, 0.1], atol=1e-15)
 
 
+def test_sliding_and_periodic_patches_on_the_command_line(tmp_path, capsys):
+    file, points, sides = _box(tmp_path)
+    flags = "--moving z0 --translate 0.01 0.02 0.1 --fixed z1 --sliding x0 x1 --periodic y0 y1 --method rbf"
+    job = tmp_path / "job.toml"
+    assert main(["deform", str(file), str(tmp_path / "out.su2"), *flags.split(), "--save-job", str(job)]) == 0
+    said = capsys.readouterr().out
+    assert "sliding  x0, x1: 50 nodes" in said
+    assert "periodic y0, y1: 25 pairs" in said
+    moved = io.read(tmp_path / "out.su2").points
+    for name, level in (("x0", 0), ("x1", 1)):
+        np.testing.assert_allclose(moved[sides[name], 0], level, rtol=0, atol=1e-13)
+    first, second = (np.lexsort(points[sides[name]].T[[0, 2]]) for name in ("y0", "y1"))
+    along = moved[sides["y1"][second]] - moved[sides["y0"][first]]
+    np.testing.assert_allclose(along, np.broadcast_to([0, 1, 0], along.shape), rtol=0, atol=1e-13)
+    assert np.abs(moved - points)[sides["y0"]].max() > 0.01
+    (tmp_path / "out.su2").unlink()
+    assert main(["deform", "--job", str(job)]) == 0
+    np.testing.assert_array_equal(io.read(tmp_path / "out.su2").points, moved)
+    assert main(["deform", str(file), str(tmp_path / "no.su2"), *flags.split()[:-2], "--periodic", "x0"]) == 2
+    assert "name pairs of patches" in capsys.readouterr().err
+
+
 def test_patches_left_out_of_the_hull_are_named(tmp_path, capsys):
     file, _, _ = _box(tmp_path)
     arguments = ["--moving", "z0", "--fixed", "x0", "--free", "[xyz]1", "y0", "--translate", "0", "0", "0.1"]

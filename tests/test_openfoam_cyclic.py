@@ -6,6 +6,7 @@ import foam
 import numpy as np
 import pytest
 
+import jaxmorph as jm
 from jaxmorph import cases, io
 
 HEXAHEDRON = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
@@ -66,6 +67,21 @@ def test_patches_that_drift_apart_are_an_error(case, tmp_path):
     assert not (tmp_path / "apart").exists()
     with pytest.raises(ValueError, match="no longer match"):
         io.write(folder / "1", mesh.moved(moved))
+
+
+def test_cyclic_patches_are_periodic(case, tmp_path):
+    """The file's own pairs, held as such: walls that move in any way leave a mesh that matches."""
+    folder, _, points, _ = case
+    mesh = io.read(folder)
+    (pair,) = io.periodic(mesh)
+    assert (pair.patch, pair.partner) == ("in", "out")
+    assert io.periodic(mesh.moved(points))
+    assert not io.periodic(cases.bricks(cells=3))
+    plan = jm.prepare(mesh, "walls", periodic=pair, method=jm.RBF.classic(jm.ThinPlateSpline()))
+    u = 0.05 * np.random.default_rng(0).normal(size=(plan.n_moving, 3))
+    moved = np.asarray(jm.deform(plan, u))
+    assert np.abs(moved - points)[mesh.patch("in", "out")].max() > 0.01
+    io.write(tmp_path / "moved", mesh.moved(moved))
 
 
 def test_a_decomposed_case_is_warned_of(case, tmp_path):

@@ -1,5 +1,6 @@
 """Periodic boundaries: which node of one patch is which of its partner, found and checked by the transform between them."""
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 
@@ -23,12 +24,13 @@ class Periodic:
     The surface is repeated by the transform before a method sees it, so the field knows its neighbours. What is left is made
     equal by averaging each pair of nodes. Both patches move: they keep no shape but that of each other.
 
-    Without `rotation`, `about` and `axis` the transform is a translation.
+    Without any of `translation`, `rotation`, `about` and `axis` the transform is the translation between the middles of the
+    patches. If they do not match, it is a rotation about an axis of coordinates (the origin in 2-D).
 
     **Arguments:**
 
     - `patch`, `partner`: names of patches, or ids of their nodes. The transform leads from `patch` to `partner`.
-    - `translation`: vector (d,), in the mesh's units. Default: from the middle of one patch to that of the other.
+    - `translation`: vector (d,), in the mesh's units. Default: found.
     - `rotation`: angle in radians. Default: found from the middles of the patches.
     - `about`: a point (d,) that the rotation keeps. Default: the origin.
     - `axis`: direction (3,) of the rotation's axis, in 3-D alone.
@@ -135,6 +137,23 @@ def paired(
     periodic: Periodic, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " l"], points: Float[np.ndarray, "n d"]
 ) -> Pairing:
     """Finds the pairs of two patches' nodes. Raises `ValueError`, with the worst node, where they do not match."""
+    if periodic.translation is not None or periodic.is_rotation:
+        return _paired(periodic, first, second, points)
+    try:
+        return _paired(periodic, first, second, points)
+    except ValueError as error:
+        refused = error
+    sides, copies = (periodic.patch, periodic.partner), periodic.copies
+    axes = [{"axis": axis} for axis in np.eye(3)] if points.shape[1] == 3 else [{"about": (0, 0)}]
+    for axis in axes:
+        with contextlib.suppress(ValueError):
+            return _paired(Periodic(*sides, copies=copies, **axis), first, second, points)
+    raise refused
+
+
+def _paired(
+    periodic: Periodic, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " l"], points: Float[np.ndarray, "n d"]
+) -> Pairing:
     exact = points.astype(float)
     if not len(first) or not len(second):
         raise ValueError(f"{periodic.name}: one of them has no nodes.")

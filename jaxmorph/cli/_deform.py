@@ -77,6 +77,10 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
         _wrapped(out, f"moving   {', '.join(names)}: {count(len(nodes), 'node')}, by up to {largest:.4g}")
     fixed = np.setdiff1d(patches.fixed_nodes, patches.nodes)
     _wrapped(out, f"fixed    {', '.join(request.surface.fixed)}: {count(len(fixed), 'node')}")
+    if patches.sliding:
+        _wrapped(out, f"sliding  {', '.join(patches.sliding)}: {count(len(mesh.patch(*patches.sliding)), 'node')}")
+    for pair in patches.periodic:
+        _wrapped(out, f"periodic {pair.patch}, {pair.partner}: {count(len(mesh.patch(str(pair.patch))), 'pair')}")
     out.say(f"method   {choice.name}, {count(request.steps, 'step')}", method=choice.name, steps=request.steps)
     moving = {name: len(mesh.patch(name)) for name in patches.moving}
     out.say(moving=moving, largest=float(way.max()), sources=choice.sources)

@@ -35,8 +35,9 @@ steps, each with 1/N of every angle, factor, translation and displacement.
 
 NAME is a patch, a regular expression for the whole of a name ("motorBike.*"),
 or a group that the file has (inGroups of an OpenFOAM case). A patch with faces
-that are not named as moving, fixed, symmetry or free is an error: its nodes
-would follow like inner ones, and may leave the boundary.
+that are not named as moving, fixed, symmetry, sliding, periodic or free is an
+error: its nodes would follow like inner ones, and may leave the boundary. The
+cyclic patches of an OpenFOAM case that no flag names are periodic.
 
 A box is a TOML file: low and high (two corners), points (how many control
 points each way), and for each that moves a [[moved]] with at (its numbers, from
@@ -68,6 +69,9 @@ examples:
     jaxmorph deform wing.su2 bent.su2 --moving wing --fixed farfield \\
         --symmetry symmetry --along 0 1 0 --axis 1 0 0 --twist -3 --bend 8 \\
         --picture bent.html
+  a blade between the sides of its passage, which repeat each other:
+    jaxmorph deform cascade.su2 pitched.su2 --moving blade --rotate 10 \\
+        --fixed inlet outlet --periodic lower upper
   a flap and a slat, each about its hinge, judged by checkMesh's limits:
     jaxmorph deform wing.su2 flaps.vtu --fixed wing farfield \\
         --moving flap --rotate 10 --about 0.8 0 0 --axis 0 1 0 \\
@@ -175,7 +179,8 @@ PAGES = {
     "deform": Page(
         "move patches of a mesh, and the mesh with them",
         """IN OUT --moving NAME ... MOTION ... [--moving ...]
-           --fixed NAME ... [--symmetry NAME ...] [METHOD ...] [GATE ...]
+           --fixed NAME ... [--symmetry NAME ...] [--sliding NAME ...]
+           [--periodic NAME NAME ...] [METHOD ...] [GATE ...]
        jaxmorph deform --job FILE""",
         DEFORM,
         DEFORM_SHORT,

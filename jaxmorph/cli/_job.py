@@ -15,7 +15,7 @@ from ._flags import GATES
 from ._groups import Group
 from ._parser import meant
 
-LISTS = ("fixed", "symmetry", "free")
+LISTS = ("fixed", "symmetry", "free", "sliding", "periodic")
 VALUES = ("method", "sources", "steps", "chunk", "dtype", "preset", "picture", *GATES)
 SWITCHES = {"allow_inverted": True, "dry_run": False}
 """Names that are either true or false, and the value that has a flag."""

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
+from jaxmorph import io
 
 from ._requests import Method, PatchNames
 
@@ -79,7 +80,7 @@ def about(sources: int, wall: Float[np.ndarray, "m d"]) -> jm.AbstractReduction:
 
 @dataclasses.dataclass(frozen=True)
 class Patches:
-    """A mesh, the names of the patches that move, stay, slide and follow, and the planes of those that slide."""
+    """A mesh, the names of the patches that move, stay, lie in a plane, follow and slide, the planes, and periodic pairs."""
 
     mesh: jm.Mesh
     moving: tuple[str, ...]
@@ -87,6 +88,8 @@ class Patches:
     symmetry: tuple[str, ...]
     free: tuple[str, ...]
     planes: tuple[jm.Plane, ...]
+    sliding: tuple[str, ...]
+    periodic: tuple[jm.Periodic, ...]
 
     @property
     def nodes(self) -> Int[np.ndarray, " m"]:
@@ -99,7 +102,7 @@ class Patches:
 
     def explained(self, error: jm.MeshError) -> ValueError:
         """Adds to an error the patches in no list that hold the nodes at fault."""
-        named = {*self.moving, *self.fixed, *self.symmetry}
+        named = {*self.moving, *self.fixed, *self.symmetry, *self.sliding}
         left = [name for name in self.mesh.patches if name not in named]
         left = [name for name in left if np.isin(error.nodes, self.mesh.patch(name)).any()]
         others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
@@ -112,13 +115,15 @@ class Patches:
     def chunks(self, choice: NamedMethod, size: int | None = None) -> jm.Chunks:
         """Cuts the mesh into parts of `size` inner nodes. Raises the `ValueError` of `explained`, and one for unnamed patches."""
         mesh, surface = self.mesh.moved(self.points(choice)), (self.moving, self.fixed)
-        method, planes = choice.method, self.planes
+        kept = {"symmetry": self.planes, "sliding": self.sliding, "periodic": self.periodic, "free": self.free}
         try:
-            chunks = jm.prepare_in_chunks(mesh, *surface, size=size, method=method, symmetry=planes, free=self.free)
+            chunks = jm.prepare_in_chunks(mesh, *surface, size=size, method=choice.method, **kept)
         except jm.MeshError as error:
             raise self.explained(error) from None
         if chunks.free_faces is not None and chunks.free_faces.patches:
-            raise ValueError(f"{chunks.free_faces} Name them by --fixed, --moving or --symmetry, or by --free.")
+            raise ValueError(
+                f"{chunks.free_faces} Name them by --fixed, --moving, --symmetry, --sliding or --periodic, or by --free."
+            )
         return chunks
 
     def plan(self, chunks: jm.Chunks) -> jm.Plan:
@@ -136,16 +141,21 @@ def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
     """
     known = ", ".join(mesh.patches) or "none"
     for option, names, do in (("--moving", surface.moving, "move"), ("--fixed", surface.fixed, "stay")):
+        if not names and do == "stay" and surface.sliding:
+            continue
         if not names:
             raise ValueError(f"{option} is missing: name the patches that {do}; this mesh has: {known}.")
         if not len(mesh.patch(*names)):
             raise ValueError(f"{option} {' '.join(names)}: there are no nodes in it.")
     moving, symmetry = mesh.patch_names(*surface.moving), mesh.patch_names(*surface.symmetry)
+    sliding, free = mesh.patch_names(*surface.sliding), mesh.patch_names(*surface.free)
     both = sorted(set(moving) & set(surface.fixed))
     if both:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
     fixed = mesh.patch_names(*surface.fixed)
-    fixed = tuple(name for name in fixed if name in surface.fixed or name not in {*moving, *symmetry})
+    periodic = _periodic(surface, mesh, {*moving, *surface.fixed, *symmetry, *sliding, *free})
+    elsewhere = {*moving, *symmetry, *sliding, *(str(each) for pair in periodic for each in (pair.patch, pair.partner))}
+    fixed = tuple(name for name in fixed if name in surface.fixed or name not in elsewhere)
     if not len(mesh.cells):
         raise ValueError(f"{file}: the mesh has no cells.")
     planes = []
@@ -154,7 +164,17 @@ def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
             planes.append(jm.Plane.through(np.asarray(mesh.points), mesh.patch(name)))
         except ValueError as error:
             raise ValueError(f"--symmetry {name}: {error}") from None
-    return Patches(mesh, moving, fixed, symmetry, mesh.patch_names(*surface.free), tuple(planes))
+    return Patches(mesh, moving, fixed, symmetry, free, tuple(planes), sliding, periodic)
+
+
+def _periodic(surface: PatchNames, mesh: jm.Mesh, named: set[str]) -> tuple[jm.Periodic, ...]:
+    """Lists the pairs that are named, and those of the file of which no patch is in another list."""
+    if len(surface.periodic) % 2:
+        raise ValueError(f"--periodic {' '.join(surface.periodic)}: name pairs of patches, one after the other.")
+    pairs = list(zip(surface.periodic[::2], surface.periodic[1::2], strict=True))
+    known = {*named, *surface.periodic}
+    of_file = [each for each in io.periodic(mesh) if not {str(each.patch), str(each.partner)} & known]
+    return (*(jm.Periodic(*(mesh.patch_names(name)[0] for name in pair)) for pair in pairs), *of_file)
 
 
 def in_double(

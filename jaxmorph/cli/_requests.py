@@ -14,12 +14,14 @@ from ._parser import quoted
 
 @dataclasses.dataclass(frozen=True)
 class PatchNames:
-    """Patches that move, stay, slide, and follow like inner nodes: names, patterns or groups."""
+    """Patches that move, stay, lie in a plane, follow like inner nodes, slide, and repeat: names, patterns or groups."""
 
-    moving: tuple[str, ...]
-    fixed: tuple[str, ...]
-    symmetry: tuple[str, ...]
-    free: tuple[str, ...]
+    moving: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+    symmetry: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+    sliding: tuple[str, ...] = ()
+    periodic: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,7 +153,7 @@ def _sensitivity(arguments: argparse.Namespace) -> Sensitivity:
         if arguments.set:
             raise ValueError("--set without --job: it names design variables of a job.")
         return Sensitivity(*files, surface, method, None)
-    if (surface, method) != (PatchNames((), (), (), ()), Method()):
+    if (surface, method) != (PatchNames(), Method()):
         raise ValueError("--job says what moves and how; flags of patches and methods beside it make no sense.")
     words = ["deform", str(arguments.file), str(arguments.file), "--job", str(arguments.job)]
     job = _deform(parser()[0].parse_args(quoted(with_job(words))))
@@ -160,7 +162,8 @@ def _sensitivity(arguments: argparse.Namespace) -> Sensitivity:
 
 
 def _surface(arguments: argparse.Namespace, moving: Sequence[str]) -> PatchNames:
-    return PatchNames(tuple(moving), tuple(arguments.fixed), tuple(arguments.symmetry), tuple(arguments.free))
+    kinds = ("fixed", "symmetry", "free", "sliding", "periodic")
+    return PatchNames(tuple(moving), *(tuple(getattr(arguments, kind)) for kind in kinds))
 
 
 def _method(arguments: argparse.Namespace) -> Method:
