@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import full
+from cases import BY_NAME, full
 from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
@@ -218,3 +218,42 @@ def test_what_does_not_slide():
     halves = [bricks.patch("shroud")[bricks.points[bricks.patch("shroud"), 0] * side >= -1e-9] for side in (1, -1)]
     with pytest.raises(ValueError, match=r"without an edge between them\. Let them slide as one"):
         jm.prepare(bricks, "hub", ("bottom", "top"), sliding=[jm.Slide(half, AXIS) for half in halves], method=TPS)
+
+
+WITH_EVERY_METHOD = ("default", "delaunay", "reduced", "laplacian", "inverse-distance")
+
+
+@functools.cache
+def duct():
+    """The square with a hole between a floor and a ceiling that slide, and two ends that repeat each other."""
+    mesh = box(6)
+    ends = [mesh.patch(name) for name in ("left", "right")]
+    return mesh, ends, {"sliding": ("bottom", "top"), "periodic": jm.Periodic("left", "right")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WITH_EVERY_METHOD)
+def test_methods_between_sliding_and_periodic_patches(name):
+    """The wrappers keep the laws of the contract, whatever the method: exact or not, on cells or not, linear or not."""
+    mesh, (left, right), wrapped = duct()
+    points, method = mesh.points, BY_NAME[name].make(1.0)
+    corners = np.flatnonzero((np.abs(points) == 3).all(axis=1))[:2]  # something holds the floor
+    held = np.concatenate([corners, right[np.isin(points[right, 1], points[corners, 1])]])
+    plan = jm.prepare(mesh, mesh.patch("hole"), np.unique(held), method=method, **wrapped)
+    assert plan.is_linear is method.linear
+    u = 0.2 * np.sin(points[plan.moving] + np.array([0.3, 1.0]))
+    moved = np.asarray(jm.deform(plan, u))
+    d = moved - points
+    np.testing.assert_allclose(d[left], d[right], rtol=0, atol=1e-14)
+    for side in ("bottom", "top"):
+        assert (d[mesh.patch(side), 1] == 0).all()
+    assert np.abs(d[plan.guided]).max() > 1e-3
+    if method.exact:
+        assert (moved[plan.moving] == points[plan.moving] + u).all()
+        assert (d[plan.fixed] == 0).all()
+    assert (jm.deform(plan, 0 * u) == points).all()
+    v, w = np.random.default_rng(0).normal(size=u.shape), np.random.default_rng(1).normal(size=points.shape)
+    pushed, h = np.asarray(jm.velocity(plan, u, v)), 1e-6
+    difference = (np.asarray(jm.deform(plan, u + h * v)) - np.asarray(jm.deform(plan, u - h * v))) / (2 * h)
+    np.testing.assert_allclose(pushed, difference, rtol=0, atol=1e-6 * np.abs(pushed).max())
+    np.testing.assert_allclose(np.vdot(jm.pullback(plan, u, w), v), np.vdot(w, pushed), rtol=1e-8)

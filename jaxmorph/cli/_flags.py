@@ -186,9 +186,9 @@ def _fixed(add: Add) -> None:
     what = "plane patches in which nodes slide (one or two)"
     add("--symmetry", everyday=True, metavar="NAME", nargs="+", default=[], help=what)
     what = "patches whose nodes move along their faces"
-    add("--sliding", everyday=True, metavar="NAME", nargs="+", action="extend", default=[], help=what)
+    add("--sliding", metavar="NAME", nargs="+", action="extend", default=[], help=what)
     what = "pairs of patches of which the second repeats the first, one name after the other"
-    add("--periodic", everyday=True, metavar="NAME", nargs="+", action="extend", default=[], help=what)
+    add("--periodic", metavar="NAME", nargs="+", action="extend", default=[], help=what)
     what = "patches that may leave their place: their nodes follow like inner ones"
     add("--free", metavar="NAME", nargs="+", action="extend", default=[], help=what)
 

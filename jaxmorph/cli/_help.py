@@ -179,8 +179,7 @@ PAGES = {
     "deform": Page(
         "move patches of a mesh, and the mesh with them",
         """IN OUT --moving NAME ... MOTION ... [--moving ...]
-           --fixed NAME ... [--symmetry NAME ...] [--sliding NAME ...]
-           [--periodic NAME NAME ...] [METHOD ...] [GATE ...]
+           --fixed NAME ... [--symmetry NAME ...] [METHOD ...] [GATE ...]
        jaxmorph deform --job FILE""",
         DEFORM,
         DEFORM_SHORT,

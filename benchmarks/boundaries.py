@@ -1,0 +1,116 @@
+"""Boundaries that slide or repeat, against the same ones held: a block that turns in a box, a blade in a cascade, a blade tip.
+
+    python benchmarks/boundaries.py
+
+Each line: inverted cells, smallest Jacobian ratio, and the first angle that inverts a cell, in one step.
+"""
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+jax.config.update("jax_enable_x64", True)
+
+
+def block(cells: int = 25) -> jm.Mesh:
+    """Makes a square of unit quads with a hole of five by five in the middle, its origin there."""
+    points = np.stack(np.meshgrid(*[np.arange(cells + 1.0)] * 2, indexing="ij"), axis=-1).reshape(-1, 2) - cells / 2
+    ids = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = quads[(np.abs(points[quads].mean(axis=1)) > 2.5).any(axis=1)]
+    used, quads = np.unique(quads, return_inverse=True)
+    points = points[used]
+    patches = {"block": np.flatnonzero((np.abs(points) <= 2.5).all(axis=1))}
+    for name, axis, side in (("left", 0, -1), ("right", 0, 1), ("bottom", 1, -1), ("top", 1, 1)):
+        patches[name] = np.flatnonzero(points[:, axis] == side * cells / 2)
+    return jm.Mesh(points, {"quad": quads.reshape(-1, 4)}, patches)
+
+
+def tip(layers: int = 5, gap: float = 0.01) -> jm.Mesh:
+    """Makes bricks between a blade's tip, a plate of 0.5 by 0.2 at radius 2 - gap, and a shroud at radius 2 about x."""
+    x, angle = np.linspace(-1, 1, 25), np.linspace(-0.4, 0.4, 25)
+    r = np.concatenate([np.linspace(1, 2 - gap, 13), 2 - gap + gap * np.arange(1, layers + 1) / layers])
+    r, angle, x = np.meshgrid(r, angle, x, indexing="ij")
+    points = np.stack([x, r * np.sin(angle), r * np.cos(angle)], axis=-1).reshape(-1, 3)
+    ids = np.arange(r.size).reshape(r.shape)
+    low = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
+    cells = np.stack([each[..., :-1] for each in low] + [each[..., 1:] for each in low], axis=-1).reshape(-1, 8)
+    middle = np.stack([each.ravel()[cells].mean(axis=1) for each in (x, angle, r)], axis=1)
+    cells = cells[~((np.abs(middle[:, 0]) < 0.25) & (np.abs(middle[:, 1]) < 0.05) & (middle[:, 2] < 2 - gap))]
+    used, cells = np.unique(cells, return_inverse=True)
+    points, x, angle, r = points[used], *(each.ravel()[used] for each in (x, angle, r))
+    close = 1e-9
+    blade = (np.abs(x) <= 0.25 + close) & (np.abs(angle) <= 0.4 / 6 + close) & (r <= 2 - gap + close)
+    patches = {"blade": blade, "shroud": r == r.max(), "hub": (r == 1) & ~blade}
+    patches |= {"inlet": x == -1, "outlet": x == 1, "left": angle == angle.min(), "right": angle == angle.max()}
+    return jm.Mesh(points, {"hexahedron": cells.reshape(-1, 8)}, {k: np.flatnonzero(v) for k, v in patches.items()})
+
+
+def judge(name: str, mesh: jm.Mesh, plan: jm.Plan, motion: Callable[[float], np.ndarray], angle: float, step: float):
+    """Prints how the mesh fares at an angle, and from which angle on cells are inverted."""
+    report = jm.quality(mesh, jm.deform(plan, motion(angle)))
+    limit = angle
+    inverted = int(report.inverted) > 0
+    while (int(jm.quality(mesh, jm.deform(plan, motion(limit))).inverted) > 0) == inverted and 0 < limit < 180:
+        limit += -step if inverted else step
+    first = limit + step if inverted else limit
+    print(
+        f"{name:34} {angle:5.0f} deg: {int(report.inverted):4} inverted, smallest {float(report.min_jacobian_ratio):6.3f}; "
+        f"first at {first:.0f} deg",
+        flush=True,
+    )
+
+
+def main() -> None:
+    mesh, sides = block(), ["left", "right", "bottom", "top"]
+    base = mesh.points[mesh.patch("block")]
+
+    def turned(degrees):
+        return np.asarray(jm.shapes.rotate(base, np.radians(degrees), about=(0, 0))) + 2.5 * degrees / 60 - base
+
+    judge("block, sides held", mesh, jm.prepare(mesh, "block", sides), turned, 60, 2)
+    judge("block, sides slide", mesh, jm.prepare(mesh, "block", sliding=sides), turned, 60, 2)
+
+    passage = cases.cascade(around=160, layers=40, first_cell=1e-3, periodic=True)
+    blade, ends = np.asarray(passage.points)[passage.patch("blade")], ("inlet", "outlet")
+
+    def pitched(degrees):
+        return np.asarray(jm.shapes.rotate(blade, np.radians(degrees), about=(0.5, 0))) - blade
+
+    for kind, method in (("", None), (", Wendland C2", jm.RBF.classic(jm.WendlandC2(2.0), degree=None))):
+        held = jm.prepare(passage, "blade", (*ends, "lower", "upper"), method=method)
+        judge(f"cascade, sides held{kind}", passage, held, pitched, 15, 1)
+        pair = jm.Periodic("lower", "upper")
+        plan = jm.prepare(passage, "blade", ends, periodic=pair, method=method)
+        judge(f"cascade, sides repeat{kind}", passage, plan, pitched, 15, 1)
+
+    stage = tip()
+    nodes = np.asarray(stage.points)[stage.patch("blade")]
+
+    def twisted(degrees):
+        share = (np.linalg.norm(nodes[:, 1:], axis=1) - 1)[:, None]
+        angle = np.radians(degrees) * share[:, 0]
+        bend = 0.05 * degrees / 10 * share * nodes[:, :1] ** 2 * np.array([[0, 1, 0]])
+        tilted = np.asarray(jm.shapes.rotate(nodes, angle, about=(0, 0, 0), axis=(0, 0, 1))) + bend
+        radius = np.linalg.norm(nodes[:, 1:], axis=1) / np.linalg.norm(tilted[:, 1:], axis=1)
+        tilted[:, 1:] *= radius[:, None]  # the tip keeps its gap
+        return tilted - nodes
+
+    pair = jm.Periodic("left", "right", axis=(1, 0, 0))
+    fixed = ("hub", *ends)
+    held = jm.prepare(stage, "blade", (*fixed, "left", "right", "shroud"))
+    judge("blade tip, all held", stage, held, twisted, 10, 1)
+    slide = jm.Slide("shroud", jm.Revolution((1, 0, 0)))
+    plan = jm.prepare(stage, "blade", fixed, sliding=slide, periodic=pair)
+    judge("blade tip, shroud slides, sides repeat", stage, plan, twisted, 10, 1)
+    moved = np.asarray(jm.deform(plan, twisted(10)))
+    off = np.abs(np.linalg.norm(moved[stage.patch("shroud"), 1:], axis=1) - 2).max()
+    print(f"off the shroud {off:.1e}")
+
+
+if __name__ == "__main__":
+    main()
