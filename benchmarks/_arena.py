@@ -28,7 +28,7 @@ class Case:
 
     @property
     def wall(self) -> np.ndarray:
-        return self.mesh.points[self.mesh.patch(self.moving)]
+        return np.asarray(self.mesh.points)[self.mesh.patch(self.moving)]
 
 
 def thicker(base: np.ndarray, amount: float) -> np.ndarray:

@@ -5,7 +5,7 @@ python -m benchmarks.championship [--points 2000] [--case C-grid ...] [--method 
 
 `--write FOLDER` writes, for another tool, each case and motion as CASE/MOTION.npz: `points` (n, d), `moving` (m,) and `fixed` (f,)
 node ids, `u` (m, d), and `cells_TYPE` (k, corners). `--entry NAME=FOLDER` reads that tool's CASE/MOTION.npz, each with `points`
-(n, d), its moved points, and judges them in the same table.
+(n, d), its moved points, and judges them in the same table, if the wall is where it belongs.
 
 The JSON file is {"format": "jaxmorph championship", "version": 1, "points": ..., "rows": [...]}. A row has `case`, `motion`,
 `method`, and numbers, each null where it was not measured: `inverted` cells; `max_skewness`, `mean_skewness` (by area);
@@ -23,6 +23,7 @@ import resource
 import sys
 import time
 import warnings
+from typing import Any
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
 
@@ -91,7 +92,7 @@ def rows_of(case: Case, name: str) -> list[dict]:
     try:
         plan = case.plan(METHODS[name](size))
     except ValueError as error:
-        return [row(case, motion, name, error=str(error)[:200]) for motion in case.motions]
+        return [row(case, motion, name, {}, str(error)[:200]) for motion in case.motions]
     rows, setup = [], time.process_time() - began
     for motion, make in case.motions.items():
         u = make(case.wall, 1.0)
@@ -100,11 +101,11 @@ def rows_of(case: Case, name: str) -> list[dict]:
         )
         numbers["behind"] = overshoot(plan, u)[1]
         numbers["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-        rows.append(row(case, motion, name, **numbers))
+        rows.append(row(case, motion, name, numbers))
     return rows
 
 
-def row(case: Case, motion: str, method: str, error: str | None = None, **numbers: float) -> dict:
+def row(case: Case, motion: str, method: str, numbers: dict[str, float], error: str | None = None) -> dict:
     known = dict.fromkeys(NUMBERS) | {key: value if np.isfinite(value) else None for key, value in numbers.items()}
     return {"case": case.name, "motion": motion, "method": method, "error": error} | known
 
@@ -115,22 +116,26 @@ def place(folder: pathlib.Path, case: Case, motion: str) -> pathlib.Path:
 
 def write(folder: pathlib.Path, case: Case) -> None:
     """Writes the motions of a case for another tool."""
-    ids = {"moving": case.mesh.patch(case.moving), "fixed": case.mesh.patch(*case.fixed)}
-    cells = {f"cells_{kind}": corners for kind, corners in case.mesh.cells.items()}
+    arrays: dict[str, Any] = {f"cells_{kind}": corners for kind, corners in case.mesh.cells.items()}
+    arrays |= {"moving": case.mesh.patch(case.moving), "fixed": case.mesh.patch(*case.fixed)}
     for motion, make in case.motions.items():
         file = place(folder, case, motion)
         file.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(file, points=case.mesh.points, u=make(case.wall, 1.0), **ids, **cells)
+        np.savez(file, points=case.mesh.points, u=make(case.wall, 1.0), **arrays)
 
 
 def entered(name: str, folder: pathlib.Path, case: Case) -> list[dict]:
     """Judges another tool's moved points."""
     rows = []
-    for motion in case.motions:
+    for motion, make in case.motions.items():
         file = place(folder, case, motion)
         if file.exists():
             with np.load(file) as data:
-                rows.append(row(case, motion, name, **quality(case, data["points"])))
+                points = data["points"]
+            u = make(case.wall, 1.0)
+            miss = np.abs(points[case.mesh.patch(case.moving)] - case.wall - u).max() / np.abs(u).max()
+            error = f"the wall misses its motion by {miss:.2g} of it" if not miss <= 1e-6 else None
+            rows.append(row(case, motion, name, {} if error else quality(case, points), error))
     return rows
 
 
