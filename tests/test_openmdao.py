@@ -92,7 +92,47 @@ def test_totals_through_a_model(plan, mode):
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch):
-    monkeypatch.delitem(sys.modules, "jaxmorph.integrations.openmdao", raising=False)
+    for module in ("_traced", "openmdao"):
+        monkeypatch.delitem(sys.modules, f"jaxmorph.integrations.{module}", raising=False)
     monkeypatch.setitem(sys.modules, "openmdao.api", None)
     with pytest.raises(ImportError, match=r"needs openmdao: pip install 'jaxmorph\[openmdao\]'"):
         import jaxmorph.integrations.openmdao  # noqa: F401
+
+
+def bend(x, p):
+    """A nonlinear shape of a dict of parameters."""
+    from jaxmorph import shapes
+
+    return shapes.rotate(x, p["turn"]["angle"], [0.1, 0.0]) + p["shift"][None, :] * x[:, :1] ** 2
+
+
+def test_a_shape_passes_openmdaos_check_and_moves_the_mesh(plan):
+    """In a model with the mesh: displacements, positions, and the gradient of the volume by the shape's parameters."""
+    from jaxmorph import shapes
+    from jaxmorph.integrations.openmdao import ShapeDisplacement
+
+    shape = shapes.Function(bend, {"turn": {"angle": 0.0}, "shift": np.zeros(2)})
+    given = {"turn": {"angle": 0.2}, "shift": np.array([0.05, -0.02])}
+    problem = om.Problem(reports=False)
+    model = problem.model
+    model.add_subsystem("shape", ShapeDisplacement(shape=shape, plan=plan), promotes=["*"])
+    model.add_subsystem("wall", ShapeDisplacement(shape=bend, plan=plan, parameters=given, positions=True, flat=True))
+    model.add_subsystem("mesh", component(plan=plan), promotes=["*"])
+    problem.setup()
+    np.testing.assert_array_equal(problem.get_val("displacements"), 0)
+    problem.set_val("turn:angle", 0.2)
+    problem.set_val("shift", given["shift"])
+    problem.run_model()
+    u = shapes.displacement(shape, plan, given)
+    np.testing.assert_allclose(problem.get_val("points"), jm.deform(plan, u), atol=1e-15)
+    expected = np.asarray(plan.points)[np.asarray(plan.moving)] + u
+    np.testing.assert_allclose(problem.get_val("wall.positions"), np.ravel(expected), atol=1e-15)
+    data = problem.check_partials(out_stream=None, includes=["shape", "wall"], method="fd", form="central", step=1e-5)
+    for name, out in (("shape", "displacements"), ("wall", "positions")):
+        for entry in (data[name][out, "turn:angle"], data[name][out, "shift"]):
+            for mode in ("J_fwd", "J_rev"):
+                np.testing.assert_allclose(entry[mode], entry["J_fd"], atol=1e-8)
+    bare = om.Problem(reports=False)
+    bare.model.add_subsystem("shape", ShapeDisplacement(shape=bend, plan=plan))
+    with pytest.raises(ValueError, match="`parameters` is missing"):
+        bare.setup()

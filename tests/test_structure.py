@@ -22,6 +22,7 @@ OPTIONAL = (
     "platformdirs",
     "openmdao",
     "pyamg",
+    "mphys",
 )
 
 FLOORS = (

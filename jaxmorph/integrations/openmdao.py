@@ -1,9 +1,4 @@
-"""An OpenMDAO component that moves a mesh: displacements of its surface in, points of its volume out."""
-
-try:
-    import openmdao.api as om
-except ImportError as error:
-    raise ImportError("this component needs openmdao: pip install 'jaxmorph[openmdao]'") from error
+"""OpenMDAO components: from design variables to displacements of a surface, and from these to points of the volume."""
 
 from typing import Any
 
@@ -11,12 +6,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float, PyTree
 
 import jaxmorph as jm
+from jaxmorph import shapes
+
+from ._traced import TracedComponent
 
 
-class MeshDeformation(om.ExplicitComponent):
+class MeshDeformation(TracedComponent):
     """Wraps `jaxmorph.deform` as an explicit component, whose derivatives are products without a matrix.
 
     The input `displacements` (m, d) is zero at first; its row i moves node `plan.moving[i]`. The output `points` (n, d) are all
@@ -44,34 +42,99 @@ class MeshDeformation(om.ExplicitComponent):
 
     def setup(self) -> None:
         plan, flat, units = self.options["plan"], self.options["flat"], self.options["units"]
-        self._shape = plan.n_moving, plan.points.shape[1]
-        rest: Any = np.zeros(self._shape)
+        rest: Any = np.zeros((plan.n_moving, plan.points.shape[1]))
         points: Any = np.asarray(plan.points, dtype=float)
         self.add_input("displacements", val=rest.ravel() if flat else rest, units=units)
         self.add_output("points", val=points.ravel() if flat else points, units=units)
 
-    def compute(self, inputs, outputs, discrete_inputs=None, discrete_outputs=None) -> None:
-        points = jm.deform(self.options["plan"], self._rows(inputs["displacements"]))
-        outputs["points"] = np.asarray(points).reshape(outputs["points"].shape)
-
-    def compute_jacvec_product(
-        self, inputs, d_inputs, d_outputs, mode, discrete_inputs=None, discrete_outputs=None
-    ) -> None:
-        if "displacements" not in d_inputs or "points" not in d_outputs:
-            return
-        plan, u = self.options["plan"], self._rows(inputs["displacements"])
-        du, dpoints = d_inputs["displacements"], d_outputs["points"]
-        if mode == "fwd":
-            dpoints += np.asarray(_product(plan, u, self._rows(du))).reshape(dpoints.shape)
-        else:
-            du += np.asarray(jm.pullback(plan, u, dpoints.reshape(plan.points.shape))).reshape(du.shape)
-
-    def _rows(self, displacements: np.ndarray) -> Float[np.ndarray, "m d"]:
-        return np.asarray(displacements).reshape(self._shape)
+    def traced(self) -> "_Deformed":
+        """Returns `deform` of the plan."""
+        return _Deformed(self.options["plan"])
 
 
-@eqx.filter_jit
-def _product(plan: jm.Plan, u: Float[ArrayLike, "m d"], du: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
-    """Computes the derivative of `deform` along `du`."""
-    u, du = (jnp.asarray(values, plan.points.dtype) for values in (u, du))
-    return jax.jvp(lambda u: jm.deform(plan, u), (u,), (du,))[1]
+class ShapeDisplacement(TracedComponent):
+    """Computes the displacements of a plan's moving nodes, or their positions, from the parameters of a shape.
+
+    Each array of the parameters is an input by its name of `jaxmorph.shapes.names`, with colons for dots: `twist`, `wing:box`.
+    Parameters that are one array alone are called `parameters`. Inputs begin with neutral parameters. The output
+    `displacements` (m, d) is what `MeshDeformation` takes.
+
+        model.add_subsystem("shape", ShapeDisplacement(plan=plan, shape=wing), promotes=["*"])
+        model.add_subsystem("mesh", MeshDeformation(plan=plan), promotes=["*"])
+
+    **Arguments:** (options)
+
+    - `shape`: a shape of `jaxmorph.shapes`, or a function of positions and parameters.
+    - `plan`: what `jaxmorph.prepare` returned.
+    - `parameters`: those at the start; only a plain function needs them. Default None: `shape.neutral()`.
+    - `positions`: True makes the output `positions` (m, d) of the moving nodes instead. Default False.
+    - `flat`, `units`: of the output, as `MeshDeformation` has them.
+    """
+
+    def initialize(self) -> None:
+        self.options.declare("shape", types=object, recordable=False, desc="positions and parameters to positions")
+        self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
+        self.options.declare("parameters", default=None, recordable=False, desc="those at the start")
+        self.options.declare("positions", types=bool, default=False, desc="positions instead of displacements")
+        self.options.declare("flat", types=bool, default=False, desc="an output of one dimension")
+        self.options.declare("units", types=str, default=None, allow_none=True, desc="of the output")
+
+    def setup(self) -> None:
+        function, flat, units = self.traced(), self.options["flat"], self.options["units"]
+        parameters = add_parameters(self, function.parameters)
+        out: Any = np.asarray(function(parameters), float)
+        name = "positions" if self.options["positions"] else "displacements"
+        self.add_output(name, val=out.ravel() if flat else out, units=units)
+
+    def traced(self) -> "_Displaced":
+        """Returns the shape at the plan's moving nodes."""
+        shape, start = self.options["shape"], first_parameters(self.options["shape"], self.options["parameters"])
+        return _Displaced(shape, self.options["plan"], start, self.options["positions"])
+
+
+def first_parameters(shape: Any, given: PyTree) -> PyTree:
+    """Returns the given parameters, or neutral ones for None.
+
+    **Raises:** `ValueError` for a plain function and None.
+    """
+    if given is None and not hasattr(shape, "neutral"):
+        raise ValueError("`parameters` is missing: a plain function does not tell its own. Or take `shapes.Function`.")
+    return shape.neutral() if given is None else given
+
+
+def add_parameters(component: Any, parameters: PyTree, **options: Any) -> dict[str, Float[np.ndarray, "..."]]:
+    """Adds an input to a component for each array of parameters, and returns the arrays by their inputs' names."""
+    arrays = {name: np.asarray(leaf, float) for name, leaf in _inputs(parameters)}
+    for name, values in arrays.items():
+        component.add_input(name, val=values, **options)
+    return arrays
+
+
+def from_inputs(parameters: PyTree, values: dict[str, Any]) -> PyTree:
+    """Collects parameters from inputs: arrays by name to the structure of `parameters`."""
+    leaves = [jnp.reshape(values[name], np.shape(leaf)) for name, leaf in _inputs(parameters)]
+    return jax.tree.unflatten(jax.tree.structure(parameters), leaves)
+
+
+def _inputs(parameters: PyTree) -> list[tuple[str, Any]]:
+    paths = jax.tree_util.tree_flatten_with_path(parameters)[0]
+    return [(jax.tree_util.keystr(path, simple=True, separator=":") or "parameters", leaf) for path, leaf in paths]
+
+
+class _Deformed(eqx.Module):
+    plan: jm.Plan
+
+    def __call__(self, values: dict[str, Any]) -> Float[Array, "n d"]:
+        u = jnp.reshape(values["displacements"], (self.plan.n_moving, self.plan.points.shape[1]))
+        return jm.deform(self.plan, u)
+
+
+class _Displaced(eqx.Module):
+    shape: Any
+    plan: jm.Plan
+    parameters: PyTree
+    positions: bool
+
+    def __call__(self, values: dict[str, Any]) -> Float[Array, "m d"]:
+        u = shapes.displacement(self.shape, self.plan, from_inputs(self.parameters, values))
+        return self.plan.points[self.plan.moving] + u if self.positions else u

@@ -1,0 +1,143 @@
+"""MPhys builders: a shape as geometry, and a volume mesh that follows its wall."""
+
+try:
+    from mphys.core import Builder, MPhysVariables  # pyright: ignore[reportMissingImports]
+except ImportError as error:
+    raise ImportError("these builders need mphys: pip install 'jaxmorph[mphys]'") from error
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import openmdao.api as om
+from jaxtyping import Array, Float, PyTree
+
+import jaxmorph as jm
+
+from ._traced import TracedComponent
+from .openmdao import add_parameters, first_parameters, from_inputs
+
+SURFACE = MPhysVariables.Aerodynamics.Surface
+VOLUME = "aero_vol_coords"
+"""Name of the volume's coordinates (3 n,)."""
+
+
+class ShapeBuilder(Builder):
+    """Builds MPhys's geometry of a shape: the wall's coordinates in, moved coordinates out, design variables as inputs.
+
+    `get_mesh_coordinate_subsystem` is the component. Its input `x_aero0_geometry_input` takes the coordinates (3 m,) of any
+    solver, its output is `x_aero0_geometry_output`. A shape moves any positions: one builder serves solvers with different walls.
+
+    **Arguments:**
+
+    - `shape`: a shape of `jaxmorph.shapes` in 3-D, or a function of positions and parameters.
+    - `parameters`: those at the start; only a plain function needs them. Default: neutral ones.
+
+    Inputs are named as `ShapeDisplacement` names them.
+    """
+
+    def __init__(self, shape: Any, parameters: PyTree = None):
+        super().__init__()
+        self.shape, self.parameters = shape, first_parameters(shape, parameters)
+
+    def get_mesh_coordinate_subsystem(self, scenario_name=None) -> "Geometry":
+        """Makes the component."""
+        return Geometry(shape=self.shape, parameters=self.parameters)
+
+
+class VolumeBuilder(Builder):
+    """Builds a volume mesh that follows its wall, in place of an aerodynamic solver or within one's builder.
+
+    The mesh subsystem has the wall's coordinates `x_aero0_mesh` (3 m,). The coupling subsystem takes `x_aero` (3 m,) to the
+    coordinates `aero_vol_coords` (3 n,) of all nodes. Rows of the wall are `plan.moving`.
+
+    **Arguments:**
+
+    - `plan`: what `jaxmorph.prepare` returned for a mesh in 3-D.
+
+    **Raises:** `ValueError` for a mesh in 2-D, and by `initialize` on more than one process.
+    """
+
+    def __init__(self, plan: jm.Plan):
+        super().__init__()
+        if plan.points.shape[1] != 3:
+            raise ValueError(f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D.")
+        self.plan = plan
+
+    def initialize(self, comm) -> None:
+        """Checks that one process has it all."""
+        if comm.size > 1:
+            raise ValueError(f"a plan is whole on one process; there are {comm.size}.")
+
+    def get_mesh_coordinate_subsystem(self, scenario_name=None) -> om.IndepVarComp:
+        """Makes the component that has the wall's coordinates."""
+        wall: Any = np.asarray(self.plan.points[self.plan.moving], float).ravel()
+        component = om.IndepVarComp()
+        component.add_output(SURFACE.Mesh.COORDINATES, wall, distributed=True, units="m", tags=["mphys_coordinates"])
+        return component
+
+    def get_coupling_group_subsystem(self, scenario_name=None) -> "Volume":
+        """Makes the component that moves the volume."""
+        return Volume(plan=self.plan)
+
+    def get_number_of_nodes(self) -> int:
+        """Counts the wall's nodes."""
+        return self.plan.n_moving
+
+    def get_ndof(self) -> int:
+        """Returns 3: displacements have three components."""
+        return 3
+
+
+class Geometry(TracedComponent):
+    """Moves a wall's coordinates (3 m,) by a shape; `ShapeBuilder` makes it."""
+
+    def initialize(self) -> None:
+        self.options.declare("shape", types=object, recordable=False, desc="positions and parameters to positions")
+        self.options.declare("parameters", recordable=False, desc="those at the start")
+
+    def setup(self) -> None:
+        tags = ["mphys_coordinates"]
+        name = SURFACE.Geometry.COORDINATES_INPUT
+        self.add_input(name, shape_by_conn=True, distributed=True, units="m", tags=tags)
+        add_parameters(self, self.options["parameters"], tags=["mphys_input"])
+        self.add_output(SURFACE.Geometry.COORDINATES_OUTPUT, copy_shape=name, distributed=True, units="m", tags=tags)
+
+    def traced(self) -> "_Moved":
+        """Returns the shape."""
+        return _Moved(self.options["shape"], self.options["parameters"])
+
+
+class Volume(TracedComponent):
+    """Moves a volume's coordinates (3 n,) with its wall's (3 m,); `VolumeBuilder` makes it."""
+
+    def initialize(self) -> None:
+        self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
+
+    def setup(self) -> None:
+        points: Any = np.asarray(self.options["plan"].points, float)
+        wall, tags = points[np.asarray(self.options["plan"].moving)], ["mphys_coupling"]
+        self.add_input(SURFACE.COORDINATES, wall.ravel(), distributed=True, units="m", tags=["mphys_coordinates"])
+        self.add_output(VOLUME, points.ravel(), distributed=True, units="m", tags=tags)
+
+    def traced(self) -> "_Followed":
+        """Returns `deform` of the plan by positions."""
+        return _Followed(self.options["plan"])
+
+
+class _Moved(eqx.Module):
+    shape: Any
+    parameters: PyTree
+
+    def __call__(self, values: dict[str, Any]) -> Float[Array, " k"]:
+        x = jnp.reshape(values[SURFACE.Geometry.COORDINATES_INPUT], (-1, 3))
+        return self.shape(x, from_inputs(self.parameters, values)).ravel()
+
+
+class _Followed(eqx.Module):
+    plan: jm.Plan
+
+    def __call__(self, values: dict[str, Any]) -> Float[Array, " k"]:
+        u = jnp.reshape(values[SURFACE.COORDINATES], (-1, 3)) - self.plan.points[self.plan.moving]
+        return jm.deform(self.plan, u).ravel()
