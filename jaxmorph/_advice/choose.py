@@ -14,6 +14,7 @@ import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.reduction import KDTree
+from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface
 from .._methods.basis import WendlandC2
@@ -182,7 +183,7 @@ def _candidate(surface: Surface, columns: np.ndarray, count: int, with_radius: b
     }
 
 
-@eqx.filter_jit
+@compiled
 def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
     """Searches the logarithm of the radius over the extent."""
 
@@ -195,7 +196,7 @@ def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
     return optx.minimise(loss, optx.GoldenSearch(0.02, 0.02), start, options=bounds, max_steps=30, throw=False).value
 
 
-@eqx.filter_jit
+@compiled
 def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Computes the root mean square of the error on the surface; and the size of the weights times the unit of rounding."""
     field = rbf.field(ids, rbf.fit(ids, points, points), points, values)

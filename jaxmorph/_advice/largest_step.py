@@ -1,14 +1,11 @@
 """The largest step of a surface in a direction before a cell breaks a bound: exact, for the mesh moves linearly."""
 
 import dataclasses
-import functools
 import itertools
-from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import ArrayLike, Float
 
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan, deform
@@ -60,13 +57,11 @@ def largest_step(
         raise ValueError(f"min_jacobian_ratio={min_jacobian_ratio} lies from 0 to 1, max_step={max_step} above 0.")
     if np.shape(direction) != np.shape(u):
         raise ValueError(f"`direction` has shape {np.shape(direction)}, `u` {np.shape(u)}.")
-    base = jnp.asarray(mesh.points, plan.points.dtype)
-    start = places(mesh, deform(plan, u))
-    end = deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction))
-    kinds, cells = tuple(mesh.cells), tuple(jnp.asarray(ids) for ids in mesh.cells.values())
+    start = np.asarray(places(mesh, deform(plan, u)))
+    end = np.asarray(deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction)))
     best, worst, offset = 1.0, -1, 0
-    for kind, ids, standard in zip(kinds, cells, standards_of(kinds, cells, base), strict=True):
-        values = _polynomials(kind, start, end, ids) * np.asarray(standard.sign)
+    for (kind, ids), standard in zip(mesh.cells.items(), standards_of(mesh, plan.points.dtype), strict=True):
+        values = _polynomials(kind, start, end, np.asarray(ids)) * np.asarray(standard.sign)
         bound = min_jacobian_ratio * np.asarray(standard.jacobian)
         values[0] -= bound
         judged = np.asarray(standard.is_judged)
@@ -78,16 +73,15 @@ def largest_step(
     return LargestStep(best * max_step, worst)
 
 
-def _polynomials(kind: str, start: Float[Array, "n d"], end: Float[Array, "n d"], ids: Array) -> np.ndarray:
+def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """Finds the coefficients (4, s, k), lowest first, of corner Jacobians over t from 0 to 1, from four values."""
     places = np.arange(4) / 3
-    samples = [np.asarray(_jacobians(kind, start + t * (end - start), ids)) for t in places]
+    samples = [_jacobians(kind, start + t * (end - start), ids) for t in places]
     inverse = np.linalg.inv(np.vander(places, increasing=True))
     return np.tensordot(inverse, np.stack(samples).astype(float), axes=1)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def _jacobians(kind: str, points: Float[Array, "n d"], ids: Any) -> Float[Array, "s k"]:
+def _jacobians(kind: str, points: Float[np.ndarray, "n d"], ids: np.ndarray) -> Float[np.ndarray, "s k"]:
     relative, _ = measures.relative_corners(corners(points, ids))
     return measures.jacobians(kind, relative)[0]
 

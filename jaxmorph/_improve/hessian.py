@@ -87,7 +87,7 @@ def _descending(values: list[Scalar], vectors: list[Vector]) -> list[Vector]:
 
 def _image(columns: list[Vector], x: Vector) -> Vector:
     parts = [column * component for column, component in zip(columns, x.components, strict=True)]
-    return sum(parts[1:], start=parts[0])
+    return functools.reduce(Vector.__add__, parts)
 
 
 def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:

@@ -14,6 +14,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Integer, Real
 from .._host.adjacency import neighbours
 from .._host.errors import MeshError
 from .._host.topology import FACES, solid
+from .._kernels.compile import compiled
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from .._plan.door import node_ids
@@ -128,7 +129,7 @@ def improve(
     return Improvement(moved, before, after, value / cells, jnp.max(jnp.abs(slope)), jnp.asarray(count), cells)
 
 
-@eqx.filter_jit
+@compiled
 def _minimise(distortion: Distortion, y, base, blocks, options):
     """Runs one stage from y; where it is not wanted, it returns y as it is."""
     wanted, (relative, absolute), max_steps, progress = options
@@ -156,7 +157,7 @@ def _minimise(distortion: Distortion, y, base, blocks, options):
     return jax.lax.cond(wanted, minimum, lambda y: (y, jnp.asarray(0)), y)
 
 
-@eqx.filter_jit
+@compiled
 def _slope(distortion: Distortion, y, base):
     return jax.value_and_grad(distortion)(y, base)
 
@@ -198,7 +199,7 @@ def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float):
     return jax.lax.stop_gradient(distortion), pattern(list(cells.values()), n, d)
 
 
-@eqx.filter_jit
+@compiled
 def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[Array, " n"], ideal: bool, size: float):
     targets = {kind: target(kind, corners(reference, ids), ideal) for kind, ids in cells.items()}
     scale = node_scales(cells, targets, len(reference))

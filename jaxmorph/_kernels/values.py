@@ -1,22 +1,46 @@
-"""Gives what JAX leaves to its callers: roots with a finite derivative at zero, and whether a value can be read."""
+"""Gives what JAX leaves to its callers: roots with a finite derivative at zero, and one formula for NumPy and for JAX."""
 
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+Either = Any
+"""An array of JAX or of NumPy: a formula that takes `namespace` of it serves both. Type checkers know no operations of both."""
 
 
-def root(squared: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def namespace(array: Any) -> Any:
+    """Returns NumPy for an array of NumPy, whose formulas need no compilation, and `jax.numpy` for any other."""
+    return np if isinstance(array, np.ndarray | np.generic) else jnp
+
+
+def constant(values: Either) -> Either:
+    """Returns the values without their derivative."""
+    return values if isinstance(values, np.ndarray) else jax.lax.stop_gradient(values)
+
+
+def on_host(*values: Any) -> bool:
+    """Tells whether values are best computed by NumPy: they can be read, and lie in the host's memory."""
+    leaves = jax.tree.leaves(values)
+    return is_known(leaves) and all(
+        leaf.sharding.is_fully_addressable and all(device.platform == "cpu" for device in leaf.devices())
+        for leaf in leaves
+        if isinstance(leaf, jax.Array)
+    )
+
+
+def root(squared: Float[Either, "*shape"]) -> Float[Either, "*shape"]:
     """Computes the square root; its derivative at zero is zero."""
-    positive = squared > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
+    xp, positive = namespace(squared), squared > 0
+    return xp.where(positive, xp.sqrt(xp.where(positive, squared, 1)), 0)
 
 
-def norm(vectors: Float[Array, "*shape d"]) -> Float[Array, "*shape"]:
+def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
     """Computes Euclidean lengths; their derivative at zero is zero."""
-    return root(jnp.sum(vectors**2, axis=-1))
+    return root(namespace(vectors).sum(vectors**2, axis=-1))
 
 
 def is_known(*values: Any) -> bool:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.graded import Graded
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
+from .._kernels.compile import compiled
 from .._kernels.product import few_rows_times
 from .base import BLOCK, AbstractField, AbstractMethod, Surface, check_kind
 from .basis import AbstractBasis, ThinPlateSpline
@@ -223,7 +224,7 @@ def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
         return float(np.abs(np.concatenate([missed, moved])).max())
 
 
-@eqx.filter_jit
+@compiled
 def _system_rows(rbf: RBF, sources, scale, points):
     """Computes rows of the system (eq. 3) at any points, all in scaled coordinates."""
     kernel = rbf._phi(squared_distances(points, sources), scale)

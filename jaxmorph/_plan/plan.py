@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
+from .._kernels.compile import compiled
 from .._kernels.values import is_known
 from .._methods.base import AbstractMethod, Located
 from .._methods.blocks import is_rows, map_points, place_points, with_tables, with_tables_of, without_tables
-from .compile import compiled
 from .devices import Layout, over_points, pad_rows, rows_here
 from .images import Images
 from .periodic import Pairing
@@ -178,7 +178,7 @@ def _is_located(leaf: Any) -> bool:
     return isinstance(leaf, Located)
 
 
-@eqx.filter_jit
+@compiled
 def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     """Computes a plan anew on other base coordinates: ids are kept, floats computed. Traced and differentiable.
 
@@ -208,7 +208,7 @@ def _refitted(plan: Plan, points) -> Plan:
     return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
 
 
-@eqx.filter_jit
+@compiled
 def carry(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     """Moves a plan to the mesh that one of its own steps left.
 

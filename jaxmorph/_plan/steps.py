@@ -4,11 +4,11 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from .._kernels.compile import compiled
 from .plan import Plan, carry, deform_surface, refit
 from .prepare import boundary_of, plan_of
 
@@ -82,7 +82,7 @@ def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
     return jnp.broadcast_to(base, (len(path), *base.shape)).at[:, :m].add(path)
 
 
-@eqx.filter_jit
+@compiled
 def _advance(plan: Plan, target: Float[Array, "o d"]) -> Float[Array, "n d"]:
     """Moves all of the surface to the target, fixed nodes too where a method moved them."""
     return deform_surface(plan, target - plan.points[plan.surface.nodes])

@@ -5,25 +5,32 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 BLOCK = 1 << 16
 """Cells that are measured together."""
 
+CACHED = 1 << 12
+"""Cells that NumPy measures together: what it computes on the way stays in the processor's cache."""
 
-def in_blocks(function: Callable, *rows: Any) -> Any:
-    """Applies `function` to `BLOCK` cells at a time: memory is that of one block.
+
+def in_blocks(xp: Any, function: Callable, *rows: Any) -> Any:
+    """Applies `function`, which computes with NumPy or `jax.numpy`, to some cells at a time: memory is that of one block.
 
     The last axis of each of `rows` runs over cells, and so does that of what `function` returns. Reverse mode computes
     each block anew.
     """
-    k = jax.tree.leaves(rows)[0].shape[-1]
-    if k <= BLOCK:
+    k, block = jax.tree.leaves(rows)[0].shape[-1], CACHED if xp is np else BLOCK
+    if k <= block:
         return function(*rows)
 
     def one(picked):
         return function(*jax.tree.map(lambda x: x[..., picked], rows))
 
-    blocks = -(-k // BLOCK)
-    every = jnp.minimum(jnp.arange(blocks * BLOCK), k - 1)  # the last cell fills the last block
-    results = jax.lax.map(jax.checkpoint(one), every.reshape(blocks, BLOCK))
+    blocks = -(-k // block)
+    if xp is np:
+        results = [one(slice(i * block, (i + 1) * block)) for i in range(blocks)]
+        return jax.tree.map(lambda *parts: np.concatenate(parts, axis=-1), *results)
+    every = jnp.minimum(jnp.arange(blocks * block), k - 1)  # the last cell fills the last block
+    results = jax.lax.map(jax.checkpoint(one), every.reshape(blocks, block))
     return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :k], results)

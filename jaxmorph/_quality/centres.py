@@ -4,14 +4,14 @@ import functools
 from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
+from .._kernels.values import Either, namespace
 from . import measures
 from .vector import Vector, cross, divide, dot, mean, stack
 
-Scalar = Float[Array, " k"]
+Scalar = Float[Either, " k"]
 
 
 def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
@@ -23,37 +23,40 @@ def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
         return mean(x)
     if kind == "quad":
         return _centre_of_quad(x)
-    parts, stacked = [], stack(x)
+    xp, parts, stacked = namespace(x[0][0]), [], stack(x)
     for group in measures.faces_by_size(kind):
 
         def face(sums, corners):
             return tuple(a + b for a, b in zip(sums, _moments(stacked, corners), strict=True)), None
 
-        zero = jnp.zeros_like(x[0][0])
-        parts.append(jax.lax.scan(face, (zero,) * 4, np.array(group))[0])
-    whole, *moment = (functools.reduce(jnp.add, part) for part in zip(*parts, strict=True))
-    return Vector(moment) * divide(jnp.full_like(whole, 0.25), whole, 0.0)
+        zero, faces = xp.zeros_like(x[0][0]), np.array(group)
+        if xp is np:
+            parts.append(functools.reduce(lambda sums, corners: face(sums, corners)[0], faces, (zero,) * 4))
+        else:  # a program of one face is several times shorter to compile
+            parts.append(jax.lax.scan(face, (zero,) * 4, faces)[0])
+    whole, *moment = (functools.reduce(xp.add, part) for part in zip(*parts, strict=True))
+    return Vector(moment) * divide(xp.full_like(whole, 0.25), whole, 0.0)
 
 
-def _moments(x: Vector, corners: Int[Array, " c"]) -> list[Scalar]:
+def _moments(x: Vector, corners: Int[Either, " c"]) -> list[Scalar]:
     """Computes six volumes, and 24 first moments, of the tetrahedra between one face and the first corner."""
     around = [x.row(corner) for corner in corners]
     middle = mean(around)
     pairs = [(around[i - 1], corner) for i, corner in enumerate(around)]
     volumes = [dot(cross(a, b), middle) for a, b in pairs]
     moment = _sum([(a + b + middle) * weight for (a, b), weight in zip(pairs, volumes, strict=True)])
-    return [functools.reduce(jnp.add, volumes), *moment.components]
+    return [functools.reduce(namespace(middle[0]).add, volumes), *moment.components]
 
 
 def _centre_of_quad(corners: Sequence[Vector]) -> Vector:
     """Computes the centre of mass of the triangles between the sides and the mean of the corners, by their projected areas."""
-    middle, normal = mean(corners), measures.area_vector(corners)
+    xp, middle, normal = namespace(corners[0][0]), mean(corners), measures.area_vector(corners)
     spokes = [corner - middle for corner in corners]
     pairs = [(spokes[i - 1], spoke) for i, spoke in enumerate(spokes)]
     weights = [dot(cross(a, b), normal) for a, b in pairs]
     moment = _sum([(a + b) * weight for (a, b), weight in zip(pairs, weights, strict=True)])
-    whole = functools.reduce(jnp.add, weights)
-    return middle + moment * divide(jnp.full_like(whole, 1 / 3), whole, 0.0)
+    whole = functools.reduce(xp.add, weights)
+    return middle + moment * divide(xp.full_like(whole, 1 / 3), whole, 0.0)
 
 
 def _sum(vectors: list[Vector]) -> Vector:

@@ -13,18 +13,17 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from .._host.topology import DIMENSION, EDGES, FACES, FRAMES
+from .._kernels.values import Either, constant, namespace
 from .vector import Scalar, Vector, angle, cross, determinant, divide, dot, mean, norm, stack, total
 
-Largest = Callable[[Float[Array, "t k"]], Scalar]
+Largest = Callable[[Float[Either, "t k"]], Scalar]
 
 
-def max_rows(terms: Float[Array, "t k"]) -> Scalar:
-    return jnp.max(terms, axis=0)
+def max_rows(terms: Float[Either, "t k"]) -> Scalar:
+    return namespace(terms).max(terms, axis=0)
 
 
 _PARALLEL = {
@@ -64,7 +63,8 @@ def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
     if DIMENSION[kind] == 3:
         groups = faces_by_size(kind)
         areas = [area_vector(pick(x, group)) for group in groups]
-        joined = Vector([jnp.concatenate(parts) for parts in zip(*(area.components for area in areas), strict=True)])
+        xp = namespace(x[0][0])
+        joined = Vector([xp.concatenate(parts) for parts in zip(*(area.components for area in areas), strict=True)])
         faces = [face for group in groups for face in group]
         order = [faces.index(face) for face in FACES[kind]]
         return joined if order == list(range(len(order))) else joined.rows(order)
@@ -88,11 +88,11 @@ def _area(kind: str, x: Sequence[Vector]) -> Vector:
 def _normal(kind: str, x: Sequence[Vector]) -> Vector:
     """Computes the unit normal of a triangle or quad; +1 in 2-D, so that areas there have a sign."""
     area = _area(kind, x)
-    return Vector([jnp.ones_like(area[0])]) if len(area) == 1 else _unit(area)
+    return Vector([namespace(area[0]).ones_like(area[0])]) if len(area) == 1 else _unit(area)
 
 
 def _unit(a: Vector) -> Vector:
-    return a * divide(jnp.ones_like(a[0]), norm(a), 0.0)
+    return a * divide(namespace(a[0]).ones_like(a[0]), norm(a), 0.0)
 
 
 def volume(kind: str, x: Sequence[Vector]) -> Scalar:
@@ -109,8 +109,9 @@ def volume(kind: str, x: Sequence[Vector]) -> Scalar:
     if kind == "tetra":
         return jacobians(kind, x)[0][0] / 6
     groups = [pick(x, group) for group in faces_by_size(kind)]
-    fluxes = [jnp.sum(dot(area_vector(corners), mean(corners)), axis=0) for corners in groups]
-    return functools.reduce(jnp.add, fluxes) / 3
+    xp = namespace(x[0][0])
+    fluxes = [xp.sum(dot(area_vector(corners), mean(corners)), axis=0) for corners in groups]
+    return functools.reduce(xp.add, fluxes) / 3
 
 
 def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
@@ -122,7 +123,7 @@ def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
     return edges
 
 
-def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Array, "s k"], Float[Array, "s k"]]:
+def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Float[Either, "s k"]]:
     """Computes the Jacobians at the corners, and for a hexahedron also at its centre, as Verdict samples them.
 
     Each comes with the bound that turns an error of the coordinates into one of the Jacobian: the sum over the edges of
@@ -131,7 +132,7 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Array, "s k"], Floa
     edges = frames(kind, x)
     lengths = [norm(edge) for edge in edges]
     if kind == "line":
-        return lengths[0], jnp.ones_like(lengths[0])
+        return lengths[0], namespace(lengths[0]).ones_like(lengths[0])
     if DIMENSION[kind] == 2:
         return dot(cross(*edges), stack([_normal(kind, x)])), lengths[0] + lengths[1]
     a, b, c = lengths
@@ -140,7 +141,8 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Array, "s k"], Floa
 
 def _append(a: Vector, row: Vector) -> Vector:
     pairs = zip(a.components, row.components, strict=True)
-    return Vector([jnp.concatenate([rows, last[None]]) for rows, last in pairs])
+    xp = namespace(a[0])
+    return Vector([xp.concatenate([rows, last[None]]) for rows, last in pairs])
 
 
 def skewness(kind: str, x: Sequence[Vector], largest: Largest = max_rows) -> Scalar:
@@ -151,25 +153,26 @@ def skewness(kind: str, x: Sequence[Vector], largest: Largest = max_rows) -> Sca
     `equiangle_skew`, the largest deviation of an angle of a face from the equiangular one, over the largest there can
     be. For a tetrahedron the angles between faces count too.
     """
+    xp = namespace(x[0][0])
     if kind == "line":
-        return jnp.zeros_like(x[0][0])
+        return xp.zeros_like(x[0][0])
     if kind in _PARALLEL:
         axes = [_unit(axis) for axis in principal_axes(kind, x)]
-        cosines = jnp.stack([dot(a, b) for a, b in itertools.combinations(axes, 2)])
-        return largest(jnp.concatenate([cosines, -cosines]))
+        cosines = xp.stack([dot(a, b) for a, b in itertools.combinations(axes, 2)])
+        return largest(xp.concatenate([cosines, -cosines]))
     terms = []
     for group in faces_by_size(kind):
         size, corners = len(group[0]), pick(x, group)
         sides = [corners[(i + 1) % size] - corner for i, corner in enumerate(corners)]
-        angles = jnp.concatenate([angle(side, sides[i - 1] * -1) for i, side in enumerate(sides)])
+        angles = xp.concatenate([angle(side, sides[i - 1] * -1) for i, side in enumerate(sides)])
         terms += _deviations(angles, math.pi * (size - 2) / size)
     if kind == "tetra":
         first, second = pick(face_areas(kind, x).unstack(), tuple(itertools.combinations(range(4), 2)))
         terms += _deviations(math.pi - angle(first, second), math.acos(1 / 3))
-    return largest(jnp.concatenate(terms))
+    return largest(xp.concatenate(terms))
 
 
-def _deviations(angles: Float[Array, "a k"], ideal: float) -> list[Float[Array, "a k"]]:
+def _deviations(angles: Float[Either, "a k"], ideal: float) -> list[Float[Either, "a k"]]:
     return [(angles - ideal) / (math.pi - ideal), 1 - angles / ideal]
 
 
@@ -180,15 +183,16 @@ def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
     edge / (2 sqrt 6 inradius). Hexahedron: longest over shortest principal axis, Verdict's `max_edge_ratio`. Wedge and
     pyramid: longest over shortest edge, Verdict's `edge_ratio`.
     """
+    xp = namespace(x[0][0])
     if kind == "line":
-        return jnp.ones_like(x[0][0])
+        return xp.ones_like(x[0][0])
     over, under = aspect_terms(kind, x)
     lengths = norm(over)
-    longest = jnp.max(lengths, axis=0)
+    longest = xp.max(lengths, axis=0)
     if under is None:
-        return divide(longest, jnp.min(lengths, axis=0), math.inf)
+        return divide(longest, xp.min(lengths, axis=0), math.inf)
     size, surface = under
-    return divide(longest * surface, jnp.abs(size), math.inf)
+    return divide(longest * surface, xp.abs(size), math.inf)
 
 
 def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, Scalar] | None]:
@@ -199,11 +203,11 @@ def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, 
     edges = stack(principal_axes(kind, x)) if kind == "hexahedron" else _edges(x, kind)
     if kind in ("hexahedron", "wedge", "pyramid"):
         return edges, None
-    size = volume(kind, x)
+    xp, size = namespace(x[0][0]), volume(kind, x)
     if kind == "tetra":
-        return edges, (6 * math.sqrt(6) * size, jnp.sum(norm(area_vector(pick(x, FACES[kind]))), axis=0))
+        return edges, (6 * math.sqrt(6) * size, xp.sum(norm(area_vector(pick(x, FACES[kind]))), axis=0))
     ideal = 4 * math.sqrt(3) if kind == "triangle" else 4.0
-    return edges, (ideal * size, jnp.sum(norm(edges), axis=0))
+    return edges, (ideal * size, xp.sum(norm(edges), axis=0))
 
 
 def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
@@ -212,20 +216,21 @@ def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
     This is OpenFOAM's definition. On a surface in 3-D the sides of an edge are not told apart: 0 to 90 degrees.
     """
     degrees = angle(area, between) * (180 / math.pi)
-    return jnp.minimum(degrees, 180 - degrees) if surface else degrees
+    return namespace(degrees).minimum(degrees, 180 - degrees) if surface else degrees
 
 
-def relative_corners(x: list[Vector]) -> tuple[list[Vector], Float[Array, " k"]]:
+def relative_corners(x: list[Vector]) -> tuple[list[Vector], Float[Either, " k"]]:
     """Computes the corners relative to the first, and the cell's size, which is not differentiated."""
     relative = [corner - x[0] for corner in x]
     size = reach(relative)
-    return relative, jnp.where(size > 0, size, 1)
+    return relative, namespace(size).where(size > 0, size, 1)
 
 
-def scaled(x: list[Vector], size: Float[Array, " k"]) -> list[Vector]:
+def scaled(x: list[Vector], size: Float[Either, " k"]) -> list[Vector]:
     return [corner * (1 / size) for corner in x]
 
 
-def reach(x: list[Vector]) -> Float[Array, " k"]:
-    components = [jnp.abs(component) for corner in x for component in corner.components]
-    return jax.lax.stop_gradient(functools.reduce(jnp.maximum, components))
+def reach(x: list[Vector]) -> Float[Either, " k"]:
+    xp = namespace(x[0][0])
+    components = [xp.abs(component) for corner in x for component in corner.components]
+    return constant(functools.reduce(xp.maximum, components))

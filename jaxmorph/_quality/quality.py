@@ -12,7 +12,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from .._host.adjacency import handedness, neighbours
 from .._host.topology import DIMENSION
-from .._kernels.values import is_known
+from .._kernels.compile import compiled
+from .._kernels.values import Either, constant, is_known, namespace, on_host
 from .._mesh.mesh import Mesh
 from . import measures
 from .blocks import in_blocks
@@ -51,12 +52,19 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     `mesh.points`.
     """
     current = places(mesh, points)
-    kinds, cells, reference = tuple(mesh.cells), tuple(mesh.cells.values()), mesh.points
+    kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
     # what is known when a caller traces is computed there and then, not folded into the caller's program
     with jax.ensure_compile_time_eval():
         links = link(mesh.cells, signs=points is None)
-        standard = None if points is None else standards_of(kinds, cells, jnp.asarray(reference, dtype=current.dtype))
-    return _measure(kinds, cells, links, current, standard)
+        standards = None if points is None else standards_of(mesh, current.dtype)
+    if on_host(cells, links, current, standards):
+        with np.errstate(all="ignore"), jax.ensure_compile_time_eval():  # cells may have no size
+            columns = _columns(kinds, *jax.tree.map(np.asarray, (cells, links, current, standards)))
+            columns = jax.tree.map(jnp.asarray, columns)
+    else:
+        columns = _measured(kinds, cells, links, current, jax.tree.map(jnp.asarray, standards))
+    types = tuple((kind, len(ids)) for kind, ids in zip(kinds, cells, strict=True))
+    return QualityReport(**columns, types=types, relative=standards is not None)
 
 
 def places(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None) -> Float[Array, "n d"]:
@@ -90,67 +98,83 @@ def link(cells: dict[str, Any], signs: bool) -> Links:
 class Standard(NamedTuple):
     """Holds the state of the cells of one type on the undeformed mesh, by which they are judged."""
 
-    sign: Int[Array, " k"]
-    volume: Float[Array, " k"]
-    is_flat: Bool[Array, " k"]
-    jacobian: Float[Array, " k"]
-    is_judged: Bool[Array, "s k"]
-    is_degenerate: Bool[Array, " k"]
+    sign: Int[Either, " k"]
+    volume: Float[Either, " k"]
+    is_flat: Bool[Either, " k"]
+    jacobian: Float[Either, " k"]
+    is_judged: Bool[Either, "s k"]
+    is_degenerate: Bool[Either, " k"]
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def standards_of(kinds: tuple[str, ...], cells: tuple[Array, ...], points: Float[Array, "n d"]) -> list[Standard]:
-    return [
-        in_blocks(functools.partial(_standard, kind, points), ids.T) for kind, ids in zip(kinds, cells, strict=True)
-    ]
+def standards_of(mesh: Mesh, dtype: Any) -> tuple[Standard, ...]:
+    """Computes the state of the undeformed mesh, one `Standard` for each type of cells, in the precision `dtype`."""
+    kinds, cells, points = tuple(mesh.cells), tuple(mesh.cells.values()), jnp.asarray(mesh.points, dtype)
+    if not on_host(cells, points):
+        return _standards(kinds, cells, points)
+    with np.errstate(all="ignore"):
+        return _standards_by(np, kinds, *jax.tree.map(np.asarray, (cells, points)))
 
 
-def _standard(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"]) -> Standard:
-    volume, jacobians, noise = _sizes(kind, corners(points, ids.T))
-    sign = jnp.where(volume < 0, -1, 1)
+@compiled
+def _standards(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Either, "n d"]) -> tuple[Standard, ...]:
+    return _standards_by(jnp, kinds, cells, points)
+
+
+def _standards_by(xp: Any, kinds, cells, points) -> tuple[Standard, ...]:
+    each = zip(kinds, cells, strict=True)
+    return tuple(in_blocks(xp, functools.partial(_standard, kind, points), ids.T) for kind, ids in each)
+
+
+def _standard(kind: str, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Standard:
+    xp, (volume, jacobians, noise) = namespace(points), _sizes(kind, corners(points, ids.T))
+    sign = xp.where(volume < 0, -1, 1).astype(np.int8)  # a factor that keeps float32
     judged = sign[None] * jacobians > noise
-    none = ~jnp.any(judged, axis=0)
+    none = ~xp.any(judged, axis=0)
     least = _least(jacobians, sign, judged)
-    flat = math.factorial(DIMENSION[kind]) * jnp.abs(volume) <= jnp.max(noise, axis=0)
-    return Standard(sign, jnp.where(flat, 1, volume), flat, jnp.where(none, 1, least), judged, none)
+    flat = math.factorial(DIMENSION[kind]) * xp.abs(volume) <= xp.max(noise, axis=0)
+    return Standard(sign, xp.where(flat, 1, volume), flat, xp.where(none, 1, least), judged, none)
 
 
-def _least(jacobians: Float[Array, "s k"], sign: Array, judged: Bool[Array, "s k"]) -> Float[Array, " k"]:
+def _least(jacobians: Float[Either, "s k"], sign: Either, judged: Bool[Either, "s k"]) -> Float[Either, " k"]:
     """Computes the smallest Jacobian, in the cell's own handedness, among the corners that are judged."""
-    return jnp.min(jnp.where(judged, sign[None] * jacobians, jnp.inf), axis=0)
+    xp = namespace(jacobians)
+    return xp.min(xp.where(judged, sign[None] * jacobians, xp.inf), axis=0)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def _measure(
+def _columns(
     kinds: tuple[str, ...],
-    cells: tuple[Array, ...],
+    cells: tuple[Any, ...],
     links: Links,
-    points: Float[Array, "n d"],
-    standards: list[Standard] | None,
-) -> QualityReport:
+    points: Float[Either, "n d"],
+    standards: tuple[Standard, ...] | None,
+) -> dict[str, Either]:
+    xp = namespace(points)
     rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
     if standards is None:
-        volumes = {kind: in_blocks(functools.partial(_volume, kind, points), ids) for kind, ids in rows.items()}
+        volumes = {kind: in_blocks(xp, functools.partial(_volume, kind, points), ids) for kind, ids in rows.items()}
         by_kind: dict[str, Any] = _enclosed_signs(volumes, links)
         signs = by_kind
     else:
         by_kind = dict(zip(kinds, standards, strict=True))
         signs = {kind: standard.sign for kind, standard in by_kind.items()}
-    columns = [in_blocks(functools.partial(_judged, kind, points), ids, by_kind[kind]) for kind, ids in rows.items()]
-    joined = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *columns)
+    columns = [
+        in_blocks(xp, functools.partial(_judged, kind, points), ids, by_kind[kind]) for kind, ids in rows.items()
+    ]
+    joined = jax.tree.map(lambda *parts: xp.concatenate(parts, axis=-1), *columns)
     joined["centroid"] = joined["centroid"].T
-    angles = non_orthogonality(points, rows, signs, links.neighbour)
-    types = tuple((kind, len(ids)) for kind, ids in zip(kinds, cells, strict=True))
-    return QualityReport(**joined, non_orthogonality=angles, types=types, relative=standards is not None)
+    return joined | {"non_orthogonality": non_orthogonality(points, rows, signs, links.neighbour)}
 
 
-def _volume(kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"]) -> Float[Array, " k"]:
+_measured = compiled(_columns)
+
+
+def _volume(kind: str, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Float[Either, " k"]:
     return _sizes(kind, corners(points, ids.T))[0]
 
 
 def _judged(
-    kind: str, points: Float[Array, "n d"], ids: Int[Array, "c k"], standard: "Standard | Array"
-) -> dict[str, Array]:
+    kind: str, points: Float[Either, "n d"], ids: Int[Either, "c k"], standard: "Standard | Either"
+) -> dict[str, Either]:
     """Measures cells by a standard, or by the sign that each cell should have."""
     x = corners(points, ids.T)
     sizes = _sizes(kind, x)
@@ -158,45 +182,50 @@ def _judged(
     return judged | _shape(kind, x)
 
 
-def _sizes(kind: str, x: list[Vector]) -> tuple[Array, Array, Array]:
+def _sizes(kind: str, x: list[Vector]) -> tuple[Either, Either, Either]:
     """Computes the volume (k,), the Jacobians (s, k), and the round-off error of each Jacobian."""
     rounding = 8 * float(jnp.finfo(x[0][0].dtype).eps) * measures.reach(x)
     relative, _ = measures.relative_corners(x)
     jacobians, spread = measures.jacobians(kind, relative)
-    return measures.volume(kind, relative), jacobians, rounding[None] * jax.lax.stop_gradient(spread)
+    return measures.volume(kind, relative), jacobians, rounding[None] * constant(spread)
 
 
-def _shape(kind: str, x: list[Vector]) -> dict[str, Array]:
+def _shape(kind: str, x: list[Vector]) -> dict[str, Either]:
     """Computes the measures without a unit, and the place."""
     relative, size = measures.relative_corners(x)
     shape = measures.scaled(relative, size)
     return {
         "skewness": measures.skewness(kind, shape),
         "aspect_ratio": measures.aspect_ratio(kind, shape),
-        "centroid": jnp.stack(mean(x).components),
+        "centroid": namespace(size).stack(mean(x).components),
     }
 
 
-def _enclosed_signs(volumes: dict[str, Array], links: Links) -> dict[str, Array]:
+def _enclosed_signs(volumes: dict[str, Either], links: Links) -> dict[str, Either]:
     """Takes the sign of each cell from the volume that its part of the mesh encloses, which no inner node can change."""
-    volume = jnp.concatenate(list(volumes.values()))
+    xp = namespace(next(iter(volumes.values())))
+    volume = xp.concatenate(list(volumes.values()))
     if links.sign is None:
-        signs = jnp.where(jnp.sum(volume) < 0, -1, 1) * jnp.ones(len(volume), dtype=int)
+        signs = xp.where(xp.sum(volume) < 0, -1, 1) * xp.ones(len(volume), dtype=int)
+    elif xp is np:
+        enclosed = np.bincount(links.part, links.sign * volume, len(volume))
+        signs = links.sign * np.where(enclosed < 0, -1, 1)[links.part]
     else:
         enclosed = jax.ops.segment_sum(links.sign * volume, links.part, num_segments=len(volume))
         signs = links.sign * jnp.where(enclosed < 0, -1, 1)[links.part]
     ends = np.cumsum([len(part) for part in volumes.values()])[:-1]
-    return dict(zip(volumes, jnp.split(signs, ends), strict=True))
+    return dict(zip(volumes, xp.split(signs.astype(np.int8), ends), strict=True))
 
 
-def _judge(volume: Array, jacobians: Array, standard: Standard) -> dict[str, Array]:
+def _judge(volume: Either, jacobians: Either, standard: Standard) -> dict[str, Either]:
     """Judges cells relative to the undeformed mesh, by the corners that had the sign of their cell there."""
-    volume_ratio = jnp.where(standard.is_flat, 1, volume) / standard.volume
+    xp = namespace(volume)
+    volume_ratio = xp.where(standard.is_flat, 1, volume) / standard.volume
     least = _least(jacobians, standard.sign, standard.is_judged)
-    jacobian_ratio = jnp.where(standard.is_degenerate, 1, least) / standard.jacobian
+    jacobian_ratio = xp.where(standard.is_degenerate, 1, least) / standard.jacobian
     return {
         "volume": volume,
-        "jacobian": jnp.min(standard.sign[None] * jacobians, axis=0),
+        "jacobian": xp.min(standard.sign[None] * jacobians, axis=0),
         "volume_ratio": volume_ratio,
         "jacobian_ratio": jacobian_ratio,
         "is_inverted": ~((volume_ratio > 0) & (jacobian_ratio > 0)),
@@ -204,14 +233,14 @@ def _judge(volume: Array, jacobians: Array, standard: Standard) -> dict[str, Arr
     }
 
 
-def _judge_alone(volume: Array, jacobians: Array, noise: Array, sign: Array) -> dict[str, Array]:
+def _judge_alone(volume: Either, jacobians: Either, noise: Either, sign: Either) -> dict[str, Either]:
     """Judges cells without an undeformed mesh, by the sign that they should have."""
-    turned = sign[None] * jacobians
+    xp, turned = namespace(volume), sign[None] * jacobians
     return {
         "volume": volume,
-        "jacobian": jnp.min(turned, axis=0),
-        "volume_ratio": jnp.ones_like(volume),
-        "jacobian_ratio": jnp.ones_like(volume),
-        "is_inverted": ~jnp.all(turned >= -noise, axis=0),
-        "is_degenerate": jnp.all(jnp.abs(turned) <= noise, axis=0),
+        "jacobian": xp.min(turned, axis=0),
+        "volume_ratio": xp.ones_like(volume),
+        "jacobian_ratio": xp.ones_like(volume),
+        "is_inverted": ~xp.all(turned >= -noise, axis=0),
+        "is_degenerate": xp.all(xp.abs(turned) <= noise, axis=0),
     }

@@ -1,5 +1,6 @@
 """The report of `quality`."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -8,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.topology import DIMENSION
-from .._kernels.values import is_known
+from .._kernels.values import Either, is_known, on_host
 
 MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
@@ -67,29 +68,26 @@ class QualityReport(eqx.Module):
     @property
     def inverted(self) -> Int[Array, "..."]:
         """Number of inverted cells."""
-        return jnp.sum(self._counted(self.is_inverted), axis=-1)
+        return self._over_cells(lambda xp, flags: xp.sum(flags, axis=-1), self.is_inverted)
 
     @property
     def degenerate(self) -> Int[Array, "..."]:
         """Number of cells that had no sign from the start and are not judged."""
-        return jnp.sum(self._counted(self.is_degenerate), axis=-1)
+        return self._over_cells(lambda xp, flags: xp.sum(flags, axis=-1), self.is_degenerate)
 
     def mean(self, name: str, *, weighted: bool = True) -> Float[Array, "..."]:
         """Averages the measure called `name` over the cells, weighted by area or volume unless `weighted` is False."""
-        values = self._counted(getattr(self, name))
-        if not weighted:
-            return jnp.mean(values, axis=-1)
-        weight = jnp.abs(self._counted(self.volume))
-        total = jnp.sum(weight, axis=-1)
-        return jnp.sum(jnp.where(weight > 0, values * weight, 0), axis=-1) / jnp.where(total > 0, total, 1)
+        if weighted:
+            return self._over_cells(_weighted_mean, getattr(self, name), self.volume)
+        return self._over_cells(lambda xp, values: xp.mean(values, axis=-1), getattr(self, name))
 
     def max(self, name: str) -> Float[Array, "..."]:
         """Returns the largest value of the measure called `name`."""
-        return jnp.max(self._counted(getattr(self, name)), axis=-1)
+        return self._over_cells(lambda xp, values: xp.max(values, axis=-1), getattr(self, name))
 
     def min(self, name: str) -> Float[Array, "..."]:
         """Returns the smallest value of the measure called `name`."""
-        return jnp.min(self._counted(getattr(self, name)), axis=-1)
+        return self._over_cells(lambda xp, values: xp.min(values, axis=-1), getattr(self, name))
 
     @property
     def mean_skewness(self) -> Float[Array, "..."]:
@@ -196,7 +194,16 @@ class QualityReport(eqx.Module):
         """Number of cells that count."""
         return sum(count for _, count in self._top())
 
-    def _counted(self, values: Any) -> Any:
-        """Selects the entries of the cells that count, in the last axis."""
+    def _over_cells(self, reduce: Callable, *values: Either) -> Array:
+        """Reduces values over the cells that count, the last axis; by NumPy where they can be read, which compiles nothing."""
         mask = self.counted
-        return values if mask.all() else values[..., np.flatnonzero(mask)]
+        known = on_host(values)
+        values = tuple(np.asarray(each) for each in values) if known else values
+        counted = values if mask.all() else [each[..., np.flatnonzero(mask)] for each in values]
+        return jnp.asarray(reduce(np if known else jnp, *counted))
+
+
+def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:
+    weight = xp.abs(volume)
+    total = xp.sum(weight, axis=-1)
+    return xp.sum(xp.where(weight > 0, values * weight, 0), axis=-1) / xp.where(total > 0, total, 1)

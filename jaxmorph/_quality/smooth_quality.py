@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
+from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from . import measures
 from .blocks import in_blocks
@@ -74,16 +75,18 @@ def smooth_quality(
     kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
     with jax.ensure_compile_time_eval():
         behind = link(mesh.cells, signs=False).neighbour
-        standards = standards_of(kinds, cells, jnp.asarray(mesh.points, dtype=current.dtype))
-    return _measured(kinds, cells, behind, current, standards, (sharpness, softness))
+        standards = standards_of(mesh, current.dtype)
+    options = jnp.asarray(sharpness, current.dtype), jnp.asarray(softness, current.dtype)
+    return _measured(kinds, cells, behind, current, standards, options)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def _measured(kinds, cells, behind, points, standards: list[Standard], options) -> SmoothQuality:
+@compiled
+def _measured(kinds, cells, behind, points, standards: tuple[Standard, ...], options) -> SmoothQuality:
     rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
     by_kind = dict(zip(kinds, standards, strict=True))
     columns = [
-        in_blocks(functools.partial(_shapes, kind, points, options), ids, by_kind[kind]) for kind, ids in rows.items()
+        in_blocks(jnp, functools.partial(_shapes, kind, points, options), ids, by_kind[kind])
+        for kind, ids in rows.items()
     ]
     skewness, aspect, jacobian = (jnp.concatenate(parts) for parts in zip(*columns, strict=True))
     signs = {kind: standard.sign for kind, standard in by_kind.items()}

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Integer, Num
+from jaxtyping import Float, Int, Integer, Num
 
 from .._host import products
-from .._kernels.values import root
+from .._kernels.values import Either, namespace, root
 
-Scalar = Float[Array, "*rows k"]
+Scalar = Float[Either, "*rows k"]
 
 
 class Vector:
@@ -29,9 +29,10 @@ class Vector:
         return self.components[i]
 
     def rows(self, ids: Sequence[int]) -> "Vector":
-        return Vector([jnp.stack([component[i] for i in ids]) for component in self.components])
+        xp = namespace(self.components[0])
+        return Vector([xp.stack([component[i] for i in ids]) for component in self.components])
 
-    def row(self, i: int | Int[Array, ""]) -> "Vector":
+    def row(self, i: int | Int[Either, ""] | np.integer) -> "Vector":
         return Vector([component[i] for component in self.components])
 
     def unstack(self) -> "list[Vector]":
@@ -46,11 +47,11 @@ class Vector:
     def __sub__(self, other: "Vector") -> "Vector":
         return Vector([a - b for a, b in zip(self.components, other.components, strict=True)])
 
-    def __mul__(self, factor: Num[Array, "*rows k"] | float | int) -> "Vector":
+    def __mul__(self, factor: Num[Either, "*rows k"] | float | int) -> "Vector":
         return Vector([a * factor for a in self.components])
 
 
-def corners(points: Float[Array, "n d"], ids: Integer[Array | np.ndarray, "k c"]) -> list[Vector]:
+def corners(points: Float[Either, "n d"], ids: Integer[Either, "k c"]) -> list[Vector]:
     """Gathers one vector for each corner of k cells."""
     axes = [points[:, axis] for axis in range(points.shape[1])]
     return [Vector([axis[ids[:, corner]] for axis in axes]) for corner in range(ids.shape[1])]
@@ -82,12 +83,13 @@ def norm(a: Vector) -> Scalar:
 
 def stack(vectors: Sequence[Vector]) -> Vector:
     """Stacks vectors as rows of one."""
-    return Vector([jnp.stack(rows) for rows in zip(*(a.components for a in vectors), strict=True)])
+    xp = namespace(vectors[0][0])
+    return Vector([xp.stack(rows) for rows in zip(*(a.components for a in vectors), strict=True)])
 
 
 def total(a: Vector) -> Vector:
     """Sums over the corners, edges or faces."""
-    return Vector([jnp.sum(component, axis=0) for component in a.components])
+    return Vector([namespace(component).sum(component, axis=0) for component in a.components])
 
 
 def mean(vectors: Sequence[Vector]) -> Vector:
@@ -96,12 +98,13 @@ def mean(vectors: Sequence[Vector]) -> Vector:
 
 def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
     """Divides a by b; returns `otherwise`, with no derivative, where b is so small that its derivative overflows."""
-    none = jnp.abs(b) <= float(jnp.finfo(b.dtype).tiny) ** 0.4
-    return jnp.where(none, otherwise, a / jnp.where(none, 1, b))
+    xp = namespace(b)
+    none = xp.abs(b) <= float(jnp.finfo(b.dtype).tiny) ** 0.4
+    return xp.where(none, otherwise, a / xp.where(none, 1, b))
 
 
 def angle(a: Vector, b: Vector) -> Scalar:
     """Computes the angle in radians, 0 to pi; 0, with no derivative, where a vector has no length."""
-    sine, cosine = norm(cross(a, b)), dot(a, b)
+    xp, sine, cosine = namespace(a[0]), norm(cross(a, b)), dot(a, b)
     none = sine**2 + cosine**2 <= float(jnp.finfo(sine.dtype).tiny) ** 0.8
-    return jnp.where(none, 0, jnp.arctan2(sine, jnp.where(none, 1, cosine)))
+    return xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine)))

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float, Int
 
 from .._host.products import cross
 from .._host.wall import Lines, areas, first_lines
-from .._kernels.values import norm
+from .._kernels.compile import compiled
+from .._kernels.values import Either, namespace, norm, on_host
 from .._mesh.mesh import Mesh
 from .quality import places
 
@@ -93,38 +94,50 @@ def wall_quality(
     lines = first_lines(cells, np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
         reference = jnp.asarray(mesh.points, dtype=current.dtype)
-    return _measured(lines, reference, current, softness)
+    if not on_host(lines, reference, current, softness):
+        angle, height = _measured(lines, reference, current, softness)
+        return WallQuality(jnp.asarray(lines.nodes), angle, height)
+    with np.errstate(all="ignore"):
+        angle, height = _angle_and_height(lines, np.asarray(reference), np.asarray(current), softness)
+    return WallQuality(*map(jnp.asarray, (lines.nodes, angle, height)))
 
 
-@jax.jit
-def _measured(lines: Lines, reference: Float[Array, "n d"], points: Float[Array, "n d"], softness) -> WallQuality:
-    start, now = (_components(lines, x) for x in (reference, points))
-    cosine = jnp.sum(start * now, axis=1)
-    sine = norm(jnp.stack(cross(start.T, now.T), axis=1))
+def _angle_and_height(
+    lines: Lines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
+) -> tuple[Float[Either, " w"], Float[Either, " w"]]:
+    xp = namespace(points)
+    start, now = (_components(xp, lines, x) for x in (reference, points))
+    cosine = xp.sum(start * now, axis=1)
+    sine = norm(xp.stack(cross(start.T, now.T), axis=1))
     none = sine**2 + cosine**2 == 0
-    angle = jnp.rad2deg(jnp.where(none, 0, jnp.arctan2(sine, jnp.where(none, 1, cosine))))
+    angle = xp.rad2deg(xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine))))
     if softness is not None:
-        angle = jnp.sqrt(angle**2 + softness**2) - softness
+        angle = xp.sqrt(angle**2 + softness**2) - softness
     flat = start[:, 0] == 0
-    height = jnp.where(flat, 1, now[:, 0] / jnp.where(flat, 1, start[:, 0]))
-    return WallQuality(jnp.asarray(lines.nodes), angle, height)
+    return angle, xp.where(flat, 1, now[:, 0] / xp.where(flat, 1, start[:, 0]))
 
 
-def _components(lines: Lines, x: Float[Array, "n d"]) -> Float[Array, "w d"]:
+_measured = compiled(_angle_and_height)
+
+
+def _components(xp: Any, lines: Lines, x: Float[Either, "n d"]) -> Float[Either, "w d"]:
     """Computes each first grid line's components in a frame of its wall: along the normal, then along the wall."""
     area = areas(x[lines.faces]) * lines.sign[:, None].astype(x.dtype)
-    normal = jnp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
+    normal = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows in lines.rows.T:
-        normal = normal.at[rows].add(area, mode="drop")
+        if xp is np:
+            np.add.at(normal, rows[rows < len(normal)], area[rows < len(normal)])
+        else:
+            normal = normal.at[rows].add(area, mode="drop")
     normal, line = _unit(normal), x[lines.ends] - x[lines.nodes]
     if x.shape[1] == 2:
-        return jnp.stack([jnp.sum(normal * line, axis=1), *cross(normal.T, line.T)], axis=1)
+        return xp.stack([xp.sum(normal * line, axis=1), *cross(normal.T, line.T)], axis=1)
     beside = x[lines.beside] - x[lines.nodes]
-    tangent = _unit(beside - jnp.sum(beside * normal, axis=1)[:, None] * normal)
-    frame = jnp.stack([normal, tangent, jnp.cross(normal, tangent)], axis=1)
-    return jnp.sum(frame * line[:, None], axis=2)
+    tangent = _unit(beside - xp.sum(beside * normal, axis=1)[:, None] * normal)
+    frame = xp.stack([normal, tangent, xp.cross(normal, tangent)], axis=1)
+    return xp.sum(frame * line[:, None], axis=2)
 
 
-def _unit(a: Float[Array, "w d"]) -> Float[Array, "w d"]:
+def _unit(a: Float[Either, "w d"]) -> Float[Either, "w d"]:
     length = norm(a)
-    return a / jnp.where(length > 0, length, 1)[:, None]
+    return a / namespace(length).where(length > 0, length, 1)[:, None]

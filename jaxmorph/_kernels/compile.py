@@ -1,0 +1,73 @@
+"""Compilation of what users call: quick, and with vectors as wide as the processor has them."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .values import is_known
+
+OPTIONS = {
+    # XLA by itself holds back to 256 bits, and a kernel sum then takes up to half as long again. No effect where there are fewer.
+    "xla_cpu_prefer_vector_width": 512,
+    # the newer emitters take up to twice as long to compile; the programs here run as fast with the older ones
+    "xla_cpu_use_fusion_emitters": False,
+}
+
+Function = TypeVar("Function", bound=Callable)
+
+
+def compiled(function: Function) -> Function:
+    """Compiles a function as `equinox.filter_jit` does, with `OPTIONS` for direct calls on a CPU.
+
+    Within another transformation it is an ordinary jitted function: JAX takes options for the outermost one only. Lists
+    become arrays: as they are, each of their numbers would be a static argument, and other numbers another compilation.
+    """
+    plain = eqx.filter_jit(function)
+
+    @functools.cache
+    def direct(only_arrays: bool) -> Callable:
+        compile: Any = (
+            jax.jit if only_arrays else eqx.filter_jit
+        )  # the first is quicker to call; the second knows static arguments
+        return compile(function, compiler_options=_known_options())
+
+    @functools.wraps(function)
+    def call(*arguments, **keywords):
+        arguments = tuple(_array(each) for each in arguments)
+        keywords = {name: _array(each) for name, each in keywords.items()}
+        leaves = jax.tree.leaves((arguments, keywords))
+        arrays = [leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)]
+        chosen = direct(len(arrays) == len(leaves)) if _is_direct(arrays) else plain
+        return chosen(*arguments, **keywords)
+
+    return call  # pyright: ignore[reportReturnType]
+
+
+@functools.cache
+def _known_options() -> dict[str, Any]:
+    """Selects the options that this version of XLA knows: it refuses a program for one that it does not."""
+    known = {}
+    for name, value in OPTIONS.items():
+        try:
+            jax.jit(jnp.negative, compiler_options={name: value})(np.zeros(1))
+        except Exception:
+            continue
+        known[name] = value
+    return known
+
+
+def _array(argument: Any) -> Any:
+    return jnp.asarray(argument) if isinstance(argument, list) else argument
+
+
+def _is_direct(arrays: list) -> bool:
+    if not is_known(arrays):
+        return False
+    devices = next((leaf.sharding.device_set for leaf in arrays if isinstance(leaf, jax.Array)), set())
+    on_cpu = all(device.platform == "cpu" for device in devices)
+    return on_cpu and is_known(jnp.zeros(()))  # a tracer is made even of a constant under `jit`
