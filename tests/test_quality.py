@@ -1,5 +1,6 @@
 """Quality against VTK's Verdict, finite differences, and meshes whose angles are known."""
 
+import functools
 import itertools
 
 import equinox as eqx
@@ -461,6 +462,25 @@ def test_jit_vmap_and_meshes_as_arguments():
     assert int(jax.jit(jm.quality)(jm.Mesh(points, {"quad": cells[:, ::-1]})).inverted) == 0
 
 
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "triangle",
+        "quad",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS if kind not in ("triangle", "quad")),
+    ],
+)
+def test_what_the_host_measures_is_what_a_trace_does(kind):
+    mesh = scattered(kind)
+    points = mesh.points + 0.05 * np.random.default_rng(2).normal(size=mesh.points.shape)
+    for measure in (jm.quality, lambda mesh, points: jm.quality(mesh.moved(points))):
+        host, traced = measure(mesh, points), jax.jit(functools.partial(measure, mesh))(points)
+        for name in (*MEASURES, "is_inverted", "is_degenerate", "centroid"):
+            np.testing.assert_allclose(getattr(traced, name), getattr(host, name), rtol=1e-9, atol=1e-9, err_msg=name)
+        for name in ("inverted", "mean_skewness", "max_aspect_ratio", "min_jacobian_ratio"):
+            assert float(getattr(traced, name)) == pytest.approx(float(getattr(host, name)), rel=1e-9)
+
+
 @pytest.mark.slow
 def test_cells_in_blocks_are_the_same_and_so_are_derivatives(monkeypatch):
     """20 quads in two blocks, 32 triangles in three and a part; the oracle is all of them together."""
@@ -480,6 +500,7 @@ def test_cells_in_blocks_are_the_same_and_so_are_derivatives(monkeypatch):
 
     whole = found()
     monkeypatch.setattr(blocks, "BLOCK", 10)
+    monkeypatch.setattr(blocks, "CACHED", 10)
     jax.clear_caches()
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(found()), strict=True):
         np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-13)
