@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 core = pytest.importorskip("tesseract_core")
-FILE = pathlib.Path(__file__).parents[1] / "examples" / "tesseract" / "tesseract_api.py"
+FILE = pathlib.Path(__file__).parents[1] / "docs" / "examples" / "tesseract_api.py"
 
 
 def cosine(a, b):

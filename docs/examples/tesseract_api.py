@@ -2,7 +2,7 @@
 
     from tesseract_core import Tesseract
 
-    with Tesseract.from_tesseract_api("examples/tesseract/tesseract_api.py") as mover:
+    with Tesseract.from_tesseract_api("docs/examples/tesseract_api.py") as mover:
         points = mover.apply({"angle": 0.1, "control": control})["points"]
 
 Another mesh or shape: replace `MESH`, `PLAN` and `SHAPE`.
