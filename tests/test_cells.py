@@ -66,7 +66,7 @@ def slab(columns):
     return points.reshape(-1, 2), quads, ids
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.6])
+@pytest.mark.parametrize("turn", [pytest.param(0.0, marks=pytest.mark.slow), 0.6])
 @pytest.mark.parametrize("method", [jm.LinearElasticity(), jm.Laplacian()], ids=["elasticity", "laplacian"])
 def test_nodes_slide_in_symmetry_planes(method, turn):
     """A half, with a plane in any direction, moves like the half of the whole."""

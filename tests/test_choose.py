@@ -22,6 +22,7 @@ def choice(problem):
     return jm.choose(*problem, leaves=(2, 16))
 
 
+@pytest.mark.slow
 def test_the_errors_are_those_of_scipys_interpolation(problem, choice):
     """Thin plate spline with a linear polynomial from the same sources, evaluated by SciPy."""
     mesh, moving, fixed, motions = problem

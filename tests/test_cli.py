@@ -294,6 +294,7 @@ def _box(tmp_path):
     return file, points, sides
 
 
+@pytest.mark.slow
 def test_symmetry_planes_on_the_command_line(tmp_path):
     file, points, sides = _box(tmp_path)
     arguments = [
@@ -318,6 +319,7 @@ def test_symmetry_planes_on_the_command_line(tmp_path):
     np.testing.assert_allclose(moved[sides["z0"]], points[sides["z0"]] + [0, 0, 0.1], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_sliding_and_periodic_patches_on_the_command_line(tmp_path, capsys):
     file, points, sides = _box(tmp_path)
     flags = "--moving z0 --translate 0.01 0.02 0.1 --fixed z1 --sliding x0 x1 --periodic y0 y1 --method rbf"

@@ -65,6 +65,7 @@ def test_a_gate_fails_names_its_cells_and_holds_the_file_back(here, capsys):
     assert main(["quality", "ring.su2", "bad.su2", "--max-skewness", "1"]) == 0
 
 
+@pytest.mark.slow
 def test_the_advice_is_one_that_works(here, capsys):
     motion = ("--rotate", "100", "--min-jacobian-ratio", "0.05")
     assert deform("advised.su2", *motion, "--method", "graph") == 1

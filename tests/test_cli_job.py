@@ -236,6 +236,7 @@ def test_what_may_not_fit_into_memory_is_told_before_the_work(here, capsys, monk
     )
 
 
+@pytest.mark.slow
 def test_single_precision_moves_to_its_precision_and_the_wall_exactly(here):
     for dtype in ("float64", "float32"):
         assert main(["deform", "ring.su2", f"{dtype}.su2", *MOVE, "--rotate", "10", "--dtype", dtype]) == 0
@@ -311,7 +312,13 @@ jaxmorph.io.read = reading
 
 @pytest.mark.parametrize(
     "how",
-    [WHILE_IMPORTING.format(module="jax"), WHILE_IMPORTING.format(module="jaxmorph.cli._modes"), IN_A_CALLBACK],
+    [
+        WHILE_IMPORTING.format(module="jax"),
+        *(
+            pytest.param(how, marks=pytest.mark.slow)
+            for how in (WHILE_IMPORTING.format(module="jaxmorph.cli._modes"), IN_A_CALLBACK)
+        ),
+    ],
     ids=["importing JAX", "importing the last", "collecting garbage"],
 )
 def test_an_interrupt_at_any_time_is_one_line(here, how):
@@ -322,6 +329,7 @@ def test_an_interrupt_at_any_time_is_one_line(here, how):
     assert (done.returncode, done.stdout) == (128 + signal.SIGINT, "")
 
 
+@pytest.mark.slow
 def test_text_is_utf_8_under_any_locale(here):
     """A patch with other letters, in a process whose locale knows ASCII alone: files are read and written, the name is shown."""
     mesh = (here / "ring.su2").read_text(encoding="utf-8").replace("wall", "flügel")

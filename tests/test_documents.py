@@ -31,6 +31,7 @@ def test_extensions_move_a_mesh(code):
     )
 
 
+@pytest.mark.slow
 def test_readme_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "readme"}

@@ -187,6 +187,7 @@ def test_first_mistakes(mistake):
     assert len(re.split(r"(?<=[a-z)])\. ", str(caught.value))) <= 2
 
 
+@pytest.mark.slow
 def test_choose_takes_names():
     motions = np.random.default_rng(0).normal(size=(1, 24, 2)) * 1e-3
     assert jm.choose(MESH, "body", "far", motions, leaves=(4,)).plan.n_moving == 24

@@ -48,6 +48,7 @@ def bump(mesh):
     return np.stack([0 * x, 0.05 * np.sin(np.pi * x) ** 2], axis=1)
 
 
+@pytest.mark.slow
 def test_the_command_line_prepares_the_mesh_as_python_does(here):
     """Walls that touch are told apart by their faces: without them the result is another one."""
     mesh = io.read("channel.su2")
@@ -88,6 +89,7 @@ def test_a_patch_that_is_not_named_is_an_error_unless_it_is_free(here, capsys):
     assert "no patch is called 'side'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_modes_and_sensitivity_refuse_it_too(here, capsys):
     flags = ["--moving", "inner", "--fixed", "outer", "inlet"]
     assert main(["modes", "channel.su2", "all.su2", *flags, "--mode", "bump.dat"]) == 2

@@ -82,6 +82,7 @@ def turned_in_steps(mesh, fixed_reduction, degrees):
     return jm.quality(mesh, jm.march(plan, path)[1])
 
 
+@pytest.mark.slow
 def test_a_cascade_turns_as_far_as_with_every_source():
     mesh = cases.cascade()
     few, graded, classic = (turned_in_steps(mesh, each, -44) for each in (jm.KDTree(16), jm.Graded(), None))
@@ -90,7 +91,7 @@ def test_a_cascade_turns_as_far_as_with_every_source():
     assert float(graded.min_jacobian_ratio) > 0.9 * float(classic.min_jacobian_ratio)
 
 
-@pytest.mark.parametrize("degrees", [-44, 42])
+@pytest.mark.parametrize("degrees", [pytest.param(-44, marks=pytest.mark.slow), 42])
 def test_the_default_turns_the_cascade_as_far(degrees):
     mesh = cases.cascade()
     blade = mesh.patch("blade")

@@ -36,6 +36,7 @@ def noise(shape):
     return np.random.default_rng(0).normal(size=shape)
 
 
+@pytest.mark.slow
 def test_hessian_vector_products_of_quality(mesh, plan):
     """Forward over reverse, the cheap way: costs a few gradients, whatever the number of displacements."""
 
@@ -78,6 +79,7 @@ def test_derivative_by_base_points(mesh, plan):
     np.testing.assert_allclose(slope, (ahead - behind) / 2e-4, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_hundred_steps_of_an_optimisation_in_one_program(mesh, plan):
     """Gradient descent inside of `lax.scan` finds the bump of a mesh, and is itself differentiable, each step recomputed."""
     target = jm.deform(plan, bump(mesh, 0.08))

@@ -156,6 +156,7 @@ def _softened(distortion, softness):
     return eqx.tree_at(lambda it: it.softness, distortion, jnp.asarray(softness))
 
 
+@pytest.mark.slow
 def test_the_undeformed_mesh_is_left_alone_and_keeps_its_boundary_layer():
     mesh = grid(6)
     points = mesh.points.copy()
@@ -166,6 +167,7 @@ def test_the_undeformed_mesh_is_left_alone_and_keeps_its_boundary_layer():
     np.testing.assert_allclose(jm.improve(mesh, points + 0.2).points, points + 0.2, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_ideal_targets_make_a_lattice_regular_again():
     """Their minimum is known: the regular grid, whatever the inner nodes of the undeformed mesh were."""
     regular = grid(3)

@@ -130,6 +130,7 @@ def test_overshoot_where_all_moves_or_nothing():
     assert (still.overshoot, still.overshoot_behind) == (0, 0)
 
 
+@pytest.mark.slow
 def test_advice_where_the_displacement_is_steep():
     """A wall that turns as a whole has no slope of its own; a narrow bump on a fitted field asks to compare the other method."""
     mesh = cases.naca0015(points=1200)

@@ -21,6 +21,10 @@ BASES = {
     "wendland": (jm.WendlandC2(0.9), None, None, None),
 }
 every_basis = pytest.mark.parametrize("name", BASES)
+two_bases = pytest.mark.parametrize(
+    "name",
+    [name if name in ("thin-plate", "wendland") else pytest.param(name, marks=pytest.mark.slow) for name in BASES],
+)
 
 
 @functools.cache
@@ -61,7 +65,7 @@ def test_scipy_agrees(name, dimension):
     np.testing.assert_allclose(jm.deform(plan, u) - points, reference, rtol=0, atol=1e-8 * np.abs(reference).max())
 
 
-@every_basis
+@two_bases
 def test_blocks_are_the_one_point_form(name):
     plan, u, w = case(name)
     scale = np.abs(one_by_one(plan, u)).max()
@@ -77,6 +81,7 @@ def test_blocks_are_the_one_point_form(name):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_every_transformation():
     """jvp, vjp, both Jacobians, vmap inside and outside of grad, grad of grad, scan: against the dense operator."""
     plan, u, w = case("thin-plate", n=BLOCK + 20, s=25)
@@ -133,7 +138,7 @@ def test_every_transformation():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(moved))(u), dense, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("n", [26, BLOCK, BLOCK + 1])
+@pytest.mark.parametrize("n", [BLOCK, *(pytest.param(n, marks=pytest.mark.slow) for n in (26, BLOCK + 1))])
 def test_any_number_of_points(n):
     plan, u, w = case("thin-plate", n=n, s=25)
     np.testing.assert_allclose(in_blocks(plan, u), one_by_one(plan, u), rtol=0, atol=1e-11)
@@ -169,6 +174,7 @@ def dense_kernels(text: str, n: int, s: int) -> int:
     return text.count(f"[{n},{s}]") + text.count(f"[{s},{n}]")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["deform", "gradient", "gradient by the points"])
 def test_memory_does_not_grow_with_points_times_sources(what):
     """What the program sets aside beside its results: a few arrays of the points and one block, 40 times below n s."""

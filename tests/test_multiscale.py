@@ -91,7 +91,11 @@ class Every(jm.AbstractMethod):
         return np.delete(np.sort(np.asarray(ids)), 3)
 
 
-@pytest.mark.parametrize("method", [jm.Multiscale(), jm.Multiscale.whole(1.0, 0.2)], ids=["alone", "whole"])
+@pytest.mark.parametrize(
+    "method",
+    [jm.Multiscale(), pytest.param(jm.Multiscale.whole(1.0, 0.2), marks=pytest.mark.slow)],
+    ids=["alone", "whole"],
+)
 def test_mirror_images_move_alike(method):
     """The field of the whole surface, images included, is symmetric: nodes on the plane have no motion across it."""
     part, role, *_ = whole_and_part(2, 1)

@@ -55,7 +55,7 @@ def turned(base, centre, degrees):
 
 SMALL, WHOLE = 12_000, 39_666
 INVERTED = [
-    ("cusped", SMALL, True, camber),
+    pytest.param("cusped", SMALL, True, camber, marks=pytest.mark.slow),
     ("cusped", SMALL, True, flap_up),
     ("cusped", SMALL, True, turn),
     ("6409", SMALL, True, flap_up),
@@ -115,6 +115,7 @@ def viscous_wing(span=2.0, stations=13):
     return jm.Mesh(points, {"hexahedron": hexahedra}, patches)
 
 
+@pytest.mark.slow
 def test_viscous_wing():
     """Bending by 30 % of the span and 15 degrees of twist, with about 50 + 20 sources."""
     mesh = viscous_wing()
@@ -197,6 +198,7 @@ def test_width(width):
     assert (moved != alone)[middle].all()
 
 
+@pytest.mark.slow
 def test_derivatives_with_respect_to_displacement_and_base_points():
     points, moving, fixed = strip()
     rng = np.random.default_rng(3)

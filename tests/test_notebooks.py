@@ -26,7 +26,7 @@ SMALL = {
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
 
-FAST = {"07_extend.ipynb"}
+FAST = set()
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 640 * 1024

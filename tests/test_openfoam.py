@@ -316,6 +316,7 @@ def test_vtk_sees_the_same_mesh(tmp_path, form, make):
     )
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path, capsys):
     points, cells, patches = strip(2)
     foam.write_case(tmp_path / "a", points, cells, patches)

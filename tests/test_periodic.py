@@ -87,6 +87,7 @@ def test_laws_with_periodic_sides(dimension, method, tmp_path):
     np.testing.assert_allclose(np.vdot(objective(points)[1], step), difference, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_steps_and_parts_of_a_periodic_mesh():
     points, moving, fixed, sides, u = sector(2)
     arguments = {"method": TPS, "periodic": joined(2, sides)}
@@ -102,6 +103,7 @@ def test_steps_and_parts_of_a_periodic_mesh():
     np.testing.assert_allclose(jm.deform(sharded, u), jm.deform(plan, u), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_two_directions_and_a_plane():
     """A box repeated along x and y, mirrored in z: corners are in two pairs, and all that repeat each other move alike."""
     axes = np.linspace(0, 1, 5)

@@ -80,8 +80,10 @@ def edges_at_corners(kind, x):
     return (x[:, 1:] - x[:, :1])[:, None]  # of a simplex: the same at each corner
 
 
-@pytest.mark.parametrize("method", ["default", "paper"])
-@pytest.mark.parametrize(("name", "motion"), RUNS)
+@pytest.mark.parametrize("method", ["default", pytest.param("paper", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("name", "motion"), [*RUNS[:1], *(pytest.param(*run, marks=pytest.mark.slow) for run in RUNS[1:])]
+)
 def test_no_cell_inverts(name, motion, method):
     mesh = mesh_of(name)
     moving, fixed = mesh.patch(MOVING[name]), mesh.patch(FIXED[name])

@@ -19,7 +19,9 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize(("dimension", "planes"), MIRRORED)
+@pytest.mark.parametrize(
+    ("dimension", "planes"), [(2, 1), *(pytest.param(*each, marks=pytest.mark.slow) for each in MIRRORED[1:])]
+)
 def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
     part, role, whole, whole_role, image_of, signs = whole_and_part(dimension, planes)
     assert len(whole) > 2**planes * 0.6 * len(part)
@@ -36,7 +38,11 @@ def test_full_interpolation_equals_that_of_the_whole_mesh(dimension, planes):
 
 
 @pytest.mark.parametrize(
-    ("name", "dimension", "planes"), [("full", 3, 2), ("reconstruction", 2, 1), ("multiscale", 3, 2)]
+    ("name", "dimension", "planes"),
+    [
+        ("full", 3, 2),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("reconstruction", 2, 1), ("multiscale", 3, 2))),
+    ],
 )
 def test_laws_with_symmetry_planes(name, dimension, planes):
     part, role, *_ = whole_and_part(dimension, planes)
@@ -89,6 +95,7 @@ def between_planes(dimension):
     return points, np.arange(len(wall)), np.flatnonzero(np.abs(points[:, 0]) == 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_two_parallel_planes(dimension):
     """Nodes stay in both planes; the rest moves nearly as between many images, and off a plane no faster than its distance."""
@@ -121,6 +128,7 @@ def test_two_parallel_planes(dimension):
     assert (np.abs(moved - points)[inside, 1] < 0.5 * near[inside]).all()
 
 
+@pytest.mark.slow
 def test_a_marched_symmetric_mesh():
     part, role, *_ = whole_and_part(2, 1)
     moving, fixed = np.flatnonzero(role == 1), np.flatnonzero(role == 2)

@@ -168,6 +168,7 @@ def objective(weights, *changes):
     return np.vdot(weights, io.read("out.su2").points)
 
 
+@pytest.mark.slow
 def test_sensitivities_of_a_job_are_the_slopes_of_what_deform_does(here, capsys):
     """Against differences of runs of `deform --set`: the file, its JSON and the terminal say the same."""
     assert main(["sensitivity", "--job", "job.toml", "volume.npz", "dJ.csv"]) == 0

@@ -92,6 +92,7 @@ def test_both_lengths_are_differentiable():
         assert abs(difference) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", ["8306", "9412"])
 def test_kinks_invert_nothing(code):
     """The displacement of the lower side is another share of the upper one's: a kink at both edges of a thin section."""
@@ -175,6 +176,7 @@ def test_chord_of_a_sphere():
     assert share[0] * span == pytest.approx(np.pi, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_free_side_stays_flat():
     """Half of a body with its plane named nowhere: no displacement across the plane, so none of the plane's nodes."""
     mesh = cases.wing(points=1000, stations=7)
@@ -200,6 +202,7 @@ def far_away(radius):
     return mesh.moved(arms * np.maximum(distance, 1) ** (power - 1) + np.array([0.5, 0]))
 
 
+@pytest.mark.slow
 def test_a_bump_leaves_the_far_field_alone():
     """The classic method, and the fit without rings, move nodes 100 chords away by several bumps' heights."""
     radius = 500
@@ -221,7 +224,7 @@ def test_a_bump_leaves_the_far_field_alone():
     np.testing.assert_allclose(moved, mesh.points @ affine, atol=1e-9 * radius)
 
 
-@pytest.mark.parametrize("whole", [True, False], ids=["mesh", "points"])
+@pytest.mark.parametrize("whole", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["mesh", "points"])
 def test_a_free_side_is_seen_however_it_is_turned(whole):
     """The outlet is named nowhere: the field is then an interpolation, and has no edges to be fitted to."""
     mesh = cases.channel(columns=24, rows=12)

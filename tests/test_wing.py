@@ -128,7 +128,7 @@ def test_the_turn_is_nose_up():
 
 
 @both_sizes
-@pytest.mark.parametrize("symmetric", [False, True], ids=["free", "plane"])
+@pytest.mark.parametrize("symmetric", [pytest.param(False, marks=pytest.mark.slow), True], ids=["free", "plane"])
 @pytest.mark.parametrize("method", [REDUCED, None], ids=["paper's", "default"])
 def test_bending(wing, method, symmetric):
     start = wing.judge(wing.mesh.points)
@@ -173,6 +173,7 @@ def test_one_step_of_the_field_and_three_of_the_graph(wing):
     assert end.volume_ratio.min() == pytest.approx(once.volume_ratio.min(), abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [COARSE])
 def test_a_fixed_plane_contradicts_a_wing_that_moves_along_it(wing):
     """Nodes of the plane next to the root: held, they cost cells; sliding, none."""
@@ -183,6 +184,7 @@ def test_a_fixed_plane_contradicts_a_wing_that_moves_along_it(wing):
     assert wing.judge(held).inverted > 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [COARSE])
 def test_dihedral_pulls_free_nodes_off_the_plane(wing):
     """A turn of the wing about the root moves nodes along the span: only `symmetry` keeps the plane a plane."""
