@@ -57,7 +57,7 @@ def test_rotation_about_a_point_and_what_is_said(here, capsys):
     assert float(row[1]) == pytest.approx(float(jm.quality(before).max_skewness), rel=1e-4)
     assert float(row[2]) == pytest.approx(float(report.max_skewness), rel=1e-4)
     assert int(row[3]) == int(np.argmax(report.skewness))
-    assert "inverted cells                     0           0\n" in said.out
+    assert "inverted cells                    0           0\n" in said.out
     text, original = (here / "rotated.su2").read_text(), (here / "ring.su2").read_text()
     assert text[: text.index("NPOIN")] == original[: original.index("NPOIN")]
     assert text[text.index("NMARK") :] == original[original.index("NMARK") :]

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable
 
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Shaped
 
 from .._host.topology import DIMENSION, FACES
 from .._kernels.values import Either, namespace
@@ -20,7 +20,7 @@ def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) 
 
 def non_orthogonality(
     points: Float[Either, "n d"],
-    cells: dict[str, Int[Either, "c k"]],
+    cells: dict[str, Shaped[Either, "c k"]],
     signs: dict[str, Either],
     neighbour: Either,
     largest: Callable = largest_inner,
@@ -46,7 +46,7 @@ def non_orthogonality(
     return xp.concatenate(angles)
 
 
-def _centres(kind: str, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> tuple[Either, Either]:
+def _centres(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> tuple[Either, Either]:
     """Computes the first corner, and the centre relative to it, (d, k) each."""
     xp, x = namespace(points), corners(points, ids.T)
     return xp.stack(x[0].components), xp.stack(centre_of_mass(kind, measures.relative_corners(x)[0]).components)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real, Shaped
 
 from .._host.adjacency import handedness, neighbours
 from .._host.topology import DIMENSION
@@ -125,7 +125,7 @@ def _standards_by(xp: Any, kinds, cells, points) -> tuple[Standard, ...]:
     return tuple(in_blocks(xp, functools.partial(_standard, kind, points), ids.T) for kind, ids in each)
 
 
-def _standard(kind: str, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Standard:
+def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> Standard:
     xp, (volume, jacobians, noise) = namespace(points), _sizes(kind, corners(points, ids.T))
     sign = xp.where(volume < 0, -1, 1).astype(np.int8)  # a factor that keeps float32
     judged = sign[None] * jacobians > noise
@@ -168,12 +168,12 @@ def _columns(
 _measured = compiled(_columns)
 
 
-def _volume(kind: str, points: Float[Either, "n d"], ids: Int[Either, "c k"]) -> Float[Either, " k"]:
+def _volume(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> Float[Either, " k"]:
     return _sizes(kind, corners(points, ids.T))[0]
 
 
 def _judged(
-    kind: str, points: Float[Either, "n d"], ids: Int[Either, "c k"], standard: "Standard | Either"
+    kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"], standard: "Standard | Either"
 ) -> dict[str, Either]:
     """Measures cells by a standard, or by the sign that each cell should have."""
     x = corners(points, ids.T)

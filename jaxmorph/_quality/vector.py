@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int, Integer, Num
+from jaxtyping import Float, Int, Num, Shaped
 
 from .._host import products
 from .._kernels.values import Either, namespace, root
@@ -51,7 +51,7 @@ class Vector:
         return Vector([a * factor for a in self.components])
 
 
-def corners(points: Float[Either, "n d"], ids: Integer[Either, "k c"]) -> list[Vector]:
+def corners(points: Float[Either, "n d"], ids: Shaped[Either, "k c"]) -> list[Vector]:
     """Gathers one vector for each corner of k cells."""
     axes = [points[:, axis] for axis in range(points.shape[1])]
     return [Vector([axis[ids[:, corner]] for axis in axes]) for corner in range(ids.shape[1])]

@@ -94,13 +94,13 @@ def table(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> str:
     """Formats a row for each gate, then the worst cells of gates that fail; nothing without gates."""
     if not chosen:
         return ""
-    lines = [f"{'gate':<24}{'limit':>12}{'before':>12}{'after' if before else 'now':>12}   cells beyond"]
+    lines = [f"{'gate':<23}{'limit':>12}{'before':>12}{'after' if before else 'now':>12}   cells beyond"]
     worst = []
     for gate in chosen:
         start, bad = _start(gate, before), gate.beyond(after)
         old = "-" if start is None else f"{start:.5g}"
         share = f"{len(bad)} of {len(after.counted)}" if len(bad) else "0"
-        lines.append(f"{gate.label:<24}{gate.limit:>12.5g}{old:>12}{gate.extreme(after):>12.5g}   {share}")
+        lines.append(f"{gate.label:<23}{gate.limit:>12.5g}{old:>12}{gate.extreme(after):>12.5g}   {share}")
         if len(bad):
             worst.append(f"worst cells by {gate.label}")
             worst += [_cell(gate, after, int(cell)) for cell in bad[:WORST]]

@@ -115,7 +115,8 @@ def _box(group: Group, d: int) -> Parts:
 def _scale(group: Group, about: np.ndarray) -> Parts:
     if group.scale is None:
         return {}
-    factors = _vector("--scale", group.scale, 1 if len(group.scale) == 1 else len(about))
+    is_one = len(group.scale) == 1 and np.isfinite(group.scale).all()
+    factors = _vector("--scale", group.scale, 1 if is_one else len(about))
     factors = factors[0] if len(factors) == 1 else factors
     shape = shapes.Function(lambda x, factors: shapes.scale(x, factors, about), np.ones_like(factors))
     return {"scale": (shape, factors)}

@@ -19,19 +19,19 @@ LABELS = {"non_orthogonality": "non-orthogonality"}
 
 def alone(report: QualityReport) -> str:
     """Formats a table for one mesh, with the worst cell of each row."""
-    lines = [_heading(report), f"{'':<24}{'':>12}   worst cell"]
+    lines = [_heading(report), f"{'':<23}{'':>12}   worst cell"]
     lines += [_row(report, kind, name, _number(report, kind, name)) for kind, name in (*ROWS, ("min", "volume"))]
     return "\n".join(lines)
 
 
 def compared(before: QualityReport, after: QualityReport, more: Sequence[str] = ()) -> str:
     """Formats a table for a mesh before and after its motion, with the worst cells of the moved mesh, and more rows below."""
-    lines = [_heading(after), f"{'':<24}{'before':>12}{'after':>12}   worst cell after"]
+    lines = [_heading(after), f"{'':<23}{'before':>12}{'after':>12}   worst cell after"]
     for kind, name in ROWS:
         lines.append(_row(after, kind, name, _number(before, kind, name) + _number(after, kind, name)))
     for kind, name in RATIOS:
         lines.append(_row(after, kind, name, f"{'-':>12}" + _number(after, kind, name)))
-    lines.append(f"{'inverted cells':<24}{int(before.inverted):>12}{int(after.inverted):>12}")
+    lines.append(f"{'inverted cells':<23}{int(before.inverted):>12}{int(after.inverted):>12}")
     return "\n".join([*lines, *more])
 
 
@@ -41,12 +41,12 @@ def wall_rows(wall: WallQuality | None, inspection: Inspection, points: Float[np
     if wall is not None:
         angle, height = np.asarray(wall.angle), np.asarray(wall.height)
         rows = [
-            f"{'mean wall angle':<24}{0:>12}{angle.mean():>12.5g}",
-            f"{'max wall angle':<24}{0:>12}{angle.max():>12.5g}   {_node(wall, int(angle.argmax()), points)}",
-            f"{'min first-cell height':<24}{1:>12}{height.min():>12.5g}   {_node(wall, int(height.argmin()), points)}",
+            f"{'mean wall angle':<23}{0:>12}{angle.mean():>12.5g}",
+            f"{'max wall angle':<23}{0:>12}{angle.max():>12.5g}   {_node(wall, int(angle.argmax()), points)}",
+            f"{'min first-cell height':<23}{1:>12}{height.min():>12.5g}   {_node(wall, int(height.argmin()), points)}",
         ]
     for label, value in (("overshoot", inspection.overshoot), ("overshoot behind", inspection.overshoot_behind)):
-        rows.append(f"{label:<24}{'-':>12}{value:>12.5g}")
+        rows.append(f"{label:<23}{'-':>12}{value:>12.5g}")
     return rows
 
 
@@ -101,9 +101,9 @@ def _number(report: QualityReport, kind: str, name: str) -> str:
 def _row(report: QualityReport, kind: str, name: str, numbers: str) -> str:
     label = f"{kind} {LABELS.get(name, name.replace('_', ' '))}"
     if kind == "mean":
-        return f"{label:<24}{numbers}"
+        return f"{label:<23}{numbers}"
     cell = int(report.worst(1, by=name)[0])
-    return f"{label:<24}{numbers}   {cell} near {place(report, cell)}"
+    return f"{label:<23}{numbers}   {cell} near {place(report, cell)}"
 
 
 def numbers(report: QualityReport) -> dict[str, Any]:
