@@ -126,6 +126,6 @@ METHODS: dict[str, Callable[[float], jm.AbstractMethod | None]] = {
     "Laplacian 1/d^2": lambda size: jm.Laplacian(),
     "biharmonic": lambda size: jm.Biharmonic(),
     "inverse distance": lambda size: jm.InverseDistance(),
-    "the same, turning": lambda size: jm.InverseDistance(rotations=True),
+    "inverse distance, turning": lambda size: jm.InverseDistance(rotations=True),
 }
 """By name, for a moving surface of a size."""

@@ -26,7 +26,7 @@ METHODS = {
     "Laplacian 1/d^2": jm.Laplacian(),
     "springs 1/l^2": jm.SpringAnalogy(),
     "inverse distance": jm.InverseDistance(),
-    "the same, turning": jm.InverseDistance(rotations=True),
+    "inverse distance, turning": jm.InverseDistance(rotations=True),
 }
 
 

@@ -11,14 +11,16 @@ from .reduction import AbstractReduction, check_separation, chosen_in_order, lea
 class PGreedy(AbstractReduction):
     """Picks points one after the other, each where the power function of those before is largest.
 
-    They depend on the places alone, not on a motion. The function is Wendland's C2 of a radius as large as the points'
-    extent. The factors grow by a column for each point (Newton's basis), so that 300 of 16,000 take three
-    seconds.
+    The choice is that of De Marchi, Schaback and Wendland (Advances in Computational Mathematics 23, 2005).
+    It depends on the places alone, not on a motion. The function is Wendland's C2 of a radius as large as the points'
+    extent. The factors grow by a column for each point (Newton's basis).
 
     **Arguments:**
 
     - `count`: how many points to choose; fewer where they come closer than `separation`.
     - `separation`: least distance of two of them, relative to the extent. Default 1e-3.
+
+    **Raises:** `ValueError` for a count below 1, and a separation that is not from 0 to 1.
     """
 
     count: int

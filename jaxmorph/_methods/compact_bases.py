@@ -52,7 +52,10 @@ def _compact_jvp(kind, primals, tangents):
 
 
 class WendlandC0(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^2: continuous alone, with a cone at each source."""
+    """Evaluates phi = (1 - xi)^2: continuous alone, with a cone at each source.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
+    """
 
     support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
@@ -66,7 +69,10 @@ class WendlandC0(AbstractCompactBasis):
 
 
 class WendlandC4(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1): four continuous derivatives."""
+    """Evaluates phi = (1 - xi)^6 (35/3 xi^2 + 6 xi + 1): four continuous derivatives.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
+    """
 
     support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
@@ -80,7 +86,10 @@ class WendlandC4(AbstractCompactBasis):
 
 
 class WendlandC6(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^8 (32 xi^3 + 25 xi^2 + 8 xi + 1): six continuous derivatives."""
+    """Evaluates phi = (1 - xi)^8 (32 xi^3 + 25 xi^2 + 8 xi + 1): six continuous derivatives.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
+    """
 
     support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
@@ -94,7 +103,10 @@ class WendlandC6(AbstractCompactBasis):
 
 
 class CompactC0(AbstractCompactBasis):
-    """Evaluates phi = (1 - xi)^5, de Boer's CTPS C0: continuous alone."""
+    """Evaluates phi = (1 - xi)^5, de Boer's CTPS C0: continuous alone.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    """
 
     support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
@@ -108,7 +120,10 @@ class CompactC0(AbstractCompactBasis):
 
 
 class CompactC1(AbstractCompactBasis):
-    """Evaluates de Boer's CTPS C1, phi = 1 + 80/3 xi^2 - 40 xi^3 + 15 xi^4 - 8/3 xi^5 + 20 xi^2 log xi."""
+    """Evaluates de Boer's CTPS C1, phi = 1 + 80/3 xi^2 - 40 xi^3 + 15 xi^4 - 8/3 xi^5 + 20 xi^2 log xi.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    """
 
     support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
@@ -122,7 +137,10 @@ class CompactC1(AbstractCompactBasis):
 
 
 class CompactC2a(AbstractCompactBasis):
-    """Evaluates de Boer's CTPS C2a, phi = 1 - 30 xi^2 - 10 xi^3 + 45 xi^4 - 6 xi^5 - 60 xi^3 log xi."""
+    """Evaluates de Boer's CTPS C2a, phi = 1 - 30 xi^2 - 10 xi^3 + 45 xi^4 - 6 xi^5 - 60 xi^3 log xi.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    """
 
     support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
@@ -136,7 +154,10 @@ class CompactC2a(AbstractCompactBasis):
 
 
 class CompactC2b(AbstractCompactBasis):
-    """Evaluates de Boer's CTPS C2b, phi = 1 - 20 xi^2 + 80 xi^3 - 45 xi^4 - 16 xi^5 + 60 xi^4 log xi."""
+    """Evaluates de Boer's CTPS C2b, phi = 1 - 20 xi^2 + 80 xi^3 - 45 xi^4 - 16 xi^5 + 60 xi^4 log xi.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    """
 
     support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
 

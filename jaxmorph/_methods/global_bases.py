@@ -10,7 +10,7 @@ from .basis import AbstractBasis, checked_length
 
 
 class LinearSpline(AbstractBasis):
-    """Evaluates phi(r) = r: without a parameter; needs a constant polynomial. It has a cone at each source."""
+    """Evaluates phi(r) = r: without a parameter; needs a constant polynomial. It has a cone at each source (Duchon 1977)."""
 
     min_degree: ClassVar[int | None] = 0
     scale_free: ClassVar[bool] = True
@@ -20,7 +20,7 @@ class LinearSpline(AbstractBasis):
 
 
 class CubicSpline(AbstractBasis):
-    """Evaluates phi(r) = r^3, the smoothest interpolation in 3-D: without a parameter; needs a linear polynomial."""
+    """Evaluates phi(r) = r^3, the smoothest interpolation in 3-D: no parameter; needs a linear polynomial (Duchon 1977)."""
 
     min_degree: ClassVar[int | None] = 1
     scale_free: ClassVar[bool] = True
@@ -30,7 +30,10 @@ class CubicSpline(AbstractBasis):
 
 
 class InverseMultiquadric(AbstractBasis):
-    """Evaluates phi(r) = 1 / sqrt(1 + r^2 / R^2); positive definite, R in the mesh's units."""
+    """Evaluates phi(r) = 1 / sqrt(1 + r^2 / R^2); positive definite.
+
+    R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
+    """
 
     radius: Float[Array, ""] = eqx.field(converter=checked_length)
 
@@ -39,7 +42,10 @@ class InverseMultiquadric(AbstractBasis):
 
 
 class InverseQuadratic(AbstractBasis):
-    """Evaluates phi(r) = 1 / (1 + r^2 / R^2); positive definite, R in the mesh's units."""
+    """Evaluates phi(r) = 1 / (1 + r^2 / R^2); positive definite.
+
+    R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
+    """
 
     radius: Float[Array, ""] = eqx.field(converter=checked_length)
 

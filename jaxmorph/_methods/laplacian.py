@@ -13,7 +13,8 @@ from .stiffness import AbstractStiffness, ByDistance, gradients
 class Laplacian(AbstractCellMethod):
     """Smooths each component of the displacement by Laplace's equation, of linear finite elements.
 
-    It needs the mesh's cells. Components do not know of each other: a rotation shears the cells.
+    Löhner and Yang made the diffusivity depend on the distance from the body (Communications in Numerical Methods in
+    Engineering 12, 1996). It needs the mesh's cells. Components do not know of each other: a rotation shears the cells.
 
     **Arguments:**
 
@@ -37,7 +38,7 @@ class Laplacian(AbstractCellMethod):
 
 
 class Biharmonic(AbstractCellMethod):
-    """Smooths each component by the biharmonic equation, in its mixed form with linear finite elements.
+    """Smooths each component by the biharmonic equation, in its mixed form with linear finite elements (Helenbrook 2003).
 
     The displacement's derivative across the surface is zero: first cells keep their height, and follow the wall's
     translation, not its rotation. It needs the mesh's cells.

@@ -42,7 +42,6 @@ class RBF(AbstractMethod):
     - `reduction`, `fixed_reduction`: choose the sources among the moving and among the fixed nodes. Defaults `KDTree(64)` and
       `Graded()`. More sources follow the surface closer, and cost more.
     - `degree`: degree of the polynomial p: None (no polynomial), 0, or 1, which reproduces rigid and affine motions. Default 1.
-
     - `ridge`: added to the matrix at each source, in units of phi at the sources' extent (of phi itself for a basis with a
       radius). The field then smooths noise and misses the sources. Default 0.
 
