@@ -107,6 +107,9 @@ def test_a_job_carries_it_and_a_bad_number_is_answered(here, capsys):
     capsys.readouterr()
     assert main(["deform", "ring.su2", "a.su2", *MOVE, "--chunk", "0"]) == 2
     assert capsys.readouterr().err == "jaxmorph deform: --chunk must be 1 or more, found 0.\n"
+    assert main(["deform", "ring.su2", "a.su2", *MOVE, "--chunk", "9", "--method", "elasticity"]) == 2
+    said = "--chunk is not for elasticity, which solves for all nodes at once."
+    assert capsys.readouterr().err == f"jaxmorph deform: {said}\n"
 
 
 def test_errors_name_nodes_of_the_mesh(here, capsys):

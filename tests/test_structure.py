@@ -4,8 +4,11 @@ import ast
 import dataclasses
 import graphlib
 import pathlib
+import shutil
 import subprocess
 import sys
+
+import pytest
 
 ROOT = pathlib.Path(__file__).parents[1]
 PACKAGE = ROOT / "jaxmorph"
@@ -24,6 +27,12 @@ OPTIONAL = (
     "pyamg",
     "mphys",
 )
+
+TOP = {
+    *("jaxmorph", "tests", "notebooks", "docs", "benchmarks", "pyproject.toml"),
+    *("README.md", "LICENSE", "CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff"),
+}
+"""What may stand at the top level, beside names that begin with a dot."""
 
 FLOORS = (
     ("_host", "_kernels"),
@@ -94,6 +103,13 @@ OWN = [each for file in FILES for each in imports(file) if each.module.split("."
 BETWEEN = [
     each for each in OWN if each.rooms[0] != each.rooms[1] and each.importer not in ("jaxmorph", "jaxmorph._public")
 ]
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="no checkout of git")
+def test_the_top_level_holds_what_it_is_meant_to():
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    top = {name.partition("/")[0] for name in listed.split("\0") if name and not name.startswith(".")}
+    assert top == TOP
 
 
 def test_every_room_has_a_floor():

@@ -100,7 +100,12 @@ def test_pullback_is_the_derivative_by_every_parameter(ring, steps):
             "2 design variables are called a; .* p.a, q.a",
         ),
         (lambda x: shapes.varied({"a": np.zeros(2)}, {"a": 1}), r"a takes 2 finite numbers, found \[1.0\]"),
-        (lambda x: shapes.varied({"a": 0.0}, {"a": np.nan}), "a takes 1 finite numbers"),
+        (lambda x: shapes.varied({"a": 0.0}, {"a": np.nan}), "a takes one finite number, found"),
+        (
+            lambda x: shapes.varied({"a": {"box": np.zeros((4, 3))}}, {"box[9,9]": 1}),
+            r"box\[9,9\]: a.box has shape \(4, 3\)",
+        ),
+        (lambda x: shapes.varied({"wing": {"twist": 1.0}}, {"twits": 1}), r"twits \(did you mean 'twist'\?\)"),
         (
             lambda x: io.read_box({"low": [0, 0], "high": [1, 1], "points": [4, 4], "moved": [], "degree": 9}, 2),
             "degrees",

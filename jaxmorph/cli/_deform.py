@@ -65,7 +65,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     wall = np.asarray(mesh.points)[patches.nodes]
     moves = motion(request.groups, mesh, patches.nodes, request.changes)
     with out.progress("choosing sources"):
-        choice = named_method(request.method, wall)
+        choice = named_method(request.method, wall, request.chunk)
         chunks = patches.chunks(choice, request.chunk)
     way = np.linalg.norm(moves.path(wall, 1)[-1], axis=1)
     n, d = mesh.points.shape
@@ -101,7 +101,9 @@ def _foreseen(attempt: Attempt, choice: NamedMethod, out: Output) -> jm.Estimate
         out.say(textwrap.fill(str(foreseen), 80, subsequent_indent=" " * 9))
     if foreseen.is_too_large:
         size = f"{foreseen.memory / 1e9:.2g} GB"
-        out.warn(f"{size} may not fit into memory; fewer --sources, --chunk and --dtype float32 need less.")
+        fewer = "fewer --sources, " if request.method.name in ("default", "published") else ""
+        other = "--method default and" if choice.method.needs_cells else f"{fewer}--chunk and"
+        out.warn(f"{size} may not fit into memory; {other} --dtype float32 need less.")
     return foreseen
 
 

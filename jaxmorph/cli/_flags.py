@@ -8,7 +8,7 @@ from typing import Any
 
 from . import _help
 from ._groups import Job, Moving, Part
-from ._parser import Parser
+from ._parser import Parser, meant
 
 METHODS = (
     *("default", "published", "rbf", "graph"),
@@ -211,6 +211,10 @@ def _method(command: Parser) -> Add:
 def _method_name(word: str) -> str:
     if word in RENAMED:
         raise argparse.ArgumentTypeError(f"{word!r} is now called {RENAMED[word]!r}")
+    if word not in METHODS:
+        raise argparse.ArgumentTypeError(
+            f"there is no method {word!r}{meant(word, METHODS)} (methods: {', '.join(METHODS)})"
+        )
     return word
 
 

@@ -86,8 +86,8 @@ exit status: 0; 1 when cells are inverted or a gate fails (OUT is then not
 written unless --allow-inverted is given); 2 for bad input"""
 
 DEFORM_SHORT = """\
-Scaling, twisting, bending, mode shapes, free-form boxes, free patches, other
-methods, limits of quality, job files, JSON: jaxmorph deform --help-all
+Scaling, twists, bends, modes, free-form boxes, design variables; free, sliding
+and periodic patches; methods, quality limits, jobs: jaxmorph deform --help-all
 
 examples:
   jaxmorph deform airfoil.su2 pitched.su2 --moving airfoil --fixed farfield \\

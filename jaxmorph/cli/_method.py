@@ -39,13 +39,16 @@ class NamedMethod:
     dtype: str
 
 
-def named_method(asked: Method, wall: Float[np.ndarray, "m d"]) -> NamedMethod:
-    """Makes the requested method. Raises `ValueError` for a number of sources if the method has none to choose."""
+def named_method(asked: Method, wall: Float[np.ndarray, "m d"], chunk: int | None = None) -> NamedMethod:
+    """Makes the requested method. Raises `ValueError` for a number of sources, or a size of parts, that it cannot take."""
     if asked.sources is not None and asked.name not in ("default", "published"):
         raise ValueError(f"--sources is for the methods default and published; {asked.name} has no sources to choose.")
     if asked.name in OTHERS:
         make, name, every = OTHERS[asked.name]
-        return NamedMethod(make(), name, len(wall) if every else 0, asked.dtype)
+        method = make()
+        if chunk is not None and method.needs_cells:
+            raise ValueError(f"--chunk is not for {asked.name}, which solves for all nodes at once.")
+        return NamedMethod(method, name, len(wall) if every else 0, asked.dtype)
     is_default, number = asked.name == "default", ""
     method = jm.SurfaceReconstruction() if is_default else jm.SurfaceReconstruction.published()
     if asked.sources is not None:

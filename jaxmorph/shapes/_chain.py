@@ -14,7 +14,7 @@ from ._shape import AbstractShape
 
 
 class Function(AbstractShape):
-    """A function of positions and parameters as a shape, with the parameters that move nothing.
+    """Makes a shape of a function of positions and parameters, with the parameters that move nothing.
 
         pitch = shapes.Function(lambda x, angle: shapes.rotate(x, angle, [0.25, 0.0]), 0.0)
 
@@ -74,7 +74,7 @@ class Chain(AbstractShape):
 
 
 class OnRows(AbstractShape):
-    """A shape on some rows of the positions, such as one patch of a wall; the others stay.
+    """Moves some rows of the positions by a shape, such as one patch of a wall; the others stay.
 
     Unlike `Part`, it takes shapes that are not linear, and the shape meets its own rows alone.
 

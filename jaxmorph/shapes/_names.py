@@ -1,6 +1,7 @@
 """Names of design variables: one for each number of a shape's parameters."""
 
-from collections.abc import Iterator, Mapping
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -48,17 +49,36 @@ def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
             name: (k, at) for name, at in zip(_of_numbers(stem, value.shape), np.ndindex(value.shape), strict=True)
         }
     for name, change in changes.items():
-        matches = [name] if name in places else [each for each in places if each.endswith(f".{name}")]
+        matches = _called(name, places)
         if len(matches) != 1:
             listed = ", ".join((matches or list(stems))[:LISTED]) or "none"
-            what = f"{len(matches)} design variables are called" if matches else "there is no design variable"
-            raise ValueError(f"{what} {name}; {'take one of' if matches else 'there are'}: {listed}.")
+            if matches:
+                raise ValueError(f"{len(matches)} design variables are called {name}; take one of: {listed}.")
+            array = _called(name.partition("[")[0], stems)
+            if "[" in name and len(array) == 1:
+                raise ValueError(
+                    f"there is no design variable {name}: {array[0]} has shape {values[stems.index(array[0])].shape}."
+                )
+            raise ValueError(f"there is no design variable {name}{_hint(name, stems)}; there are: {listed}.")
         k, at = places[matches[0]]
         given, target = np.asarray(change, float), values[k][at]
         if given.size != target.size or not np.isfinite(given).all():
-            raise ValueError(f"{name} takes {np.size(target)} finite numbers, found {given.ravel().tolist()}.")
+            count = "one finite number" if target.size == 1 else f"{target.size} finite numbers"
+            raise ValueError(f"{name} takes {count}, found {given.ravel().tolist()}.")
         values[k][at] = given.reshape(target.shape)
     return jax.tree.unflatten(jax.tree.structure(parameters), values)
+
+
+def _called(name: str, known: Iterable[str]) -> list[str]:
+    """Lists the name itself, or those that end so."""
+    known = list(known)
+    return [name] if name in known else [each for each in known if each.endswith(f".{name}")]
+
+
+def _hint(name: str, known: Sequence[str]) -> str:
+    """Suggests a known name, or the end of one, that is like the given one."""
+    near = difflib.get_close_matches(name, [*known, *(each.rpartition(".")[2] for each in known)], n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def _leaves(parameters: PyTree) -> Iterator[tuple[str, Any]]:
