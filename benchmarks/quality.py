@@ -14,7 +14,7 @@ import jaxmorph as jm
 
 
 def grid(side: int, dimension: int) -> jm.Mesh:
-    """Makes a cube or a square of so many cells along each edge, and moves its nodes a little."""
+    """Makes a cube or a square of so many cells along each edge."""
     corners = np.arange((side + 1) ** dimension).reshape([side + 1] * dimension)
     low, high = slice(None, -1), slice(1, None)
     square = ((low, low), (high, low), (high, high), (low, high))
