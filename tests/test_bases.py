@@ -120,3 +120,12 @@ def test_compact_functions_are_a_sparse_system():
         jm.CompactRBF(-1.0)
     with pytest.raises(ValueError, match="nodes coincide"):
         jm.prepare(np.concatenate([points, points[:1]]), np.r_[0:60, 300], method=jm.CompactRBF(0.4))
+
+
+def test_steps_of_compact_functions_carry_the_first_fit():
+    """The answer is linear in `u`, so steps on carried factors add up to the whole."""
+    rng = np.random.default_rng(5)
+    points, u = rng.uniform(size=(60, 2)), 0.02 * rng.normal(size=(20, 2))
+    plan = jm.prepare(points, np.arange(20), np.arange(20, 30), method=jm.CompactRBF(0.5))
+    _, marched = jm.march(plan, np.stack([u / 2, u]), rebuild=False)
+    np.testing.assert_allclose(marched, jm.deform(plan, u), rtol=0, atol=1e-12)

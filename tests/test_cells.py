@@ -174,3 +174,17 @@ def test_a_missing_solver_is_told(monkeypatch):
     monkeypatch.setattr(linear, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"24 unknowns in 3-D .* pip install 'jaxmorph\[solvers\]'"):
         jm.prepare(mesh, hull(mesh.points), method=jm.LinearElasticity())
+
+
+def test_a_solve_that_does_not_converge_is_not_an_answer(monkeypatch):
+    monkeypatch.setattr(linear.linalg, "cg", lambda matrix, right, **options: (0 * right, 1000))
+    solve = linear._conjugate_gradients(np.eye(2), np.ones(2), None)
+    assert np.isnan(solve(np.ones(2))).all()
+    assert np.isnan(solve(np.ones((2, 3)))).all()
+
+
+def test_springs_have_derivatives_where_corners_coincide():
+    corners = jnp.array([[0.0, 0], [1, 0], [1, 1], [1, 1]])
+    springs = jm.SpringAnalogy()
+    slope = jax.grad(lambda corners: springs.entries("quad", corners, jnp.ones(()))[0])(corners)
+    assert np.isfinite(slope).all()

@@ -97,3 +97,36 @@ def test_wrong_arguments_are_told():
         jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(rotations=True))
     with pytest.raises(ValueError, match=r"0 <= inner < outer, not 2.0 and 1.0"):
         jm.RigidBlend(2.0, 1.0)
+
+
+@pytest.mark.parametrize("angle", [0.5, np.pi])
+@pytest.mark.parametrize("shape", ["flat", "cube"])
+def test_rigid_blend_finds_the_rotation_of_flat_and_even_bodies(shape, angle):
+    corners = np.array(np.meshgrid([-1, 1.0], [-1, 1.0], [0.0] if shape == "flat" else [-1, 1.0])).reshape(3, -1).T
+    points = np.concatenate([corners, [[1.2, 1.0, 0.3]]])
+    plan = jm.prepare(points, np.arange(len(corners)), method=jm.RigidBlend(5.0, 9.0))
+    frame = Rotation.from_rotvec([0.6 * angle, 0.8 * angle, 0]).as_matrix()
+    u = corners @ frame.T - corners
+    np.testing.assert_allclose(jm.deform(plan, u)[-1], frame @ points[-1], rtol=0, atol=1e-9)
+    rng = np.random.default_rng(6)
+    v, w = rng.normal(size=corners.shape), rng.normal(size=points.shape)
+    for at in (0 * u, 0.1 * u):
+        difference = (jm.deform(plan, at + 1e-5 * v) - jm.deform(plan, at - 1e-5 * v)) / 2e-5
+        np.testing.assert_allclose(np.vdot(jm.pullback(plan, at, w), v), np.vdot(w, difference), rtol=1e-7)
+
+
+def test_a_body_without_extent_has_no_rotation():
+    points = np.array([[0.0, 0, 0], [1, 1, 1], [3, 0, 1]])
+    with pytest.raises(ValueError, match="of 2 moving nodes on one line"):
+        jm.prepare(points, [0, 1], method=jm.RigidBlend(0.1, 1.0))
+    with pytest.raises(ValueError, match="of 1 moving nodes at one place"):
+        jm.prepare(points[:, :2], [0], method=jm.RigidBlend(0.1, 1.0))
+
+
+def test_steep_weights_stay_finite_in_float32():
+    mesh = body(2)
+    points = np.concatenate([mesh.points, mesh.points[mesh.moving[:1]] + 1e-9]).astype(np.float32)
+    plan = jm.prepare(points, mesh.moving, mesh.fixed, method=jm.InverseDistance(3.0, 9.0))
+    u = np.ones((len(mesh.moving), 2), np.float32)
+    assert np.isfinite(jm.pullback(plan, u, np.ones_like(points))).all()
+    np.testing.assert_allclose((jm.deform(plan, u) - points)[-1], 1, rtol=1e-4)

@@ -21,6 +21,7 @@ KEPT = 2
 
 _kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=KEPT)
 _lock = threading.Lock()
+_random = threading.Lock()
 
 
 def solve(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
@@ -38,7 +39,7 @@ def solve(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
     - `places` (n, d): coordinates, for the rigid motions that a multigrid method keeps; (n, 0) for no such method.
     - `right` (n, k): k = d columns.
 
-    **Returns:** x (n, d), in the precision of `right`; NaN where a system is not finite or not positive.
+    **Returns:** x (n, d), in the precision of `right`; NaN where a system is not finite or not positive, or not solved.
     """
     leading = np.ndim(right) - 2
     arrays = [np.asarray(array) for array in (pairs, values, diagonal, masses, free, places, right)]
@@ -195,12 +196,13 @@ def _multigrid(scaled: Any, modes: np.ndarray) -> Any:
 
     smoother = ("chebyshev", {"degree": 2})
     options = {"presmoother": smoother, "postsmoother": smoother, "max_coarse": 300, "coarse_solver": "splu"}
-    state = np.random.get_state()  # noqa: NPY002  pyamg draws from it: the same numbers each time, and the user's stay
-    np.random.seed(0)  # noqa: NPY002
-    try:
-        hierarchy = pyamg.smoothed_aggregation_solver(scaled, B=modes, **options)
-    finally:
-        np.random.set_state(state)  # noqa: NPY002
+    with _random:
+        state = np.random.get_state()  # noqa: NPY002  pyamg draws from it: the same numbers each time, and the user's stay
+        np.random.seed(0)  # noqa: NPY002
+        try:
+            hierarchy = pyamg.smoothed_aggregation_solver(scaled, B=modes, **options)
+        finally:
+            np.random.set_state(state)  # noqa: NPY002
     return hierarchy.aspreconditioner(cycle="V")
 
 
@@ -208,7 +210,8 @@ def _conjugate_gradients(scaled: Any, scale: np.ndarray, cycle: Any) -> Callable
     """Makes conjugate gradients for right sides (k,) or (k, c), with a preconditioner or without."""
 
     def one(right):
-        return linalg.cg(scaled, right, rtol=ACCURACY, maxiter=1000, M=cycle)[0]
+        x, info = linalg.cg(scaled, right, rtol=ACCURACY, maxiter=1000, M=cycle)
+        return x if info == 0 else np.full_like(right, np.nan)
 
     def apply(right):
         if right.ndim == 1:

@@ -140,7 +140,7 @@ class AbstractCellMethod(AbstractMethod):
         return np.stack(np.divmod(unique, n), axis=1), {k: (entry[k], first[k] > second[k]) for k in both}
 
     def fit(self, ids: NodeIds, surface, points):
-        places = points @ ids.frame.astype(points.dtype)
+        places = jnp.matmul(points, ids.frame.astype(points.dtype), precision="highest")
         count, n, parts = len(ids.pairs), len(places), []
         for kind, cells in ids.cells.items():
             parts.append((cells.entry.ravel(), self._of_cells(kind, cells, places)))
@@ -167,16 +167,17 @@ class AbstractCellMethod(AbstractMethod):
 
     def field(self, ids: NodeIds, factors: NodeFactors, surface, u):
         frame = ids.frame.astype(u.dtype)
-        given = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set((u @ frame)[ids.rows])
+        turned = jnp.matmul(u, frame, precision="highest")
+        given = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
         moved = given + _solve(ids, factors, -_product(ids, factors, given))
-        return NodeField(jnp.concatenate([moved @ frame.T, u]))
+        return NodeField(jnp.concatenate([jnp.matmul(moved, frame.T, precision="highest"), u]))
 
     def check(self, ids: NodeIds, factors: NodeFactors, u):
         moved = self.field(ids, factors, u, u).values
         if not bool(jnp.isfinite(moved).all()):
             raise ValueError(
                 f"the stiffness of {type(self).__name__} is not finite or not positive: cells without volume, or a stiffness "
-                "that differs too much between cells. Try a smaller exponent."
+                "that differs too much between cells; or conjugate gradients did not converge. Try a smaller exponent."
             )
 
 

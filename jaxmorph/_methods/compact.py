@@ -69,6 +69,9 @@ class CompactRBF(AbstractMethod):
         none = jnp.zeros((len(surface), 0), values.dtype)
         return radius, NodeFactors(values, jnp.ones_like(surface[:, 0]), none[0], none)
 
+    def carry(self, ids, factors, surface, points):
+        return factors
+
     def place(self, x, ids: CompactReach, factors, surface):
         weights = WendlandC2(factors[0])(jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1))
         return Interpolation(ids.nodes, jnp.where(ids.reached, weights, 0), ids.reached)
@@ -85,5 +88,5 @@ class CompactRBF(AbstractMethod):
     def check(self, ids: CompactIds, factors, u):
         if not bool(jnp.isfinite(self.field(ids, factors, u, u).u).all()):
             raise ValueError(
-                "the matrix of CompactRBF is not positive: nodes coincide, or the radius is too large for float32."
+                "the matrix of CompactRBF is not positive, or no solve converged: nodes coincide, or the radius is too large."
             )

@@ -102,7 +102,9 @@ class InverseDistanceField(AbstractField):
             return jnp.matmul(weights, self.u, precision="highest")
         about = self.u - jnp.einsum("bij,bj->bi", self.turns, self.surface, precision="highest")
         turn = jnp.einsum("kb,bij->kij", weights, self.turns, precision="highest")
-        return jnp.matmul(weights, about, precision="highest") + jnp.einsum("kij,kj->ki", turn, points)
+        return jnp.matmul(weights, about, precision="highest") + jnp.einsum(
+            "kij,kj->ki", turn, points, precision="highest"
+        )
 
     def _weights(self, points: Float[Array, "k d"]) -> Float[Array, "k b"]:
         """Computes weights that add to one. They are taken relative to the nearest node's, so that none overflows."""
@@ -110,7 +112,9 @@ class InverseDistanceField(AbstractField):
         squared = jnp.maximum(squared_distances(points, self.surface), (SMALLEST * self.extent) ** 2)
         least = jax.lax.stop_gradient(squared.min(axis=1, keepdims=True))
         ratio = least / squared
-        local = alpha**near * (self.extent**2 / least) ** ((near - far) / 2)
+        largest = float(jnp.finfo(points.dtype).max) ** 0.25  # squared in derivatives, and added up
+        bound = largest ** (2 / (near - far)) if near > far else jnp.inf
+        local = alpha**near * jnp.minimum(self.extent**2 / least, bound) ** ((near - far) / 2)
         weights = self.area[None] * (_power(ratio, far) + local * _power(ratio, near))
         return weights / weights.sum(axis=1, keepdims=True)
 

@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
-from .._host.products import cofactors, determinant
 from .._kernels.values import is_known
 from .base import AbstractField, AbstractMethod, Surface
 
-POLAR = 12
-"""Newton steps to the rotation of a matrix: they converge quadratically."""
+REFINED = 2
+"""Newton steps after the eigenvector: they give it its derivatives, though other eigenvalues may be equal."""
 
 
 class RigidBlend(AbstractMethod):
@@ -27,7 +26,7 @@ class RigidBlend(AbstractMethod):
 
     - `inner`, `outer`: distances in the mesh's units.
 
-    **Raises:** `ValueError` unless 0 <= inner < outer.
+    **Raises:** `ValueError` unless 0 <= inner < outer. `prepare` raises it for moving nodes at one place, or in 3-D on one line.
     """
 
     inner: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, float))
@@ -46,6 +45,13 @@ class RigidBlend(AbstractMethod):
         return False
 
     def connect(self, surface: Surface, points):
+        moving = surface.points[: surface.moving].astype(float)
+        extents = np.linalg.svd(moving - moving.mean(axis=0), compute_uv=False)
+        if (extents > 1e-6 * max(1e-300, np.abs(moving).max())).sum() < moving.shape[1] - 1:
+            where = "at one place" if moving.shape[1] == 2 else "on one line"
+            raise ValueError(
+                f"RigidBlend finds no rotation of {len(moving)} moving nodes {where}: take more of the body."
+            )
         nearest = np.asarray(KDTree(surface.points[: surface.moving]).query(points)[1], dtype=np.int32)
         return np.int32(surface.moving), nearest
 
@@ -101,22 +107,21 @@ def _angle(arms: Float[Array, "b 2"], u: Float[Array, "b 2"]) -> Float[Array, ""
 
 
 def _rotation_vector(arms: Float[Array, "b 3"], u: Float[Array, "b 3"]) -> Float[Array, "3"]:
-    """Computes the rotation vector of the rotation in the affine motion nearest to the displacements."""
-    spread = jnp.matmul(arms.T, arms, precision="highest")
-    spread = spread + 1e-12 * jnp.trace(spread) * jnp.eye(3, dtype=spread.dtype)  # a flat body has no thickness
-    gradient = jnp.matmul(u.T @ arms, _inverse(spread), precision="highest")
-
-    def nearer(_, matrix):
-        return (matrix + _inverse(matrix).T) / 2
-
-    turned = jax.lax.fori_loop(0, POLAR, nearer, jnp.eye(3, dtype=u.dtype) + gradient)
-    axis = jnp.stack([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]) / 2
-    cosine, squared = (jnp.trace(turned) - 1) / 2, jnp.sum(axis**2)
+    """Computes the rotation vector of the nearest rotation: its quaternion is an eigenvector (Horn 1987)."""
+    size = jnp.sum(arms**2)
+    spread = jnp.matmul(arms.T, arms + u, precision="highest") / size
+    across = jnp.sum(jnp.cross(arms, u), axis=0) / size
+    trace, one = jnp.trace(spread), jnp.eye(3, dtype=u.dtype)
+    matrix = jnp.block([[trace[None, None], across[None]], [across[:, None], spread + spread.T - trace * one]])
+    turn = jnp.linalg.eigh(jax.lax.stop_gradient(matrix))[1][:, -1]
+    for _ in range(REFINED):
+        value = jnp.sum(turn * jnp.sum(matrix * turn[None], axis=1))
+        rest = jnp.sum(matrix * turn[None], axis=1) - value * turn
+        system = value * jnp.eye(4, dtype=u.dtype) - matrix + turn[:, None] * turn[None]
+        turn = turn + jnp.linalg.solve(system, rest)
+        turn = turn / jnp.sqrt(jnp.sum(turn**2))
+    turn = jnp.where(turn[0] < 0, -turn, turn)
+    squared = jnp.sum(turn[1:] ** 2)
     small = squared < 1e-12
     sine = jnp.sqrt(jnp.where(small, 1, squared))
-    return axis * jnp.where(small & (cosine > 0), 1 + squared / 6, jnp.arctan2(sine, cosine) / sine)
-
-
-def _inverse(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    columns = list(matrix.T)
-    return jnp.stack([jnp.stack(row) for row in cofactors(columns)]) / determinant(columns)
+    return 2 * turn[1:] * jnp.where(small, 1 + squared / 6, jnp.arctan2(sine, turn[0]) / sine)

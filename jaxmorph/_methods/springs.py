@@ -29,7 +29,9 @@ class SpringAnalogy(AbstractCellMethod):
     def entries(self, kind, corners, distance):
         i, j = np.array(self.pairs(kind)).T
         squared = jnp.sum((corners[j] - corners[i]) ** 2, axis=1)
-        return -(squared ** (-self.exponent.astype(corners.dtype) / 2))
+        apart = squared > 0
+        stiff = jnp.where(apart, squared, 1) ** (-self.exponent.astype(corners.dtype) / 2)
+        return -jnp.where(apart, stiff, jnp.inf)
 
 
 class TorsionalSprings(AbstractCellMethod):
