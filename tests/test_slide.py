@@ -10,6 +10,7 @@ from cases import BY_NAME, full
 from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
+from jaxmorph._plan.slide import wall_of
 
 TPS = full(jm.ThinPlateSpline(), 1)
 AXIS = jm.Revolution((0, 0, 3))
@@ -180,6 +181,29 @@ def test_a_polygon_and_a_circle():
     exact = np.asarray(jm.deform(on_circle, u))
     np.testing.assert_allclose(np.linalg.norm(exact[mesh.patch("outer")], axis=1), 2, rtol=0, atol=1e-13)
     assert np.abs(exact - moved).max() < 0.05
+
+
+def test_a_circle_in_single_precision_and_an_ellipse():
+    mesh = ring()
+    outer = mesh.patch("outer")
+    single = jm.Mesh(mesh.points.astype(np.float32), mesh.cells, mesh.patches)
+    slide = jm.Slide("outer", jm.Revolution())
+    wall = wall_of(slide, outer, np.asarray(single.points), None)
+    farther = np.array([[3.0, 0.0], [0.0, 1.0]])
+    np.testing.assert_allclose(wall.height(jnp.asarray(farther))[0], [1, -1], rtol=0, atol=1e-6)
+    with pytest.raises(ValueError, match="does not lie on its surface"):
+        wall_of(slide, outer, mesh.points * [1, 1.1], None)
+
+
+def test_a_face_without_area():
+    """A pyramid of quads, each of which ends in the pole: one of its triangles has no area."""
+    points = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1]])
+    quads = np.array([[k, (k + 1) % 4, 4, 4] for k in range(4)])
+    wall = wall_of(jm.Slide("pyramid"), np.arange(5), points, {"quad": quads})
+    x = jnp.array([[0.05, 0.02, 1.5], [0.6, 0.6, 0.6]])
+    place = wall.nearest(x)[0]
+    np.testing.assert_allclose(np.abs(place).sum(axis=1), 1, rtol=0, atol=1e-12)
+    assert np.isfinite(jax.grad(lambda x: wall.nearest(x)[0].sum())(x)).all()
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import pytest
 from cases import body, few, full, motion
 
 import jaxmorph as jm
+from jaxmorph._kernels.compile import compiled
 
 STEPS = 2
 
@@ -151,3 +152,15 @@ def test_what_is_not_a_path():
         jm.replay(plans, np.zeros((3, m, 2)))
     with pytest.raises(ValueError, match="`plans` is empty"):
         jm.replay((), np.zeros((0, m, 2)))
+
+
+def test_tuples_of_numbers_compile_once():
+    traced = []
+
+    @compiled
+    def total(x):
+        traced.append(x)
+        return x.sum()
+
+    assert [float(total(((a, 2.0), (3, 4)))) for a in (1.0, 2.0, 3.0)] == [10, 11, 12]
+    assert len(traced) == 1

@@ -25,7 +25,7 @@ def compiled(function: Function) -> Function:
     """Compiles a function as `equinox.filter_jit` does, with `OPTIONS` for direct calls on a CPU.
 
     Within another transformation it is an ordinary jitted function: JAX takes options for the outermost one only. Lists
-    become arrays: as they are, each of their numbers would be a static argument, and other numbers another compilation.
+    and tuples of numbers become arrays. As they are, each number would be a static argument, and others compile anew.
     """
     plain = eqx.filter_jit(function)
 
@@ -62,7 +62,9 @@ def _known_options() -> dict[str, Any]:
 
 
 def _array(argument: Any) -> Any:
-    return jnp.asarray(argument) if isinstance(argument, list) else argument
+    leaves = jax.tree.leaves(argument) if isinstance(argument, tuple) else ()
+    is_numbers = len(leaves) > 0 and all(isinstance(leaf, int | float) for leaf in leaves)
+    return jnp.asarray(argument) if isinstance(argument, list) or is_numbers else argument
 
 
 def _is_direct(arrays: list) -> bool:

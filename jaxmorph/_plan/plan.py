@@ -185,6 +185,9 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     It is meant for another mesh of the same family. The steps of one motion are those of `march`: points that a large
     motion has carried out of their simplices extrapolate.
 
+    Symmetry planes, walls on which nodes slide, and periodic transforms stay as `prepare` found them. Points that change these
+    need a new `prepare`: nothing checks it here.
+
     **Arguments:**
 
     - `plan`: the plan.

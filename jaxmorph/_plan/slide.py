@@ -177,7 +177,7 @@ def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
     if on.profile is None:
         middle = profile.mean(axis=0)
         normal = np.array([0.0, 1.0])
-        if np.ptp(profile) > 0 and np.ptp(profile[:, 1]) > 1e-9 * size:
+        if dimension == 3 and np.ptp(profile) > 0 and np.ptp(profile[:, 1]) > 1e-9 * size:
             normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
         if np.abs((profile - middle) @ normal).max() <= DEVIATION * size or dimension == 2:
             return Round(axis, origin, np.array([*normal, middle @ normal]))
@@ -219,6 +219,9 @@ def _of_faces(
     first, *others = (patch[elements[:, k]] for k in range(dimension))
     edges = [other - first for other in others]
     normal = edges[0][:, ::-1] * [1, -1] if dimension == 2 else np.cross(edges[0], edges[1])
+    lengths = np.linalg.norm(normal, axis=1)
+    is_whole = lengths > 1e-14 * lengths.max()  # a quad that ends in a point has a triangle without area
+    elements, normal = elements[is_whole], normal[is_whole]
     smooth = np.zeros_like(patch)
     for k in range(dimension):
         np.add.at(smooth, elements[:, k], normal)

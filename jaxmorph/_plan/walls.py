@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._kernels.values import norm
+
 STEPS = 6
 """Newton steps to a curved wall, or to where two walls meet; they end quadratically."""
 
@@ -139,7 +141,9 @@ def _nearest_of(x: Float[Array, " d"], corners: Float[Array, "d d"]) -> Float[Ar
 
 def _on_edge(x, first, second):
     edge = second - first
-    return first + jnp.clip(jnp.sum((x - first) * edge) / jnp.sum(edge**2), 0, 1) * edge
+    squared = jnp.sum(edge**2)
+    along = jnp.sum((x - first) * edge) / jnp.where(squared > 0, squared, 1)
+    return first + jnp.clip(along, 0, 1) * edge
 
 
 def _normal(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
@@ -148,7 +152,8 @@ def _normal(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
         normal = jnp.stack([along[1], -along[0]])
     else:
         normal = jnp.cross(corners[1] - corners[0], corners[2] - corners[0])
-    return normal / jnp.sqrt(jnp.sum(normal**2))
+    length = norm(normal)
+    return normal / jnp.where(length > 0, length, 1)
 
 
 class Track(eqx.Module):
