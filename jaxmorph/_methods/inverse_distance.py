@@ -26,6 +26,8 @@ def _positive(value) -> Float[Array, ""]:
 class InverseDistance(AbstractMethod):
     """Moves each point by the mean of what the surface's nodes do, weighted by inverse powers of their distance.
 
+    The method is that of Luke, Collins and Blades (Journal of Computational Physics 231, 2012).
+
     The weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary faces, and the same for
     all without cells. L is the largest distance of a surface node from the middle of the moving ones. There is no system to
     solve. IDWarp has the defaults of the weights, and `rotations=True`.

@@ -10,7 +10,7 @@ from .cells import AbstractCellMethod, all_pairs
 
 
 class SpringAnalogy(AbstractCellMethod):
-    """Holds each edge by a spring that acts alike in all directions: Batina's analogy.
+    """Holds each edge by a spring that acts alike in all directions (Batina 1990).
 
     It needs the mesh's cells, of which it takes the edges alone.
 
@@ -37,7 +37,7 @@ class SpringAnalogy(AbstractCellMethod):
 class TorsionalSprings(AbstractCellMethod):
     """Holds each edge by a spring, and each angle by one that grows infinitely stiff as it closes.
 
-    It needs the mesh's cells. In 2-D it is the method of Farhat et al.: springs against changes of the angles of each
+    It needs the mesh's cells. In 2-D it is the method of Farhat et al. (1998): springs against changes of the angles of each
     triangle; a quad has the triangles at its four corners. In 3-D it is its semi-torsional kin (Zeng and Ethier 2005). An
     edge of a tetrahedron is as stiff as 1 / sin^2 of the angle between the two faces that do not hold it. Other cells have
     the tetrahedra at their corners.

@@ -236,6 +236,8 @@ def _tracks(
     faces: Mapping[str, np.ndarray] | None,
 ) -> tuple[tuple[Track, ...], np.ndarray]:
     """Groups the sliding nodes by the walls that keep them; returns those that are held between these, too."""
+    if isinstance(sliding, type):
+        raise ValueError(f"`sliding` is the class {sliding.__name__}: call it, sliding=jm.Slide('shroud').")
     several = [sliding] if isinstance(sliding, Slide | str) else sliding
     several = [Slide(each) if isinstance(each, str) else each for each in several if each is not None]
     if not all(isinstance(each, Slide) for each in several):

@@ -82,8 +82,8 @@ class Plan(eqx.Module):
     `prepare` makes it, and says what may move. It survives `jax.tree` round trips, pickling and
     `equinox.tree_serialise_leaves`, and may be passed through `jit`, `vmap` and `grad` like any array.
 
-    Use `points`, `moving`, `fixed`, `sources`, `n_moving`, `method` and `offset`. The two halves, `surface` and `volume`,
-    belong to the driver, and so do `carried` (by a step of `march`) and `layout` (over devices).
+    Use `points`, `moving`, `fixed`, `guided`, `sources`, `n_moving`, `method`, `is_linear` and `offset`. The two halves,
+    `surface` and `volume`, belong to the driver, and so do `carried` (by a step of `march`) and `layout` (over devices).
     """
 
     method: AbstractMethod

@@ -22,7 +22,7 @@ SMOOTH = np.cos(np.deg2rad(5))
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Revolution:
-    """A surface of revolution: a cylinder, a cone, a disc, or any other shroud or hub; in 2-D a circle.
+    """Describes a surface of revolution: a cylinder, a cone, a disc, or any other shroud or hub; in 2-D a circle.
 
     **Arguments:**
 
