@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.neighbours import near_walls, nearest_of
-from .._kernels.values import is_known, norm, root
+from .._kernels.values import Either, is_known, namespace, norm, root
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
 from .blocks import map_points
@@ -75,7 +75,7 @@ class NearWall(AbstractMethod):
     def connect(self, surface: Surface, points):
         correction, correction_at_points = self.correction.connect(surface, points)
         extent = self._extent(surface)
-        width = np.asarray(self._width(extent, jnp.asarray(surface.points)))
+        width = self._width(jax.tree.map(np.asarray, extent), np.asarray(surface.points))
         wall = np.asarray(extent.wall)
         row_of_point = surface.rows(len(points))
         inside = np.flatnonzero(row_of_point == len(surface.points))
@@ -118,14 +118,19 @@ class NearWall(AbstractMethod):
         ids = (jnp.asarray(each.astype(np.int32)) for each in (wall, matched, ends))
         return Extent(*ids, share=jnp.asarray(share))
 
-    def _width(self, extent: "Extent", surface: Float[Array, "b d"]) -> Float[Array, " b"]:
+    def _width(self, extent: "Extent", surface: Float[Either, "b d"]) -> Float[Either, " b"]:
         """Computes the width of the layer over each surface node, the same for all of one wall."""
+        xp = namespace(surface)
         if self.width is not None:
-            return jnp.full(len(surface), self.width.astype(surface.dtype))
+            return xp.full(len(surface), xp.asarray(self.width, surface.dtype))
         gap = norm(surface - surface[extent.matched])
-        widest = jax.ops.segment_max(gap, extent.wall, len(extent.ends))
+        if xp is np:
+            widest = np.full(len(extent.ends), -np.inf)
+            np.maximum.at(widest, extent.wall, gap)
+        else:
+            widest = jax.ops.segment_max(gap, extent.wall, len(extent.ends))
         span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
-        return jnp.maximum(REACH * widest, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
+        return xp.maximum(REACH * widest, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
 
 
 class Extent(eqx.Module):

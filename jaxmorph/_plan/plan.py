@@ -145,13 +145,7 @@ class Plan(eqx.Module):
 
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Computes the displacement left to the correction (eq. 5), of moving, fixed and guided nodes. Traced in `u`."""
-        vectors, surface = self.of_surface(u), self.surface
-        extended = vectors if surface.images is None else surface.images.vectors(vectors)
-        offset = self.method.offset(surface.ids, surface.factors, surface.points, extended)
-        if surface.images is None:
-            return offset
-        rows = jnp.where(surface.images.kind > 0, len(vectors), surface.images.rows)
-        return jnp.zeros_like(vectors).at[rows].set(offset, mode="drop")
+        return _offset(self, u)
 
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Computes the displacements of moving, fixed and guided nodes from those of the moving ones. Traced."""
@@ -172,6 +166,17 @@ class Plan(eqx.Module):
                 repaired, outside = (int(count.sum()) for count in counts)
                 parts.append(f"{repaired} repaired in location, {outside} outside by round-off")
         return f"Plan({', '.join(parts)}, {self.method})"
+
+
+@compiled
+def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
+    vectors, surface = plan.of_surface(u), plan.surface
+    extended = vectors if surface.images is None else surface.images.vectors(vectors)
+    offset = plan.method.offset(surface.ids, surface.factors, surface.points, extended)
+    if surface.images is None:
+        return offset
+    rows = jnp.where(surface.images.kind > 0, len(vectors), surface.images.rows)
+    return jnp.zeros_like(vectors).at[rows].set(offset, mode="drop")
 
 
 def _is_located(leaf: Any) -> bool:
