@@ -106,6 +106,7 @@ def test_methods_by_name(here, name):
     np.testing.assert_allclose(after.points, expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_order_of_the_motions_and_steps_along_the_circle(here):
     motion = ("--scale", "2", "1", "--rotate", "90", "--translate", "0.25", "0", "--displacement", "shift.csv")
     assert deform("a.su2", *motion, "--displacement-is", "displacement", "--steps", "3", "--sources", "8") == 0

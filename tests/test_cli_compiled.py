@@ -12,7 +12,7 @@ from jaxmorph.cli import _compiled
 _compiled.keep_compiled()
 values = jax.config.values
 print(values["jax_compilation_cache_dir"], values["jax_compilation_cache_max_size"])
-jax.jit(lambda x: x @ x + sum(jax.numpy.sin(k * x) for k in range(40)))(jax.numpy.eye(3)).block_until_ready()
+jax.jit(lambda x: x @ x + sum(jax.numpy.sin(k * x) for k in range(400)))(jax.numpy.eye(3)).block_until_ready()
 """
 
 

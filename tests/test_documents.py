@@ -12,6 +12,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", blocks("CONTRIBUTING.md"))
 def test_extensions_move_a_mesh(code):
     names = {"__name__": "contributed"}

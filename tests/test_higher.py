@@ -54,6 +54,7 @@ def test_hessian_vector_products_of_quality(mesh, plan):
     np.testing.assert_allclose(product, difference, atol=1e-6 * np.abs(difference).max())
 
 
+@pytest.mark.slow
 def test_derivative_by_the_radius_of_a_basis(mesh, plan):
     """The radius is a leaf of the plan: `refit` makes the solve anew with another one."""
     u, w = bump(mesh, 0.1), noise(mesh.points.shape)
@@ -67,6 +68,7 @@ def test_derivative_by_the_radius_of_a_basis(mesh, plan):
     np.testing.assert_allclose(slope, (again[1] - again[0]) / 2e-4, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_derivative_by_base_points(mesh, plan):
     u, w, direction = bump(mesh, 0.1), noise(mesh.points.shape), noise(mesh.points.shape[::-1]).T
 

@@ -253,6 +253,7 @@ def test_solid_cells_leave_boundary_elements_out():
     }
 
 
+@pytest.mark.slow
 def test_distortion_is_a_smooth_objective():
     """Against differences, on a mesh with inverted cells; cell by cell in the order of the mesh."""
     mesh = grid(2)

@@ -50,6 +50,7 @@ def test_a_rotation_by_any_angle_is_no_contradiction(mesh):
     assert not len(jm.inspect(plan, rotation(mesh, 170)(1)).contradictions)
 
 
+@pytest.mark.slow
 def test_a_wall_sliding_along_a_held_boundary_is(mesh):
     airfoil = mesh.patch("airfoil")
     held = airfoil[np.argsort(mesh.points[airfoil, 0])[:10]]

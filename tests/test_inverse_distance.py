@@ -56,6 +56,7 @@ def test_a_turning_body_turns_the_points_near_it(dimension):
     assert not jm.InverseDistance(rotations=True).linear
 
 
+@pytest.mark.slow
 def test_derivatives_of_turning_nodes_at_rest():
     """The part of the derivative that rotations give is there at u = 0 too."""
     mesh = cases.naca0015(points=1200)

@@ -43,6 +43,7 @@ def test_the_bound_is_met_exactly_in_the_cell_that_is_told(tmp_path, bound):
         assert jm.quality(mesh, jm.deform(plan, u + share * result.step * direction)).jacobian_ratio.min() > bound
 
 
+@pytest.mark.slow
 def test_in_3d_and_where_nothing_limits_the_step():
     mesh = bricks()
     top = np.flatnonzero(mesh.points[:, 2] == 1)

@@ -233,6 +233,7 @@ def test_same_field_on_a_mesh_refined_along_the_wall():
     assert np.abs(fields[0]).max() > 0.02
 
 
+@pytest.mark.slow
 def test_a_mesh_of_nothing_but_surface():
     points = np.random.default_rng(0).normal(size=(30, 3))
     u = 0.1 * points[:20] ** 2

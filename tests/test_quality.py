@@ -435,6 +435,7 @@ def test_coincident_centres_have_finite_derivatives():
     assert np.isfinite(gradient).all()
 
 
+@pytest.mark.slow
 def test_jit_vmap_and_meshes_as_arguments():
     random = np.random.default_rng(6)
     points = random.random((20, 2))

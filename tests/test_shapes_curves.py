@@ -108,6 +108,7 @@ def test_cst_fits_an_airfoil_with_a_blunt_or_sharp_edge(last):
     assert shape(x, shape.neutral()).shape == x.shape
 
 
+@pytest.mark.slow
 def test_fits_find_the_parameters_of_linear_and_other_shapes():
     box = shapes.FreeForm.around(AIRFOIL, (3, 3))
     truth = 0.1 * random_like(box.neutral())
