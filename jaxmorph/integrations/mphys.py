@@ -41,7 +41,7 @@ class ShapeBuilder(Builder):
         super().__init__()
         self.shape, self.parameters = shape, first_parameters(shape, parameters)
 
-    def get_mesh_coordinate_subsystem(self, scenario_name=None) -> "Geometry":
+    def get_mesh_coordinate_subsystem(self, scenario_name=None) -> "Geometry":  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
         """Makes the component."""
         return Geometry(shape=self.shape, parameters=self.parameters)
 
@@ -70,14 +70,14 @@ class VolumeBuilder(Builder):
         if comm.size > 1:
             raise ValueError(f"a plan is whole on one process; there are {comm.size}.")
 
-    def get_mesh_coordinate_subsystem(self, scenario_name=None) -> om.IndepVarComp:
+    def get_mesh_coordinate_subsystem(self, scenario_name=None) -> om.IndepVarComp:  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
         """Makes the component that has the wall's coordinates."""
         wall: Any = np.asarray(self.plan.points[self.plan.moving], float).ravel()
         component = om.IndepVarComp()
         component.add_output(SURFACE.Mesh.COORDINATES, wall, distributed=True, units="m", tags=["mphys_coordinates"])
         return component
 
-    def get_coupling_group_subsystem(self, scenario_name=None) -> "Volume":
+    def get_coupling_group_subsystem(self, scenario_name=None) -> "Volume":  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
         """Makes the component that moves the volume."""
         return Volume(plan=self.plan)
 
