@@ -31,7 +31,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 MEMORY = {}
 """Largest resident memory of each worker, bytes."""
 EMPTIED = [0.5e9]
-"""Memory of this process after compiled code was dropped, bytes, each time."""
+"""Memory of this process after compiled code was dropped last, bytes."""
 
 
 _raises = pytest.raises
@@ -62,13 +62,13 @@ def stack_limit():
 
 def pytest_runtest_teardown(item, nextitem):
     """Drops compiled code after each file, and where it fills memory, so that a worker stays below 1.5 GB."""
-    if nextitem is None or nextitem.path != item.path or _resident() > EMPTIED[-1] + 0.4e9:
+    if nextitem is None or nextitem.path != item.path or _resident() > EMPTIED[0] + 0.4e9:
         eqx.clear_caches()
         jax.clear_caches()
         gc.collect()
         with contextlib.suppress(OSError, AttributeError):  # glibc alone has it
             ctypes.CDLL(None).malloc_trim(0)
-        EMPTIED.append(_resident())
+        EMPTIED[0] = _resident()
 
 
 def _resident():

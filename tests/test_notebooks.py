@@ -26,8 +26,6 @@ SMALL = {
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
 
-FAST = set()
-
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 640 * 1024
 """Bytes, pictures included."""
@@ -43,9 +41,8 @@ def with_parameters(notebook, values):
 
 # Warnings are those of Jupyter's client; what the notebook's own kernel warns of is looked for in its output.
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(
-    "name", [name if name in FAST else pytest.param(name, marks=pytest.mark.slow) for name in sorted(SMALL)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(SMALL))
 def test_notebook_runs(name):
     CHECKS[name](said_by(name))
 

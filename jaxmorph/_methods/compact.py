@@ -3,14 +3,14 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
 from .._host.hierarchy import overlaps, padded
 from .base import AbstractMethod, Surface
 from .basis import WendlandC2, checked_length
 from .cells import NodeFactors, solved_on_host, symmetric_product
-from .sparse import InterpolatedField, Interpolation
+from .sparse import InterpolatedField, Reach
 
 NEIGHBOURS = 200
 """Nodes that the automatic radius reaches from half of the moving nodes."""
@@ -21,13 +21,6 @@ class CompactIds(eqx.Module):
 
     pairs: Int[Array, "e 2"]
     radius: Float[Array, ""]
-
-
-class CompactReach(eqx.Module):
-    """The rows whose functions reach a point; where not `reached`, there is none."""
-
-    nodes: Int[Array, "*n k"]
-    reached: Bool[Array, "*n k"]
 
 
 class CompactRBF(AbstractMethod):
@@ -59,7 +52,7 @@ class CompactRBF(AbstractMethod):
             radius = float(self.radius)
         pairs = np.asarray(tree.query_pairs(radius, output_type="ndarray"), np.int32).reshape(-1, 2)
         near = overlaps(nodes, np.arange(len(nodes)), np.full(len(nodes), radius), points.astype(float))
-        reach = CompactReach(*map(jnp.asarray, padded(*near, len(points))))
+        reach = Reach(*map(jnp.asarray, padded(*near, len(points))))
         return CompactIds(jnp.asarray(pairs), jnp.asarray(radius)), reach
 
     def fit(self, ids: CompactIds, surface, points):
@@ -72,9 +65,9 @@ class CompactRBF(AbstractMethod):
     def carry(self, ids, factors, surface, points):
         return factors
 
-    def place(self, x, ids: CompactReach, factors, surface):
+    def place(self, x, ids: Reach, factors, surface):
         weights = WendlandC2(factors[0])(jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1))
-        return Interpolation(ids.nodes, jnp.where(ids.reached, weights, 0), ids.reached)
+        return ids.weighted(weights)
 
     def field(self, ids: CompactIds, factors, surface, u):
         matrix = factors[1]

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._kernels.values import root
 from .basis import AbstractBasis, checked_length
 
 
@@ -16,7 +17,7 @@ class LinearSpline(AbstractBasis):
     scale_free: ClassVar[bool] = True
 
     def __call__(self, r2):
-        return _root(r2)
+        return root(r2)
 
 
 class CubicSpline(AbstractBasis):
@@ -26,7 +27,7 @@ class CubicSpline(AbstractBasis):
     scale_free: ClassVar[bool] = True
 
     def __call__(self, r2):
-        return r2 * _root(r2)
+        return r2 * root(r2)
 
 
 class InverseMultiquadric(AbstractBasis):
@@ -51,8 +52,3 @@ class InverseQuadratic(AbstractBasis):
 
     def __call__(self, r2):
         return 1 / (1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
-
-
-def _root(r2):
-    positive = r2 > 0  # twice `where`: a root has no derivative at zero
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, r2, 1)), 0)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._kernels.values import is_known
+from .._kernels.values import is_known, norm
 from .base import BLOCK, AbstractField, AbstractMethod, Surface
 from .rbf import KERNEL_BLOCK, squared_distances
 
@@ -153,8 +153,7 @@ def _areas(faces: Mapping[str, Int[Array, "k c"]], surface: Float[Array, "b d"])
     """Computes each node's share of its faces; a node without any has the mean share."""
     total = jnp.zeros(len(surface), surface.dtype)
     for ids in faces.values():
-        squared = jnp.sum(_vectors(surface[ids]) ** 2, axis=1)
-        size = jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+        size = norm(_vectors(surface[ids]))
         total = total.at[ids].add(size[:, None] / ids.shape[1])
     return jnp.where(total > 0, total, total.mean())
 

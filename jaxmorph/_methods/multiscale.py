@@ -4,14 +4,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .._host.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .base import AbstractMethod, Surface
 from .basis import WendlandC2
 from .rbf import RBF
 from .reconstruction import SurfaceReconstruction
-from .sparse import InterpolatedField, Interpolation
+from .sparse import InterpolatedField, Reach
 
 
 class Multiscale(AbstractMethod):
@@ -66,9 +66,9 @@ class Multiscale(AbstractMethod):
     def carry(self, ids, factors, surface, points):
         return factors
 
-    def place(self, x, ids: "Reach", factors: "MultiscaleFactors", surface):
+    def place(self, x, ids: Reach, factors: "MultiscaleFactors", surface):
         weights = _wendland(_squared(surface[ids.nodes] - x[None]), factors.squared[ids.nodes])
-        return Interpolation(ids.nodes, jnp.where(ids.reached, weights, 0), ids.reached)
+        return ids.weighted(weights)
 
     def field(self, ids: "Hierarchy", factors: "MultiscaleFactors", surface, u):
         has_function = ids.nearest != jnp.arange(len(ids.nearest))
@@ -91,13 +91,6 @@ class Hierarchy(eqx.Module):
     column: Int[Array, " e"]
     forward: Sweep
     backward: Sweep
-
-
-class Reach(eqx.Module):
-    """The nodes whose functions reach a point, the widest first; where not `reached`, there is none."""
-
-    nodes: Int[Array, "*n k"]
-    reached: Bool[Array, "*n k"]
 
 
 class MultiscaleFactors(eqx.Module):

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
-from .._kernels.values import is_known
+from .._kernels.values import is_known, norm
 from .base import AbstractField, AbstractMethod, Surface
 
 REFINED = 2
@@ -77,7 +77,7 @@ class RigidField(AbstractField):
 
     def __call__(self, x, ids):
         inner, outer = self.method.inner.astype(x.dtype), self.method.outer.astype(x.dtype)
-        far = jnp.clip((_length(x - self.surface[ids]) - inner) / (outer - inner), 0, 1)
+        far = jnp.clip((norm(x - self.surface[ids]) - inner) / (outer - inner), 0, 1)
         share = 1 - far**3 * (10 - 15 * far + 6 * far**2)
         arm, turn = x - self.middle, share * self.turn
         if len(x) == 2:
@@ -86,11 +86,6 @@ class RigidField(AbstractField):
         half = _sinc(jnp.sum(turn**2) / 4)
         once = jnp.cross(turn, arm)
         return share * self.carried + _sinc(jnp.sum(turn**2)) * once + half**2 / 2 * jnp.cross(turn, once)
-
-
-def _length(x: Float[Array, " d"]) -> Float[Array, ""]:
-    squared = jnp.sum(x**2)
-    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
 
 
 def _sinc(squared: Float[Array, ""]) -> Float[Array, ""]:

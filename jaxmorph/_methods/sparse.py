@@ -57,6 +57,17 @@ class Interpolation(AbstractRows):
         return Interpolation(self.nodes, self.weights, self.reached, table)
 
 
+class Reach(eqx.Module):
+    """The nodes whose functions of compact support reach a point; where not `reached`, there is none."""
+
+    nodes: Int[Array, "*n k"]
+    reached: Bool[Array, "*n k"]
+
+    def weighted(self, weights: Float[Array, " k"]) -> Interpolation:
+        """Interpolates one point with these values of the functions."""
+        return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
+
+
 def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
     nodes = np.asarray(rows.nodes)
     reached = np.ones(len(nodes), dtype=bool) if rows.reached is None else np.asarray(rows.reached)

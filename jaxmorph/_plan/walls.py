@@ -65,10 +65,8 @@ class Round(AbstractWall):
         arm = x - jnp.asarray(self.origin, x.dtype)[None]
         along = jnp.matmul(arm, axis, precision="highest")
         outward = arm - along[:, None] * axis[None]
-        squared = jnp.sum(outward**2, axis=1)
-        off = squared > 0  # twice `where`: a root has no derivative at zero
-        radius = jnp.where(off, jnp.sqrt(jnp.where(off, squared, 1)), 0)
-        outward = outward / jnp.where(off, radius, 1)[:, None]
+        radius = norm(outward)
+        outward = outward / jnp.where(radius > 0, radius, 1)[:, None]
         if self.spline is None or self.knots is None:
             a, b, c = (jnp.asarray(each, x.dtype) for each in self.line)
             above, a, b = (

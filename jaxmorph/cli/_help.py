@@ -125,7 +125,18 @@ examples:
 
 exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input"""
 
-SENSITIVITY = """\
+_SENSITIVITY_EXAMPLES = """\
+examples:
+  SU2's volume sensitivities to those of the wall's nodes:
+    jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
+        --moving airfoil --fixed farfield
+  on to twist, box and all else that a job moves by:
+    jaxmorph sensitivity --job wing.toml volume_sens.csv variables.json
+
+exit status: 0; 2 for bad input"""
+
+SENSITIVITY = (
+    """\
 The transpose of deform, at the mesh as it is, for the same patches and method.
 Rows of OUT have the node ids of IN.
 
@@ -133,27 +144,18 @@ With --job it goes on to the design variables that deform's --set names: OUT has
 the name, value and derivative of each, per degree for angles. SENS then belongs
 to the mesh that the job writes.
 
-examples:
-  SU2's volume sensitivities to those of the wall's nodes:
-    jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
-        --moving airfoil --fixed farfield
-  on to twist, box and all else that a job moves by:
-    jaxmorph sensitivity --job wing.toml volume_sens.csv variables.json
+"""
+    + _SENSITIVITY_EXAMPLES
+)
 
-exit status: 0; 2 for bad input"""
-
-SENSITIVITY_SHORT = """\
+SENSITIVITY_SHORT = (
+    """\
 Methods, other values of design variables, output for machines:
 jaxmorph sensitivity --help-all
 
-examples:
-  SU2's volume sensitivities to those of the wall's nodes:
-    jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
-        --moving airfoil --fixed farfield
-  on to twist, box and all else that a job moves by:
-    jaxmorph sensitivity --job wing.toml volume_sens.csv variables.json
-
-exit status: 0; 2 for bad input"""
+"""
+    + _SENSITIVITY_EXAMPLES
+)
 
 QUALITY = """\
 Skewness: 0 ideal, 1 degenerate. Aspect ratio: 1 ideal. Means are weighted by
