@@ -136,3 +136,14 @@ def test_hardly_any_points(count):
 def test_options_that_make_no_sense(options, message):
     with pytest.raises(ValueError, match=message):
         jm.KDTree(**options)
+
+
+def test_tree_with_about_so_many_sources():
+    mesh = jm_cases.naca0015(points=3000)
+    points = mesh.points[mesh.patch("airfoil")]
+    for count in (6, 20, 45):
+        leaves = jm.KDTree.with_sources(count, points).leaves
+        missed = {k: abs(len(jm.KDTree(k, extremes=True)(points)) - count) for k in range(1, count + 1)}
+        assert missed[leaves] <= min(missed.values()) + 1
+    with pytest.raises(ValueError, match="`count` must be 3 or more in 2-D, not 2"):
+        jm.KDTree.with_sources(2, points)

@@ -141,6 +141,30 @@ class KDTree(AbstractReduction):
     def closest(self, points: np.ndarray) -> float:
         return least_distance(points, self.separation)
 
+    @staticmethod
+    def with_sources(count: int, points: np.ndarray) -> "KDTree":
+        """Searches for the number of leaves that gives points (n, d) about `count` sources, `extremes` among them.
+
+        **Arguments:**
+
+        - `count`: how many sources are wanted, at least d + 1. A tree gives not every number: the nearest found is taken.
+        - `points`: the moving nodes.
+
+        **Returns:** a tree with so many leaves.
+
+        **Raises:** `ValueError` for a count below d + 1.
+        """
+        points = np.asarray(points, dtype=float)
+        if count <= points.shape[1]:
+            raise ValueError(f"`count` must be {points.shape[1] + 1} or more in {points.shape[1]}-D, not {count}.")
+        tried: dict[int, int] = {}
+        low, high = 1, min(count, len(points))
+        while low <= high:
+            leaves = (low + high) // 2
+            tried[leaves] = len(KDTree(leaves, extremes=True)(points))
+            low, high = (leaves + 1, high) if tried[leaves] < count else (low, leaves - 1)
+        return KDTree(min(tried, key=lambda leaves: (abs(tried[leaves] - count), leaves)), extremes=True)
+
     def boxes(self, points: np.ndarray) -> np.ndarray:
         """Builds the tree for points (n, d): lower and upper corner of each leaf's box (k, 2, d)."""
         counter = itertools.count()  # breaks ties: the leaf found first is split first

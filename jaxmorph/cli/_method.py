@@ -11,10 +11,6 @@ from jaxmorph import io
 
 from ._requests import Method, PatchNames
 
-SEARCHES = 24
-"""Reductions tried to find one of about as many sources as asked for."""
-
-
 OTHERS: dict[str, tuple[Callable[[], jm.AbstractMethod], str, bool]] = {
     "rbf": (jm.RBF.classic, "full radial basis functions", True),
     "graph": (jm.DelaunayGraph, "Delaunay graph mapping", False),
@@ -43,6 +39,8 @@ def named_method(asked: Method, wall: Float[np.ndarray, "m d"], chunk: int | Non
     """Makes the requested method. Raises `ValueError` for a number of sources, or a size of parts, that it cannot take."""
     if asked.sources is not None and asked.name not in ("default", "published"):
         raise ValueError(f"--sources is for the methods default and published; {asked.name} has no sources to choose.")
+    if asked.sources is not None and asked.sources <= wall.shape[1]:
+        raise ValueError(f"--sources must be {wall.shape[1] + 1} or more in {wall.shape[1]}-D, found {asked.sources}.")
     if asked.name in OTHERS:
         make, name, every = OTHERS[asked.name]
         method = make()
@@ -52,7 +50,8 @@ def named_method(asked: Method, wall: Float[np.ndarray, "m d"], chunk: int | Non
     is_default, number = asked.name == "default", ""
     method = jm.SurfaceReconstruction() if is_default else jm.SurfaceReconstruction.published()
     if asked.sources is not None:
-        rbf = jm.RBF(reduction=about(asked.sources, wall))
+        every = asked.sources >= len(wall)
+        rbf = jm.RBF(reduction=jm.AllPoints() if every else jm.KDTree.with_sources(asked.sources, wall))
         method = jm.SurfaceReconstruction(jm.FittedRBF(rbf) if is_default else rbf, method.correction)
     rbf = method.coarse.rbf if isinstance(method.coarse, jm.FittedRBF) else method.coarse
     sources = len(rbf.reduction(wall)) if isinstance(rbf, jm.RBF) else 0
@@ -60,25 +59,6 @@ def named_method(asked: Method, wall: Float[np.ndarray, "m d"], chunk: int | Non
         number = f" ({sources} wall sources)"
     name = f"reduced radial basis functions{number} + {'near-wall correction' if is_default else 'graph'}"
     return NamedMethod(method, name, sources, asked.dtype)
-
-
-def about(sources: int, wall: Float[np.ndarray, "m d"]) -> jm.AbstractReduction:
-    """Searches for the number of leaves with which a k-d tree gives the number of sources closest to the requested one."""
-    d = wall.shape[1]
-    if sources < d + 1:
-        raise ValueError(f"--sources must be {d + 1} or more in {d}-D, found {sources}.")
-    if sources >= len(wall):
-        return jm.AllPoints()
-    tried: dict[int, int] = {}
-    low, high = 1, min(sources, len(wall))
-    for _ in range(SEARCHES):
-        leaves = (low + high) // 2
-        tried[leaves] = len(jm.KDTree(leaves, extremes=True)(wall))
-        low, high = (leaves + 1, high) if tried[leaves] < sources else (low, leaves - 1)
-        if low > high:
-            break
-    best = min(tried, key=lambda leaves: (abs(tried[leaves] - sources), leaves))
-    return jm.KDTree(best, extremes=True)
 
 
 @dataclasses.dataclass(frozen=True)
