@@ -71,9 +71,9 @@ from ._plan.periodic import Periodic as Periodic
 from ._plan.plan import Plan as Plan
 from ._plan.plan import deform as deform
 from ._plan.plan import pullback as pullback
-from ._plan.plan import refit as refit
 from ._plan.plan import shard as shard
 from ._plan.prepare import prepare as prepare
+from ._plan.refit import refit as refit
 from ._plan.save import load as load
 from ._plan.save import save as save
 from ._plan.slide import Revolution as Revolution

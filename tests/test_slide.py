@@ -165,6 +165,12 @@ def ring():
     return jm.Mesh(points, {"quad": quads}, {"inner": np.arange(16), "outer": np.arange(32, 48)})
 
 
+def similar(points):
+    """Turns, scales and shifts a base: no node has other neighbours, every wall and translation is another one."""
+    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    return 1.3 * points @ turn.T + np.array([0.3, -0.2])
+
+
 def test_a_polygon_and_a_circle():
     mesh = ring()
     inner = mesh.points[mesh.patch("inner")]
@@ -181,6 +187,12 @@ def test_a_polygon_and_a_circle():
     exact = np.asarray(jm.deform(on_circle, u))
     np.testing.assert_allclose(np.linalg.norm(exact[mesh.patch("outer")], axis=1), 2, rtol=0, atol=1e-13)
     assert np.abs(exact - moved).max() < 0.05
+    other = mesh.moved(similar(mesh.points))
+    refitted = jm.deform(jm.refit(on_faces, other.points), u)
+    fresh = jm.deform(jm.prepare(other, "inner", sliding="outer", method=TPS), u)
+    np.testing.assert_allclose(refitted, fresh, rtol=0, atol=1e-13)
+    with pytest.raises(ValueError, match=r"16 of 16 nodes of sliding patches have left their surface at the new base"):
+        jm.refit(on_circle, other.points)
 
 
 def test_a_circle_in_single_precision_and_an_ellipse():
@@ -253,6 +265,25 @@ def duct():
     mesh = box(6)
     ends = [mesh.patch(name) for name in ("left", "right")]
     return mesh, ends, {"sliding": ("bottom", "top"), "periodic": jm.Periodic("left", "right")}
+
+
+def test_walls_and_translations_follow_the_base():
+    """Of another base `refit` makes what `prepare` does; pairs that match bit for bit go on to."""
+    mesh, (left, right), wrapped = duct()
+    corners = np.flatnonzero((np.abs(mesh.points) == 3).all(axis=1))
+    plan, other = jm.prepare(mesh, "hole", corners, method=TPS, **wrapped), mesh.moved(similar(mesh.points))
+    u = 0.2 * np.sin(other.points[plan.moving] + np.array([0.3, 1.0]))
+    fresh = jm.prepare(other, "hole", corners, method=TPS, **wrapped)
+    expected = np.asarray(jm.deform(fresh, u))
+    np.testing.assert_allclose(jm.deform(jm.refit(plan, other.points), u), expected, rtol=0, atol=1e-13)
+    assert np.abs(expected - other.points)[plan.guided].max() > 1e-3
+    moved = np.asarray(jm.deform(jm.refit(plan, mesh.points), u))
+    np.testing.assert_allclose(moved, jm.deform(plan, u), rtol=0, atol=1e-14)
+    assert (moved[right] == moved[left] + np.array([6, 0])).all()
+    torn = np.array(mesh.points)
+    torn[right[np.abs(torn[right, 1]) < 2], 1] *= 1.1
+    with pytest.raises(ValueError, match=r"2 of 7 periodic pairs do not match after their transform at the new base"):
+        jm.refit(plan, torn)
 
 
 @pytest.mark.slow

@@ -18,7 +18,8 @@ class Images(eqx.Module):
     """Extends the own rows of a surface by their images.
 
     Extended row i is the image of own row `rows[i]` by the transform `kind[i]`, x -> `matrices` x + `shifts`; kind 0 is the row
-    itself. Own row j lies on the planes k for which `on_plane[j, k]`; `pairings` pair own rows.
+    itself. Own row j lies on the planes k for which `on_plane[j, k]`; `pairings` pair own rows, and `powers` are how often each
+    transform takes each of them.
     """
 
     normals: Float[Array, "p d"]
@@ -28,7 +29,17 @@ class Images(eqx.Module):
     kind: Int[Array, " b"]
     matrices: Float[Array, "t d d"]
     shifts: Float[Array, "t d"]
+    powers: Int[Array, "t q"]
     pairings: tuple[Pairing, ...]
+
+    def at(self, pairings: Sequence[Pairing]) -> "Images":
+        """Returns the same with the shifts of other pairings, which differ in their translations alone. Traced."""
+        shifts, moved = self.shifts, []
+        for p, (old, new) in enumerate(zip(self.pairings, pairings, strict=True)):
+            shift = jnp.asarray(new.shift, shifts.dtype)
+            shifts = shifts + self.powers[:, p, None] * (shift - jnp.asarray(old.shift, shifts.dtype))[None]
+            moved.append(eqx.tree_at(lambda pairing: pairing.shift, old, shift))
+        return eqx.tree_at(lambda images: (images.shifts, images.pairings), self, (shifts, tuple(moved)))
 
     def points(self, points: Float[Array, "o d"]) -> Float[Array, "b d"]:
         """Computes the coordinates of all rows, images too."""
@@ -72,6 +83,7 @@ class Copies:
     - `roots` (o,): the own row for which a row stands that a periodic transform leads to.
     - `rows`, `kind` (b,): own row and transform of each extended row, no place twice; the first `moving` ones move.
     - `matrices` (t, d, d), `shifts` (t, d): the transforms.
+    - `powers` (t, q): how often each of them takes each periodic one.
     - `sides` (o, s): which own rows lie on which sides of the periodic pairs.
     """
 
@@ -82,6 +94,7 @@ class Copies:
     moving: int
     matrices: np.ndarray
     shifts: np.ndarray
+    powers: np.ndarray
     sides: np.ndarray
 
     @property
@@ -142,7 +155,9 @@ def copies(
     for column, rows_there in zip(sides.T, lying, strict=True):
         column[rows_there] = True
     extended = int((rows[order] < moving).sum())
-    return Copies(places, roots, rows[order], kind[order], extended, np.stack(matrices), np.stack(shifts), sides)
+    taken = np.array([each for each, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
+    transforms = np.stack(matrices), np.stack(shifts), taken
+    return Copies(places, roots, rows[order], kind[order], extended, *transforms, sides)
 
 
 def _transform(planes: Sequence[Plane], pairings: Sequence[Pairing], powers, flags) -> tuple[np.ndarray, np.ndarray]:
@@ -175,5 +190,5 @@ def images_of(
     normals = np.stack([plane.normal for plane in planes]) if planes else np.zeros((0, dimension))
     origins = np.stack([plane.origin for plane in planes]) if planes else np.zeros((0, dimension))
     kind, images = made.kind.astype(np.int32), made.rows.astype(np.int32)
-    parts = (normals, origins, on_plane[nodes], images, kind, made.matrices, made.shifts)
+    parts = (normals, origins, on_plane[nodes], images, kind, made.matrices, made.shifts, made.powers)
     return Images(*jax.tree.map(jnp.asarray, (*parts, tuple(rows)))), made

@@ -5,6 +5,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -12,6 +13,9 @@ from scipy.spatial import KDTree
 
 from .._host.errors import MeshError
 from .symmetry import Plane, tolerance
+
+ALONG_AXIS = 1e-9
+"""Component of a translation, relative to the largest one, below which it is zero."""
 
 MISMATCH = 1e-4
 """Distance of two nodes of a pair after the transform, relative to the distance to the next node, that files may have."""
@@ -82,6 +86,7 @@ class Pairing(eqx.Module):
     - `keeps` (d, d): projection on the vectors that the transform does not turn.
     - `turn`: how many sectors make a whole turn, 0 where the transform never comes back.
     - `copies`: as `Periodic` has it.
+    - `is_rotation`: whether the transform turns.
     """
 
     first: Int[Array | np.ndarray, " q"]
@@ -92,6 +97,7 @@ class Pairing(eqx.Module):
     keeps: Float[Array | np.ndarray, "d d"]
     turn: int = eqx.field(static=True)
     copies: int = eqx.field(static=True)
+    is_rotation: bool = eqx.field(static=True)
 
     @property
     def nodes(self) -> np.ndarray:
@@ -120,6 +126,29 @@ class Pairing(eqx.Module):
         kept = (first >= 0) & (second >= 0)
         numbers = first[kept], second[kept], alone[alone >= 0]
         return eqx.tree_at(lambda pairing: (pairing.first, pairing.second, pairing.alone), self, numbers)
+
+    def at(self, points: Float[Array, "n d"]) -> "Pairing":
+        """Returns the pairs of other base points: a translation is theirs, a rotation stays. Traced."""
+        if self.is_rotation:
+            return self
+        apart = points[self.second] - points[self.first]
+        mean = jnp.mean(apart, axis=0)
+        # the value of most pairs, where round-off has no part, with the derivative of the mean
+        shift = mean + jax.lax.stop_gradient(jnp.median(apart, axis=0) - mean)
+        shift = jnp.where(jnp.abs(shift) < ALONG_AXIS * jnp.max(jnp.abs(shift)), 0, shift)
+        return eqx.tree_at(lambda pairing: pairing.shift, self, shift)
+
+    def misses(self, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " q"]:
+        """Measures, on the host, how far the transform leads each pair's first node from its second."""
+        return np.linalg.norm(points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1)
+
+    def matched(self, base: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
+        """Puts partners that a translation led to bit for bit at `base` there again. Traced."""
+        if self.is_rotation:
+            return points
+        shift = jnp.asarray(self.shift, points.dtype)[None]
+        matched = base[self.first] + shift == base[self.second]
+        return points.at[self.second].set(jnp.where(matched, points[self.first] + shift, points[self.second]))
 
     def alike(self, u: Float[Array, "n d"]) -> Float[Array, "n d"]:
         """Makes the displacements of each pair equal after the transform: both take the mean. Traced."""
@@ -171,8 +200,10 @@ def _paired(
     turn = round(whole) if abs(whole - round(whole)) < 1e-6 * whole else 0
     copies = periodic.copies if turn or not angle else max(1, min(periodic.copies, int((whole - 1) / 2)))
     pairs = first[~same].astype(np.int32), second[nearest][~same].astype(np.int32)
+    if not periodic.is_rotation and periodic.translation is None:
+        shift = _sharp(np.median(exact[pairs[1]] - exact[pairs[0]], axis=0))  # most pairs have it bit for bit
     alone, keeps = first[same].astype(np.int32), _keeps(periodic, len(shift))
-    return Pairing(*pairs, alone, matrix, shift, keeps, turn, copies)
+    return Pairing(*pairs, alone, matrix, shift, keeps, turn, copies, periodic.is_rotation)
 
 
 def _keeps(periodic: Periodic, dimension: int) -> np.ndarray:
@@ -213,8 +244,7 @@ def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tup
             raise ValueError(f"{periodic.name}: `{name}` has shape {value.shape}; the mesh has {dimension} dimensions.")
     if not periodic.is_rotation:
         shift = other - middle if periodic.translation is None else periodic.translation
-        if periodic.translation is None:  # the usual case: keep the coordinate bit for bit
-            shift = np.where(np.abs(shift) < 1e-9 * np.abs(shift).max(), 0, shift)
+        shift = _sharp(shift) if periodic.translation is None else shift
         if not np.abs(shift).max() > 0:
             raise ValueError(f"{periodic.name}: the translation is zero; give `rotation`, `about` or `axis`.")
         return np.eye(dimension), shift, 0.0
@@ -232,6 +262,11 @@ def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tup
         raise ValueError(f"{periodic.name}: the angle of the rotation is zero.")
     matrix = np.eye(dimension) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
     return matrix, about - matrix @ about, angle
+
+
+def _sharp(shift: np.ndarray) -> np.ndarray:
+    """Clears the components of a translation that are round-off: the usual case keeps coordinates bit for bit."""
+    return np.where(np.abs(shift) < ALONG_AXIS * np.abs(shift).max(), 0, shift)
 
 
 def _generator(axis: np.ndarray | None, dimension: int) -> tuple[np.ndarray, np.ndarray]:

@@ -56,6 +56,14 @@ class Guide(eqx.Module):
         u = self._alike(jnp.concatenate([u[:known], moved[known:]]))
         return self._alike(self._on_walls(u)) if self.tracks else u
 
+    def placed(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+        """Moves all own rows; pairs that match bit for bit after a translation go on to."""
+        base = self.plan.points
+        points = base + vectors
+        for pairing in self.pairings:
+            points = pairing.matched(base, points)
+        return points
+
     def _on_walls(self, u):
         for track in self.tracks:
             u = track.along(self.plan.points, u)
@@ -184,24 +192,8 @@ def _is_located(leaf: Any) -> bool:
 
 
 @compiled
-def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """Computes a plan anew on other base coordinates: ids are kept, floats computed. Traced and differentiable.
-
-    It is meant for another mesh of the same family. The steps of one motion are those of `march`: points that a large
-    motion has carried out of their simplices extrapolate.
-
-    Symmetry planes, walls on which nodes slide, and periodic transforms stay as `prepare` found them. Points that change these
-    need a new `prepare`: nothing checks it here.
-
-    **Arguments:**
-
-    - `plan`: the plan.
-    - `points`: the new base coordinates (n, d), in the unit of the old ones.
-
-    **Returns:** a `Plan`.
-
-    **Raises:** `ValueError` when the shape of `points` differs from the plan's.
-    """
+def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
+    """Computes a plan anew on other base coordinates, with the planes, walls and transforms that it has."""
     return _refitted(plan, points)
 
 
@@ -230,9 +222,7 @@ def _stepped(plan: Plan, points, carried: bool) -> Plan:
 
 
 def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
-    points = jnp.asarray(points, plan.volume.points.dtype)
-    if points.shape != plan.points.shape:
-        raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
+    points = base_points(plan, points)
     old, volume, whole = plan.surface, plan.volume, points
     surface = points[old.nodes]
     if old.images is not None:
@@ -252,6 +242,14 @@ def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
         carried=carried,
         layout=plan.layout,
     )
+
+
+def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
+    """Returns base coordinates in the precision of a plan. Raises `ValueError` for another shape than the plan's."""
+    points = jnp.asarray(points, plan.volume.points.dtype)
+    if points.shape != plan.points.shape:
+        raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
+    return points
 
 
 @compiled
@@ -293,11 +291,15 @@ def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n 
     surface, vectors = plan.surface, _kept(plan, vectors)
     u = vectors if surface.images is None else surface.images.vectors(vectors)
     field = plan.method.field(surface.ids, surface.factors, surface.points, u)
-    nodes, assigned = surface.nodes, vectors
+    nodes, guide = surface.nodes, surface.guide
+    assigned = vectors if guide is None else guide.placed(vectors)
     if not plan.method.exact:
-        rows = jnp.zeros(0, int) if surface.guide is None else surface.guide.rows
-        nodes, assigned = nodes[rows], vectors[rows]
-    moved = over_points(plan.layout, _moved(plan.layout), (field, assigned, nodes, surface.images), plan.volume)
+        rows = jnp.zeros(0, int) if guide is None else guide.rows
+        nodes, assigned = nodes[rows], assigned[rows]
+    is_placed = guide is not None
+    moved = over_points(
+        plan.layout, _moved(plan.layout, is_placed), (field, assigned, nodes, surface.images), plan.volume
+    )
     return moved if plan.layout is None else moved[: plan.layout.count]
 
 
@@ -309,16 +311,17 @@ def _kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
     return vectors if surface.images is None else surface.images.kept(vectors)
 
 
-def _moved(layout: Layout | None) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
+def _moved(layout: Layout | None, is_placed: bool) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
     def move(shared, volume):
-        field, vectors, nodes, images = shared
+        field, assigned, nodes, images = shared
         displacement = map_points(field, volume.points, volume.placed)
         if images is not None:
             displacement = images.within(displacement, volume.on_plane)
         moved = volume.points + displacement
         if len(nodes):
             at = rows_here(layout, nodes, len(moved))
-            moved = moved.at[at].set(volume.points[at] + vectors, mode="drop", unique_indices=True)
+            places = assigned if is_placed else volume.points[at] + assigned
+            moved = moved.at[at].set(places, mode="drop", unique_indices=True)
         return moved
 
     return move

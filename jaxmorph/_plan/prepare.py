@@ -19,7 +19,7 @@ from .._methods.reconstruction import SurfaceReconstruction
 from .door import Boundary, boundary, renumbered
 from .images import Images, images_of
 from .periodic import Periodic, check_pairings
-from .plan import Guide, Plan, SurfaceHalf, VolumeHalf, refit
+from .plan import Guide, Plan, SurfaceHalf, VolumeHalf, refitted
 from .slide import Slide
 from .symmetry import Plane, check_planes
 
@@ -94,7 +94,7 @@ def _plan_of(named: Boundary, method: AbstractMethod, guide: Guide | None = None
         n_moving=len(named.moving),
         n_guided=len(named.guided),
     )
-    plan = _with_tables(refit(plan, plan.points))
+    plan = _with_tables(refitted(plan, plan.points))
     method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan
 

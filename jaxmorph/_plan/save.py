@@ -24,7 +24,7 @@ from .._host.files import complete
 from .known import known_classes
 from .plan import Plan
 
-FORMAT, VERSION = "jaxmorph plan", 2
+FORMAT, VERSION = "jaxmorph plan", 3
 _HEADER = "description"
 _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, TypeError, IndexError, EOFError, AttributeError, RecursionError)
 

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from .._host.errors import MeshError
 from .symmetry import Plane
-from .walls import AbstractWall, Faceted, Flat, Round, Track
+from .walls import AbstractWall, Faceted, Flat, FlatFaces, Round, Track
 
 DEVIATION = 1e-5
 """Distance from its surface, relative to a patch's extent, within which a node lies on it: what files with few digits have."""
@@ -212,7 +212,7 @@ def _of_faces(
         raise ValueError(f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on.")
     try:
         plane = Plane.through(points, nodes)
-        return Flat(plane.normal, plane.origin)
+        return FlatFaces(plane.normal, plane.origin, nodes, elements)
     except ValueError:
         pass
     patch = points[nodes]
@@ -221,13 +221,8 @@ def _of_faces(
     normal = edges[0][:, ::-1] * [1, -1] if dimension == 2 else np.cross(edges[0], edges[1])
     lengths = np.linalg.norm(normal, axis=1)
     is_whole = lengths > 1e-14 * lengths.max()  # a quad that ends in a point has a triangle without area
-    elements, normal = elements[is_whole], normal[is_whole]
-    smooth = np.zeros_like(patch)
-    for k in range(dimension):
-        np.add.at(smooth, elements[:, k], normal)
-    length = np.linalg.norm(smooth, axis=1, keepdims=True)
-    around = _around(elements, len(patch))
-    return Faceted(patch, smooth / np.where(length > 0, length, 1), elements.astype(np.int32), around)
+    elements = elements[is_whole].astype(np.int32)
+    return Faceted(nodes, patch, elements, _around(elements, len(patch)))
 
 
 def _around(elements: np.ndarray, count: int) -> np.ndarray:

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._kernels.compile import compiled
-from .plan import Plan, carry, deform_surface, refit
+from .plan import Plan, carry, deform_surface, refitted
 from .prepare import boundary_of, plan_of
+from .refit import with_boundary_of
 
 
 def march(
@@ -65,7 +66,10 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
         )
     current, points = plans[0], plans[0].points
     for plan, target in zip(plans, targets, strict=True):
-        current = carry(current, points) if plan.carried else refit(plan, points) if current is not plan else plan
+        if plan.carried:
+            current = carry(current, points)
+        elif current is not plan:
+            current = refitted(with_boundary_of(plan, current), points)
         points = _advance(current, target)
     return points
 

@@ -13,6 +13,9 @@ from .._kernels.values import norm
 STEPS = 6
 """Newton steps to a curved wall, or to where two walls meet; they end quadratically."""
 
+ALONG_AXIS = 1e-7
+"""Component of a unit normal below which it is zero: files have few digits."""
+
 BLOCK = 512
 """Nodes whose nearest face is sought together."""
 
@@ -29,6 +32,18 @@ class AbstractWall(eqx.Module):
         """Tells whether one step leads to the wall, linear in the point."""
         return False
 
+    def distance(self, x: Float[Array, "k d"]) -> Float[Array, " k"]:
+        """Measures how far points are from the wall."""
+        return jnp.abs(self.height(x)[0])
+
+    def at(self, points: Float[Array, "n d"]) -> "AbstractWall":
+        """Returns the wall of other base points: the same for a surface that was given."""
+        return self
+
+    def renumbered(self, place: Int[np.ndarray, " n"]) -> "AbstractWall":
+        """Returns the same with node k called `place[k]`."""
+        return self
+
 
 class Flat(AbstractWall):
     """A plane, or a line in 2-D."""
@@ -44,6 +59,30 @@ class Flat(AbstractWall):
     @property
     def is_flat(self) -> bool:
         return True
+
+
+class FlatFaces(Flat):
+    """The plane, or the line in 2-D, of a patch's own faces: it follows the base points.
+
+    - `nodes` (v,): ids of the patch's nodes, or rows of them.
+    - `faces` (e, d): their corners, as places in `nodes`.
+    """
+
+    nodes: Int[Array | np.ndarray, " v"]
+    faces: Int[Array | np.ndarray, "e d"]
+
+    def at(self, points):
+        patch, old = points[self.nodes], jnp.asarray(self.normal, points.dtype)
+        areas = _areas(patch, self.faces)
+        areas = areas * jnp.where(jnp.matmul(areas, old) < 0, -1, 1)[:, None]  # both sides of a baffle count
+        whole = jnp.sum(areas, axis=0)
+        normal = whole / norm(whole)
+        sharp = jnp.where(jnp.abs(normal) < ALONG_AXIS, 0, normal)  # the usual case: keep the coordinate bit for bit
+        normal = normal + jax.lax.stop_gradient(sharp / norm(sharp) - normal)
+        return FlatFaces(normal, jnp.mean(patch, axis=0), self.nodes, self.faces)
+
+    def renumbered(self, place):
+        return FlatFaces(self.normal, self.origin, place[np.asarray(self.nodes)], self.faces)
 
 
 class Round(AbstractWall):
@@ -85,15 +124,15 @@ class Round(AbstractWall):
 
 
 class Faceted(AbstractWall):
-    """Faces between nodes: triangles, or lines in 2-D.
+    """Faces between nodes: triangles, or lines in 2-D. They follow the base points.
 
-    - `vertices` (v, d), `normals` (v, d): nodes, and unit normals smoothed over their faces.
+    - `nodes` (v,), `vertices` (v, d): ids of the nodes, or rows of them, and where they are.
     - `faces` (e, d): rows of their corners.
     - `around` (v, w): faces near each vertex; its last ones are repeated.
     """
 
+    nodes: Int[Array | np.ndarray, " v"]
     vertices: Float[Array | np.ndarray, "v d"]
-    normals: Float[Array | np.ndarray, "v d"]
     faces: Int[Array | np.ndarray, "e d"]
     around: Int[Array | np.ndarray, "v w"]
 
@@ -101,12 +140,32 @@ class Faceted(AbstractWall):
         place, normal = self.nearest(x)
         return jnp.sum((x - place) * normal, axis=1), normal
 
+    def distance(self, x):
+        return norm(x - self.nearest(x)[0])
+
+    def at(self, points):
+        return Faceted(self.nodes, points[self.nodes], self.faces, self.around)
+
+    def renumbered(self, place):
+        return Faceted(place[np.asarray(self.nodes)], self.vertices, self.faces, self.around)
+
     def nearest(self, x: Float[Array, "k d"]) -> tuple[Float[Array, "k d"], Float[Array, "k d"]]:
         """Finds the nearest points of the faces, and the normals of these."""
-        return jax.lax.map(self._nearest, x, batch_size=BLOCK)
+        normals = self._normals(x.dtype)
+        return jax.lax.map(lambda each: self._nearest(each, normals), x, batch_size=BLOCK)
 
-    def _nearest(self, x: Float[Array, " d"]) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
-        vertices, normals = jnp.asarray(self.vertices, x.dtype), jnp.asarray(self.normals, x.dtype)
+    def _normals(self, dtype) -> Float[Array, "v d"]:
+        """Computes unit normals at the vertices, smoothed over their faces."""
+        vertices = jnp.asarray(self.vertices, dtype)
+        areas = _areas(vertices, self.faces)
+        total = jnp.zeros_like(vertices).at[jnp.asarray(self.faces)].add(areas[:, None])
+        length = norm(total)[:, None]
+        return total / jnp.where(length > 0, length, 1)
+
+    def _nearest(
+        self, x: Float[Array, " d"], normals: Float[Array, "v d"]
+    ) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
+        vertices = jnp.asarray(self.vertices, x.dtype)
         squared = jnp.sum((vertices - x[None]) ** 2, axis=1)
         vertex = jnp.argmin(squared)
         corners = vertices[jnp.asarray(self.faces)[jnp.asarray(self.around)[vertex]]]
@@ -144,12 +203,17 @@ def _on_edge(x, first, second):
     return first + jnp.clip(along, 0, 1) * edge
 
 
+def _areas(points: Float[Array, "v d"], faces: Int[Array | np.ndarray, "e d"]) -> Float[Array, "e d"]:
+    """Computes normals of faces, as long as twice their areas, or as long as lines."""
+    first, *others = (points[jnp.asarray(faces)[:, k]] for k in range(points.shape[1]))
+    if len(others) == 1:
+        along = others[0] - first
+        return jnp.stack([along[:, 1], -along[:, 0]], axis=1)
+    return jnp.cross(others[0] - first, others[1] - first)
+
+
 def _normal(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
-    if len(corners) == 2:
-        along = corners[1] - corners[0]
-        normal = jnp.stack([along[1], -along[0]])
-    else:
-        normal = jnp.cross(corners[1] - corners[0], corners[2] - corners[0])
+    normal = _areas(corners, np.arange(len(corners))[None])[0]
     length = norm(normal)
     return normal / jnp.where(length > 0, length, 1)
 
@@ -190,9 +254,13 @@ class Track(eqx.Module):
             x = x - _least(normals, above)
         return x
 
+    def at(self, points: Float[Array, "n d"]) -> "Track":
+        """Returns the track of other base points: walls of the mesh's own faces are there anew. Traced."""
+        return Track(self.rows, tuple(wall.at(points) for wall in self.walls))
+
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Track":
         """Returns the same with node k called `place[k]`."""
-        return Track(place[np.asarray(self.rows)], self.walls)
+        return Track(place[np.asarray(self.rows)], tuple(wall.renumbered(place) for wall in self.walls))
 
 
 def _least(normals, above):
