@@ -9,6 +9,9 @@ import dataclasses
 import numpy as np
 from scipy import sparse
 
+from .._host.pairs import columns_of, sorted_columns, twins
+from .._host.topology import FACES
+
 BLOCK = 1 << 13
 """Cells looked at together."""
 
@@ -82,6 +85,36 @@ class Faces:
         del cells, columns
         ids = np.concatenate([np.arange(len(self.owner), dtype=np.int32), ~inner])
         return ids[by_cell.indices], by_cell.indptr.astype(np.int64)
+
+
+def faces_of_cells(kind: str, corners: np.ndarray, cell: np.ndarray) -> Faces:
+    """Lists the faces of cells of one type, each cell its own: `joined_faces` pairs them."""
+    parts = [corners[:, list(face)] for face in FACES[kind]]
+    labels = np.concatenate([part.ravel() for part in parts])
+    sizes = np.repeat([part.shape[1] for part in parts], len(corners))
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    return Faces(labels, starts, np.tile(cell, len(parts)), np.full(len(sizes), -1))
+
+
+def joined_faces(parts: list[Faces]) -> Faces:
+    """Joins faces whose cells are numbered throughout; two outer ones with the same nodes become an inner one."""
+    labels = np.concatenate([part.labels for part in parts])
+    sizes = np.concatenate([part.sizes for part in parts])
+    owner = np.concatenate([part.owner for part in parts])
+    neighbour = np.concatenate([part.neighbour for part in parts])
+    faces = Faces(labels, np.concatenate([[0], np.cumsum(sizes)]), owner, neighbour)
+    outer, width = np.flatnonzero(neighbour < 0), int(sizes.max())
+    groups = [outer[sizes[outer] == size] for size in np.unique(sizes[outer]).tolist()]
+    columns = [sorted_columns(columns_of(faces.corners(rows, int(sizes[rows[0]]))), width) for rows in groups]
+    rows = np.concatenate(groups)
+    other = twins([np.concatenate(column) for column in zip(*columns, strict=True)])
+    first = (other >= 0) & (np.arange(len(rows)) < other)
+    neighbour[rows[first]] = owner[rows[other[first]]]
+    kept = np.ones(len(owner), bool)
+    kept[rows[other[first]]] = False
+    sizes = sizes[kept]
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    return Faces(labels[np.repeat(kept, faces.sizes)], starts, owner[kept], neighbour[kept])
 
 
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

@@ -84,8 +84,25 @@ class Mesh(eqx.Module):
 
     @property
     def polyhedra(self) -> Polyhedra | None:
-        """The whole cells of a mesh that was read with polyhedra, of which `cells` has pieces; None for other meshes."""
+        """The whole cells of a mesh that was read with polyhedra (in 2-D polygons), of which `cells` has pieces; or None."""
         return getattr(self.source, "polyhedra", None)
+
+    @property
+    def cell_ids(self) -> np.ndarray:
+        """The file's number (k,) of each cell, in the order of `cells`; pieces of one polyhedron have the same."""
+        ids = getattr(self.source, "cell_ids", None)
+        return np.arange(sum(len(corners) for corners in self.cells.values())) if ids is None else ids
+
+    @property
+    def cell_counts(self) -> dict[str, int]:
+        """The number of cells of each type as the file has them, with `polyhedron` or `polygon` for those that are cut."""
+        counts = {kind: len(corners) for kind, corners in self.cells.items()}
+        if self.polyhedra is not None:
+            cut = np.isin(self.cell_ids, self.polyhedra.cut)
+            pieces = np.split(cut, np.cumsum(list(counts.values()))[:-1])
+            counts = {kind: int((~each).sum()) for kind, each in zip(counts, pieces, strict=True)}
+            counts["polygon" if self.points.shape[1] == 2 else "polyhedron"] = len(self.polyhedra.cut)
+        return {kind: count for kind, count in counts.items() if count}
 
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
         """Returns the same mesh with other coordinates `points` (n, d); this one stays as it is.

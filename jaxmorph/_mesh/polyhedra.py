@@ -1,4 +1,4 @@
-"""Polyhedra and polygons cut into tetrahedra and triangles between their own nodes, to be judged by."""
+"""Polyhedra and polygons: whole, and cut into tetrahedra and triangles between their own nodes."""
 
 import dataclasses
 
@@ -15,10 +15,13 @@ ENOUGH = 0.05
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Polyhedra:
-    """The whole cells of a mesh with polyhedra: all faces, and the whole cell that each cell of the mesh is, or is a piece of."""
+    """The whole cells of a mesh of which some are cut: all faces (edges in 2-D), and the cells that are cut, by their ids.
+
+    `Mesh.cell_ids` tells which whole cell each cell of the mesh is, or is a piece of.
+    """
 
     faces: Faces
-    cell: np.ndarray
+    cut: np.ndarray
 
 
 def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -34,7 +34,7 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
     cells = {kind: np.asarray(each) for kind, each in solid(mesh.cells, points.shape[1]).items()}
     if not cells:
         return None
-    if mesh.polyhedra is not None:
+    if mesh.polyhedra is not None and points.shape[1] == 3:
         return _of_polyhedra(mesh.polyhedra, points)
     corners, ids, start = seen_from_outside(points, boundary_faces(cells, len(points))), {}, 0
     for kind, each in corners.items():

@@ -139,6 +139,13 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Flo
     return determinant(edges), a * b + b * c + c * a
 
 
+def openings(kind: str, x: Sequence[Vector]) -> Float[Either, "s k"]:
+    """Computes the largest Jacobians that the corners could have, by the lengths of their edges; 0 for a simplex."""
+    lengths = [constant(norm(edge)) for edge in frames(kind, x)]
+    product = functools.reduce(namespace(lengths[0]).multiply, lengths)
+    return product * (len(FRAMES[kind]) > 1 and kind != "triangle")
+
+
 def _append(a: Vector, row: Vector) -> Vector:
     pairs = zip(a.components, row.components, strict=True)
     xp = namespace(a[0])

@@ -21,6 +21,9 @@ from .non_orthogonality import non_orthogonality
 from .report import QualityReport
 from .vector import Vector, corners, mean
 
+FLAT = 1e-4
+"""Sine of the angle at a corner up to which it counts as flat; in 3-D the Jacobian over the product of its edges' lengths."""
+
 
 def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None) -> QualityReport:
     """Measures every cell of a mesh at `points`, judged relative to the undeformed mesh, `mesh.points`.
@@ -29,8 +32,9 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     degenerate cells too.
 
     With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has lost the sign it had
-    on the undeformed mesh. Cells of mixed handedness are fine. So are corners that had no sign (within the round-off of
-    the coordinates), or the wrong one (a quad not convex from the start).
+    on the undeformed mesh. Cells of mixed handedness are fine. So are corners that had no sign, or the wrong one (a quad
+    not convex from the start). A corner has no sign within the round-off of the coordinates. One of a cell that is no
+    simplex has none either where it is flat or collapsed: its Jacobian is 1e-4 of the product of its edges or less.
 
     Without `points`, the mesh is judged by itself. Cells numbered the other way round than their neighbours (a matter
     of ids, not of coordinates) are turned. A cell is then inverted where its volume or a corner's Jacobian has another
@@ -128,7 +132,7 @@ def _standards_by(xp: Any, kinds, cells, points) -> tuple[Standard, ...]:
 def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> Standard:
     xp, (volume, jacobians, noise) = namespace(points), _sizes(kind, corners(points, ids.T))
     sign = xp.where(volume < 0, -1, 1).astype(np.int8)  # a factor that keeps float32
-    judged = sign[None] * jacobians > noise
+    judged = sign[None] * jacobians > xp.maximum(noise, FLAT * measures.openings(kind, corners(points, ids.T)))
     none = ~xp.any(judged, axis=0)
     least = _least(jacobians, sign, judged)
     flat = math.factorial(DIMENSION[kind]) * xp.abs(volume) <= xp.max(noise, axis=0)

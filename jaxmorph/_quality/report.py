@@ -36,7 +36,7 @@ class QualityReport(eqx.Module):
       its two cells. A cell has the largest angle of its inner faces, 0 without neighbours.
     - `volume_ratio`: volume over undeformed volume, for a simplex det F of its deformation. 1 where that was zero.
     - `jacobian_ratio`: smallest corner Jacobian over its initial value, at the corners that had the sign of their cell
-      on the undeformed mesh. 1 where none had.
+      on the undeformed mesh and were not flat there. 1 where none had.
     - `is_inverted`: either ratio is not positive; NaN coordinates count as inverted. Without `points`, see `quality`.
     - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh: the cell is not judged.
       In float32 the round-off of the coordinates hides the sign of the thinnest cells at a wall.

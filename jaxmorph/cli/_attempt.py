@@ -9,7 +9,7 @@ from jaxtyping import Float
 import jaxmorph as jm
 
 from . import _gates
-from ._gates import Judged
+from ._judged import Judged
 from ._method import Patches, in_double
 from ._motion import Motion
 from ._requests import Deform
@@ -53,7 +53,6 @@ class Attempt:
 
     def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, list[str]]:
         """Judges the moved mesh: its quality, and one sentence for each fault."""
-        mesh = self.patches.mesh
-        after = Judged(mesh, points, jm.quality(mesh, points))
-        bad = inverted_cells(after.report)
+        after = Judged(self.patches.mesh, points, self.before)
+        bad = inverted_cells(after)
         return after, [*([bad] if bad else []), *_gates.failures(self.request.gates, self.before, after)]

@@ -12,7 +12,7 @@ from jaxmorph._host.files import complete
 
 from . import _gates
 from ._attempt import Attempt
-from ._gates import Judged
+from ._judged import Judged
 from ._method import NamedMethod, named_method, patches_of
 from ._motion import motion
 from ._output import Output
@@ -35,11 +35,11 @@ def deform(request: Deform, out: Output) -> int:
         after, bad = attempt.judge(points)
         wall = attempt.wall_quality(points)
         rows = wall_rows(wall, inspection, points)
-        tables = [compared(attempt.before.report, after.report, rows)]
+        tables = [compared(attempt.before, after, rows)]
         tables.append(_gates.table(request.gates, attempt.before, after))
     out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
     start, end = wall_numbers(wall)
-    out.say(before=numbers(attempt.before.report) | start, after=numbers(after.report) | end)
+    out.say(before=numbers(attempt.before) | start, after=numbers(after) | end)
     out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
     out.say(gates=_gates.facts(request.gates, attempt.before, after))
     _write_beside(attempt, after, out)
@@ -69,7 +69,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
         chunks = patches.chunks(choice, request.chunk)
     way = np.linalg.norm(moves.path(wall, 1)[-1], axis=1)
     n, d = mesh.points.shape
-    cells = ", ".join(f"{len(corners)} {kind}" for kind, corners in mesh.cells.items())
+    cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{request.file.name}: {n} points in {d}-D, {cells}", points=n)
     for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
         nodes = mesh.patch(*names)
@@ -85,7 +85,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     moving = {name: len(mesh.patch(name)) for name in patches.moving}
     out.say(moving=moving, largest=float(way.max()), sources=choice.sources)
     with out.progress("judging the cells"):
-        before = Judged(mesh, mesh.points, jm.quality(mesh))
+        before = Judged(mesh, mesh.points)
         for gate in request.gates:
             gate.extreme(before)  # what cannot be judged is told now
     return Attempt(request, patches, moves, before), choice, chunks

@@ -1,56 +1,17 @@
 """Quality gates: limits that a mesh must keep, and which cells are beyond them."""
 
 import dataclasses
-import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from jaxmorph import FaceQuality, Mesh, QualityReport, face_quality
-
 from ._flags import GATES, PRESETS
+from ._judged import Judged
 from ._tables import place
 
 WORST = 5
 """Cells named for each gate that fails."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Judged:
-    """A mesh on some points, and the report of their quality."""
-
-    mesh: Mesh
-    points: Any
-    report: QualityReport
-
-    @functools.cached_property
-    def counted(self) -> np.ndarray:
-        """Ids of the cells that count: those of the highest dimension."""
-        return np.flatnonzero(self.report.counted)
-
-    @functools.cached_property
-    def faces(self) -> FaceQuality:
-        """The measures of checkMesh."""
-        return face_quality(self.mesh, self.points)
-
-    @property
-    def face_skewness(self) -> np.ndarray:
-        return self.faces.skewness
-
-    @property
-    def face_aspect_ratio(self) -> np.ndarray:
-        return self.faces.aspect_ratio
-
-    @property
-    def non_orthogonality(self) -> np.ndarray:
-        """checkMesh's, exact also where faces are warped, of the file's cells also where the mesh holds pieces of them."""
-        return self.faces.non_orthogonality
-
-    def values(self, measure: str) -> np.ndarray:
-        """Lists a measure's values, one for each cell that counts."""
-        values = getattr(self if hasattr(type(self), measure) else self.report, measure)
-        return np.asarray(values)[self.counted]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,7 +75,7 @@ def _start(gate: Gate, before: Judged | None) -> float | None:
 
 def _cell(gate: Gate, judged: Judged, cell: int) -> str:
     row = int(np.searchsorted(judged.counted, cell))
-    return f"  {cell:<22}{judged.values(gate.measure)[row]:>12.5g}   near {place(judged.report, cell)}"
+    return f"  {cell:<22}{judged.values(gate.measure)[row]:>12.5g}   near {place(judged, cell)}"
 
 
 def failures(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> list[str]:
@@ -147,7 +108,7 @@ def facts(chosen: Sequence[Gate], before: Judged | None, after: Judged) -> list[
     rows = []
     for gate in chosen:
         bad = gate.beyond(after)
-        cells = [{"cell": int(cell), "near": after.report.centroid[cell].tolist()} for cell in bad[:WORST]]
+        cells = [{"cell": int(cell), "near": after.centroid(int(cell)).tolist()} for cell in bad[:WORST]]
         rows.append(
             {
                 "gate": gate.flag,

@@ -5,11 +5,10 @@ import textwrap
 
 import numpy as np
 
-import jaxmorph as jm
 from jaxmorph import Mesh, io
 
 from . import _gates
-from ._gates import Judged
+from ._judged import Judged
 from ._output import Output
 from ._requests import Quality
 from ._tables import alone, compared, inverted_cells, numbers
@@ -24,18 +23,18 @@ def quality(request: Quality, out: Output) -> int:
     if moved is None and any(gate.measure == "jacobian_ratio" for gate in limits):
         raise ValueError("--min-jacobian-ratio compares two meshes: give FILE2.")
     with out.progress("judging the cells"):
-        before, after = None, Judged(mesh, mesh.points, jm.quality(mesh))
-        text = alone(after.report)
+        before, after = None, Judged(mesh, mesh.points)
+        text = alone(after)
         if moved is not None:
             _check_same(request, mesh, moved)
-            before, after = after, Judged(mesh, moved.points, jm.quality(mesh, moved.points))
-            text = compared(before.report, after.report)
+            before, after = after, Judged(mesh, moved.points, after)
+            text = compared(before, after)
         gates = _gates.table(limits, before, after)
     out.say("\n\n".join(filter(None, [text, gates])), gates=_gates.facts(limits, before, after))
     if before is not None:
-        out.say(before=numbers(before.report))
-    out.say(after=numbers(after.report))
-    bad = [sentence for sentence in (inverted_cells(after.report), *_gates.failures(limits, before, after)) if sentence]
+        out.say(before=numbers(before))
+    out.say(after=numbers(after))
+    bad = [sentence for sentence in (inverted_cells(after), *_gates.failures(limits, before, after)) if sentence]
     for sentence in bad:
         out.complain(sentence)
     return 1 if bad else 0
@@ -47,7 +46,7 @@ def info(file: pathlib.Path, out: Output) -> int:
         mesh = io.read(file)
     points = np.asarray(mesh.points)
     n, d = points.shape
-    cells = {kind: len(corners) for kind, corners in mesh.cells.items()}
+    cells = mesh.cell_counts
     out.say(f"{file.name}: {d}-D, {n} points", dimension=d, points=n)
     out.say("cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items()), cells=cells)
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
@@ -66,12 +65,18 @@ def info(file: pathlib.Path, out: Output) -> int:
     return 0
 
 
+def _ids(mesh: Mesh) -> dict[str, np.ndarray]:
+    """Collects the ids that say which cells a mesh has; where the pieces of polyhedra are cut depends on the points."""
+    if mesh.polyhedra is None:
+        return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
+    faces = mesh.polyhedra.faces
+    return {"labels": faces.labels, "starts": faces.starts, "owner": faces.owner, "neighbour": faces.neighbour}
+
+
 def _check_same(request: Quality, mesh: Mesh, moved: Mesh) -> None:
     a, b = tuple(mesh.points.shape), tuple(moved.points.shape)
     if a != b:
         raise ValueError(f"{request.moved} has points of shape {b}, {request.file} of {a}: not the same mesh.")
-    same = mesh.cells.keys() == moved.cells.keys() and all(
-        np.array_equal(corners, moved.cells[kind]) for kind, corners in mesh.cells.items()
-    )
-    if not same:
+    ours, theirs = _ids(mesh), _ids(moved)
+    if ours.keys() != theirs.keys() or not all(np.array_equal(ids, theirs[name]) for name, ids in ours.items()):
         raise ValueError(f"{request.moved} has other cells than {request.file}: not the same mesh, moved.")

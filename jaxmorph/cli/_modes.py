@@ -15,7 +15,7 @@ from jaxmorph import Mesh, io
 from jaxmorph._host.files import output_path
 
 from . import _gates
-from ._gates import Judged
+from ._judged import Judged
 from ._method import Patches, in_double, named_method, patches_of
 from ._output import Output
 from ._requests import Modes
@@ -50,22 +50,23 @@ def modes(request: Modes, out: Output) -> int:
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitudes), 'amplitude')}"
     out.say(f"{request.file.name}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)
-    out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{'min J/J0':>12}{'inverted':>10}  mode")
+    before = Judged(mesh, mesh.points)
+    ratio = "V" if before.by_faces else "J"
+    out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
-    before = Judged(mesh, mesh.points, jm.quality(mesh)) if request.gates else None
     xdmf = io.XDMFSeries(request.output, mesh) if _is_xdmf(request) else None
     with xdmf or contextlib.nullcontext(), out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
-            report = jm.quality(mesh, points)
-            failed = [inverted_cells(report), *_gates.failures(request.gates, before, Judged(mesh, points, report))]
+            judged = Judged(mesh, points, before)
+            failed = [inverted_cells(judged), *_gates.failures(request.gates, before, judged)]
             failed = [sentence for sentence in failed if sentence]
             bad += bool(failed)
-            _tell(case, request.modes[case.mode], report, failed, out)
+            _tell(case, request.modes[case.mode], judged, failed, out)
             if not failed or request.allow_inverted:
                 if xdmf:
-                    xdmf.add(case.time, mesh.moved(points), report)
+                    xdmf.add(case.time, mesh.moved(points), judged.report)
                 else:
-                    io.write_moved(case.output, mesh, mesh.moved(points), report)
+                    io.write_moved(case.output, mesh, mesh.moved(points), judged.report)
                 good.append(case)
             stage.done(case.number / len(cases))
     return _end(request, good, bad, len(cases), out)
@@ -116,12 +117,13 @@ def _moved(
             yield case, in_double(np.asarray(mesh.points), moved[k], np.asarray(plan.moving), u[k], plan.method.exact)
 
 
-def _tell(case: Case, file: pathlib.Path, report: jm.QualityReport, failed: list[str], out: Output) -> None:
-    skewness, ratio, inverted = float(report.max_skewness), float(report.min_jacobian_ratio), int(report.inverted)
+def _tell(case: Case, file: pathlib.Path, judged: Judged, failed: list[str], out: Output) -> None:
+    skewness, ratio = judged.number(*judged.measures[1]), judged.number(*judged.ratios[-1])
+    inverted = int(judged.inverted[judged.counted].sum())
     name = file.name if len(file.name) <= 26 else f"...{file.name[-23:]}"
     out.say(f"{case.number:>6}{case.amplitude:>12.5g}{skewness:>12.5g}{ratio:>12.5g}{inverted:>10}  {name}")
     facts = {"mode": str(file), "amplitude": case.amplitude, "output": str(case.output), "problems": failed}
-    out.facts.setdefault("cases", []).append(facts | numbers(report))
+    out.facts.setdefault("cases", []).append(facts | numbers(judged))
     for sentence in failed:
         out.complain(f"case {case.number}: {sentence}")
 

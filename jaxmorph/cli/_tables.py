@@ -6,33 +6,38 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxmorph import Inspection, QualityReport, WallQuality
+from jaxmorph import Inspection, WallQuality
 
-ROWS = (
-    *(("mean", "skewness"), ("max", "skewness")),
-    *(("mean", "aspect_ratio"), ("max", "aspect_ratio")),
-    *(("mean", "non_orthogonality"), ("max", "non_orthogonality")),
-)
-RATIOS = (("min", "volume_ratio"), ("min", "jacobian_ratio"))
-LABELS = {"non_orthogonality": "non-orthogonality"}
+from ._judged import Judged
+
+LABELS = {"non_orthogonality": "non-orthogonality", "pyramid": "face pyramid"}
 
 
-def alone(report: QualityReport) -> str:
+def alone(judged: Judged) -> str:
     """Formats a table for one mesh, with the worst cell of each row."""
-    lines = [_heading(report), f"{'':<23}{'':>12}   worst cell"]
-    lines += [_row(report, kind, name, _number(report, kind, name)) for kind, name in (*ROWS, ("min", "volume"))]
+    lines = [_heading(judged), f"{'':<23}{'':>12}   worst cell"]
+    more = [("min", "volume"), *_pyramid(judged)]
+    lines += [_row(judged, kind, name, _number(judged, kind, name)) for kind, name in (*judged.measures, *more)]
     return "\n".join(lines)
 
 
-def compared(before: QualityReport, after: QualityReport, more: Sequence[str] = ()) -> str:
+def compared(before: Judged, after: Judged, more: Sequence[str] = ()) -> str:
     """Formats a table for a mesh before and after its motion, with the worst cells of the moved mesh, and more rows below."""
     lines = [_heading(after), f"{'':<23}{'before':>12}{'after':>12}   worst cell after"]
-    for kind, name in ROWS:
+    for kind, name in (*after.measures, *_pyramid(after)):
         lines.append(_row(after, kind, name, _number(before, kind, name) + _number(after, kind, name)))
-    for kind, name in RATIOS:
+    for kind, name in after.ratios:
         lines.append(_row(after, kind, name, f"{'-':>12}" + _number(after, kind, name)))
-    lines.append(f"{'inverted cells':<23}{int(before.inverted):>12}{int(after.inverted):>12}")
+    lines.append(f"{'inverted cells':<23}{_inverted(before):>12}{_inverted(after):>12}")
     return "\n".join([*lines, *more])
+
+
+def _pyramid(judged: Judged) -> list[tuple[str, str]]:
+    return [("min", "pyramid")] if judged.by_faces else []
+
+
+def _inverted(judged: Judged) -> int:
+    return int(judged.inverted[judged.counted].sum())
 
 
 def wall_rows(wall: WallQuality | None, inspection: Inspection, points: Float[np.ndarray, "n d"]) -> list[str]:
@@ -59,19 +64,20 @@ def wall_numbers(wall: WallQuality | None) -> tuple[dict[str, float], dict[str, 
     return dict(zip(names, (0.0, 0.0, 1.0), strict=True)), dict(zip(names, after, strict=True))
 
 
-def inverted_cells(report: QualityReport) -> str:
-    """Writes how many cells are inverted, and which is the worst and where; nothing if none is."""
-    bad = int(report.inverted)
+def inverted_cells(judged: Judged) -> str:
+    """Writes how many cells the motion has inverted, which is the worst and where, and by what; nothing if it is none."""
+    bad = len(judged.spoilt)
     if not bad:
         return ""
     are = "cell is" if bad == 1 else "cells are"
-    worst = int(report.worst(1)[0])
-    return f"{bad} of {report.count} {are} inverted, the worst is cell {worst} near {place(report, worst)}."
+    worst = judged.worst_spoilt()
+    where = f"the worst is cell {worst} near {place(judged, worst)}"
+    return f"{bad} of {len(judged.counted)} {are} inverted, {where}, by {judged.rule}."
 
 
-def place(report: QualityReport, cell: int) -> str:
+def place(judged: Judged, cell: int) -> str:
     """Formats a cell's centroid."""
-    return _coordinates(report.centroid[cell])
+    return _coordinates(judged.centroid(cell))
 
 
 def count(number: int, what: str) -> str:
@@ -88,30 +94,31 @@ def _node(wall: WallQuality, row: int, points: Float[np.ndarray, "n d"]) -> str:
     return f"node {node} near {_coordinates(points[node])}"
 
 
-def _heading(report: QualityReport) -> str:
-    degenerate = int(report.degenerate)
+def _heading(judged: Judged) -> str:
+    degenerate = 0 if judged.by_faces else int(judged.report.degenerate)
     note = f", {degenerate} degenerate from the start" if degenerate else ""
-    return f"quality of {report.count} cells{note}"
+    return f"quality of {len(judged.counted)} cells, inverted by {judged.rule}{note}"
 
 
-def _number(report: QualityReport, kind: str, name: str) -> str:
-    return f"{float(getattr(report, kind)(name)):>12.5g}"
+def _number(judged: Judged, kind: str, name: str) -> str:
+    return f"{judged.number(kind, name):>12.5g}"
 
 
-def _row(report: QualityReport, kind: str, name: str, numbers: str) -> str:
+def _row(judged: Judged, kind: str, name: str, numbers: str) -> str:
     label = f"{kind} {LABELS.get(name, name.replace('_', ' '))}"
     if kind == "mean":
         return f"{label:<23}{numbers}"
-    cell = int(report.worst(1, by=name)[0])
-    return f"{label:<23}{numbers}   {cell} near {place(report, cell)}"
+    cell = judged.worst(kind, name)
+    return f"{label:<23}{numbers}   {cell} near {place(judged, cell)}"
 
 
-def numbers(report: QualityReport) -> dict[str, Any]:
+def numbers(judged: Judged) -> dict[str, Any]:
     """Lists the tables' numbers by name, for output as JSON."""
-    facts: dict[str, Any] = {"cells": report.count, "inverted": int(report.inverted)}
-    for kind, name in (*ROWS, *RATIOS, ("min", "volume")):
-        facts[f"{kind}_{name}"] = float(getattr(report, kind)(name))
-    for name in ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio"):
-        cell = int(report.worst(1, by=name)[0])
-        facts[f"worst_{name}"] = {"cell": cell, "near": np.asarray(report.centroid[cell]).tolist()}
+    facts: dict[str, Any] = {"cells": len(judged.counted), "inverted": _inverted(judged), "inverted_by": judged.rule}
+    rows = (*judged.measures, *judged.ratios, ("min", "volume"), *_pyramid(judged))
+    facts |= {f"{kind}_{name}": judged.number(kind, name) for kind, name in rows}
+    for kind, name in rows:
+        if kind != "mean" and "volume" not in name:
+            cell = judged.worst(kind, name)
+            facts[f"worst_{name}"] = {"cell": cell, "near": judged.centroid(cell).tolist()}
     return facts

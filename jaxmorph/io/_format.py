@@ -18,14 +18,15 @@ Arrays = Mapping[str, np.ndarray]
 class Source:
     """Keeps the file a mesh was read from, and the `content` that its format needs to give the file back as it was.
 
-    It is compared by identity, so that it can be a static field of a pytree however large `content` is. `polyhedra` and `groups`
-    are those of `Mesh`.
+    It is compared by identity, so that it can be a static field of a pytree however large `content` is. `polyhedra`, `cell_ids`
+    and `groups` are those of `Mesh`.
     """
 
     path: pathlib.Path
     format: str
     content: Any
     polyhedra: Polyhedra | None = None
+    cell_ids: np.ndarray | None = None
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     def __repr__(self) -> str:

@@ -15,10 +15,13 @@ import numpy as np
 
 from jaxmorph import Mesh
 from jaxmorph._host.topology import boundary_faces
+from jaxmorph._mesh.faces import faces_of_cells, joined_faces
+from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._format import Arrays, Source, source_of
 from .._joined import Joined, Zones, join
-from .zone import DIMENSION, TYPES, Zone, children, data, word
+from .polyhedra import Block
+from .zone import DIMENSION, TYPES, Content, Zone, children, data, word
 
 NAME = "CGNS"
 _FOREIGN = "{0}: {1}/{2} {3}. Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
@@ -43,7 +46,7 @@ def read(path: pathlib.Path) -> Mesh:
     try:
         with h5py.File(path, "r") as file:
             _refuse_foreign_data(path, file)
-            zones = _zones(path, file)
+            zones, cells = _zones(path, file)
     except (OSError, KeyError, IndexError) as error:
         detail = " ".join(str(error).split())[:120]
         raise ValueError(
@@ -51,8 +54,9 @@ def read(path: pathlib.Path) -> Mesh:
         ) from error
     try:
         mesh, joined = join(zones)
-        content = _CGNSContent(joined, _stamp(path))
-        return Mesh(mesh.points, mesh.cells, mesh.patches, source=Source(path, NAME, content))
+        whole, ids = _whole(cells, joined.node)
+        source = Source(path, NAME, _CGNSContent(joined, _stamp(path)), whole, ids)
+        return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -131,26 +135,52 @@ def _open(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
     return zones, int(data(bases[0])[0])
 
 
-def _zones(path: pathlib.Path, file: h5py.File) -> Zones:
+def _zones(path: pathlib.Path, file: h5py.File) -> tuple[Zones, list[Content]]:
     zones, dimension = _open(path, file)
-    points, cells, patches, faces = [], [], {}, []
+    points, contents, patches, faces = [], [], {}, []
     for zone in zones:
         points.append(np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float))
-        blocks, sides, elements = zone.cells(points[-1])
-        solid = [(kind, corners) for kind, corners in blocks if LEVEL[kind] == dimension and len(corners)]
+        content = zone.cells(points[-1])
+        solid = [block for block in content.blocks if LEVEL[block.kind] == dimension and len(block.corners)]
         if not solid:
             raise zone.error(f"no cells of {dimension} dimensions")
-        cells += solid
-        for name, nodes in zone.patches(elements):
+        contents.append(dataclasses.replace(content, blocks=solid))
+        for name, nodes in zone.patches(content.elements):
             patches.setdefault(name, []).append(nodes)
-        faces += sides or _outer(zone, points[-1], solid)
-    return Zones(np.concatenate(points), cells, patches, faces)
+        faces += content.sides or _outer(zone, points[-1], solid)
+    cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
+    return Zones(np.concatenate(points), cells, patches, faces), contents
 
 
-def _outer(zone: Zone, points: np.ndarray, blocks: list[tuple[str, np.ndarray]]) -> list[np.ndarray]:
+def _whole(zones: list[Content], node: np.ndarray) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
+    """Joins the cells of all zones where some are cut: with their number for each cell of the mesh, types as it has them."""
+    if not any(zone.whole is not None and len(zone.whole.cut) for zone in zones):
+        return None, None
+    parts, cut, ids, first = [], [np.zeros(0, np.int64)], {}, 0
+    for zone in zones:
+        start = first
+        if zone.whole is not None:
+            faces = zone.whole.faces
+            neighbour = np.where(faces.neighbour < 0, -1, faces.neighbour + start)
+            parts.append(dataclasses.replace(faces, owner=faces.owner + start, neighbour=neighbour))
+            cut.append(zone.whole.cut + start)
+            first += int(max(faces.owner.max(), faces.neighbour.max())) + 1
+        for block in zone.blocks:
+            if block.cell is None:
+                cell = first + np.arange(len(block.corners))
+                parts.append(faces_of_cells(block.kind, block.corners, cell))
+                first += len(cell)
+            else:
+                cell = start + block.cell
+            ids.setdefault(block.kind, []).append(cell)
+    faces = joined_faces([dataclasses.replace(part, labels=node[part.labels]) for part in parts])
+    return Polyhedra(faces, np.concatenate(cut)), np.concatenate([each for kind in sorted(ids) for each in ids[kind]])
+
+
+def _outer(zone: Zone, points: np.ndarray, blocks: list[Block]) -> list[np.ndarray]:
     """Finds the outer faces of an unstructured zone."""
     cells: dict[str, list[np.ndarray]] = {}
-    for kind, corners in blocks:
-        cells.setdefault(kind, []).append(corners - zone.first)
+    for block in blocks:
+        cells.setdefault(block.kind, []).append(block.corners - zone.first)
     alone = {kind: np.concatenate(parts) for kind, parts in cells.items()}
     return [corners + zone.first for corners in boundary_faces(alone, len(points)).values()]

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from jaxmorph._mesh.faces import Faces, standard_cells
-from jaxmorph._mesh.polyhedra import spread, tetrahedra
+from jaxmorph._mesh.polyhedra import Polyhedra, spread, tetrahedra
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -23,10 +23,24 @@ class Ragged:
         return self.values[spread(self.starts[rows], self.starts[rows + 1])[0]]
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Block:
+    """Holds cells of one type by their corner ids (k, corners).
+
+    `cell` (k,) is the number of the polyhedral cell that each is, or is a piece of; None for cells of other sections.
+    """
+
+    kind: str
+    corners: np.ndarray
+    cell: np.ndarray | None = None
+
+
 def polyhedra(
     polygons: dict[int, Ragged], cells: list[Ragged], points: np.ndarray, first: int
-) -> tuple[list[tuple[str, np.ndarray]], list[np.ndarray]]:
+) -> tuple[list[Block], list[np.ndarray], Polyhedra]:
     """Makes cells by type, those of no type as tetrahedra between their own nodes, and outer faces by their number of corners.
+
+    The whole cells come last.
 
     `polygons` are faces by the number of the first, vertices from 0. `first` is the id of vertex 0, `points` those of
     the zone. It raises `ValueError` for cells with faces that are not there, or that more than two cells have.
@@ -58,8 +72,12 @@ def polyhedra(
         np.where(turned, -1, sides[1])[kept],
     )
     typed, ids = standard_cells(faces)
-    blocks = [(kind, corners + first) for kind, corners in typed.items()]
-    if "polyhedron" in ids:
-        blocks.append(("tetra", tetrahedra(faces, ids["polyhedron"], points)[0] + first))
+    cut = ids.pop("polyhedron", np.zeros(0, np.int64))
+    blocks = [Block(kind, corners + first, ids[kind]) for kind, corners in typed.items()]
+    if len(cut):
+        pieces, owner = tetrahedra(faces, cut, points)
+        blocks.append(Block("tetra", pieces + first, owner))
+    faces = dataclasses.replace(faces, labels=faces.labels + first)
     outer = [np.flatnonzero((faces.neighbour < 0) & (sizes == size)) for size in np.unique(sizes).tolist()]
-    return blocks, [faces.corners(chosen, int(sizes[chosen[0]])) + first for chosen in outer if len(chosen)]
+    outer = [faces.corners(chosen, int(sizes[chosen[0]])) for chosen in outer if len(chosen)]
+    return blocks, outer, Polyhedra(faces, cut)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from jaxmorph._host import topology
+from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._blocks import block_cells, block_ids, block_sides
-from .polyhedra import Ragged, polyhedra
+from .polyhedra import Block, Ragged, polyhedra
 
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
 CORNERS = {number: topology.CORNERS.get(kind, 1) for number, kind in TYPES.items()}
@@ -39,6 +40,19 @@ def data(group: Any) -> np.ndarray:
 def word(group: Any) -> str:
     """Reads the characters of a node."""
     return text(data(group).tobytes())
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Content:
+    """Holds cells and boundary elements of a zone by type, its outer faces where they are known, and vertices of elements.
+
+    The vertices stand by the number of their section's first element. `whole` has all polyhedral cells.
+    """
+
+    blocks: list[Block]
+    sides: list[np.ndarray] = dataclasses.field(default_factory=list)
+    elements: dict[int, Any] = dataclasses.field(default_factory=dict)
+    whole: Polyhedra | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,16 +92,13 @@ class Zone:
                 raise self.error(f"{values.size} coordinates for {self.count} vertices")
         return sets
 
-    def cells(self, points: np.ndarray) -> tuple[list[tuple[str, np.ndarray]], list[np.ndarray], dict[int, Any]]:
-        """Reads cells and boundary elements by type, outer faces where they are known, and vertices of elements.
-
-        The vertices stand by the number of their section's first element.
-        """
+    def cells(self, points: np.ndarray) -> Content:
+        """Reads what the zone holds; `points` are its own."""
         if self.is_structured:
             ids = block_ids(self.shape, self.first)
             if ids.ndim < 2:
                 raise self.error(f"a block of {' x '.join(map(str, self.shape))} vertices has no cells")
-            return [block_cells(ids)], block_sides(ids), {}
+            return Content([Block(*block_cells(ids))], block_sides(ids))
         blocks, elements, polygons, volumes = [], {}, {}, []
         for name, section in children(self.group, "Elements_t"):
             parts = dict(section.items())
@@ -109,14 +120,14 @@ class Zone:
             for begin, number, corners in self._section(name, kind, connectivity, start):
                 self._check(name, corners)
                 elements[begin] = corners - 1 + self.first
-                blocks.append((TYPES[number], elements[begin]))
+                blocks.append(Block(TYPES[number], elements[begin]))
         if not volumes or not polygons:
-            return blocks, [], elements
+            return Content(blocks, elements=elements)
         try:
-            more, sides = polyhedra(polygons, volumes, points, self.first)
+            more, sides, whole = polyhedra(polygons, volumes, points, self.first)
         except ValueError as error:
             raise self.error(str(error)) from error
-        return blocks + more, sides, elements
+        return Content(blocks + more, sides, elements, whole)
 
     def _check(self, name: str, vertices: np.ndarray) -> None:
         if vertices.size and (vertices.min() < 1 or vertices.max() > self.count):

@@ -59,15 +59,15 @@ def read(path: pathlib.Path) -> Mesh:
     topology_data.check(topology, len(points))
     try:
         if empty:
-            (mesh, plane), whole = _in_plane(topology_data, points, boundary, empty), None
+            mesh, ids, whole, plane = _in_plane(topology_data, points, boundary, empty)
         else:
-            (mesh, whole), plane = _in_space(topology_data, points), None
+            (mesh, ids, whole), plane = _in_space(topology_data, points), None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     groups: dict[str, tuple[str, ...]] = {}
     for patch in boundary:
         groups |= {group: (*groups.get(group, ()), patch.name) for group in patch.groups}
-    source = Source(file.path, NAME, _CaseContent(file, points, topology, plane), whole, groups)
+    source = Source(file.path, NAME, _CaseContent(file, points, topology, plane), whole, ids, groups)
     return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
 
 
@@ -175,23 +175,35 @@ def _points(folder: pathlib.Path) -> tuple[FoamFile, np.ndarray]:
     return file, points
 
 
-def _in_space(topology: Topology, points: np.ndarray) -> tuple[Mesh, Polyhedra | None]:
+def _in_space(topology: Topology, points: np.ndarray) -> tuple[Mesh, np.ndarray | None, Polyhedra | None]:
     cells, ids, faces = topology.cells, topology.ids, topology.faces
     if faces is None:
-        return Mesh(points, cells, topology.nodes), None
-    pieces, owners = tetrahedra(faces, ids.pop("polyhedron"), points)
+        mesh = Mesh(points, cells, topology.nodes)
+        return mesh, _joined_ids(mesh, ids), None
+    cut = ids.pop("polyhedron")
+    pieces, owners = tetrahedra(faces, cut, points)
     cells["tetra"] = np.concatenate([cells["tetra"], pieces]) if "tetra" in cells else pieces
     ids["tetra"] = np.concatenate([ids["tetra"], owners]) if "tetra" in ids else owners
     mesh = Mesh(points, cells, topology.nodes)
-    return mesh, Polyhedra(faces, np.concatenate([ids[kind] for kind in mesh.cells]))
+    return mesh, _joined_ids(mesh, ids), Polyhedra(faces, cut)
 
 
-def _in_plane(topology: Topology, points: np.ndarray, boundary: list[Patch], empty: list[Patch]) -> tuple[Mesh, Layer]:
+def _joined_ids(mesh: Mesh, ids: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Returns the case's number of each cell of the mesh; None where the mesh has them in that order."""
+    joined = np.concatenate([ids[kind] for kind in mesh.cells])
+    return None if (joined[1:] > joined[:-1]).all() else joined
+
+
+def _in_plane(
+    topology: Topology, points: np.ndarray, boundary: list[Patch], empty: list[Patch]
+) -> tuple[Mesh, np.ndarray | None, Polyhedra | None, Layer]:
     assert topology.faces is not None
-    ids = np.concatenate([np.arange(patch.start, patch.start + patch.count) for patch in empty])
+    chosen = np.concatenate([np.arange(patch.start, patch.start + patch.count) for patch in empty])
     plane = layer(topology.faces, points)
     nodes = {patch.name: plane.ids(topology.nodes[patch.name]) for patch in boundary if patch.type != "empty"}
-    return Mesh(plane.in_plane(points), plane_cells(topology.faces, points, ids, plane), nodes), plane
+    cells, ids, whole = plane_cells(topology.faces, points, chosen, plane)
+    mesh = Mesh(plane.in_plane(points), cells, nodes)
+    return mesh, _joined_ids(mesh, ids), whole, plane
 
 
 def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:

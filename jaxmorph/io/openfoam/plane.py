@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from jaxmorph._mesh.faces import Faces
-from jaxmorph._mesh.polyhedra import triangles
+from jaxmorph._mesh.polyhedra import Polyhedra, triangles
 
 TOLERANCE = 1e-6
 """Distance that a node may be off its plane, as a share of the distance between the two."""
@@ -84,19 +84,52 @@ def layer(faces: Faces, points: np.ndarray) -> Layer:
     return Layer(front, back, axes)
 
 
-def plane_cells(faces: Faces, points: np.ndarray, empty: np.ndarray, plane: Layer) -> dict[str, np.ndarray]:
-    """Makes triangles and quads of the front, in the order of their cells; a face of more corners becomes triangles."""
+def plane_cells(
+    faces: Faces, points: np.ndarray, empty: np.ndarray, plane: Layer
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Polyhedra | None]:
+    """Makes triangles and quads of the front, in the order of their cells; a face of more corners becomes triangles.
+
+    It also gives the ids of their cells by type, and the whole cells where some are cut. It raises `ValueError` where the front
+    has not one face a cell.
+    """
     is_front = np.zeros(len(points), bool)
     is_front[plane.front] = True
     front = empty[is_front[faces.labels[faces.starts[empty]]]]
     front = front[np.argsort(faces.owner[front], kind="stable")]
-    sizes = faces.sizes[front]
-    cells = {}
-    quads = faces.corners(front[sizes == 4], 4)
-    others = [faces.corners(front[sizes == 3], 3)]
-    if (sizes > 4).any():
-        others.append(triangles(faces, front[sizes > 4], points)[0])
-    for kind, corners in (("triangle", np.concatenate(others)), ("quad", quads)):
-        if len(corners):
-            cells[kind] = np.searchsorted(plane.front, corners)
-    return cells
+    owner, sizes = faces.owner[front], faces.sizes[front]
+    if not np.array_equal(owner, np.arange(faces.owner.max() + 1)):
+        raise ValueError(
+            f"patches of type empty, but {len(front)} faces in front are not those of {faces.owner.max() + 1} cells, one each."
+        )
+    corners = {"triangle": faces.corners(front[sizes == 3], 3), "quad": faces.corners(front[sizes == 4], 4)}
+    ids = {"triangle": owner[sizes == 3], "quad": owner[sizes == 4]}
+    cut, whole = front[sizes > 4], None
+    if len(cut):
+        pieces, piece_of = triangles(faces, cut, points)
+        corners["triangle"] = np.concatenate([corners["triangle"], pieces])
+        ids["triangle"] = np.concatenate([ids["triangle"], faces.owner[cut][piece_of]])
+        whole = Polyhedra(_edges(faces, empty, is_front, plane), faces.owner[cut])
+    cells = {kind: np.searchsorted(plane.front, each) for kind, each in corners.items() if len(each)}
+    return cells, ids, whole
+
+
+def _edges(faces: Faces, empty: np.ndarray, is_front: np.ndarray, plane: Layer) -> Faces:
+    """Makes the edges of the front, one for each face across the layer, with its cell on the left."""
+    across = np.ones(len(faces.owner), bool)
+    across[empty] = False
+    chosen = np.flatnonzero(across)
+    label, rows = faces.labels, np.flatnonzero(np.repeat(across, faces.sizes))
+    face = np.repeat(np.arange(len(faces.owner)), faces.sizes)[rows]
+    after = np.where(rows + 1 == faces.starts[face + 1], faces.starts[face], rows + 1)
+    leaves, enters = (
+        (is_front[label[rows]] & ~is_front[label[after]]),
+        (~is_front[label[rows]] & is_front[label[after]]),
+    )
+    if not (np.array_equal(face[leaves], chosen) and np.array_equal(face[enters], chosen)):
+        raise ValueError("patches of type empty, but there are faces that do not join the two planes.")
+    # seen from its cell, such a face runs along the front against the sense of the cell's face in the front
+    ends = np.stack([label[rows[leaves]], label[after[enters]]], axis=1)
+    neighbour = np.full(len(faces.owner), -1)
+    neighbour[: len(faces.neighbour)] = faces.neighbour
+    starts = 2 * np.arange(len(chosen) + 1)
+    return Faces(np.searchsorted(plane.front, ends).ravel(), starts, faces.owner[chosen], neighbour[chosen])

@@ -1,0 +1,189 @@
+"""Polyhedra and polygons are judged whole, under the numbers of their file; what inverts a cell depends on who solves on it."""
+
+import gzip
+import json
+import re
+import shutil
+
+import foam
+import numpy as np
+import pytest
+from test_cgns import polyhedral
+from test_openfoam import PATCHES, mixed, split
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.cli import main
+
+HANGING = [[0, 1, 4, 7, 6], [1, 2, 5, 4], [4, 5, 8, 7], [2, 9, 10, 5], [5, 10, 8]]
+"""A pentagon (a square with a hanging node in its right side), two small squares, a quad and a triangle."""
+
+CORNERS = np.array(
+    [[0, 0], [1, 0], [1.5, 0], [9, 9], [1, 0.5], [1.5, 0.5], [0, 1], [1, 1], [1.5, 1], [2, 0.1], [2.2, 0.7]]
+)
+
+
+def slab(folder):
+    """Writes the cells of HANGING as a 2-D case, one layer thick."""
+    used = [k for k in range(len(CORNERS)) if k != 3]
+    new, n = {k: i for i, k in enumerate(used)}, len(used)
+    points = np.concatenate([np.column_stack([CORNERS[used], np.full(n, z)]) for z in (0, 0.1)])
+    cells = []
+    for corners in HANGING:
+        base = [new[k] for k in corners]
+        sides = [[a, b, b + n, a + n] for a, b in zip(base, base[1:] + base[:1], strict=True)]
+        cells.append([base[::-1], [k + n for k in base], *sides])
+    empty = ("sides", "empty", lambda face: np.ptp(points[face, 2]) == 0)
+    foam.write_case(folder, points, cells, [empty, ("rim", "patch", lambda face: True)])
+    return [CORNERS[corners] for corners in HANGING]
+
+
+def shoelace(x):
+    y = np.roll(x, -1, axis=0)
+    return (x[:, 0] * y[:, 1] - y[:, 0] * x[:, 1]).sum() / 2
+
+
+def test_polygons_of_a_2d_case_are_whole(tmp_path, capsys):
+    polygons = slab(tmp_path / "a")
+    mesh = io.read(tmp_path / "a")
+    assert mesh.cell_counts == {"triangle": 1, "quad": 3, "polygon": 1}
+    found = jm.face_quality(mesh)
+    np.testing.assert_allclose(found.volume, [shoelace(polygon) for polygon in polygons], rtol=1e-12)
+    assert not found.is_inverted.any()
+    assert main(["info", str(tmp_path / "a")]) == 0
+    assert "3 quad, 1 triangle, 1 polygon\n" in capsys.readouterr().out
+    assert main(["quality", str(tmp_path / "a"), "--max-skewness", "0.9"]) == 2
+    assert "1 of 5 cells are polygons, of which skewness is not defined. --max-face-skewness" in capsys.readouterr().err
+    # the hanging node is drawn into the pentagon: not convex, but seen from its centre
+    moved, node = mesh.points.copy(), int(np.flatnonzero((mesh.points == [1, 0.5]).all(axis=1))[0])
+    for place, is_inverted in ((0.75, False), (-0.5, True), (1.6, True)):
+        moved[node, 0] = place
+        assert jm.face_quality(mesh, moved).is_inverted.any() == is_inverted
+    io.write(tmp_path / "b", mesh.moved(moved))
+    assert main(["quality", str(tmp_path / "a"), str(tmp_path / "b")]) == 1
+    assert re.search(r"of 5 cells are inverted, .*, by volumes and face pyramids\.", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("kind", ["OpenFOAM", "CGNS"])
+def test_polyhedra_are_whole(tmp_path, kind):
+    """A cube and four small ones against its side, which makes it a polyhedron of nine faces."""
+    if kind == "OpenFOAM":
+        foam.write_case(tmp_path / "a", *split(), PATCHES)
+        mesh = io.read(tmp_path / "a")
+    else:
+        polyhedral(tmp_path / "a.cgns")
+        mesh = io.read(tmp_path / "a.cgns")
+    assert mesh.cell_counts == {"hexahedron": 4, "polyhedron": 1}
+    found = jm.face_quality(mesh)
+    np.testing.assert_allclose(found.volume, [1] + [0.25] * 4, rtol=1e-12)
+    np.testing.assert_allclose(found.centroid[0], 0.5, rtol=1e-12)
+    pyramids = np.array([1 / 6] * 5 + [1 / 24] * 4)
+    # all pyramids of a box are alike
+    np.testing.assert_allclose(found.pyramid, [pyramids.min() / pyramids.mean(), 1, 1, 1, 1], rtol=1e-12)
+    cosines = [1 / np.linalg.norm([1, 0.25, 0.25])] * 4 + [1.0] * 4
+    assert found.mean_non_orthogonality == pytest.approx(np.degrees(np.arccos(np.mean(cosines))), rel=1e-9)
+    np.testing.assert_array_equal(np.sort(mesh.cell_ids[:4]), [1, 2, 3, 4])
+    assert set(mesh.cell_ids[4:]) == {0}
+
+
+def test_cells_of_several_types_have_the_numbers_of_the_case(tmp_path):
+    points, cells = mixed()
+    order = [3, 1, 0, 2]  # tetrahedron, wedge, hexahedron, pyramid
+    foam.write_case(tmp_path / "a", points, [cells[k] for k in order], PATCHES)
+    mesh = io.read(tmp_path / "a")
+    assert list(mesh.cells) == ["hexahedron", "pyramid", "tetra", "wedge"]
+    np.testing.assert_array_equal(mesh.cell_ids, [2, 3, 0, 1])
+    in_order = jm.quality(mesh).volume
+    np.testing.assert_allclose(jm.face_quality(mesh).volume[mesh.cell_ids], in_order, rtol=0.02)  # warped faces
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_corner_that_is_not_convex_is_seen_by_finite_elements_alone(turned):
+    points = np.array([[0, 0], [1, 0], [0.45, 0.45], [0, 1], [-1, 0], [-1, 1]])
+    cells = np.array([[0, 1, 2, 3], [4, 0, 3, 5]])
+    mesh = jm.Mesh(points, {"quad": cells[:, ::-1] if turned else cells})
+    assert np.asarray(jm.quality(mesh).is_inverted).tolist() == [True, False]
+    assert not jm.face_quality(mesh).is_inverted.any()
+    points[2] = -0.5
+    assert jm.face_quality(mesh.moved(points)).is_inverted[0]
+    assert not jm.face_quality(mesh.moved(points)).is_inverted[1]
+    points[0] = np.nan
+    assert jm.face_quality(mesh.moved(points)).is_inverted.all()
+
+
+@pytest.mark.parametrize("flat", [0.0, 1e-9, -1e-9, 3e-5])
+def test_a_flat_corner_has_no_sign_to_lose(flat):
+    """A corner of 180 degrees, to the digits of a file: its Jacobian says nothing, those of the others do."""
+    points = np.array([[0, 0], [1, 0], [0.5 + flat, 0.5], [0, 1]])
+    mesh = jm.Mesh(points, {"quad": [[0, 1, 2, 3]]})
+    pushed = jm.quality(mesh, points - np.eye(4)[:, [2, 2]] * 0.01)
+    assert int(pushed.inverted) == 0
+    assert 0.5 < float(pushed.min_jacobian_ratio) < 1
+    assert int(jm.quality(mesh, points * [1, 1] - np.eye(4)[:, [2, 2]] * 0.6).inverted) == 1
+    angle = 0.01  # of a corner that is not flat
+    points[2] = [0.5 + angle, 0.5]
+    assert int(jm.quality(jm.Mesh(points, mesh.cells), points - np.eye(4)[:, [2, 2]] * 0.02).inverted) == 1
+
+
+def test_before_and_after_are_judged_alike(tmp_path, capsys):
+    """A cell that is inverted from the start is so before and after; one that the motion inverts is the fault."""
+    x, y = np.meshgrid(np.arange(4.0), np.arange(3.0), indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel()])
+    quads = [[3 * i + j, 3 * i + j + 3, 3 * i + j + 4, 3 * i + j + 1] for i in range(3) for j in range(2)]
+    points[0] = [0.8, 0.8]  # the first cell is not convex
+    mesh = jm.Mesh(points, {"quad": quads}, {"rim": [0, 1, 2, 3, 5, 6, 8, 9, 10, 11]})
+    for name, place in (("a", None), ("b", [1.1, 1.05]), ("c", [2.5, 1.5])):
+        if place:
+            points[4] = place
+        io.write(tmp_path / f"{name}.su2", mesh.moved(points.copy()))
+    a, b, c = (str(tmp_path / f"{name}.su2") for name in "abc")
+    expected = {b: (1, 1, 0), c: (1, 3, 1)}
+    for file, (before, after, status) in expected.items():
+        assert main(["quality", a, file]) == status
+        row = re.search(r"inverted cells +(\d+) +(\d+)\n", capsys.readouterr().out)
+        assert (int(row[1]), int(row[2])) == (before, after), file
+    assert main(["quality", a, c, "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["after"]["inverted_by"] == "corner Jacobians"
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_whole_cells_are_measured_as_checkmesh_does(tmp_path, dimension):
+    foam.need_openfoam()
+    if dimension == 2:
+        slab(tmp_path / "a")
+    else:
+        foam.write_case(tmp_path / "a", *split(), PATCHES)
+    done, found = foam.run(tmp_path / "a", "checkMesh", "-constant"), jm.face_quality(io.read(tmp_path / "a"))
+    expected = re.search(r"non-orthogonality Max: (\S+) average: (\S+)", done).groups()
+    np.testing.assert_allclose(
+        [found.non_orthogonality.max(), found.mean_non_orthogonality], [*map(float, expected)], rtol=2e-5
+    )
+    assert f"cells:            {len(found.volume)}\n" in done
+    assert float(re.search(r"Max skewness = (\S+)", done)[1].rstrip(",")) == pytest.approx(
+        found.skewness.max(), rel=2e-5
+    )
+
+
+@pytest.mark.slow
+def test_a_snapped_mesh_is_judged_as_checkmesh_does(tmp_path, capsys):
+    """OpenFOAM's flange, 19,314 cells of which 1,544 are polyhedra and some have collapsed corners: moved, and not refused."""
+    foam.need_openfoam()
+    case = tmp_path / "a"
+    shutil.copytree(foam.EXAMPLES / "mesh" / "snappyHexMesh" / "flange", case)
+    for file in case.rglob("*Dict.gz"):
+        file.with_suffix("").write_bytes(gzip.decompress(file.read_bytes()))
+    shutil.copy(foam.EXAMPLES / "resources" / "geometry" / "flange.stl.gz", case / "constant" / "triSurface")
+    for command in (["blockMesh"], ["surfaceFeatureExtract"], ["snappyHexMesh", "-overwrite"]):
+        foam.run(case, *command)
+    for name in ("0", "log.blockMesh"):
+        shutil.rmtree(case / name, ignore_errors=True)
+    fixed = [patch for patch in io.read(case).patches if patch != "flange_patch3"]
+    flags = ["--moving", "flange_patch3", "--fixed", *fixed, "--translate", "0", "0", "2e-4", "--json"]
+    assert main(["deform", str(case), str(tmp_path / "b"), *flags]) == 0
+    after = json.loads(capsys.readouterr().out)["after"]
+    done = foam.run(tmp_path / "b", "checkMesh", "-constant")
+    assert "Face pyramids OK." in done
+    expected = re.search(r"non-orthogonality Max: (\S+) average: (\S+)", done).groups()
+    found = [after["max_non_orthogonality"], after["mean_non_orthogonality"]]
+    np.testing.assert_allclose(found, [*map(float, expected)], rtol=2e-5)
+    assert (after["cells"], after["inverted"]) == (19314, 0)
