@@ -12,6 +12,7 @@ from cases import body, motion
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._host.sharp import behind_tips
 from jaxmorph._host.skin import chords, edges
 
 
@@ -236,3 +237,52 @@ def test_a_free_side_is_seen_however_it_is_turned(whole):
                 warnings.simplefilter("ignore")  # of boundary faces in no list
                 plan = jm.prepare(each if whole else each.points, each.patch("inner"), each.patch(*sides))
             assert (len(plan.surface.ids[0].edges) == 0) == is_free
+
+
+def wedge(angle, count=9):
+    """A closed wall: two straight sides of unit length from a tip at the origin, and a circle that joins them."""
+    half, s = np.radians(angle / 2), np.linspace(1, 0, count)[:, None]
+    lower, upper = (s * [-np.cos(half), sign * np.sin(half)] for sign in (-1, 1))
+    round_about = np.linspace(half, 2 * np.pi - half, count)[1:-1, None]
+    back = -np.hstack([np.cos(half) + np.sin(half) * np.sin(round_about / 2), np.sin(half) * np.cos(round_about / 2)])
+    points = np.concatenate([lower, upper[::-1][1:], back])
+    ids = np.arange(len(points))
+    return points, np.stack([ids, np.roll(ids, -1)], axis=1)
+
+
+def test_a_source_stands_behind_a_sharp_tip():
+    """As far behind it as both nodes are before it; none behind a blunt tip, where another wall is near, or next to a node."""
+    points, pairs = wedge(20)
+    one = np.ones(len(pairs))
+    for length, away in ((0.01, 0.125), (0.3, 0.375)):
+        ((tip, *sides),) = behind_tips(points, pairs, length * one, 0.0, one)
+        assert (points[tip] == 0).all()
+        np.testing.assert_allclose(np.linalg.norm(points[sides], axis=1), away)
+        np.testing.assert_allclose(points[sides].sum(axis=0)[1], 0, atol=1e-15)
+    for angle, closest, room in ((70, 0.0, 1.0), (20, 0.2, 1.0), (20, 0.0, 0.1)):
+        assert not len(behind_tips(*wedge(angle), 0.01 * one, closest, room * one))
+    cut = np.concatenate([points, points[:1]])  # the last node of the wall is not joined to its first
+    assert (
+        len(behind_tips(cut, np.stack([np.arange(len(points)), np.arange(1, len(cut))], axis=1), 0.01 * one, 0.0, one))
+        == 1
+    )
+
+
+@pytest.mark.slow
+def test_a_sharp_blade_turns_in_its_passage():
+    """The cell behind the trailing edge, whose corner is nearly straight, no longer decides; what is affine stays so."""
+    mesh = cases.cascade(around=160, layers=40, first_cell=1e-3, periodic=True)
+    blade = np.asarray(mesh.points)[mesh.patch("blade")]
+    plan = jm.prepare(mesh, "blade", ("inlet", "outlet"), periodic=jm.Periodic("lower", "upper"))
+    for degrees, least in ((15, 0.733), (41, 1e-9)):
+        u = np.asarray(jm.shapes.rotate(blade, np.radians(degrees), about=(0.5, 0))) - blade
+        inverted, ratio = judged(mesh, jm.deform(plan, u))
+        assert inverted == 0
+        assert ratio > least
+    sides = mesh.patch("blade", "inlet", "outlet", "lower", "upper")
+    matrix = np.array([[1.2, 0.3], [-0.1, 0.9]])
+    whole = jm.prepare(mesh, sides)
+    assert len(whole.surface.ids[0].tips) == 1
+    np.testing.assert_allclose(
+        jm.deform(whole, mesh.points[sides] @ matrix), mesh.points @ (matrix + np.eye(2)), atol=1e-11
+    )

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.reduction import KDTree
+from .._host.sharp import behind_tips
 from .._host.skin import drawn_in, edges, has_free_sides, nearest_held, thinned
 from .._kernels.values import norm
 from .base import AbstractMethod, Surface, check_kind
@@ -22,6 +23,9 @@ A body that twists in 3-D pays for every large rotation, so less of it is asked 
 
 JOINT = 0.2
 """Largest `ell`, relative to the distance of the nearest node that is fixed or of another wall."""
+
+BEHIND = 0.01
+"""Distance of the source behind a sharp tip, relative to the mean chord, or to that of the nearest held node if that is less."""
 
 SOURCES_ALONE = 64
 """Fewest leaves of the k-d tree if the field interpolates instead of being fitted."""
@@ -51,6 +55,9 @@ class FittedRBF(AbstractMethod):
     A thin plate spline carries a slope that the body keeps on to the far field: at 500 chords a bump moves nodes by several
     times its height. So where fixed sources are farther away than about 45 chords, the field comes to rest at 20 and 40 chords:
     all but the walls' mean displacement, and affine motions of the whole.
+
+    A thin plate spline turns abruptly behind a sharp trailing edge, within the first cell there. So in 2-D a sharp tip of a wall
+    has a fixed source behind it: its displacement is the wall's own, continued straight on. Tips of less than 60 degrees are sharp.
 
     A free side is a side of the mesh that is neither moving, fixed nor a symmetry plane. A field that turns with the body
     would carry it out of its plane. A mesh with a free side gets the interpolation of many sources instead of the fit.
@@ -103,7 +110,7 @@ class FittedRBF(AbstractMethod):
         """Makes ids without edges, and with the sources as the only nodes: the fit is then the interpolation."""
         moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
         none = np.zeros((0, 2))
-        each_row = (moving, fixed, moving, none, none[:, 0], none, none[:, 0])
+        each_row = (moving, fixed, moving, none, none[:, 0], none, none[:, 0], np.zeros((0, 3)))
         rows = (jnp.asarray(each.astype(np.int32)) for each in each_row)
         return WallIds(*rows, share=jnp.zeros(0), reach=jnp.zeros(0))
 
@@ -117,8 +124,21 @@ class FittedRBF(AbstractMethod):
         label = wall[pairs[:, 0]]
         held = nearest_held(surface.points, surface.moving, wall, pairs)
         far, reach = drawn_in(surface.points, moving, fixed, surface.images)
-        rows = (jnp.asarray(each.astype(np.int32)) for each in (moving, fixed, nodes, pairs, held, ends[label], far))
+        tips = self._behind(surface, pairs, held)
+        each_row = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
+        rows = (jnp.asarray(each.astype(np.int32)) for each in each_row)
         return WallIds(*rows, share=jnp.asarray(share[label]), reach=jnp.asarray(reach))
+
+    def _behind(self, surface: Surface, pairs: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Finds sharp tips (g, 3) of the moving walls in 2-D, each with a node on either side."""
+        if surface.points.shape[1] == 3:
+            return np.zeros((0, 3))
+        wall, ends, share = surface.walls
+        chord = (share * np.linalg.norm(np.subtract(*surface.points[ends.T]), axis=1))[wall[pairs[:, 0]]]
+        apart = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
+        room = np.where(held == pairs[:, 0], chord, np.minimum(chord, apart))
+        closest = self.rbf.reduction.closest(surface.points[: surface.moving])
+        return behind_tips(surface.points, pairs, BEHIND * room, closest, JOINT * room)
 
     def matched(self, ids):
         return self.sources(ids) if not len(ids.edges) else np.asarray(ids.fixed)
@@ -127,7 +147,8 @@ class FittedRBF(AbstractMethod):
         return np.concatenate([ids.moving, ids.fixed])
 
     def check(self, ids, factors: "FitFactors", u):
-        values = jnp.concatenate([u[ids.moving], u[ids.fixed], jnp.zeros((len(ids.far), u.shape[1]), u.dtype)])
+        more = jnp.zeros((len(ids.far) + len(ids.tips), u.shape[1]), u.dtype)
+        values = jnp.concatenate([u[ids.moving], u[ids.fixed], more])
         self.rbf.check(jnp.arange(len(values)), factors.rbf, values)
 
     def fit(self, ids: "WallIds", surface, points):
@@ -157,7 +178,7 @@ class FittedRBF(AbstractMethod):
         lower = jnp.linalg.cholesky(inner * scale[:, None] * scale[None])
         of_edges = (slope * (edge * mu**2 / length)[:, None])[:, :moves]
         affine = _affine(self.rbf, rbf, surface)
-        ring = polynomial(rbf.sources[moves + len(ids.fixed) :], self.rbf.degree)
+        ring = polynomial(rbf.sources[moves + len(ids.fixed) :], self.rbf.degree)[: len(ids.far)]
         return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring)
 
     def _lengths(self, ids: "WallIds", surface, middle):
@@ -176,12 +197,13 @@ class FittedRBF(AbstractMethod):
         rest = values - _product(factors.polynomial, affine)
         difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]
         wanted = _product(factors.nodes.T, rest[ids.nodes]) + _product(factors.edges.T, difference)
-        fixed = jnp.concatenate([rest[ids.fixed], _at_rings(ids, rest)])
+        fixed = jnp.concatenate([rest[ids.fixed], _at_rings(ids, rest), _behind_tips(ids, rest)])
         wanted = wanted.T - jnp.einsum("aicj,jc->ai", factors.outer, fixed, precision="highest")
         solved = jax.scipy.linalg.cho_solve((factors.lower, True), wanted.ravel() * factors.scale) * factors.scale
         moving = solved.reshape(wanted.shape).T + _product(factors.polynomial[ids.moving], affine)
-        ring = _product(factors.ring, affine) + fixed[len(ids.fixed) :]
-        return self.rbf.through(factors.rbf, jnp.concatenate([moving, values[ids.fixed], ring]), u.dtype)
+        ring = _product(factors.ring, affine) + _at_rings(ids, rest)
+        everything = jnp.concatenate([moving, values[ids.fixed], ring, _behind_tips(ids, values)])
+        return self.rbf.through(factors.rbf, everything, u.dtype)
 
     def _affine_part(self, factors: "FitFactors", values):
         """Finds the coefficients (p, d) of the affine motion nearest to the surface's displacement."""
@@ -193,6 +215,7 @@ class WallIds(eqx.Module):
     """Rows of the surface: sources, nodes and edges of the fit; for each edge the nearest held row and its body's extent.
 
     `far` are fixed sources so far away that more of them rest nearer to the walls, at the share `reach` of the way to them.
+    `tips` are sharp tips of the walls, each with a node on either side.
     """
 
     moving: Int[Array, " s"]
@@ -202,6 +225,7 @@ class WallIds(eqx.Module):
     held: Int[Array, " e"]
     ends: Int[Array, "e 2"]
     far: Int[Array, " r"]
+    tips: Int[Array, "g 3"]
     share: Float[Array, " e"]
     reach: Float[Array, " r"]
 
@@ -221,11 +245,17 @@ class FitFactors(eqx.Module):
 
 
 def _sources(ids: WallIds, surface: Float[Array, "b d"]) -> Float[Array, "s d"]:
-    """Computes the places of the moving and fixed sources, and of the rings between them."""
+    """Computes the places of the moving and fixed sources, of the rings between them, and behind sharp tips."""
     moving, fixed = surface[ids.moving], surface[ids.fixed]
     centre = moving.mean(axis=0)[None]
     ring = centre + ids.reach.astype(surface.dtype)[:, None] * (surface[ids.far] - centre)
-    return jnp.concatenate([moving, fixed, ring])
+    return jnp.concatenate([moving, fixed, ring, _behind_tips(ids, surface)])
+
+
+def _behind_tips(ids: WallIds, values: Float[Array, "b d"]) -> Float[Array, "g d"]:
+    """Continues places or displacements of the walls behind their tips: the mirror image in the tip, right for affine motions."""
+    tip, first, second = ids.tips.T
+    return 2 * values[tip] - (values[first] + values[second]) / 2
 
 
 def _at_rings(ids: WallIds, values: Float[Array, "b d"]) -> Float[Array, "r d"]:
