@@ -67,6 +67,8 @@ from ._methods.stiffness import ByVolume as ByVolume
 from ._plan.chunks import Chunks as Chunks
 from ._plan.chunks import prepare_in_chunks as prepare_in_chunks
 from ._plan.faces import FreeFaces as FreeFaces
+from ._plan.judge import BoundaryQuality as BoundaryQuality
+from ._plan.judge import boundary_quality as boundary_quality
 from ._plan.periodic import Periodic as Periodic
 from ._plan.plan import Plan as Plan
 from ._plan.plan import deform as deform

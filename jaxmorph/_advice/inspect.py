@@ -12,9 +12,13 @@ from .._host.errors import MeshError
 from .._host.skin import edges
 from .._mesh.mesh import Mesh
 from .._methods.fitted import FittedRBF
+from .._plan.judge import ended, ends
 from .._plan.plan import Plan
 from .crossings import Crossings, crossings
 from .overshoot import overshoot
+
+PUT_BACK = 0.01
+"""Share of the largest motion by which planes, surfaces and pairs may change a moving node's."""
 
 STEEP = 0.5
 """Slope of a displacement along the wall from which on a fitted field strains cells noticeably more."""
@@ -36,6 +40,11 @@ class Inspection:
       steepest edges but 2 %.
     - `is_fitted`: whether the coarse field is a `FittedRBF`, as in `prepare`'s default.
     - `crossings`: where moved walls cross another boundary or themselves; None where `inspect` was given no mesh.
+    - `put_back`: moving nodes (k,) that do not go where `u` sends them, the worst first. Their plane, surface or pair
+      changes the motion by more than a hundredth of the largest one.
+    - `put_back_by`: the largest of these changes.
+    - `ended`: sliding nodes (k,) that come to the end of their surface.
+    - `ended_at`: where these are then (k, d).
     """
 
     offset: float
@@ -48,11 +57,25 @@ class Inspection:
     slope: float
     is_fitted: bool
     crossings: Crossings | None = None
+    put_back: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
+    put_back_by: float = 0.0
+    ended: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
+    ended_at: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence for each thing that no method moves well."""
-        return (*self._contradicting, *((str(self.crossings),) if self.crossings else ()))
+        crossings = (str(self.crossings),) if self.crossings else ()
+        return (*self._contradicting, *crossings, *self._kept, *filter(None, [ends(self.ended, self.ended_at)]))
+
+    @property
+    def _kept(self) -> tuple[str, ...]:
+        if not len(self.put_back):
+            return ()
+        return (
+            f"{len(self.put_back)} moving nodes do not go where `u` sends them, the worst is node {self.put_back[0]}, by "
+            f"{self.put_back_by:.3g}: they stay on their plane or surface, and pairs take the mean. Give a motion that does.",
+        )
 
     @property
     def _contradicting(self) -> tuple[str, ...]:
@@ -62,7 +85,8 @@ class Inspection:
         place = ", ".join(f"{x:.4g}" for x in self.near)
         return (
             f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the worst "
-            f"nodes {first} and {second} near ({place}). If a boundary slides along the moving one, make it a symmetry plane.",
+            f"nodes {first} and {second} near ({place}). If a boundary slides along the moving one, make it a symmetry plane "
+            "or let it slide.",
         )
 
     @property
@@ -80,7 +104,8 @@ class Inspection:
         """Returns the same inspection for a larger mesh, in which node k is node `ids[k]`."""
         ids = np.asarray(ids)
         node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
-        return dataclasses.replace(self, offset_node=node, contradictions=pairs)
+        kept = {"put_back": ids[self.put_back], "ended": ids[self.ended]}
+        return dataclasses.replace(self, offset_node=node, contradictions=pairs, **kept)
 
     def __str__(self) -> str:
         """Tells what no method moves well, then what another method may do better."""
@@ -148,6 +173,11 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
     anywhere, behind = overshoot(plan, np.asarray(u, dtype=float))
+    given = np.asarray(u, dtype=float)
+    changed = np.linalg.norm(vectors[: plan.n_moving] - given, axis=1)
+    back = np.flatnonzero(changed > PUT_BACK * np.linalg.norm(given, axis=1).max())
+    places = points[nodes] + vectors
+    rows = ended(plan, places)
     return Inspection(
         offset=float(offset[worst]),
         offset_node=int(nodes[worst]),
@@ -158,6 +188,10 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
         overshoot_behind=behind,
         slope=_slope(points[nodes[: plan.n_moving]], vectors[: plan.n_moving]),
         is_fitted=isinstance(getattr(plan.method, "coarse", None), FittedRBF),
+        put_back=nodes[back[np.argsort(-changed[back], kind="stable")]],
+        put_back_by=float(changed.max()) if len(back) else 0.0,
+        ended=nodes[rows],
+        ended_at=places[rows],
     )
 
 

@@ -24,3 +24,8 @@ class MeshError(ValueError):
     def renumbered(self, ids: np.ndarray) -> "MeshError":
         """Returns the same error about a larger mesh, in which node k is node `ids[k]`."""
         return MeshError(self.message, np.asarray(ids)[self.nodes])
+
+
+def place_of(point: np.ndarray) -> str:
+    """Writes coordinates (d,) for a message, without brackets."""
+    return ", ".join(f"{x:.6g}" for x in point)

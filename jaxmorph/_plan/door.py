@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from .._host.errors import MeshError
+from .._host.errors import MeshError, place_of
 from .._host.skin import has_free_faces
 from .._host.topology import solid
 from .._mesh.mesh import Mesh
@@ -103,6 +103,7 @@ def boundary(
     """Checks what `prepare` was given. Raises `ValueError` in one sentence that names the call to make."""
     points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
     patches = mesh if isinstance(mesh, Mesh) else None
+    _check_named_once(sliding, fixed=fixed, symmetry=symmetry)
     moving, fixed, free = (
         _nodes(ids, name, patches, len(points)) for ids, name in ((moving, "moving"), (fixed, "fixed"), (free, "free"))
     )
@@ -117,14 +118,18 @@ def boundary(
     fixed = fixed[~np.isin(fixed, moving)]
     planes = _planes(symmetry, points, patches)
     outer, pairings = None if patches is None else outer_faces(patches), _pairings(periodic, points, patches)
-    tracks, held = _tracks(sliding, points, patches, planes, None if outer is None else outer.corners)
+    tracks, held = _tracks(sliding, points, patches, planes, fixed, None if outer is None else outer.corners)
     if np.isin(held, moving).any():
         corner = held[np.isin(held, moving)]
-        raise MeshError("node {node} moves, but it is a corner of sliding patches and cannot.", corner)
+        raise MeshError(
+            f"{len(corner)} moving nodes are corners of sliding patches and cannot move, the first is node {{node}} at "
+            f"({place_of(points[corner[0]])}). Leave them out of `moving`, or slide along fewer patches.",
+            corner,
+        )
     fixed = np.append(fixed, held[~np.isin(held, fixed)])
     tracks = tuple(Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
     tracks = tuple(track for track in tracks if len(track.rows))
-    lists = moving, fixed, _guided(pairings, tracks, moving, fixed, len(points)), planes, pairings, tracks
+    lists = moving, fixed, _guided(pairings, tracks, moving, fixed, points), planes, pairings, tracks
     if patches is None or outer is None:
         return Boundary(points, *lists, None, None, None)
     is_held = _listed(points, np.concatenate(lists[:3]), planes)
@@ -233,9 +238,25 @@ def _tracks(
     points: np.ndarray,
     mesh: Mesh | None,
     planes: tuple[Plane, ...],
+    fixed: np.ndarray,
     faces: Mapping[str, np.ndarray] | None,
 ) -> tuple[tuple[Track, ...], np.ndarray]:
     """Groups the sliding nodes by the walls that keep them; returns those that are held between these, too."""
+    walls = []
+    for each in slides(sliding):
+        nodes = np.unique(_nodes(each.patch, "sliding", mesh, len(points)))
+        if len(nodes) and np.isin(nodes, fixed).all():
+            raise MeshError(
+                f"all {len(nodes)} nodes of {each.name} are in `fixed`, first node {{node}} at ({place_of(points[nodes[0]])}): "
+                "it would not slide. Leave them out of one of both.",
+                nodes,
+            )
+        walls.append((wall_of(each, nodes, points, faces), nodes))
+    return tracks_of(walls, planes if walls else (), points)
+
+
+def slides(sliding: Any) -> tuple[Slide, ...]:
+    """Returns one slide or several, names as those along their own faces. Raises `ValueError` for anything else."""
     if isinstance(sliding, type):
         raise ValueError(f"`sliding` is the class {sliding.__name__}: call it, sliding=jm.Slide('shroud').")
     several = [sliding] if isinstance(sliding, Slide | str) else sliding
@@ -244,18 +265,25 @@ def _tracks(
         raise ValueError(
             f"`sliding` must be slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), not {sliding!r}."
         )
-    walls = []
-    for each in several:
-        nodes = np.unique(_nodes(each.patch, "sliding", mesh, len(points)))
-        walls.append((wall_of(each, nodes, points, faces), nodes))
-    return tracks_of(walls, planes if walls else (), points)
+    return tuple(several)
+
+
+def _check_named_once(sliding: Any, **lists: Any) -> None:
+    """Raises `ValueError` for a patch that slides and is in another list, where its nodes do not."""
+    for each in slides(sliding):
+        for name, values in lists.items():
+            both = set(_names(each.patch) or ()) & set(_names(values) or ())
+            if both:
+                raise ValueError(
+                    f"the patch {min(both)!r} is named in `sliding` and in `{name}`, and would not slide: name it in one of both."
+                )
 
 
 def _guided(
-    pairings: Sequence[Pairing], tracks: Sequence[Track], moving: np.ndarray, fixed: np.ndarray, n: int
+    pairings: Sequence[Pairing], tracks: Sequence[Track], moving: np.ndarray, fixed: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
     """Lists sliding and periodic nodes that are in no list. Raises `ValueError` where the partner of one is."""
-    role = np.zeros(n, dtype=int)
+    role = np.zeros(len(points), dtype=int)
     role[moving], role[fixed] = 1, 2
     for pairing in pairings:
         first, second = np.asarray(pairing.first), np.asarray(pairing.second)
@@ -263,8 +291,8 @@ def _guided(
         if odd.size:
             words, worst = ("in neither list", "in `moving`", "in `fixed`"), odd[0]
             raise MeshError(
-                f"{len(odd)} periodic pairs have nodes in different lists: node {{node}} is {words[role[first[worst]]]}, its "
-                f"partner {second[worst]} {words[role[second[worst]]]}. Name both, or neither.",
+                f"{len(odd)} periodic pairs have nodes in different lists: node {{node}} at ({place_of(points[first[worst]])}) is "
+                f"{words[role[first[worst]]]}, its partner {second[worst]} {words[role[second[worst]]]}. Name both, or neither.",
                 first[odd],
             )
     nodes = [np.zeros(0, dtype=np.int64), *(pairing.nodes for pairing in pairings), *(track.rows for track in tracks)]

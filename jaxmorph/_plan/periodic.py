@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
-from .._host.errors import MeshError
+from .._host.errors import MeshError, place_of
 from .symmetry import Plane, tolerance
 
 ALONG_AXIS = 1e-9
@@ -219,14 +219,14 @@ def _refuse(periodic: Periodic, nodes: tuple, matches: tuple, points: np.ndarray
     distance, apart, nearest = matches
     if not apart.size:
         lonely = second[np.setdiff1d(np.arange(len(second)), nearest)]
-        place = ", ".join(f"{x:.6g}" for x in points[lonely[0]])
+        place = place_of(points[lonely[0]])
         raise MeshError(
             f"{periodic.name} do not match: {len(lonely)} of {len(second)} nodes of the second have no partner, first node "
             f"{{node}} at ({place}). Both need the same nodes: mesh one as the copy of the other.",
             lonely,
         )
     worst_first = apart[np.argsort(-distance[apart], kind="stable")]
-    place = ", ".join(f"{x:.6g}" for x in points[first[worst_first[0]]])
+    place = place_of(points[first[worst_first[0]]])
     raise MeshError(
         f"{periodic.name} do not match: {len(apart)} of {len(first)} nodes of the first have no partner, the worst is node "
         f"{{node}} at ({place}): {distance[worst_first[0]]:.3g} from the nearest after the transform. Check `translation`, or "

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 from scipy.spatial import KDTree
 
-from .._host.errors import MeshError
+from .._host.errors import MeshError, place_of
 from .._kernels.compile import compiled
 from .._kernels.values import is_known
 from .periodic import MISMATCH, Pairing
@@ -110,7 +110,7 @@ def _refuse(what: str, off: np.ndarray, allowed: np.ndarray | float, nodes: np.n
     if wrong.size:
         wrong = wrong[np.argsort(-off[wrong], kind="stable")]
         worst_first, limit = nodes[wrong], np.broadcast_to(allowed, off.shape)[wrong[0]]
-        place = ", ".join(f"{x:.6g}" for x in points[worst_first[0]])
+        place = place_of(points[worst_first[0]])
         raise MeshError(
             f"{len(wrong)} of {len(nodes)} {what} at the new base points, the worst is node {{node}} at ({place}), "
             f"{off.max():.3g} away (allowed {limit:.3g}). Call `prepare` with the new mesh and its boundaries.",

@@ -9,7 +9,7 @@ from jaxtyping import Int
 from scipy.interpolate import CubicSpline
 from scipy.sparse import csr_array
 
-from .._host.errors import MeshError
+from .._host.errors import MeshError, place_of
 from .symmetry import Plane
 from .walls import AbstractWall, Faceted, Flat, FlatFaces, Round, Track
 
@@ -116,12 +116,13 @@ def tracks_of(
 def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.ndarray) -> None:
     first, second = (np.asarray(wall.height(jnp.asarray(points[nodes]))[1]) for wall in walls)
     cosine = np.abs(np.sum(first * second, axis=1))
-    if cosine.max() > SMOOTH:
-        worst_first = np.argsort(-cosine, kind="stable")
-        place = ", ".join(f"{x:.6g}" for x in points[nodes[worst_first[0]]])
+    wrong = np.flatnonzero(cosine > SMOOTH)
+    if wrong.size:
+        worst_first = wrong[np.argsort(-cosine[wrong], kind="stable")]
+        place = place_of(points[nodes[worst_first[0]]])
         raise MeshError(
-            f"two sliding patches, or one and a symmetry plane, meet at node {{node}} at ({place}) without an edge between "
-            "them. Let them slide as one, jm.Slide((first, second)).",
+            f"two sliding patches, or one and a symmetry plane, meet at {len(wrong)} nodes without an edge between them, the worst "
+            f"is node {{node}} at ({place}). Let them slide as one, jm.Slide((first, second)).",
             nodes[worst_first],
         )
 
@@ -154,7 +155,7 @@ def _check_on(slide: Slide, wall: AbstractWall, nodes: np.ndarray, points: np.nd
     wrong = np.flatnonzero(off > allowed)
     if wrong.size:
         worst_first = nodes[wrong[np.argsort(-off[wrong], kind="stable")]]
-        place = ", ".join(f"{x:.6g}" for x in points[worst_first[0]])
+        place = place_of(points[worst_first[0]])
         raise MeshError(
             f"{slide.name} does not lie on its surface: {len(wrong)} of {len(nodes)} nodes are off, the worst is node {{node}} at "
             f"({place}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or none: the patch's faces.",
@@ -212,7 +213,7 @@ def _of_faces(
         raise ValueError(f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on.")
     try:
         plane = Plane.through(points, nodes)
-        return FlatFaces(plane.normal, plane.origin, nodes, elements)
+        return FlatFaces(plane.normal, plane.origin, nodes, points[nodes], elements)
     except ValueError:
         pass
     patch = points[nodes]

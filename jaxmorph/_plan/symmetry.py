@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._host.errors import MeshError
+from .._host.errors import MeshError, place_of
 from .._host.reduction import roundoff
 
 TOLERANCE = 1e-8
@@ -65,7 +65,7 @@ class Plane(eqx.Module):
         deviation = np.abs((patch - origin) @ normal)
         if deviation.max() > tolerance(points):
             worst_first = np.argsort(-deviation, kind="stable")
-            place = ", ".join(f"{x:.6g}" for x in patch[worst_first[0]])
+            place = place_of(patch[worst_first[0]])
             raise MeshError(
                 f"these {len(nodes)} nodes do not lie in one plane: node {{node}} at ({place}) is {deviation.max():.3g} off.",
                 nodes[worst_first],
@@ -125,7 +125,7 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
         outside = np.flatnonzero(beyond)
         outside = outside[np.argsort(-np.abs(height[outside]), kind="stable")]
         worst = outside[0]
-        place = ", ".join(f"{x:.6g}" for x in points[worst])
+        place = place_of(points[worst])
         raise MeshError(
             f"{name} has nodes on both sides: {beyond.sum()} of {len(points)} lie beyond it, the farthest is node {{node}} at "
             f"({place}), {abs(height[worst]):.3g} away. A symmetry plane bounds the mesh: give one half alone, or no plane.",

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._kernels.values import norm
 
@@ -44,6 +44,10 @@ class AbstractWall(eqx.Module):
         """Returns the same with node k called `place[k]`."""
         return self
 
+    def has_end(self, x: Float[np.ndarray, "k d"]) -> Bool[np.ndarray, " k"]:
+        """Tells, on the host, which points are at or beyond an end of the wall; none where it goes on for ever."""
+        return np.zeros(len(x), dtype=bool)
+
 
 class Flat(AbstractWall):
     """A plane, or a line in 2-D."""
@@ -64,11 +68,12 @@ class Flat(AbstractWall):
 class FlatFaces(Flat):
     """The plane, or the line in 2-D, of a patch's own faces: it follows the base points.
 
-    - `nodes` (v,): ids of the patch's nodes, or rows of them.
-    - `faces` (e, d): their corners, as places in `nodes`.
+    - `nodes` (v,), `vertices` (v, d): ids of the patch's nodes, or rows of them, and where they are.
+    - `faces` (e, d): rows of their corners.
     """
 
     nodes: Int[Array | np.ndarray, " v"]
+    vertices: Float[Array | np.ndarray, "v d"]
     faces: Int[Array | np.ndarray, "e d"]
 
     def at(self, points):
@@ -79,10 +84,20 @@ class FlatFaces(Flat):
         normal = whole / norm(whole)
         sharp = jnp.where(jnp.abs(normal) < ALONG_AXIS, 0, normal)  # the usual case: keep the coordinate bit for bit
         normal = normal + jax.lax.stop_gradient(sharp / norm(sharp) - normal)
-        return FlatFaces(normal, jnp.mean(patch, axis=0), self.nodes, self.faces)
+        return FlatFaces(normal, jnp.mean(patch, axis=0), self.nodes, patch, self.faces)
+
+    def has_end(self, x):
+        ends = np.asarray(self.vertices)[rim(np.asarray(self.faces))]
+        normal = np.asarray(self.normal)
+        if x.shape[1] == 2:
+            along = np.array([normal[1], -normal[0]])
+            places, ends = x @ along, ends[:, 0] @ along
+            return (places < ends.min()) | (places > ends.max())
+        axes = np.linalg.svd(normal[None])[2][1:]
+        return ~_inside(x @ axes.T, ends @ axes.T)
 
     def renumbered(self, place):
-        return FlatFaces(self.normal, self.origin, place[np.asarray(self.nodes)], self.faces)
+        return FlatFaces(self.normal, self.origin, place[np.asarray(self.nodes)], self.vertices, self.faces)
 
 
 class Round(AbstractWall):
@@ -122,6 +137,12 @@ class Round(AbstractWall):
             a, above = -steep * b, (radius - value - t * (slope + t * (square + t * cubic))) * b
         return above, a[:, None] * axis[None] + b[:, None] * outward
 
+    def has_end(self, x):
+        if self.knots is None:
+            return np.zeros(len(x), dtype=bool)
+        along, slack = (x - np.asarray(self.origin)) @ np.asarray(self.axis), 1e-9 * float(np.ptp(self.knots))
+        return (along < self.knots[0] - slack) | (along > self.knots[-1] + slack)
+
 
 class Faceted(AbstractWall):
     """Faces between nodes: triangles, or lines in 2-D. They follow the base points.
@@ -142,6 +163,10 @@ class Faceted(AbstractWall):
 
     def distance(self, x):
         return norm(x - self.nearest(x)[0])
+
+    def has_end(self, x):
+        ends = np.asarray(self.vertices)[rim(np.asarray(self.faces))]
+        return _off_edges(x, ends) < 1e-9 * np.ptp(np.asarray(self.vertices), axis=0).max()
 
     def at(self, points):
         return Faceted(self.nodes, points[self.nodes], self.faces, self.around)
@@ -216,6 +241,33 @@ def _normal(corners: Float[Array, "d d"]) -> Float[Array, " d"]:
     normal = _areas(corners, np.arange(len(corners))[None])[0]
     length = norm(normal)
     return normal / jnp.where(length > 0, length, 1)
+
+
+def rim(faces: Int[np.ndarray, "e d"]) -> Int[np.ndarray, "r c"]:
+    """Lists the edges of triangles that only one of them has, or the ends of lines."""
+    d = faces.shape[1]
+    sides = np.concatenate([np.delete(faces, k, axis=1) for k in range(d)])
+    once, counts = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+    return once[counts == 1]
+
+
+def _off_edges(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Measures how far (k,) points are from the nearest of some edges (r, 2, d), or ends (r, 1, d)."""
+    least = np.full(len(x), np.inf)
+    for first, *second in ends:
+        edge = second[0] - first if second else np.zeros_like(first)
+        along = np.clip((x - first) @ edge / max(float(edge @ edge), 1e-300), 0, 1)
+        least = np.minimum(least, np.linalg.norm(x - first - along[:, None] * edge, axis=1))
+    return least
+
+
+def _inside(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Tells which points (k, 2) lie within closed lines of edges (r, 2, 2), or on them."""
+    crossed = np.zeros(len(x), dtype=bool)
+    for (a, b), (c, d) in ends:
+        between = (b > x[:, 1]) != (d > x[:, 1])
+        crossed ^= between & (x[:, 0] < a + (x[:, 1] - b) * (c - a) / (d - b if d != b else 1))
+    return crossed | (_off_edges(x, ends) < 1e-9 * np.ptp(ends.reshape(-1, 2), axis=0).max())
 
 
 class Track(eqx.Module):

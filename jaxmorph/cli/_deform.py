@@ -30,7 +30,7 @@ def deform(request: Deform, out: Output) -> int:
         mesh = io.read(request.file)
     attempt, choice, chunks = _attempt(request, mesh, out)
     foreseen = _foreseen(attempt, choice, out)
-    points, inspection = _moved(attempt, chunks, foreseen, out)
+    points, inspection, boundary = _moved(attempt, chunks, foreseen, out)
     with out.progress("judging the cells", foreseen.judging / 2):
         after, bad = attempt.judge(points)
         wall = attempt.wall_quality(points)
@@ -38,6 +38,10 @@ def deform(request: Deform, out: Output) -> int:
         tables = [compared(attempt.before, after, rows)]
         tables.append(_gates.table(request.gates, attempt.before, after))
     out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
+    if boundary.nodes:
+        _wrapped(out, f"boundary {boundary}")
+        kept = {name: getattr(boundary, name) for name in boundary.nodes} | {"ended": boundary.ended.tolist()}
+        out.say(boundary=kept)
     start, end = wall_numbers(wall)
     out.say(before=numbers(attempt.before) | start, after=numbers(after) | end)
     out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
@@ -107,8 +111,10 @@ def _foreseen(attempt: Attempt, choice: NamedMethod, out: Output) -> jm.Estimate
     return foreseen
 
 
-def _moved(attempt: Attempt, chunks: jm.Chunks, foreseen: jm.Estimate, out: Output) -> tuple[np.ndarray, jm.Inspection]:
-    """Moves the points, inspects the motion before, and warns of what no method moves well."""
+def _moved(
+    attempt: Attempt, chunks: jm.Chunks, foreseen: jm.Estimate, out: Output
+) -> tuple[np.ndarray, jm.Inspection, jm.BoundaryQuality]:
+    """Moves the points, inspects the motion before, warns of what no method moves well, and judges the moved boundary."""
     steps = attempt.request.steps
     first = foreseen.preparing / len(chunks)
     with out.progress("preparing", first):
@@ -120,7 +126,8 @@ def _moved(attempt: Attempt, chunks: jm.Chunks, foreseen: jm.Estimate, out: Outp
             out.warn(warning)
     left = foreseen.preparing - first + foreseen.deforming
     with out.progress(f"deforming in {count(steps, 'step')}", left) as stage:
-        return attempt.points(chunks, plan, steps, stage.done), inspection
+        points, part = attempt.points(chunks, plan, steps, stage.done), chunks.nodes[0]
+        return points, inspection, jm.boundary_quality(plan, points[part]).renumbered(part)
 
 
 def _write_beside(attempt: Attempt, after: Judged, out: Output) -> None:

@@ -1,0 +1,130 @@
+"""Boundaries that are not what they are said to be, and what moved ones are judged by."""
+
+import numpy as np
+import pytest
+from cases import full
+from test_periodic import joined, sector
+from test_slide import AXIS, TPS, box, drum, ring
+
+import jaxmorph as jm
+from jaxmorph._plan.walls import rim
+
+
+def arc():
+    """The upper half of a ring: its outer polygon has two ends."""
+    mesh = ring()
+    upper = mesh.points[:, 1] > -1e-9
+    place = np.cumsum(upper) - 1
+    quads = mesh.cells["quad"][upper[mesh.cells["quad"]].all(axis=1)]
+    patches = {name: place[nodes[upper[nodes]]] for name, nodes in mesh.patches.items()}
+    return jm.Mesh(mesh.points[upper], {"quad": place[quads]}, patches)
+
+
+def on_box(*lists, **keywords):
+    return lambda: jm.prepare(box(), *lists, method=TPS, **keywords)
+
+
+def on_drum(*lists, **keywords):
+    return lambda: jm.prepare(drum(), *lists, method=TPS, **keywords)
+
+
+def on_sector(move=slice(None), **keywords):
+    points, moving, fixed, sides, _ = sector(2)
+    return lambda: jm.prepare(points, moving[move], fixed, periodic=jm.Periodic(*sides, **keywords), method=TPS)
+
+
+def halves(name):
+    bricks, nodes = drum(), drum().patch(name)
+    return [jm.Slide(nodes[bricks.points[nodes, 0] * side >= -1e-9], AXIS) for side in (1, -1)]
+
+
+REFUSED = {
+    "off its plane": (
+        on_box("hole", sliding=jm.Slide("left", jm.Plane((1, 0), (0, 0)))),
+        r"'left' does not lie on its surface: 9 of 9 nodes are off, the worst is node \d+ at \(-4, .*, 4 away.*Give the right",
+    ),
+    "off its cylinder": (
+        on_drum("hub", sliding=jm.Slide("shroud", jm.Revolution((0, 0, 1), (0.1, 0, 0)))),
+        r"'shroud' does not lie on its surface: \d+ of 60 nodes are off, the worst is node \d+ at \(.*, 0\.2 away",
+    ),
+    "pairs without partners": (
+        on_sector(rotation=1.0),
+        r"5 of 5 nodes of the first have no partner, the worst is node \d+ at \(.*Check `translation`, or `rotation`",
+    ),
+    "pairs in two lists": (
+        on_sector(slice(None, -1), rotation=np.pi / 2),
+        r"1 periodic pairs .* node \d+ at \(.*\) is in `moving`, its partner \d+ in neither list. Name both, or neither",
+    ),
+    "a corner that moves": (
+        on_box(("hole", "left"), "right", sliding=("left", "top")),
+        r"1 moving nodes are corners of sliding patches and cannot move, the first is node \d+ at \(-4, 4\)\. Leave them out",
+    ),
+    "fixed and sliding": (
+        on_box("hole", ("left", "right"), sliding=("left", "top")),
+        r"the patch 'left' is named in `sliding` and in `fixed`, and would not slide: name it in one of both",
+    ),
+    "in a plane and sliding": (
+        on_box("hole", "right", sliding="left", symmetry="left"),
+        r"the patch 'left' is named in `sliding` and in `symmetry`",
+    ),
+    "fixed by its ids": (
+        on_box("hole", box().patch("left", "right"), sliding=("left", "top")),
+        r"all 9 nodes of the sliding patch 'left' are in `fixed`, first node \d+ at \(-4, .*\): it would not slide\.",
+    ),
+    "no edge between": (
+        on_drum("hub", ("bottom", "top"), sliding=halves("shroud")),
+        r"meet at 10 nodes without an edge between them, the worst is node \d+ at \(.*Let them slide as one, jm\.Slide\(\(first",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_a_boundary_is_not(name):
+    """One sentence: what, how many, where, and what to try; before any work."""
+    call, message = REFUSED[name]
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_the_rim_of_faces():
+    """By counting: two triangles have four edges of their own, a closed polygon has no end."""
+    assert sorted(map(tuple, rim(np.array([[0, 1, 2], [0, 2, 3]])))) == [(0, 1), (0, 3), (1, 2), (2, 3)]
+    assert len(rim(np.array([[0, 1], [1, 2], [2, 0]]))) == 0
+    assert sorted(rim(np.array([[0, 1], [1, 2]])).ravel()) == [0, 2]
+
+
+def test_a_moved_boundary_is_judged():
+    mesh = arc()
+    base, inner, outer = mesh.points, mesh.patch("inner"), mesh.patch("outer")
+    plan = jm.prepare(mesh, "inner", sliding="outer", free=np.arange(len(base)), method=full(jm.ThinPlateSpline(), 1))
+    turned = [np.asarray(jm.shapes.rotate(base[inner], angle, about=(0, 0))) - base[inner] for angle in (0.02, 0.9)]
+    few, many = (jm.inspect(plan, u) for u in turned)
+    assert not few.warnings
+    assert len(many.ended) > 1
+    assert set(many.ended) < set(outer[1:-1])
+    assert f"{len(many.ended)} sliding nodes come to the end of their surface" in str(many)
+    judged = jm.boundary_quality(plan, jm.deform(plan, turned[0]))
+    assert judged.off_surface < 1e-14
+    assert judged.mismatch == judged.off_plane == 0
+    lifted = np.array(base)
+    lifted[outer[3]] *= 1.1
+    judged = jm.boundary_quality(plan, lifted)
+    assert judged.off_surface == pytest.approx(0.2 * np.cos(np.pi / 16), rel=0.03)
+    assert judged.nodes == {"off_surface": outer[3]}
+    assert f"sliding nodes at most {judged.off_surface:.2g} off their surface (node {outer[3]})" in str(judged)
+
+
+@pytest.mark.slow
+def test_pairs_and_planes_are_judged():
+    points, moving, fixed, sides, u = sector(2)
+    plan = jm.prepare(points, moving, fixed, method=TPS, periodic=joined(2, sides))
+    assert jm.boundary_quality(plan, jm.deform(plan, u)).mismatch < 1e-14
+    torn = np.array(points)
+    torn[sides[1][2]] += [0.3, 0.4]
+    judged = jm.boundary_quality(plan, torn)
+    assert judged.mismatch == pytest.approx(0.5, rel=1e-12)
+    assert judged.nodes == {"mismatch": sides[0][2]}
+    off = np.array(u)
+    off[np.isin(moving, sides[0])] += 0.1
+    assert jm.inspect(plan, off).put_back_by > 0.04
+    assert "moving nodes do not go where `u` sends them" in str(jm.inspect(plan, off))
