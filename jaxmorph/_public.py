@@ -11,6 +11,7 @@ from ._advice.inspect import Inspection as Inspection
 from ._advice.inspect import inspect as inspect
 from ._advice.largest_step import LargestStep as LargestStep
 from ._advice.largest_step import largest_step as largest_step
+from ._advice.valid_steps import ValidSteps as ValidSteps
 from ._host.errors import MeshError as MeshError
 from ._host.farthest import FarthestPoints as FarthestPoints
 from ._host.graded import Graded as Graded

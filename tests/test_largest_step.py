@@ -1,8 +1,10 @@
 """The largest step that keeps a bound, and velocities of the mesh."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import pytest
 from ring import write_ring
 from small import bricks
@@ -82,7 +84,34 @@ def test_bad_input_is_refused(tmp_path):
         jm.largest_step(plan, u, direction, mesh, min_jacobian_ratio=1.0)
     with pytest.raises(ValueError, match="above 0"):
         jm.largest_step(plan, u, direction, mesh, max_step=0.0)
+    with pytest.raises(ValueError, match="min_jacobian_ratio=-1 lies from 0 to 1"):
+        jm.ValidSteps(plan, mesh, lambda y: y * direction, min_jacobian_ratio=-1)
+    with pytest.raises(ValueError, match="share=1 lies between 0 and 1"):
+        jm.ValidSteps(plan, mesh, lambda y: y * direction, share=1)
     with pytest.raises(ValueError, match="`direction` has shape"):
         jm.largest_step(plan, u, direction[:3], mesh)
     with pytest.raises(ValueError, match="`u_dot` has shape"):
         jm.velocity(plan, u, direction[:3])
+
+
+@pytest.mark.parametrize(
+    "solver", [pytest.param(optx.BFGS(1e-9, 1e-9), marks=pytest.mark.slow), optx.GradientDescent(1.0, 1e-9, 1e-9)]
+)
+def test_a_search_of_optimistix_shortens_steps_and_solves_no_flow_on_broken_meshes(tmp_path, solver):
+    """The objective's optimum inverts cells; every mesh that the flow met keeps the bound, and the way ends near it."""
+    mesh, plan, _, direction = ring(tmp_path)
+    fields, met = jnp.stack([direction, jnp.roll(direction, 5, axis=0)]), []
+    search = jm.ValidSteps(plan, mesh, lambda y: jnp.tensordot(y, fields, 1), min_jacobian_ratio=0.2)
+
+    def flow(y, args):
+        jax.debug.callback(lambda y: met.append(y), y)
+        return jnp.sum((y - jnp.array([1.0, 0.4])) ** 2)
+
+    solver = eqx.tree_at(lambda solver: solver.search, solver, search)
+    result = optx.minimise(search.guarded(flow), solver, jnp.zeros(2), max_steps=40, throw=False)
+    jax.effects_barrier()
+    ratios = [float(jm.quality(mesh, jm.deform(plan, search.displacement(y))).min_jacobian_ratio) for y in met]
+    assert len(ratios) > 3
+    assert min(ratios) >= 0.2
+    assert min(ratios) < 0.35
+    assert flow(result.value, None) < 0.9 * flow(jnp.zeros(2), None)

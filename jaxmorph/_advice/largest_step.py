@@ -2,10 +2,12 @@
 
 import dataclasses
 import itertools
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan, deform
@@ -59,18 +61,41 @@ def largest_step(
         raise ValueError(f"`direction` has shape {np.shape(direction)}, `u` {np.shape(u)}.")
     start = np.asarray(places(mesh, deform(plan, u)))
     end = np.asarray(deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction)))
-    best, worst, offset = 1.0, -1, 0
-    for (kind, ids), standard in zip(mesh.cells.items(), standards_of(mesh, plan.points.dtype), strict=True):
-        values = _polynomials(kind, start, end, np.asarray(ids)) * np.asarray(standard.sign)
-        bound = min_jacobian_ratio * np.asarray(standard.jacobian)
-        values[0] -= bound
-        judged = np.asarray(standard.is_judged)
-        rows, columns = np.nonzero(judged)
-        roots = first_roots(values[:, rows, columns])
-        if len(roots) and roots.min() < best:
-            best, worst = float(roots.min()), offset + int(columns[roots.argmin()])
-        offset += len(ids)
-    return LargestStep(best * max_step, worst)
+    share, cell = Corners(mesh, plan.points.dtype, min_jacobian_ratio).share(start, end)
+    return LargestStep(share * max_step, cell)
+
+
+class Corners:
+    """Holds the corners of a mesh's cells and their Jacobians' bounds; equal only to itself, so that programs may hold it."""
+
+    def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float):
+        standards = jax.tree.map(np.asarray, standards_of(mesh, dtype))
+        self.parts = [
+            (kind, np.asarray(ids), standard.sign, standard.is_judged, min_jacobian_ratio * standard.jacobian)
+            for (kind, ids), standard in zip(mesh.cells.items(), standards, strict=True)
+        ]
+
+    def share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> tuple[float, int]:
+        """Finds how much of the way every cell keeps its bound, at most 1, and the cell that ends it, or -1."""
+        best, worst, offset = 1.0, -1, 0
+        for kind, ids, sign, judged, bound in self.parts:
+            values = _polynomials(kind, start, end, ids) * sign
+            values[0] -= bound
+            rows, columns = np.nonzero(judged)
+            roots = first_roots(values[:, rows, columns])
+            if len(roots) and roots.min() < best:
+                best, worst = float(roots.min()), offset + int(columns[roots.argmin()])
+            offset += len(ids)
+        return best, worst
+
+    def hold(self, points: Float[Array, "n d"]) -> Bool[Array, ""]:
+        """Tells whether every cell is above its bound; traced."""
+        held = jnp.array(True)
+        for kind, ids, sign, judged, bound in self.parts:
+            relative, _ = measures.relative_corners(corners(points, ids))
+            jacobians = sign[None] * measures.jacobians(kind, relative)[0]
+            held &= jnp.all(jnp.where(judged, jacobians > bound[None], True))
+        return held
 
 
 def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray) -> np.ndarray:

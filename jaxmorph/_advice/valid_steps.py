@@ -1,0 +1,107 @@
+"""A line search for optimistix that no cell of the mesh pays for."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, PyTree, Scalar
+
+from .._mesh.mesh import Mesh
+from .._plan.plan import Plan, deform
+from .largest_step import Corners
+
+
+class ValidSteps(optx.AbstractSearch):
+    """Searches along a line by backtracking, and shortens a step that would invert a cell to what the mesh allows.
+
+    Such a step is not halved until it fits: corner Jacobians are polynomials in the step, and their first root, as `largest_step`
+    finds it, is the end of the way. `share` of it is tried next. Other steps end by Armijo's rule. It suits descents whose change
+    is a multiple of the step, such as `optimistix.NewtonDescent` and `optimistix.SteepestDescent`.
+
+        search = jm.ValidSteps(plan, mesh, lambda design: operator(design))
+        solver = equinox.tree_at(lambda solver: solver.search, optimistix.BFGS(1e-6, 1e-6), search)
+        optimistix.minimise(search.guarded(drag), solver, start)
+
+    **Arguments:**
+
+    - `plan`: of a method that is linear in `u`.
+    - `mesh`: whose `points` are the plan's.
+    - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it is not linear, the way's end is that of the
+      chord, and the step is cut again until it fits.
+    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`. Default 0, where cells invert.
+    - `share`: part of the way to the bound that is tried, above 0 and below 1. Default 0.9.
+    - `slope`: part of the linear gain that Armijo's rule asks for. Default 0.1.
+    - `decrease`: factor of a step that gains too little. Default 0.5.
+
+    **Raises:** `ValueError` for a bound outside of 0 to 1 and other factors that do not lie between 0 and 1.
+    """
+
+    plan: Plan
+    displacement: Callable[[Any], Float[Array, "m d"]]
+    corners: Corners = eqx.field(static=True)
+    share: float
+    slope: float
+    decrease: float
+
+    def __init__(
+        self,
+        plan: Plan,
+        mesh: Mesh,
+        displacement: Callable[[Any], Any],
+        *,
+        min_jacobian_ratio: float = 0.0,
+        share: float = 0.9,
+        slope: float = 0.1,
+        decrease: float = 0.5,
+    ):
+        if not 0 <= min_jacobian_ratio < 1:
+            raise ValueError(f"min_jacobian_ratio={min_jacobian_ratio} lies from 0 to 1.")
+        for name, value in (("share", share), ("slope", slope), ("decrease", decrease)):
+            if not 0 < value < 1:
+                raise ValueError(f"{name}={value} lies between 0 and 1.")
+        self.plan, self.displacement = plan, displacement
+        self.corners = Corners(mesh, plan.points.dtype, min_jacobian_ratio)
+        self.share, self.slope, self.decrease = share, slope, decrease
+
+    def holds(self, y: PyTree) -> Bool[Array, ""]:
+        """Tells whether the mesh of these variables keeps its bound."""
+        return self.corners.hold(deform(self.plan, self.displacement(y)))
+
+    def guarded(self, objective: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """Makes an objective that is infinite, and runs no flow, where the mesh breaks its bound."""
+
+        def guard(y: Any, args: Any) -> Any:
+            shapes = jax.eval_shape(objective, y, args)
+            infinite = lambda: jax.tree.map(lambda each: jnp.full(each.shape, jnp.inf, each.dtype), shapes)  # noqa: E731
+            return jax.lax.cond(self.holds(y), lambda: objective(y, args), infinite)
+
+        return guard
+
+    def init(self, y: PyTree, f_info_struct: Any) -> Scalar:
+        """Begins with a whole step."""
+        return jnp.array(1.0)
+
+    def step(
+        self, first_step: Any, y: Any, y_eval: Any, f_info: Any, f_eval_info: Any, state: Any
+    ) -> tuple[Any, Any, Any, Any]:
+        """Accepts the variables that were tried, or gives a shorter step."""
+        before, after = (deform(self.plan, self.displacement(each)) for each in (y, y_eval))
+        corners, dtype = self.corners, before.dtype
+
+        def share(before: Any, after: Any) -> Any:
+            return np.asarray(corners.share(np.asarray(before), np.asarray(after))[0], dtype)
+
+        way = jax.pure_callback(share, jax.ShapeDtypeStruct((), dtype), before, after, vmap_method="sequential")
+        fits = (way >= 1) & self.corners.hold(after)
+        gain = f_info.compute_grad_dot(jax.tree.map(jnp.subtract, y_eval, y))
+        falls = f_eval_info.as_min() - f_info.as_min() <= self.slope * gain
+        accept = first_step | (fits & falls & (gain <= 0))
+        shorter = jnp.where(fits, self.decrease, jnp.minimum(self.share * way, self.share))
+        step = jnp.where(accept, 1.0, shorter * state)
+        blocked = ~accept & (way <= 0)
+        result = optx.RESULTS.where(blocked, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful)
+        return step, accept, result, step
