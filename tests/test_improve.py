@@ -157,6 +157,49 @@ def _softened(distortion, softness):
 
 
 @pytest.mark.slow
+def test_nodes_slide_in_planes():
+    """The lattice is the minimum for ideal squares, and its sides come back to it along themselves, to SciPy's digits."""
+    mesh = grid(3)
+    regular = np.asarray(mesh.points)
+    sides = {f"{'xy'[axis]}{end}": np.flatnonzero(regular[:, axis] == end) for axis in (0, 1) for end in (0, 1)}
+    mesh = jm.Mesh(regular, mesh.cells, sides)
+    corners = np.flatnonzero((np.abs(regular - 0.5) > 0.4).all(axis=1))
+    points = regular + 0.08 * np.random.default_rng(3).normal(size=regular.shape)
+    points[corners] = regular[corners]
+    for name, nodes in sides.items():
+        points[nodes, "xy".index(name[0])] = float(name[1])
+    plane = jm.Plane((1, 0), (0, 0))
+    result = jm.improve(mesh, points, symmetry=plane, sliding=("x1", "y0", "y1"), tolerance=1e-9)
+    np.testing.assert_allclose(result.points, regular, rtol=0, atol=1e-7)
+    for name, nodes in sides.items():
+        assert (np.asarray(result.points)[nodes, "xy".index(name[0])] == float(name[1])).all()
+    held = np.asarray(jm.improve(mesh, points, symmetry=plane, tolerance=1e-3).points)
+    assert (held[sides["x1"]] == points[sides["x1"]]).all()
+    assert np.abs(held - points)[sides["x0"]].max() > 1e-3
+
+
+@pytest.mark.slow
+def test_derivatives_with_nodes_that_slide():
+    """Against central differences of the whole solve, along a slanted side too; what leads off the side is data."""
+    mesh = grid(3)
+    base = mesh.points @ np.array([[1.0, 0.3], [0.0, 1.0]])
+    sides = {name: np.flatnonzero(mesh.points[:, axis] == 0) for name, axis in (("left", 0), ("low", 1))}
+    mesh = jm.Mesh(base, mesh.cells, sides)
+    points = jnp.asarray(base + 0.05 * np.sin(3 * base[:, ::-1]))
+    rng = np.random.default_rng(4)
+    weights, tangent = rng.normal(size=points.shape), rng.normal(size=points.shape)
+
+    def objective(points):
+        improved = jm.improve(mesh, points, sliding=("left", "low"), tolerance=1e-10).points
+        return jnp.sum(jnp.sin(3 * improved) * weights)
+
+    step = 1e-4
+    both = jax.jit(jax.value_and_grad(objective))
+    difference = (both(points + step * tangent)[0] - both(points - step * tangent)[0]) / (2 * step)
+    np.testing.assert_allclose(np.vdot(both(points)[1], tangent), difference, rtol=1e-6)
+
+
+@pytest.mark.slow
 def test_the_undeformed_mesh_is_left_alone_and_keeps_its_boundary_layer():
     mesh = grid(6)
     points = mesh.points.copy()

@@ -17,7 +17,9 @@ from .._host.topology import FACES, solid
 from .._kernels.compile import compiled
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
-from .._plan.door import node_ids
+from .._plan.door import node_ids, walls_of
+from .._plan.slide import Slide, tracks_of
+from .._plan.symmetry import Plane
 from .._quality.distortion import node_scales, target
 from .._quality.quality import quality
 from .._quality.vector import corners
@@ -61,6 +63,8 @@ def improve(
     points: Real[ArrayLike, "n d"] | Sequence[Any],
     *,
     fixed: Integer[ArrayLike, " f"] | Sequence[int] | None = None,
+    symmetry: Plane | str | Sequence[Plane | str] = (),
+    sliding: Slide | str | Sequence[Slide | str] = (),
     ideal: bool = False,
     size_weight: float = 0.5,
     tolerance: float = 0.03,
@@ -83,6 +87,9 @@ def improve(
     lower `tolerance` for them. Derivatives with respect to the places of inner nodes, where the search starts, are
     zero. `mesh` is to be closed over, not traced. Use float64.
 
+    Nodes of symmetry planes and of flat sliding patches move in these, and stay as far off them as `points` has them. Nodes of
+    curved sliding patches and of periodic ones stay.
+
     Nothing is promised for a boundary that crosses itself: `after`, or `str` of the result, says what is left.
 
     Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021; Teran et al., Robust
@@ -93,7 +100,8 @@ def improve(
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
     - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
     - `fixed`: ids (f,) of nodes that stay where `points` has them, bit for bit. Default: all patches and the outer
-      boundary.
+      boundary, but for what slides.
+    - `symmetry`, `sliding`: as `prepare` takes them. Default: none.
     - `ideal`: take the equilateral cell (a cube, a square) of the undeformed volume as target. Default False.
     - `size_weight`: the weight of a change of size against one of shape, 0 to 1, default 0.5.
     - `tolerance`: the last stage ends when nodes move by less than this, root mean square, in units of their smallest
@@ -104,13 +112,14 @@ def improve(
     **Returns:** an `Improvement`.
 
     **Raises:** `ValueError` for a mesh without cells of its own dimension, and for a shape of `points` other than that of
-    `mesh.points`. Also for node ids that are not there, and for `size_weight` outside of 0 to 1.
+    `mesh.points`. Also for node ids that are not there, for `size_weight` outside of 0 to 1, and for planes and sliding patches
+    as `prepare` does.
     """
     start = jnp.asarray(points)
     _check(mesh, start, fixed, size_weight, max_steps)
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
-        distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size_weight)
+        distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size_weight, symmetry, sliding)
     y, count, stage = jnp.zeros_like(base), 0, distortion
     softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
     for last in (False,) * (STAGES - 1) + (True,):
@@ -181,18 +190,28 @@ def _check(mesh: Mesh, points, fixed, size: float, max_steps: int) -> None:
         raise ValueError(f"`max_steps` must be at least 1, not {max_steps}.")
 
 
-def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float):
+def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float, symmetry=(), sliding=()):
     """Prepares the energy, and on the host the pattern of its Hessian."""
     n, d = mesh.points.shape
     cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, d).items()}
-    held = _boundary(mesh, cells) if fixed is None else np.asarray(fixed, dtype=int)
+    walls = walls_of(mesh, symmetry, sliding, () if fixed is None else fixed)
+    tracks, corner = tracks_of(walls, (), np.asarray(mesh.points))
+    flat = [nodes for wall, nodes in walls if wall.is_flat]
+    held = _boundary(mesh, cells, flat) if fixed is None else np.asarray(fixed, dtype=int)
     free = np.zeros(n, dtype=bool)
     free[np.concatenate([ids.ravel() for ids in cells.values()])] = True
     free[held] = False
+    free[corner] = False
+    normals = np.zeros((n, d - 1, d))
+    for track in tracks:
+        free[track.rows] &= track.is_linear
+        if track.is_linear:
+            normals[track.rows, : len(track.walls)] = track.frame
     distortion = _energy(
         {kind: jnp.asarray(ids) for kind, ids in cells.items()},
         jnp.asarray(mesh.points, dtype),
         jnp.asarray(free),
+        jnp.asarray(normals, dtype) if normals.any() else None,
         ideal,
         size,
     )
@@ -200,22 +219,30 @@ def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float):
 
 
 @compiled
-def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[Array, " n"], ideal: bool, size: float):
+def _energy(
+    cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[Array, " n"], normals, ideal: bool, size
+):
     targets = {kind: target(kind, corners(reference, ids), ideal) for kind, ids in cells.items()}
     scale = node_scales(cells, targets, len(reference))
-    return Distortion(cells, targets, scale, free, jnp.ones((), reference.dtype), float(size))
+    return Distortion(cells, targets, scale, free, jnp.ones((), reference.dtype), normals, float(size))
 
 
-def _boundary(mesh: Mesh, cells: dict[str, np.ndarray]) -> np.ndarray:
-    """Lists the nodes of patches, and of faces that only one cell has."""
+def _boundary(mesh: Mesh, cells: dict[str, np.ndarray], flat: Sequence[np.ndarray]) -> np.ndarray:
+    """Lists the nodes of patches, and of faces that only one cell has, but for those that lie in one flat wall."""
     behind, _ = neighbours(cells)
+    walls = [np.isin(np.arange(len(mesh.points)), nodes) for nodes in flat]
     nodes, first = [np.asarray(ids) for ids in mesh.patches.values()], 0
+    nodes = [ids for ids in nodes if not any(on[ids].all() for on in walls)]
     for kind, ids in cells.items():
         faces = FACES[kind]
         alone = behind[first : first + len(ids) * len(faces)].reshape(len(ids), len(faces)) < 0
-        nodes += [ids[alone[:, i]][:, list(face)].ravel() for i, face in enumerate(faces)]
+        for i, face in enumerate(faces):
+            outer = ids[alone[:, i]][:, list(face)]
+            for on in walls:
+                outer = outer[~on[outer].all(axis=1)]
+            nodes.append(outer.ravel())
         first += len(ids) * len(faces)
-    return np.unique(np.concatenate(nodes)).astype(int)
+    return np.unique(np.concatenate([np.zeros(0, int), *nodes])).astype(int)
 
 
 untangle = improve

@@ -26,19 +26,34 @@ NEAR = 1.0
 
 
 class Distortion(eqx.Module):
-    """Computes the energy of a mesh from the free nodes' places y (n, d), in units of `scale` from where they started."""
+    """Computes the energy of a mesh from the free nodes' places y (n, d), in units of `scale` from where they started.
+
+    `normals` are unit vectors, at right angles at each node, along which it stays where `base` has it; zero for none.
+    """
 
     cells: dict[str, Integer[Array, "_k _c"]]
     targets: dict[str, Target]
     scale: Float[Array, " n"]
     free: Bool[Array, " n"]
     softness: Float[Array, ""]
+    normals: Float[Array, "n q d"] | None
     size: float = eqx.field(static=True)
 
     def points(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d"]:
         """Places the nodes; fixed ones stay where `base` has them, bit for bit."""
-        start = jax.lax.stop_gradient(base)
-        return jnp.where(self.free[:, None], start + self.scale[:, None] * y, base)
+        start, step = jax.lax.stop_gradient(base), self.scale[:, None] * y
+        if self.normals is not None:
+            start, step = start + self._off(base - start), step - self._off(step)
+        return jnp.where(self.free[:, None], start + step, base)
+
+    def _off(self, vectors: Float[Array, "n d"]) -> Float[Array, "n d"]:
+        """Projects vectors on the normals."""
+        assert self.normals is not None
+        off = jnp.zeros_like(vectors)
+        for k in range(self.normals.shape[1]):
+            normal = self.normals[:, k]
+            off += jnp.sum(vectors * normal, axis=1, keepdims=True) * normal
+        return off
 
     def __call__(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
         points, total = self.points(y, base), jnp.zeros((), y.dtype)
@@ -75,8 +90,21 @@ class Distortion(eqx.Module):
             share, scale = _shares(kind), moves[ids].T
             sums = jnp.einsum("sce,szf->czefs", share, share).reshape(scale.shape[0] ** 2, -1)
             whole = jnp.einsum("pq,abqk->abpk", sums, derivatives.reshape(d, d, -1, derivatives.shape[-1]))
-            parts.append((whole * (scale[:, None] * scale[None]).reshape(1, 1, -1, scale.shape[1])).reshape(d, d, -1))
+            whole = whole * (scale[:, None] * scale[None]).reshape(1, 1, -1, scale.shape[1])
+            parts.append(self._tangential(whole, ids).reshape(d, d, -1))
         return jnp.concatenate(parts, axis=2)
+
+    def _tangential(self, whole: Float[Array, "d d p k"], ids: Integer[Array, "k c"]) -> Float[Array, "d d p k"]:
+        """Takes the part of second derivatives along which nodes are free; one along their normals."""
+        if self.normals is None:
+            return whole
+        normals, d, count = self.normals[ids], whole.shape[0], ids.shape[1]
+        off = jnp.einsum("kcqa,kcqb->abck", normals, normals)
+        along = jnp.eye(d)[:, :, None, None] - off
+        pairs = whole.reshape(d, d, count, count, -1)
+        pairs = jnp.einsum("axck,xycek,byek->abcek", along, pairs, along, precision="highest")
+        pairs = pairs + jnp.eye(count)[None, None, :, :, None] * off[:, :, :, None]
+        return pairs.reshape(whole.shape)
 
 
 def _stretch(edges: list[Vector], goal: Target) -> list[Vector]:

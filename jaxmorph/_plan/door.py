@@ -16,7 +16,7 @@ from .faces import FreeFaces, free_faces, outer_faces
 from .periodic import Pairing, Periodic, paired
 from .slide import Slide, tracks_of, wall_of
 from .symmetry import Plane
-from .walls import Track
+from .walls import AbstractWall, Flat, Track
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
 
@@ -233,6 +233,21 @@ def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pai
     return tuple(pairings)
 
 
+def walls_of(mesh: Mesh, symmetry: Any, sliding: Any, fixed: Any = ()) -> list[tuple[AbstractWall, np.ndarray]]:
+    """Makes the walls of sliding patches and of symmetry planes, each with its nodes; takes and refuses what `prepare` does."""
+    points, d = np.asarray(mesh.points), mesh.points.shape[1]
+    _check_named_once(sliding, symmetry=symmetry)
+    outer = outer_faces(mesh)
+    walls = _walls(sliding, points, mesh, np.asarray(fixed), None if outer is None else outer.corners)
+    for plane in _planes(symmetry, points, mesh):
+        if len(plane.normal) != d:
+            raise ValueError(
+                f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has {d} dimensions."
+            )
+        walls.append((Flat(plane.normal, plane.origin), np.flatnonzero(plane.holds(points))))
+    return walls
+
+
 def _tracks(
     sliding: Any,
     points: np.ndarray,
@@ -242,6 +257,14 @@ def _tracks(
     faces: Mapping[str, np.ndarray] | None,
 ) -> tuple[tuple[Track, ...], np.ndarray]:
     """Groups the sliding nodes by the walls that keep them; returns those that are held between these, too."""
+    walls = _walls(sliding, points, mesh, fixed, faces)
+    return tracks_of(walls, planes if walls else (), points)
+
+
+def _walls(
+    sliding: Any, points: np.ndarray, mesh: Mesh | None, fixed: np.ndarray, faces: Mapping[str, np.ndarray] | None
+) -> list[tuple[AbstractWall, np.ndarray]]:
+    """Makes the walls of sliding patches, each with its nodes."""
     walls = []
     for each in slides(sliding):
         nodes = np.unique(_nodes(each.patch, "sliding", mesh, len(points)))
@@ -252,7 +275,7 @@ def _tracks(
                 nodes,
             )
         walls.append((wall_of(each, nodes, points, faces), nodes))
-    return tracks_of(walls, planes if walls else (), points)
+    return walls
 
 
 def slides(sliding: Any) -> tuple[Slide, ...]:

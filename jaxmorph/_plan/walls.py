@@ -285,6 +285,15 @@ class Track(eqx.Module):
         """Tells whether displacements along the track are linear in those that are given."""
         return all(wall.is_flat for wall in self.walls)
 
+    @property
+    def frame(self) -> Float[np.ndarray, "w d"]:
+        """Unit vectors at right angles that span the normals of flat walls, on the host."""
+        normals = [np.asarray(wall.normal, dtype=float) for wall in self.walls if isinstance(wall, Flat)]
+        if len(normals) == 2:
+            second = normals[1] - (normals[0] @ normals[1]) * normals[0]
+            normals[1] = second / np.linalg.norm(second)
+        return np.stack(normals)
+
     def along(self, points: Float[Array, "n d"], u: Float[Array, "n d"]) -> Float[Array, "n d"]:
         """Changes displacements so that the rows stay as near to the walls as they are. Traced."""
         start, given = points[self.rows], u[self.rows]
