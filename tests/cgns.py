@@ -69,6 +69,19 @@ def condition(group, name, places, family=None, location=None, what="PointRange"
         node(child, "GridLocation", "GridLocation_t", location)
 
 
+def periodic(group, name, donor, places, others, translation=(0, 0, 0), angles=(0, 0, 0), what="PointRange"):
+    """A periodic interface with the nodes of both sides."""
+    found = group.get("ZoneGridConnectivity") or node(group, "ZoneGridConnectivity", "ZoneGridConnectivity_t")
+    kind = "GridConnectivity1to1_t" if what == "PointRange" else "GridConnectivity_t"
+    child = node(found, name, kind, donor)
+    label = "IndexRange_t" if what == "PointRange" else "IndexArray_t"
+    node(child, what, label, np.array(places, np.int32))
+    node(child, f"{what}Donor", label, np.array(others, np.int32))
+    turn = node(node(child, "GridConnectivityProperty", "GridConnectivityProperty_t"), "Periodic", "Periodic_t")
+    for key, values in (("RotationCenter", (0, 0, 0)), ("RotationAngle", angles), ("Translation", translation)):
+        node(turn, key, "DataArray_t", np.array(values, np.float32))
+
+
 def everything(path):
     """All nodes of a file with their data."""
     found = {}

@@ -254,3 +254,40 @@ def test_groups_that_hold_each_other_end(tmp_path):
         zone = place_of(file, "Density").parent.parent
         zone["round"] = zone
     assert len(io.read(tmp_path / "a.cgns").points)
+
+
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_periodic_interfaces_are_pairs(is_turned, tmp_path):
+    """Two zones one above the other, whose sides repeat each other, told by both sides or by one."""
+    x, y, z = np.meshgrid(np.linspace(0, 0.5, 3), [1, 1.5, 2], [0, 1, 2], indexing="ij")
+    if is_turned:
+        x, y = y * np.cos(x), y * np.sin(x)
+    angles, shift = ((0, 0, 0.5), (0, 0, 0)) if is_turned else ((0, 0, 0), (0.5, 0, 0))
+    low, high = [[1, 1, 1], [1, 3, 3]], [[3, 1, 1], [3, 3, 3]]
+    with h5py.File(tmp_path / "a.cgns", "w", track_order=True) as file:
+        base = cgns.base(file, 3, 3)
+        zones = {name: cgns.zone(base, name, (x, y, z + above)) for name, above in (("one", 0), ("two", 2))}
+        for name, zone in zones.items():
+            cgns.periodic(zone, "low", name, low, high, shift, angles)
+        cgns.periodic(zones["one"], "high", "one", high, low, -np.array(shift), -np.array(angles))
+    mesh = io.read(tmp_path / "a.cgns")
+    pairs = io.periodic(mesh)
+    assert [(pair.patch, pair.partner) for pair in pairs] == [("one/low", "high"), ("two/low", "two/low donor")]
+    assert all(pair.is_rotation == is_turned for pair in pairs)
+    sides = [mesh.patch("one/low", "two/low"), mesh.patch("high", "two/low donor")]
+    assert [len(side) for side in sides] == [15, 15]
+    assert set(mesh.patches) == {"one/low", "high", "two/low", "two/low donor", "unnamed"}
+    ends = np.isin(mesh.points[:, 2], (0, 4))
+    method = jm.RBF.classic(jm.ThinPlateSpline())
+    inner = np.flatnonzero(
+        np.isclose(np.linalg.norm(mesh.points[:, :2], axis=1) if is_turned else mesh.points[:, 1], 1)
+    )
+    moving = inner[~ends[inner]]
+    plan = jm.prepare(mesh.points, moving, np.flatnonzero(ends), periodic=[
+        jm.Periodic(mesh.patch(str(each.patch)), mesh.patch(str(each.partner)), about=each.about, axis=each.axis) for each in pairs
+    ], method=method)  # fmt: skip
+    whole = jm.prepare(
+        mesh.points, moving, np.flatnonzero(ends), periodic=jm.Periodic(*sides, axis=pairs[0].axis), method=method
+    )
+    u = 0.05 * np.sin(mesh.points[moving])
+    np.testing.assert_allclose(jm.deform(plan, u), jm.deform(whole, u), rtol=0, atol=1e-12)

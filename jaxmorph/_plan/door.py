@@ -13,7 +13,7 @@ from .._host.skin import has_free_faces
 from .._host.topology import solid
 from .._mesh.mesh import Mesh
 from .faces import FreeFaces, free_faces, outer_faces
-from .periodic import Pairing, Periodic, paired
+from .periodic import Pairing, Periodic, merged, paired
 from .slide import Slide, tracks_of, wall_of
 from .symmetry import Plane
 from .walls import AbstractWall, Flat, Track
@@ -230,7 +230,7 @@ def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pai
     for each in several:
         first, second = (np.unique(_nodes(side, "periodic", mesh, len(points))) for side in (each.patch, each.partner))
         pairings.append(paired(each, first, second, points))
-    return tuple(pairings)
+    return merged(pairings, float(np.ptp(points, axis=0).max()))
 
 
 def walls_of(mesh: Mesh, symmetry: Any, sliding: Any, fixed: Any = ()) -> list[tuple[AbstractWall, np.ndarray]]:

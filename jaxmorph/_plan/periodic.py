@@ -120,6 +120,14 @@ class Pairing(eqx.Module):
         whole = np.linalg.matrix_power(once, abs(k))
         return whole[:dimension, :dimension], whole[:dimension, dimension]
 
+    @property
+    def inverse(self) -> "Pairing":
+        """The same pairs the other way round, on the host."""
+        matrix, shift = self.power(-1)
+        return Pairing(
+            self.second, self.first, self.alone, matrix, shift, self.keeps, self.turn, self.copies, self.is_rotation
+        )
+
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
         """Returns the same with node k called `place[k]`; pairs of which a node has none (-1) are left out."""
         first, second, alone = (place[np.asarray(nodes)] for nodes in (self.first, self.second, self.alone))
@@ -276,6 +284,31 @@ def _generator(axis: np.ndarray | None, dimension: int) -> tuple[np.ndarray, np.
     x, y, z = axis / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return cross, -cross @ cross
+
+
+def merged(pairings: Sequence[Pairing], size: float) -> tuple[Pairing, ...]:
+    """Makes one of all pairs with one transform, or with its inverse: the sides of a passage that are cut into patches."""
+    kept: list[Pairing] = []
+    for pairing in pairings:
+        for k, other in enumerate(kept):
+            for each in (pairing, pairing.inverse):
+                is_same = np.abs(each.matrix - other.matrix).max() < 1e-9
+                if is_same and np.abs(each.shift - other.shift).max() < 1e-6 * size:
+                    kept[k] = _union(other, each)
+                    break
+            else:
+                continue
+            break
+        else:
+            kept.append(pairing)
+    return tuple(kept)
+
+
+def _union(one: Pairing, other: Pairing) -> Pairing:
+    both = [np.stack([each.first, each.second], axis=1) for each in (one, other)]
+    first, second = np.unique(np.concatenate(both), axis=0).T
+    alone, copies = np.unique(np.concatenate([one.alone, other.alone])), max(one.copies, other.copies)
+    return Pairing(first, second, alone, one.matrix, one.shift, one.keeps, one.turn, copies, one.is_rotation)
 
 
 def check_pairings(pairings: Sequence[Pairing], planes: Sequence[Plane], size: float) -> None:

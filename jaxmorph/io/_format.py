@@ -8,7 +8,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from jaxmorph import Mesh
+from jaxmorph import Mesh, Periodic
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 Arrays = Mapping[str, np.ndarray]
@@ -19,7 +19,7 @@ class Source:
     """Keeps the file a mesh was read from, and the `content` that its format needs to give the file back as it was.
 
     It is compared by identity, so that it can be a static field of a pytree however large `content` is. `polyhedra`, `cell_ids`
-    and `groups` are those of `Mesh`.
+    and `groups` are those of `Mesh`, and `periodic` are the pairs of patches that the file names as such.
     """
 
     path: pathlib.Path
@@ -28,6 +28,7 @@ class Source:
     polyhedra: Polyhedra | None = None
     cell_ids: np.ndarray | None = None
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    periodic: tuple[Periodic, ...] = ()
 
     def __repr__(self) -> str:
         return f"Source({str(self.path)!r}, {self.format})"

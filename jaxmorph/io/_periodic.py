@@ -2,13 +2,11 @@
 
 import jaxmorph as jm
 
-from ._format import source_of
-from .openfoam.case import NAME
-from .openfoam.cyclic import cyclic_pairs
+from ._format import Source
 
 
 def periodic(mesh: jm.Mesh) -> tuple[jm.Periodic, ...]:
-    """Lists the periodic patches that a mesh's file names: the `cyclic` ones of an OpenFOAM case.
+    """Lists the periodic patches that a mesh's file names: `cyclic` ones of an OpenFOAM case, periodic interfaces of CGNS.
 
     **Arguments:**
 
@@ -16,7 +14,4 @@ def periodic(mesh: jm.Mesh) -> tuple[jm.Periodic, ...]:
 
     **Returns:** pairs for `prepare(..., periodic=)`; none for other formats.
     """
-    source = source_of(mesh, NAME)
-    if source is None:
-        return ()
-    return tuple(jm.Periodic(first.name, second.name) for first, second in cyclic_pairs(source.content.topology))
+    return mesh.source.periodic if isinstance(mesh.source, Source) else ()

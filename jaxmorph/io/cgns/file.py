@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+import jaxmorph as jm
 from jaxmorph import Mesh
 from jaxmorph._host.topology import boundary_faces
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
@@ -21,7 +22,7 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 from .._format import Arrays, Source, source_of
 from .._joined import Joined, Zones, join
 from .polyhedra import Block
-from .zone import DIMENSION, TYPES, Content, Zone, children, data, word
+from .zone import DIMENSION, TYPES, Connection, Content, Zone, children, data, word
 
 NAME = "CGNS"
 _FOREIGN = "{0}: {1}/{2} {3}. Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
@@ -39,14 +40,14 @@ class _CGNSContent:
 def read(path: pathlib.Path) -> Mesh:
     """Reads all zones of the file's one base; nodes where two zones meet are one.
 
-    `patches` are the boundary conditions, by family. Outer faces without a condition are the patch `unnamed`,
-    `boundary` in a file without any.
+    `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Outer faces without either are the
+    patch `unnamed`, `boundary` in a file without any.
     """
     path.open("rb").close()
     try:
         with h5py.File(path, "r") as file:
             _refuse_foreign_data(path, file)
-            zones, cells = _zones(path, file)
+            zones, cells, pairs = _zones(path, file)
     except (OSError, KeyError, IndexError) as error:
         detail = " ".join(str(error).split())[:120]
         raise ValueError(
@@ -55,7 +56,8 @@ def read(path: pathlib.Path) -> Mesh:
     try:
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
-        source = Source(path, NAME, _CGNSContent(joined, _stamp(path)), whole, ids)
+        content = _CGNSContent(joined, _stamp(path))
+        source = Source(path, NAME, content, whole, ids, periodic=_periodic(pairs, joined.is_flat))
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
@@ -135,7 +137,7 @@ def _open(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
     return zones, int(data(bases[0])[0])
 
 
-def _zones(path: pathlib.Path, file: h5py.File) -> tuple[Zones, list[Content]]:
+def _zones(path: pathlib.Path, file: h5py.File) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]]]:
     zones, dimension = _open(path, file)
     points, contents, patches, faces = [], [], {}, []
     for zone in zones:
@@ -148,8 +150,40 @@ def _zones(path: pathlib.Path, file: h5py.File) -> tuple[Zones, list[Content]]:
         for name, nodes in zone.patches(content.elements):
             patches.setdefault(name, []).append(nodes)
         faces += content.sides or _outer(zone, points[-1], solid)
+    pairs = _pairs(zones, contents, patches)
     cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
-    return Zones(np.concatenate(points), cells, patches, faces), contents
+    return Zones(np.concatenate(points), cells, patches, faces), contents, pairs
+
+
+def _pairs(
+    zones: list[Zone], contents: list[Content], patches: dict[str, list[np.ndarray]]
+) -> list[tuple[str, str, Connection]]:
+    """Adds the sides of periodic interfaces to the patches, and lists their names in pairs."""
+    donors = {zone.name: (zone, content.elements) for zone, content in zip(zones, contents, strict=True)}
+    every = [(zone, each) for zone in zones for each in zone.connections(donors[zone.name][1], donors)]
+    names, pairs = [], []
+    for zone, each in every:
+        is_taken = each.name in patches or sum(each.name == other.name for _, other in every) > 1
+        names.append(f"{zone.name}/{each.name}" if is_taken else each.name)
+        patches[names[-1]] = [each.nodes]
+    for (_, each), name in zip(every, names, strict=True):
+        partner = [n for (_, other), n in zip(every, names, strict=True) if np.array_equal(other.nodes, each.others)]
+        if not partner:
+            partner = [f"{name} donor"]
+            patches[partner[0]] = [each.others]
+        if not any({name, partner[0]} == {first, second} for first, second, _ in pairs):
+            pairs.append((name, partner[0], each))
+    return pairs
+
+
+def _periodic(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tuple[jm.Periodic, ...]:
+    """Makes periodic pairs of interfaces; their translation or angle is that of the nodes, for files differ in its sign."""
+    made = []
+    for first, second, each in pairs:
+        turns = bool(each.angles.any())
+        about = np.pad(each.centre, (0, 3))[: 2 if is_flat else 3] if turns else None
+        made.append(jm.Periodic(first, second, about=about, axis=each.angles if turns and not is_flat else None))
+    return tuple(made)
 
 
 def _whole(zones: list[Content], node: np.ndarray) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:

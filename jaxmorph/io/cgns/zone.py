@@ -2,7 +2,7 @@
 
 import dataclasses
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,17 @@ class Content:
     sides: list[np.ndarray] = dataclasses.field(default_factory=list)
     elements: dict[int, Any] = dataclasses.field(default_factory=dict)
     whole: Polyhedra | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Connection:
+    """Holds a periodic interface: its nodes, those of its donor, and centre and angles of a rotation, zero for a translation."""
+
+    name: str
+    nodes: np.ndarray
+    others: np.ndarray
+    centre: np.ndarray
+    angles: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -153,6 +164,30 @@ class Zone:
             count = int(other[0]) if other.size else len(rows)
             yield start, number, rows[:count, 1:]
             at, start = at + count * width, start + count
+
+    def connections(
+        self, elements: dict[int, Any], donors: Mapping[str, tuple["Zone", dict[int, Any]]]
+    ) -> Iterator[Connection]:
+        """Yields the periodic interfaces of the zone whose nodes are named on both sides."""
+        for _, connectivity in children(self.group, "ZoneGridConnectivity_t"):
+            for label in ("GridConnectivity1to1_t", "GridConnectivity_t"):
+                for name, interface in children(connectivity, label):
+                    properties = [each for _, each in children(interface, "GridConnectivityProperty_t")]
+                    turns = [each for group in properties for _, each in children(group, "Periodic_t")]
+                    parts, donor = dict(interface.items()), donors.get(word(interface).rpartition("/")[2])
+                    what = [each for each in ("PointRange", "PointList") if {each, f"{each}Donor"} <= parts.keys()]
+                    if not turns or not what or donor is None:
+                        continue
+                    place = word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
+                    sides = []
+                    for part, (zone, corners) in zip(
+                        (what[0], f"{what[0]}Donor"), ((self, elements), donor), strict=True
+                    ):
+                        chosen = np.atleast_2d(data(parts[part])).astype(np.int64)
+                        sides.append(np.unique(zone._nodes(name, place, chosen, what[0] == "PointRange", corners)))
+                    values = {key: data(each).astype(float).ravel() for key, each in children(turns[0], "DataArray_t")}
+                    centre, angles = (values.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
+                    yield Connection(name, sides[0], sides[1], centre, angles)
 
     def patches(self, elements: dict[int, Any]) -> Iterator[tuple[str, np.ndarray]]:
         """Yields name (that of its family, if it has one) and nodes of each boundary condition."""

@@ -15,13 +15,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxmorph import Mesh
+from jaxmorph import Mesh, Periodic
 from jaxmorph._host.files import complete
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
 from .._format import Arrays, Source, source_of
 from ..text.sections import replace_words
-from .cyclic import check_cyclic
+from .cyclic import check_cyclic, cyclic_pairs
 from .file import PARENTHESES, FoamFile, Patch, load, patches
 from .plane import Layer, layer, plane_cells
 from .topology import Topology, topology_of
@@ -67,7 +67,8 @@ def read(path: pathlib.Path) -> Mesh:
     groups: dict[str, tuple[str, ...]] = {}
     for patch in boundary:
         groups |= {group: (*groups.get(group, ()), patch.name) for group in patch.groups}
-    source = Source(file.path, NAME, _CaseContent(file, points, topology, plane), whole, ids, groups)
+    pairs = tuple(Periodic(first.name, second.name) for first, second in cyclic_pairs(boundary))
+    source = Source(file.path, NAME, _CaseContent(file, points, topology, plane), whole, ids, groups, pairs)
     return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
 
 

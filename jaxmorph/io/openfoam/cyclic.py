@@ -10,16 +10,16 @@ TOLERANCE = 1e-4
 """Distance by which paired faces may miss each other, relative to their size: OpenFOAM's own `matchTolerance`."""
 
 
-def cyclic_pairs(topology: pathlib.Path) -> list[tuple[Patch, Patch]]:
-    """Lists the pairs of cyclic patches of a case."""
-    by_name = {patch.name: patch for patch in patches(load(topology, "boundary"))}
+def cyclic_pairs(boundary: list[Patch]) -> list[tuple[Patch, Patch]]:
+    """Lists the pairs of cyclic patches of a case. Those whose faces need not match (cyclicAMI, cyclicACMI) are none."""
+    by_name = {patch.name: patch for patch in boundary}
     pairs = [(each, by_name[each.neighbour]) for each in by_name.values() if each.neighbour in by_name]
     return [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.start < b.start and a.count == b.count > 0]
 
 
 def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> None:
     """Raises `ValueError` where the cyclic patches of a case matched with the `old` points, and do not with the `new` ones."""
-    pairs = cyclic_pairs(topology)
+    pairs = cyclic_pairs(patches(load(topology, "boundary")))
     if not pairs or np.array_equal(old, new):
         return
     labels, starts = load(topology, "faces").faces()
