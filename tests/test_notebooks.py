@@ -19,7 +19,7 @@ SMALL = {
     "05_fsi.ipynb": {"points": 6500, "steps": 40},
     "06_external_solver.ipynb": {"points": 2000},
     "07_extend.ipynb": {"points": 2000},
-    "08_openfoam.ipynb": {"cells": 24},
+    "08_openfoam.ipynb": {"cells": 24, "steps": 3, "cycles": 2},
     "09_wave_drag.ipynb": {"around": 52, "layers": 16, "steps": 3, "refined": ()},
     "10_flap.ipynb": {"size": 0.008, "deflections": 4},
     "11_wing_openmdao.ipynb": {"points": 6500, "steps": 8},
@@ -165,6 +165,23 @@ def check_openfoam(said):
     assert {inverted for *_, inverted in rows} == {"0"}
     for _, _, share, _ in rows[:3]:
         assert float(share) == pytest.approx(1, abs=0.1)
+    check_descent(said)
+
+
+def check_descent(said):
+    """A killed run goes on, J falls in both runs, the area is held where it should be, and no mesh has a fault."""
+    assert re.findall(r"killed; (\d) evaluations are kept", said) == ["1", "3"]
+    free, held = re.split(r"^area held: \d+ steps", said, maxsplit=1, flags=re.MULTILINE)
+    steps = [re.findall(r"step +\d+: J/J0 (\S+), area (\S+)%", part) for part in (free, held)]
+    assert float(steps[0][-1][0]) < 0.95
+    assert float(steps[1][-1][0]) < 0.999
+    assert {area.lstrip("+-") for _, area in steps[1]} == {"0.00"}
+    judged = re.findall(r"checkMesh finds no fault in (\d+) of (\d+) meshes", said)
+    assert len(judged) == 3
+    assert all(good == meshes for good, meshes in judged)
+    apart = re.findall(r"^(start|free|area held): slope .* (\S+)% apart", said, re.MULTILINE)
+    assert [name for name, _ in apart] == ["start", "free", "area held"]
+    assert max(float(share) for name, share in apart if name != "free") < 2  # `free` has little slope left
 
 
 def check_coupling(said):
