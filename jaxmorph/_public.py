@@ -68,6 +68,8 @@ from ._methods.stiffness import ByVolume as ByVolume
 from ._plan.chunks import Chunks as Chunks
 from ._plan.chunks import prepare_in_chunks as prepare_in_chunks
 from ._plan.faces import FreeFaces as FreeFaces
+from ._plan.halves import SurfaceHalf as SurfaceHalf
+from ._plan.halves import prepare_surface as prepare_surface
 from ._plan.judge import BoundaryQuality as BoundaryQuality
 from ._plan.judge import boundary_quality as boundary_quality
 from ._plan.periodic import Periodic as Periodic

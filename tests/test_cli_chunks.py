@@ -10,7 +10,6 @@ from ring import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._plan import chunks as _chunks
 from jaxmorph.cli import main
 
 MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0", "--rotate", "30"]
@@ -25,13 +24,14 @@ def here(tmp_path, monkeypatch):
 @pytest.fixture
 def sizes(monkeypatch):
     """How many points each part has that is prepared."""
-    plan_of, called = _chunks.plan_of, []
+    plan, called = jm.Chunks.plan, []
 
-    def counted(named, method):
-        called.append(len(named.points))
-        return plan_of(named, method)
+    def counted(chunks, k):
+        made = plan(chunks, k)
+        called.append(len(made.points))
+        return made
 
-    monkeypatch.setattr(_chunks, "plan_of", counted)
+    monkeypatch.setattr(jm.Chunks, "plan", counted)
     return called
 
 

@@ -13,7 +13,7 @@ import jaxmorph
 CODE = """
 import sys
 missing = ("meshio", "h5py", "matplotlib", "pyvista", "vtk", "gmsh", "rich", "platformdirs", "openmdao", "openmdao.api")
-sys.modules.update(dict.fromkeys((*missing, "mphys.core")))
+sys.modules.update(dict.fromkeys((*missing, "mphys.core", "mpi4py")))
 import importlib, pathlib, numpy, jaxmorph
 from jaxmorph import cases, io
 mesh = cases.naca0015(points=300)
@@ -32,6 +32,7 @@ calls = {
     "plot": lambda: importlib.import_module("jaxmorph.plot"),
     "openmdao": lambda: importlib.import_module("jaxmorph.integrations.openmdao"),
     "mphys": lambda: importlib.import_module("jaxmorph.integrations.mphys"),
+    "mpi": lambda: importlib.import_module("jaxmorph.integrations.mpi"),
     "wing": cases.agard445,
 }
 for name, call in calls.items():
@@ -53,7 +54,7 @@ def test_each_missing_extra_is_named(tmp_path):
     )
     assert remedies == {
         "vtu": "io", "msh": "io", "cgns": "io", "meshio": "io", "pyvista": "plot", "plot": "plot",
-        "openmdao": "openmdao", "mphys": "mphys", "wing": "cases",
+        "openmdao": "openmdao", "mphys": "mphys", "mpi": "mpi", "wing": "cases",
     }  # fmt: skip
     project = tomllib.loads((pathlib.Path(root) / "pyproject.toml").read_text())["project"]
     assert set(remedies.values()) <= set(project["optional-dependencies"])

@@ -26,6 +26,7 @@ OPTIONAL = (
     "openmdao",
     "pyamg",
     "mphys",
+    "mpi4py",
 )
 
 TOP = {

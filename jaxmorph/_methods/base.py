@@ -238,6 +238,11 @@ class AbstractMethod(eqx.Module):
         return False
 
     @property
+    def sees_free_sides(self) -> bool:
+        """True if the field depends on `Surface.is_open`. A piece of a mesh alone does not show it."""
+        return False
+
+    @property
     def linear(self) -> bool:
         """True if the displacement is linear in `u`. The transpose then does not depend on `u`."""
         return True

@@ -87,6 +87,10 @@ class FittedRBF(AbstractMethod):
     def exact(self) -> bool:
         return False
 
+    @property
+    def sees_free_sides(self) -> bool:
+        return True
+
     def connect(self, surface: Surface, points):
         is_open = surface.is_open
         if is_open is None:

@@ -56,6 +56,10 @@ class SurfaceReconstruction(AbstractMethod):
         return self.coarse.needs_cells or self.correction.needs_cells
 
     @property
+    def sees_free_sides(self) -> bool:
+        return self.coarse.sees_free_sides or self.correction.sees_free_sides
+
+    @property
     def linear(self) -> bool:
         return self.coarse.linear and self.correction.linear
 

@@ -1,6 +1,7 @@
 """A mesh prepared and moved some nodes at a time: memory is that of the surface and of one chunk, not that of all nodes."""
 
 import dataclasses
+import functools
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,6 +14,7 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .door import Boundary, boundary
 from .faces import FreeFaces
+from .halves import SurfaceHalf, half_of
 from .periodic import Periodic
 from .plan import Plan, deform
 from .prepare import plan_of
@@ -48,10 +50,17 @@ class Chunks:
         **Raises:** `ValueError` as `prepare` does; a `MeshError` names nodes of the whole mesh.
         """
         nodes = self.nodes[k]
+        if len(self) == 1:
+            return plan_of(self.named, self.method)
+        half = self._half
         try:
-            return plan_of(self.named.part(nodes), self.method)
+            return half.attach(self.named.points[nodes], nodes)
         except MeshError as error:
             raise error.renumbered(nodes) from None
+
+    @functools.cached_property
+    def _half(self) -> SurfaceHalf:
+        return half_of(self.named, self.method, np.arange(len(self.named.points)))
 
     def march(
         self, path: Float[ArrayLike, "k m d"], *, first: Plan | None = None, done: Callable[[float], None] | None = None
@@ -92,8 +101,8 @@ def prepare_in_chunks(
 ) -> Chunks:
     """Divides a mesh into parts that are prepared and moved one after the other.
 
-    The displacement field comes from the surface alone, so the moved points are those of the whole mesh. Each part has the
-    surface, the outermost nodes and one node of each symmetry plane, for the tolerances; and every K-th of the other nodes.
+    The displacement field comes from the surface alone, which is prepared once, so the moved points are those of the whole mesh.
+    Each part has the surface, and every K-th of the other nodes.
 
     **Arguments:**
 
@@ -107,11 +116,7 @@ def prepare_in_chunks(
     if size is not None and size < 1:
         raise ValueError(f"`size` must be 1 or more, not {size}.")
     named = boundary(mesh, moving, fixed, symmetry, free, periodic, sliding)
-    points, planes = named.points, named.planes
-    surface, outermost = np.unique(named.nodes), [points.argmin(axis=0), points.argmax(axis=0)]
-    always = np.unique(
-        np.concatenate([surface, *outermost, *(np.flatnonzero(plane.holds(points))[:1] for plane in planes)])
-    )
+    points, always = named.points, np.unique(named.nodes)
     others = np.setdiff1d(np.arange(len(points)), always, assume_unique=True)
     count = 1 if size is None else max(1, -(-len(others) // size))
     steps = count * np.arange(-(-len(others) // count))

@@ -19,10 +19,11 @@ from .periodic import Pairing
 from .walls import Track
 
 
-class SurfaceHalf(eqx.Module):
-    """Holds the half that every device has whole: the surface and the solve.
+class SurfacePart(eqx.Module):
+    """Holds what every device has whole: the surface and the solve.
 
-    Its o own rows are the nodes that move, those that are fixed and those that are guided; b rows have images too.
+    Its o own rows are the nodes that move, those that are fixed and those that are guided; b rows have images too. In a
+    plan of a piece of a mesh `nodes` holds numbers from n on for nodes that the piece does not have.
     """
 
     points: Float[Array, "b d"]
@@ -75,8 +76,8 @@ class Guide(eqx.Module):
         return u
 
 
-class VolumeHalf(eqx.Module):
-    """Holds the half that is laid over devices: each leaf has one row per point of the mesh, but for tables of transposes."""
+class VolumePart(eqx.Module):
+    """Holds what is laid over devices: each leaf has one row per point of the mesh, but for tables of transposes."""
 
     points: Float[Array, "n d"]
     on_plane: Bool[Array, "n p"] | None
@@ -90,16 +91,18 @@ class Plan(eqx.Module):
     `prepare` makes it, and says what may move. It survives `jax.tree` round trips, pickling and
     `equinox.tree_serialise_leaves`, and may be passed through `jit`, `vmap` and `grad` like any array.
 
-    Use `points`, `moving`, `fixed`, `guided`, `sources`, `n_moving`, `method`, `is_linear` and `offset`. The two halves,
-    `surface` and `volume`, belong to the driver, and so do `carried` (by a step of `march`) and `layout` (over devices).
+    Use `points`, `moving`, `fixed`, `guided`, `sources`, `n_moving`, `method`, `is_linear`, `is_piece` and `offset`. The fields
+    `surface` and `volume` belong to the driver, and so do `carried` (by a step of `march`) and `layout` (over devices).
+    In a plan of a piece (`SurfaceHalf.attach`) node ids of len(points) and more stand for nodes that other pieces have.
     """
 
     method: AbstractMethod
-    surface: SurfaceHalf
-    volume: VolumeHalf
+    surface: SurfacePart
+    volume: VolumePart
     n_moving: int = eqx.field(static=True)
     n_guided: int = eqx.field(static=True, default=0)
     carried: bool = eqx.field(static=True, default=False)
+    is_piece: bool = eqx.field(static=True, default=False)
     layout: Layout | None = eqx.field(static=True, default=None)
 
     @property
@@ -151,13 +154,23 @@ class Plan(eqx.Module):
         """Symmetry planes and periodic pairs, and the images that they make of the surface; None without either."""
         return self.surface.images
 
+    @property
+    def surface_points(self) -> Float[Array, "o d"]:
+        """Base coordinates of `surface_nodes`, those of other pieces included."""
+        if not self.is_piece:
+            return self.points[self.surface.nodes]
+        if self.images is None:
+            return self.surface.points
+        rows = jnp.zeros((len(self.surface.nodes), self.points.shape[1]), self.points.dtype)
+        return rows.at[_rows_of_originals(self.images, len(rows))].set(self.surface.points, mode="drop")
+
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Computes the displacement left to the correction (eq. 5), of moving, fixed and guided nodes. Traced in `u`."""
         return _offset(self, u)
 
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Computes the displacements of moving, fixed and guided nodes from those of the moving ones. Traced."""
-        return _kept(self, _of_surface(self, u))
+        return kept(self, _of_surface(self, u))
 
     def __repr__(self) -> str:
         """Describes the plan, whatever its leaves are: concrete, stacked or traced arrays, shapes, or None."""
@@ -183,8 +196,13 @@ def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
     offset = plan.method.offset(surface.ids, surface.factors, surface.points, extended)
     if surface.images is None:
         return offset
-    rows = jnp.where(surface.images.kind > 0, len(vectors), surface.images.rows)
+    rows = _rows_of_originals(surface.images, len(vectors))
     return jnp.zeros_like(vectors).at[rows].set(offset, mode="drop")
+
+
+def _rows_of_originals(images: Images, count: int) -> Int[Array, " b"]:
+    """Finds the own row of each row of the surface; `count` for images."""
+    return jnp.where(images.kind > 0, count, images.rows)
 
 
 def _is_located(leaf: Any) -> bool:
@@ -200,7 +218,7 @@ def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan
 def _refitted(plan: Plan, points) -> Plan:
     plan = _fitted(plan, points)
 
-    def place(shared, rows: VolumeHalf) -> PyTree:
+    def place(shared, rows: VolumePart) -> PyTree:
         placed = place_points(plan.method, rows.points, rows.ids, *shared)
         return placed if rows.placed is None else with_tables_of(rows.placed, placed)
 
@@ -209,37 +227,39 @@ def _refitted(plan: Plan, points) -> Plan:
 
 
 @compiled
-def carry(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """Moves a plan to the mesh that one of its own steps left.
+def carry(
+    plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any], surface: Float[Array, "o d"] | None = None
+) -> Plan:
+    """Moves a plan to the mesh that one of its own steps left; a piece needs all of the moved surface.
 
     The solve is made anew, and each point keeps its place in the graph.
     """
-    return _fitted(plan, points, carried=True)
+    return _fitted(plan, points, carried=True, surface=surface)
 
 
 def _stepped(plan: Plan, points, carried: bool) -> Plan:
     return _fitted(plan, points, carried=True) if carried else _refitted(plan, points)
 
 
-def _fitted(plan: Plan, points, carried: bool = False) -> Plan:
+def _fitted(plan: Plan, points, carried: bool = False, surface: Float[Array, "o d"] | None = None) -> Plan:
     points = base_points(plan, points)
     old, volume, whole = plan.surface, plan.volume, points
-    surface = points[old.nodes]
-    if old.images is not None:
-        surface = old.images.points(surface)
+    originals = points[old.nodes] if surface is None else surface
+    surface = originals if old.images is None else old.images.points(originals)
     if plan.layout is not None:
         points = pad_rows(points, plan.layout)
     method, guide = plan.method, old.guide
     if guide is not None:
-        guide = eqx.tree_at(lambda guide: guide.plan, guide, _stepped(guide.plan, whole[old.nodes], carried))
+        guide = eqx.tree_at(lambda guide: guide.plan, guide, _stepped(guide.plan, originals, carried))
     factors = method.carry(old.ids, old.factors, surface, whole) if carried else method.fit(old.ids, surface, whole)
     return Plan(
         method=method,
-        surface=SurfaceHalf(surface, old.nodes, old.images, old.ids, factors, guide),
-        volume=VolumeHalf(points, volume.on_plane, volume.ids, volume.placed),
+        surface=SurfacePart(surface, old.nodes, old.images, old.ids, factors, guide),
+        volume=VolumePart(points, volume.on_plane, volume.ids, volume.placed),
         n_moving=plan.n_moving,
         n_guided=plan.n_guided,
         carried=carried,
+        is_piece=plan.is_piece,
         layout=plan.layout,
     )
 
@@ -288,7 +308,7 @@ def _of_surface(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n d"]:
     """Moves the mesh as `deform` does, with displacements for the fixed nodes too, whose rows follow those of the moving ones."""
-    surface, vectors = plan.surface, _kept(plan, vectors)
+    surface, vectors = plan.surface, kept(plan, vectors)
     u = vectors if surface.images is None else surface.images.vectors(vectors)
     field = plan.method.field(surface.ids, surface.factors, surface.points, u)
     nodes, guide = surface.nodes, surface.guide
@@ -303,7 +323,13 @@ def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n 
     return moved if plan.layout is None else moved[: plan.layout.count]
 
 
-def _kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+    """Moves the surface's own rows alone, as `deform_surface` does for a method that is exact."""
+    vectors, guide = kept(plan, vectors), plan.surface.guide
+    return plan.surface_points + vectors if guide is None else guide.placed(vectors)
+
+
+def kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
     """Changes displacements of the surface's own rows so that they stay on planes, and follow along boundaries."""
     surface = plan.surface
     if surface.guide is not None:
@@ -311,7 +337,7 @@ def _kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
     return vectors if surface.images is None else surface.images.kept(vectors)
 
 
-def _moved(layout: Layout | None, is_placed: bool) -> Callable[[PyTree, VolumeHalf], Float[Array, "n d"]]:
+def _moved(layout: Layout | None, is_placed: bool) -> Callable[[PyTree, VolumePart], Float[Array, "n d"]]:
     def move(shared, volume):
         field, assigned, nodes, images = shared
         displacement = map_points(field, volume.points, volume.placed)
@@ -393,5 +419,6 @@ def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
         plan.n_moving,
         plan.n_guided,
         plan.carried,
+        plan.is_piece,
         layout,
     )

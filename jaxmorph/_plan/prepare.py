@@ -9,17 +9,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Integer, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 
+from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Cells, Surface, check_kind
-from .._methods.blocks import with_tables
+from .._methods.blocks import place_points, with_tables
 from .._methods.guiding import guiding
 from .._methods.reconstruction import SurfaceReconstruction
 from .door import Boundary, boundary, renumbered
 from .images import Images, images_of
 from .periodic import Periodic, check_pairings
-from .plan import Guide, Plan, SurfaceHalf, VolumeHalf, refitted
+from .plan import Guide, Plan, SurfacePart, VolumePart, refitted
 from .slide import Slide
 from .symmetry import Plane, check_planes
 
@@ -89,14 +90,28 @@ def _plan_of(named: Boundary, method: AbstractMethod, guide: Guide | None = None
     on_plane = None if on_plane is None else jnp.asarray(on_plane)
     plan = Plan(
         method=method,
-        surface=SurfaceHalf(jnp.asarray(surface.points), nodes, images, surface_ids, None, guide),
-        volume=VolumeHalf(jnp.asarray(named.points), on_plane, volume_ids, None),
+        surface=SurfacePart(jnp.asarray(surface.points), nodes, images, surface_ids, None, guide),
+        volume=VolumePart(jnp.asarray(named.points), on_plane, volume_ids, None),
         n_moving=len(named.moving),
         n_guided=len(named.guided),
     )
     plan = _with_tables(refitted(plan, plan.points))
     method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan
+
+
+def laid_out(
+    plan: Plan, shared: SurfacePart, points: Array, on_plane: Bool[np.ndarray, "n p"] | None, volume_ids: PyTree
+) -> Plan:
+    """Makes the plan of other points from one of the same surface: its factors stay."""
+    flags = None if on_plane is None else jnp.asarray(on_plane)
+    volume = VolumePart(points, flags, volume_ids, _placed(plan.method, shared, points, volume_ids))
+    return _with_tables(Plan(plan.method, shared, volume, plan.n_moving, plan.n_guided, is_piece=True))
+
+
+@compiled
+def _placed(method: AbstractMethod, shared: SurfacePart, points: Array, ids: PyTree) -> PyTree:
+    return place_points(method, points, ids, shared.factors, shared.points)
 
 
 def _cells(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:

@@ -39,8 +39,13 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     **Returns:** a `Plan`.
 
     **Raises:** `ValueError` when the shape of `points` differs from the plan's. Also where nodes leave a symmetry plane or a
-    given surface, and where periodic pairs do not match any more: with the number, and the worst node.
+    given surface, and where periodic pairs do not match any more: with the number, and the worst node. Also for a plan of a
+    piece, which does not know where the surface went: prepare the new surface, and attach the piece to that.
     """
+    if plan.is_piece:
+        raise ValueError(
+            "this plan is of a piece: call prepare_surface with the new surface, and attach the new points to it."
+        )
     points = base_points(plan, points)
     guide = plan.surface.guide
     if guide is not None:

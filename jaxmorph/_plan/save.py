@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._host.files import complete
+from .halves import SurfaceHalf
 from .known import known_classes
 from .plan import Plan
 
@@ -28,11 +29,11 @@ FORMAT, VERSION = "jaxmorph plan", 3
 _HEADER = "description"
 _DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, TypeError, IndexError, EOFError, AttributeError, RecursionError)
 
-Plans = Plan | Sequence[Any]
+Plans = Plan | SurfaceHalf | Sequence[Any]
 
 
 def save(path: str | os.PathLike[str], plan: Plans) -> None:
-    """Writes a plan, or the plans of several steps that `march` returned, to a file that `load` reads.
+    """Writes a plan, the plans of several steps that `march` returned, or a `SurfaceHalf`, to a file that `load` reads.
 
     Every array keeps its bits, so the loaded plan's `deform` gives the same. Besides arrays, fields may hold None,
     booleans, numbers, strings, members of an `enum`, tuples, lists, dictionaries by string, and objects of dataclasses
@@ -42,7 +43,7 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
     **Arguments:**
 
     - `path`: the file to write.
-    - `plan`: a `Plan`, or a sequence of them.
+    - `plan`: a `Plan`, a sequence of them, or a `SurfaceHalf`.
 
     **Raises:** `ValueError`, with the place in the plan, for anything else (functions, say), and for a class of your
     own that is called like one of jaxmorph's. Also for a plan laid over devices: save the one that `prepare` returned,
@@ -68,7 +69,7 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
     - `classes`: classes of your own that the plan may hold: a basis, a method and its factors, a reduction. Default:
       none. The file cannot name any but these and jaxmorph's, so one from elsewhere does no harm.
 
-    **Returns:** the `Plan`, or a tuple of them.
+    **Returns:** the `Plan`, a tuple of them, or the `SurfaceHalf`.
 
     **Raises:** `ValueError` for a file that is no plan, is damaged or cut short, or was written by a later version.
     Also for a class that is not known or has other fields here, and for float64 while JAX's x64 mode is off. `OSError`
@@ -95,7 +96,7 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
     if version > VERSION:
         raise ValueError(f"{path}: of version {version}, this jaxmorph reads up to {VERSION}: install a later one.")
     try:
-        plan = _Reader(arrays, known_classes(classes)).node(header["tree"])
+        plan = _Reader(arrays, known_classes((SurfaceHalf, *classes))).node(header["tree"])
     except _Refused as error:
         raise ValueError(f"{path}: {error}") from error
     except _DAMAGED as error:
@@ -108,7 +109,7 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
 def _is_plans(plan: Any) -> bool:
     if isinstance(plan, tuple | list):
         return len(plan) > 0 and all(map(_is_plans, plan))
-    return isinstance(plan, Plan)
+    return isinstance(plan, Plan | SurfaceHalf)
 
 
 class _Refused(ValueError):
@@ -150,7 +151,7 @@ class _Writer:
 
     def _array(self, value: Any, where: str) -> dict[str, Any]:
         array = np.ascontiguousarray(np.asarray(value)).reshape(np.shape(value))
-        if array.dtype.kind not in "biufc" or array.dtype.isbuiltin != 1:
+        if array.dtype.kind not in "biufc" or array.dtype.type.__module__ != "numpy":
             raise ValueError(f"{where} holds {array.dtype}; a file of plans holds booleans and ordinary numbers.")
         key = (array.dtype.str, array.shape, hashlib.blake2b(array.tobytes()).digest())
         place = self.places.setdefault(key, len(self.arrays))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._kernels.compile import compiled
-from .plan import Plan, carry, deform_surface, refitted
+from .plan import Plan, carry, deform_surface, moved_surface, refitted
 from .prepare import boundary_of, plan_of
 from .refit import with_boundary_of
 
@@ -35,10 +35,12 @@ def march(
 
     **Raises:** `ValueError` when `path` is not (k, m, d), and whatever `prepare` raises.
     """
-    points, plans = plan.points, []
+    if plan.is_piece:
+        _check_piece(plan, rebuild)
+    points, surface, plans = plan.points, None, []
     for j, target in enumerate(_targets(plan, path)):
-        step = plan if j == 0 else _anew(plan, points) if rebuild else carry(plan, points)
-        points = _advance(step, target)
+        step = plan if j == 0 else _anew(plan, points) if rebuild else carry(plan, points, surface)
+        points, surface = _advance(step, target)
         plans.append(step)
     return tuple(plans), points
 
@@ -64,13 +66,13 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
         raise ValueError(
             f"`path` has {len(targets)} steps, but there are {len(plans)} plans; pass the path that was marched."
         )
-    current, points = plans[0], plans[0].points
+    current, points, surface = plans[0], plans[0].points, None
     for plan, target in zip(plans, targets, strict=True):
         if plan.carried:
-            current = carry(current, points)
+            current = carry(current, points, surface)
         elif current is not plan:
             current = refitted(with_boundary_of(plan, current), points)
-        points = _advance(current, target)
+        points, surface = _advance(current, target)
     return points
 
 
@@ -82,14 +84,22 @@ def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
         raise ValueError(
             f"`path` has shape {path.shape}; expected (steps, {m}, {d}): the total displacement at each step's end."
         )
-    base = plan.points[plan.surface.nodes]
+    base = plan.surface_points
     return jnp.broadcast_to(base, (len(path), *base.shape)).at[:, :m].add(path)
 
 
 @compiled
-def _advance(plan: Plan, target: Float[Array, "o d"]) -> Float[Array, "n d"]:
-    """Moves all of the surface to the target, fixed nodes too where a method moved them."""
-    return deform_surface(plan, target - plan.points[plan.surface.nodes])
+def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d"], Float[Array, "o d"] | None]:
+    """Moves all of the surface to the target, fixed nodes too where a method moved them; of a piece all of the surface too."""
+    vectors = target - plan.surface_points
+    return deform_surface(plan, vectors), moved_surface(plan, vectors) if plan.is_piece else None
+
+
+def _check_piece(plan: Plan, rebuild: bool) -> None:
+    if rebuild or not plan.method.exact:
+        raise ValueError(
+            "march of a piece keeps its ids, and needs a method that is exact at the surface: the rest is in other pieces."
+        )
 
 
 def _anew(plan: Plan, points) -> Plan:

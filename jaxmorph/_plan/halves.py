@@ -1,0 +1,216 @@
+"""The two halves of `prepare`, for a mesh in pieces: the surface and its solve once, then each piece on its own."""
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Int, Integer, Real
+
+from .._host.errors import MeshError
+from .._host.reduction import roundoff
+from .._host.skin import has_free_sides
+from .._mesh.mesh import Mesh
+from .._methods.base import AbstractMethod, Surface
+from .._methods.reconstruction import SurfaceReconstruction
+from .door import Boundary, boundary, checked_points
+from .periodic import Periodic
+from .plan import Plan, SurfacePart
+from .prepare import boundary_of, laid_out, plan_of, surface_of
+from .slide import Slide
+from .symmetry import Plane
+
+
+@dataclasses.dataclass(frozen=True)
+class SurfaceHalf:
+    """Holds what all pieces of a mesh share: the surface, its sources and the solve. `prepare_surface` makes it.
+
+    `jm.save`, `jm.load` and pickle keep its bits. Pieces that are attached to equal bits, in whatever process, move a point
+    that they share to equal bits.
+
+    - `plan`: the plan of the surface's nodes alone, for `inspect`, `plan.offset` and `plan.sources`.
+    - `nodes` (k,): the whole mesh's ids of that plan's points.
+    - `faces`: boundary faces between rows of `plan.surface_nodes` by type, or None where they are not known.
+    - `is_open`: whether some side of the mesh is free.
+    """
+
+    plan: Plan
+    nodes: Int[np.ndarray, " k"]
+    faces: Mapping[str, np.ndarray] | None
+    is_open: bool
+
+    def __repr__(self) -> str:
+        return f"SurfaceHalf({self.plan})"
+
+    @property
+    def moving(self) -> Int[np.ndarray, " m"]:
+        """The whole mesh's ids of the moving nodes: row i of a displacement moves node `moving[i]`."""
+        return self.nodes[np.asarray(self.plan.moving)]
+
+    @property
+    def surface_nodes(self) -> Int[np.ndarray, " o"]:
+        """The whole mesh's ids of the surface's nodes: moving, fixed, then guided."""
+        return self.nodes[np.asarray(self.plan.surface_nodes)]
+
+    def attach(
+        self, points: Real[np.ndarray, "n d"] | Sequence[Any], nodes: Integer[np.ndarray, " n"] | Sequence[int]
+    ) -> Plan:
+        """Prepares the plan of one piece of the mesh.
+
+        Its `deform` takes the displacement of all moving nodes, and gives the points of this piece. `pullback` gives what this
+        piece contributes to all moving nodes: the sum over pieces, each node in one of them, is that of the whole mesh.
+
+        **Arguments:**
+
+        - `points`: base coordinates (n, d) of the piece, in the unit of the surface's.
+        - `nodes`: the whole mesh's id (n,) of each point. Ids that are not in `surface_nodes`, -1 for example, are inner nodes.
+
+        **Returns:** a `Plan` of n points. It takes `march` and `replay`, but not `refit`.
+
+        **Raises:** `ValueError` for a surface node that is named twice, or lies elsewhere than in the half. Also what `prepare`
+        raises for points: outside of the hull, or not finite.
+        """
+        plan, points = self.plan, checked_points(points)
+        if points.shape[1] != plan.points.shape[1]:
+            raise ValueError(f"`points` has shape {points.shape}; the surface has {plan.points.shape[1]} dimensions.")
+        if not len(points):
+            raise ValueError("the piece has no points.")
+        place = self._places(nodes, points)
+        self._check_sides(points, place)
+        points = points.astype(plan.points.dtype)
+        # nodes of the half that the piece does not have: tolerances are those of the whole mesh, whatever the piece
+        absent = np.flatnonzero(place < 0)
+        count, rows = len(points), np.where(place < 0, len(points) + np.cumsum(place < 0) - 1, place)
+        together = np.concatenate([points, np.asarray(plan.points)[absent]])
+        surface, on_plane = self._surface
+        nodes = np.where(surface.nodes < 0, -1, rows[surface.nodes])
+        volume_ids = plan.method.connect(surface.altered(nodes=nodes), together)[1]
+        if on_plane is not None:
+            on_plane = np.stack([plane.holds(together)[:count] for plane in boundary_of(plan).planes], axis=1)
+        volume_ids = jax.tree.map(lambda leaf: jnp.asarray(leaf[:count]), volume_ids)
+        here = jnp.asarray(rows[np.asarray(plan.surface.nodes)], jnp.int32)
+        shared = plan.surface
+        shared = SurfacePart(shared.points, here, shared.images, shared.ids, shared.factors, shared.guide)
+        return laid_out(plan, shared, jnp.asarray(points), on_plane, volume_ids)
+
+    def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:
+        """Raises `ValueError` for points on a free side of a mesh that was taken for one without."""
+        if self.faces is not None or self.is_open or not self.plan.method.sees_free_sides:
+            return
+        is_inner = np.ones(len(points), dtype=bool)
+        is_inner[place[place >= 0]] = False
+        if has_free_sides(self._surface[0].points, is_inner, points):
+            raise ValueError(
+                "this piece has nodes on a flat side of the mesh that is neither moving, fixed nor a symmetry plane. Name the "
+                "side, or pass is_open=True to prepare_surface: the field is then another one."
+            )
+
+    @functools.cached_property
+    def _surface(self) -> tuple[Surface, np.ndarray | None]:
+        """The surface as methods see it, and which of the half's points lie on which plane."""
+        named = dataclasses.replace(boundary_of(self.plan), pairings=(), tracks=(), is_open=self.is_open)
+        if self.faces is not None:
+            faces = {kind: named.nodes[rows] for kind, rows in self.faces.items()}
+            named = dataclasses.replace(named, faces=faces)
+        surface, _, on_plane = surface_of(named)
+        return surface, on_plane
+
+    def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
+        """Finds which of the points is each of the half's nodes (k,), -1 where none is."""
+        ids = np.asarray(nodes)
+        if ids.shape != (len(points),) or ids.dtype.kind not in "iu":
+            raise ValueError(
+                f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected one id for each of {len(points)} points."
+            )
+        order = np.argsort(self.nodes, kind="stable")
+        at = np.minimum(np.searchsorted(self.nodes[order], ids), len(order) - 1)
+        held = np.flatnonzero((self.nodes[order][at] == ids) & (ids >= 0))
+        rows = order[at[held]]
+        twice = np.flatnonzero(np.bincount(rows, minlength=len(order)) > 1)
+        if twice.size:
+            raise ValueError(f"{twice.size} nodes are named more than once in `nodes`, first {self.nodes[twice[0]]}.")
+        base = np.asarray(self.plan.points)
+        apart = np.abs(points[held] - base[rows]).max(axis=1, initial=0.0)
+        wrong = np.flatnonzero(apart > 4 * roundoff(base))
+        if wrong.size:
+            worst = wrong[apart[wrong].argmax()]
+            raise MeshError(
+                f"{wrong.size} surface nodes lie elsewhere than in the half: id {ids[held[worst]]}, point {{node}}, by "
+                f"{apart[worst]:.3g}. Attach the mesh on which the surface was prepared.",
+                held[wrong],
+            )
+        place = np.full(len(self.nodes), -1, dtype=np.int64)
+        place[rows] = held
+        return place
+
+
+def prepare_surface(
+    mesh: Mesh | Real[np.ndarray, "n d"] | Sequence[Any],
+    moving: str | Sequence[str] | Integer[np.ndarray, " m"] | Sequence[int | np.integer],
+    fixed: str | Sequence[str] | Integer[np.ndarray, " f"] | Sequence[int | np.integer] = (),
+    *,
+    nodes: Integer[np.ndarray, " n"] | Sequence[int] | None = None,
+    method: AbstractMethod | None = None,
+    symmetry: Plane | str | Sequence[Plane | str] = (),
+    periodic: Periodic | Sequence[Periodic] = (),
+    sliding: Slide | str | Sequence[Slide | str] = (),
+    free: str | Sequence[str] | Integer[np.ndarray, " k"] | Sequence[int | np.integer] = (),
+    is_open: bool | None = None,
+) -> SurfaceHalf:
+    """Prepares the surface of a mesh whose points are too many, or too far apart, for one call of `prepare`.
+
+    `prepare_surface(mesh, ...).attach(mesh.points, range(n))` is `prepare(mesh, ...)`. Where no process has the mesh, gather
+    the moving and fixed nodes of all pieces, and pass these.
+
+    **Arguments:**
+
+    - `mesh`: the `Mesh`, all of its points, or at least those of the surface (n, d), among which should be the outermost ones.
+      Points that are not on the surface serve for tolerances, and to see sides that are free.
+    - `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: those of `prepare`; ids are rows of `mesh`.
+    - `nodes`: the whole mesh's ids (n,) of these points, by which pieces name them; -1 for points that no piece names.
+      Default: 0 to n - 1.
+    - `is_open`: whether the whole mesh has a side that is neither moving, fixed nor a symmetry plane. Default None: it is looked
+      for in `mesh`, which must then be whole.
+
+    **Returns:** a `SurfaceHalf`.
+
+    **Raises:** `ValueError` as `prepare` does, for `nodes` that name one twice, and for a method that solves on the
+    cells of the whole mesh.
+    """
+    named = boundary(mesh, moving, fixed, symmetry, free, periodic, sliding)
+    count = len(named.points)
+    ids = np.arange(count) if nodes is None else np.asarray(nodes)
+    if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
+        raise ValueError(f"`nodes` must be {count} ids, one for each point of `mesh`, none twice but -1.")
+    return half_of(named if is_open is None else dataclasses.replace(named, is_open=is_open), method, ids)
+
+
+def half_of(named: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> SurfaceHalf:
+    """Prepares the surface of what has been checked; `ids` (n,) name its points in the whole mesh."""
+    method = SurfaceReconstruction() if method is None else method
+    if method.needs_cells:
+        raise ValueError(f"{type(method).__name__} solves on the cells of the whole mesh: pass the mesh to `prepare`.")
+    is_open = has_open_side(named) if named.is_open is None else named.is_open
+    kept = np.union1d(named.nodes, fence(named))
+    part = dataclasses.replace(named.part(kept), is_open=is_open)
+    try:
+        plan = plan_of(part, method)
+    except MeshError as error:
+        raise error.renumbered(kept) from None
+    return SurfaceHalf(plan, ids[kept], part.surface_faces, is_open)
+
+
+def has_open_side(named: Boundary) -> bool:
+    """Tells by points alone whether a flat side of the mesh is neither moving, fixed nor a symmetry plane."""
+    surface = surface_of(dataclasses.replace(named, pairings=()))[0]
+    return has_free_sides(surface.points, surface.rows(len(named.points)) == len(surface.points), named.points)
+
+
+def fence(named: Boundary) -> np.ndarray:
+    """Lists the outermost nodes, and one of each symmetry plane: tolerances are relative to their extent."""
+    points = named.points
+    on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in named.planes)
+    return np.unique(np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes]))

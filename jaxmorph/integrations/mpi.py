@@ -1,0 +1,227 @@
+"""A mesh whose pieces lie in the processes of an MPI run, none of which holds all of it (extra `mpi`)."""
+
+try:
+    from mpi4py import MPI
+except ImportError as error:
+    raise ImportError("pieces over MPI need mpi4py: pip install 'jaxmorph[mpi]', and an MPI library") from error
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from jaxtyping import ArrayLike, Bool, Float, Int, Real
+
+import jaxmorph as jm
+
+T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True)
+class Piece:
+    """Moves the piece of a mesh that this process has. `prepare` makes it; every process calls its functions together.
+
+    - `comm`: the communicator.
+    - `plan`: the plan of this piece's n points; its displacements are those of all moving nodes.
+    - `nodes` (n,): the whole mesh's ids of the points.
+    - `moving` (k,): the points that move, as `prepare` was given them.
+    - `rows` (k,): the row of each in the displacement of all moving nodes.
+    - `is_owner` (n,): whether this process, the first one that has the node, speaks for it.
+    """
+
+    comm: Any
+    plan: jm.Plan
+    nodes: Int[np.ndarray, " n"]
+    moving: Int[np.ndarray, " k"]
+    rows: Int[np.ndarray, " k"]
+    is_owner: Bool[np.ndarray, " n"]
+
+    def deform(self, u: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
+        """Moves the piece: row i of `u` (k, d) displaces point `moving[i]`. Returns the piece's points (n, d).
+
+        Raises `ValueError`, in every process, for a `u` of another shape, and where processes displace a node that they share
+        differently.
+        """
+        u = self.gathered(u)
+        return _together(self.comm, lambda: np.asarray(jm.deform(self.plan, u)))
+
+    def pullback(self, u: Real[ArrayLike, "k d"], cotangent: Real[ArrayLike, "n d"]) -> Float[np.ndarray, "k d"]:
+        """Pulls dJ/d(points) of the whole mesh back to this piece's moving nodes (k, d).
+
+        `cotangent` (n, d) is the derivative by each node as a whole: processes that share a node give the same, and it counts
+        once. It raises `ValueError` as `deform` does.
+        """
+        u = self.gathered(u)
+
+        def of_piece() -> np.ndarray:
+            values = np.asarray(cotangent, dtype=float)
+            if values.shape != self.plan.points.shape:
+                raise ValueError(f"`cotangent` has shape {values.shape}; this piece has {self.plan.points.shape}.")
+            return np.array(jm.pullback(self.plan, u, np.where(self.is_owner[:, None], values, 0)))
+
+        total = _together(self.comm, of_piece)
+        self.comm.Allreduce(MPI.IN_PLACE, total)
+        return total[self.rows]
+
+    def gathered(self, u: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "m d"]:
+        """Gathers the displacements of all moving nodes from those that each process has."""
+
+        def checked() -> np.ndarray:
+            values = np.asarray(u, dtype=self.plan.points.dtype)
+            expected = (len(self.moving), self.plan.points.shape[1])
+            if values.shape != expected:
+                raise ValueError(f"`u` has shape {values.shape}; this piece moves {expected[0]} points: {expected}.")
+            return values
+
+        shares = self.comm.allgather((self.rows, _together(self.comm, checked)))
+        whole = np.full((self.plan.n_moving, self.plan.points.shape[1]), np.nan, self.plan.points.dtype)
+        for rows, values in shares:
+            whole[rows] = values
+        torn = sum(int((whole[rows] != values).any(axis=1).sum()) for rows, values in shares)
+        if torn and np.isfinite(whole).all():
+            raise ValueError(f"{torn} moving nodes are displaced differently by the processes that share them.")
+        return whole
+
+    def summary(self, report: jm.QualityReport) -> "Summary":
+        """Sums up the reports of all pieces, `quality(piece, points)` of each: every cell is in one of them."""
+        return _summed(self.comm, report)
+
+
+@dataclasses.dataclass(frozen=True)
+class Summary:
+    """Sums up the quality of a mesh in pieces.
+
+    Faces between two pieces are not judged: a piece's non-orthogonality is that of the faces inside it.
+
+    - `cells`, `inverted`, `degenerate`: how many.
+    - `smallest`, `largest`, `mean`: of each measure of `QualityReport`, means weighted by area or volume.
+    """
+
+    cells: int
+    inverted: int
+    degenerate: int
+    smallest: dict[str, float]
+    largest: dict[str, float]
+    mean: dict[str, float]
+
+
+def prepare(
+    comm: Any,
+    points: Real[ArrayLike, "n d"],
+    nodes: Int[ArrayLike, " n"] | Sequence[int],
+    moving: Int[ArrayLike, " k"] | Sequence[int],
+    fixed: Int[ArrayLike, " f"] | Sequence[int] = (),
+    *,
+    method: jm.AbstractMethod | None = None,
+    symmetry: jm.Plane | Sequence[jm.Plane] = (),
+    is_open: bool = False,
+) -> Piece:
+    """Prepares the piece of a mesh that this process has; every process calls it together.
+
+    The moving and fixed nodes of all pieces are gathered. The first process prepares them, and all attach their points to
+    equal bits: nodes that pieces share move alike.
+
+    **Arguments:**
+
+    - `comm`: the communicator, for example `MPI.COMM_WORLD`.
+    - `points`: base coordinates (n, d) of this piece's nodes.
+    - `nodes`: the whole mesh's id (n,) of each, from 0 on: nodes that several pieces share have one id.
+    - `moving`, `fixed`: which of these points move (k,) and are fixed (f,); an empty list where there are none.
+    - `method`, `symmetry`: as `jaxmorph.prepare` takes them, alike in every process.
+    - `is_open`: whether the mesh has a side that is neither moving, fixed nor a symmetry plane. Default False.
+
+    **Returns:** a `Piece`.
+
+    **Raises:** `ValueError`, in every process, for what `jaxmorph.prepare` refuses. Also for a node that two processes have at
+    different places.
+    """
+
+    def checked() -> tuple[np.ndarray, ...]:
+        x, ids = np.asarray(points), np.asarray(nodes)
+        if x.ndim != 2 or ids.shape != (len(x),) or ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
+            raise ValueError(f"`nodes` must be one id for each of {len(x)} points, no id twice.")
+        lists = (np.asarray(each, dtype=np.int64) for each in (moving, fixed))
+        return x, ids.astype(np.int64), *lists
+
+    x, ids, moves, held = _together(comm, checked)
+    shares = comm.allgather((ids[moves], x[moves], ids[held], x[held]))
+    moving_ids, moving_points = _union([share[:2] for share in shares])
+    fixed_ids, fixed_points = _union([share[2:] for share in shares])
+    rest = ~np.isin(fixed_ids, moving_ids)
+    surface = np.concatenate([moving_points, fixed_points[rest]])
+    surface_ids, m = np.concatenate([moving_ids, fixed_ids[rest]]), len(moving_ids)
+    lists = np.arange(m), np.arange(m, len(surface))
+    outermost = np.concatenate(comm.allgather(x[np.concatenate([x.argmin(axis=0), x.argmax(axis=0)])]))
+    everything = np.concatenate([surface, outermost])
+    names = np.concatenate([surface_ids, np.full(len(outermost), -1)])
+
+    def half() -> jm.SurfaceHalf | None:
+        if comm.rank:
+            return None
+        return jm.prepare_surface(everything, *lists, nodes=names, method=method, symmetry=symmetry, is_open=is_open)
+
+    shared = comm.bcast(_together(comm, half))
+    assert shared is not None
+    plan = _together(comm, lambda: shared.attach(x, ids))
+    return Piece(comm, plan, ids, moves, np.searchsorted(moving_ids, ids[moves]), _owned(comm, ids))
+
+
+def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Joins ids and coordinates, each id once, ascending. Raises `ValueError` where one has several places."""
+    ids, points = (np.concatenate([share[k] for share in shares]) for k in range(2))
+    unique, first, back = np.unique(ids, return_index=True, return_inverse=True)
+    apart = np.flatnonzero((points != points[first][back]).any(axis=1))
+    if apart.size:
+        raise ValueError(f"{apart.size} nodes lie at different places in different processes, first {ids[apart[0]]}.")
+    return unique, points[first]
+
+
+def _owned(comm: Any, ids: np.ndarray) -> np.ndarray:
+    """Marks the nodes of which this process is the first that has them.
+
+    Each id has a process that keeps its list, so that no process sees the nodes of all.
+    """
+    keeper = ids % comm.size
+    asked = comm.alltoall([ids[keeper == rank] for rank in range(comm.size)])
+    first = np.unique(np.concatenate(asked), return_index=True)[1]
+    is_first = np.zeros(sum(map(len, asked)), dtype=bool)
+    is_first[first] = True
+    answers = comm.alltoall(np.split(is_first, np.cumsum([len(each) for each in asked])[:-1]))
+    owned = np.zeros(len(ids), dtype=bool)
+    for rank, answer in enumerate(answers):
+        owned[keeper == rank] = answer
+    return owned
+
+
+def _summed(comm: Any, report: jm.QualityReport) -> Summary:
+    size = np.asarray(report.volume)[report.counted]
+    names = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "jacobian_ratio")
+    values = {name: np.asarray(getattr(report, name))[report.counted] for name in names}
+    counts = len(size), int(report.inverted), int(report.degenerate)
+    least = {name: float(each.min(initial=np.inf)) for name, each in values.items()}
+    most = {name: float(each.max(initial=-np.inf)) for name, each in values.items()}
+    sums = {name: float((each * size).sum()) for name, each in values.items()}
+    shares = comm.allgather((counts, least, most, sums, float(size.sum())))
+    whole = sum(share[4] for share in shares)
+    return Summary(
+        *(sum(share[0][k] for share in shares) for k in range(3)),
+        smallest={name: min(share[1][name] for share in shares) for name in names},
+        largest={name: max(share[2][name] for share in shares) for name in names},
+        mean={name: sum(share[3][name] for share in shares) / whole for name in names},
+    )
+
+
+def _together(comm: Any, function: Callable[[], T]) -> T:
+    """Calls a function in every process. Where it raises `ValueError` in one, all raise: none waits for the others for good."""
+    result, error = None, None
+    try:
+        result = function()
+    except ValueError as raised:
+        error = raised
+    messages = comm.allgather(None if error is None else str(error))
+    if error is not None:
+        raise error
+    failed = [rank for rank, message in enumerate(messages) if message is not None]
+    if failed:
+        raise ValueError(f"process {failed[0]}: {messages[failed[0]]}")
+    return result  # pyright: ignore[reportReturnType]

@@ -1,0 +1,72 @@
+"""Two processes that have half of a mesh each; `test_mpi.py` runs them."""
+
+import sys
+
+import jax
+import numpy as np
+from mpi4py import MPI
+
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph.integrations import mpi
+
+jax.config.update("jax_enable_x64", True)
+comm = MPI.COMM_WORLD
+
+mesh = cases.naca0015(points=300)  # the whole is here only to judge by
+points, wall, far = np.asarray(mesh.points), mesh.patch("airfoil"), mesh.patch("farfield")
+kind, cells = next((kind, ids) for kind, ids in mesh.cells.items() if kind != "line")
+cells = np.asarray(cells)
+own = (
+    cells[points[cells].mean(axis=1)[:, 1] > 0.01]
+    if comm.rank == 0
+    else cells[points[cells].mean(axis=1)[:, 1] <= 0.01]
+)
+nodes, inverse = np.unique(own, return_inverse=True)
+piece_cells = {kind: inverse.reshape(own.shape).astype(np.int32)}
+moving, fixed = np.flatnonzero(np.isin(nodes, wall)), np.flatnonzero(np.isin(nodes, far))
+
+piece = mpi.prepare(comm, points[nodes], nodes, moving, fixed)
+
+
+def motion(x):
+    return np.stack([0.02 * np.cos(5 * x[:, 1]), 0.05 * x[:, 0] * (1 - x[:, 0])], axis=1)
+
+
+plan = jm.prepare(points, wall, far)
+u_all, u = motion(points[wall]), motion(points[nodes[moving]])
+moved, whole = piece.deform(u), np.asarray(jm.deform(plan, u_all))
+assert np.abs(moved - whole[nodes]).max() < 3e-12
+
+# a gradient of a sum over all nodes: shared ones count once
+weight = np.random.default_rng(3).normal(size=points.shape)
+gradient = piece.pullback(u, weight[nodes])
+expected = np.asarray(jm.pullback(plan, u_all, weight))
+row = {node: k for k, node in enumerate(wall)}
+expected = expected[[row[node] for node in nodes[moving]]]
+assert np.abs(gradient - expected).max() < 2e-9 * np.abs(expected).max()
+assert comm.allreduce(int(piece.is_owner.sum())) == len(points)
+shared = comm.allreduce(len(nodes)) - len(points)
+assert shared > 5
+
+places = comm.allgather({int(node): tuple(place) for node, place in zip(nodes, moved, strict=True)})
+both = places[0].keys() & places[1].keys()
+assert len(both) == shared
+assert all(places[0][node] == places[1][node] for node in both)  # bit for bit
+
+part = jm.Mesh(points[nodes], piece_cells)
+summary = piece.summary(jm.quality(part, moved))
+report = jm.quality(jm.Mesh(points, {kind: cells}), whole)
+assert (summary.cells, summary.inverted) == (len(cells), int(report.inverted))
+assert abs(summary.largest["skewness"] - float(report.max_skewness)) < 1e-9
+assert abs(summary.mean["skewness"] - float(report.mean_skewness)) < 1e-9
+assert abs(summary.smallest["jacobian_ratio"] - float(report.min_jacobian_ratio)) < 1e-9
+
+# what one process refuses, all refuse; none waits
+for wrong in (lambda: piece.deform(u[:-1] if comm.rank else u), lambda: piece.deform(u + comm.rank)):
+    try:
+        wrong()
+    except ValueError as error:
+        print(comm.rank, error)
+    else:
+        sys.exit(f"process {comm.rank} saw no error")

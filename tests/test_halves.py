@@ -1,0 +1,161 @@
+"""The two halves of `prepare`: pieces of a mesh move as the whole mesh does."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+METHODS = {
+    "default": lambda: None,
+    "graph": jm.DelaunayGraph,
+    "multiscale": lambda: jm.SurfaceReconstruction(correction=jm.Multiscale()),
+    "rbf": lambda: jm.RBF(reduction=jm.KDTree(4)),
+}
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return cases.naca0015(points=300)
+
+
+def displacement(half, mesh):
+    x = np.asarray(mesh.points)[half.moving]
+    return np.stack([0.02 * np.cos(5 * x[:, 1]), 0.05 * x[:, 0] * (1 - x[:, 0])], axis=1)
+
+
+def pieces_of(mesh, count=3):
+    """Shares of the nodes in no order, without those of the wall in the last one; neighbours share a node."""
+    every = np.random.default_rng(1).permutation(len(mesh.points))
+    shares = [np.array(share) for share in np.array_split(every, count)]
+    wall = mesh.patch("airfoil")
+    shares[0] = np.union1d(shares[0], wall)
+    shares[-1] = np.append(np.setdiff1d(shares[-1], wall), shares[1][:5])
+    return shares
+
+
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("default", "multiscale", "rbf")]
+
+
+@pytest.mark.parametrize("name", ["graph", *SLOW])
+def test_pieces_move_as_the_whole(mesh, name):
+    plan = jm.prepare(mesh, "airfoil", "farfield", method=METHODS[name]())
+    half = pickle.loads(pickle.dumps(jm.prepare_surface(mesh, "airfoil", "farfield", method=METHODS[name]())))
+    np.testing.assert_array_equal(half.moving, plan.moving)
+    np.testing.assert_array_equal(half.surface_nodes, plan.surface_nodes)
+    u, points = displacement(half, mesh), np.asarray(mesh.points)
+    whole, cotangent = np.asarray(jm.deform(plan, u)), np.random.default_rng(2).normal(size=points.shape)
+    seen, total = {}, 0.0
+    for nodes in pieces_of(mesh):
+        piece = half.attach(points[nodes], nodes)
+        assert piece.is_piece
+        moved = np.asarray(jm.deform(piece, u))
+        np.testing.assert_allclose(moved, whole[nodes], rtol=0, atol=3e-12)
+        on_wall = np.isin(nodes, half.moving)
+        if plan.method.exact:
+            rows = [np.flatnonzero(half.moving == node)[0] for node in nodes[on_wall]]
+            np.testing.assert_array_equal(moved[on_wall], points[nodes[on_wall]] + u[rows])
+        first = np.array([node not in seen for node in nodes])  # a node counts in the first piece that has it
+        for node, place in zip(nodes, moved, strict=True):
+            assert seen.setdefault(node, tuple(place)) == tuple(place)  # bit for bit
+        total = total + np.asarray(jm.pullback(piece, u, np.where(first[:, None], cotangent[nodes], 0)))
+    assert len(seen) == len(points)
+    expected = np.asarray(jm.pullback(plan, u, cotangent))
+    np.testing.assert_allclose(total, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.slow
+def test_pieces_march_and_replay(mesh):
+    plan, half = jm.prepare(mesh, "airfoil", "farfield"), jm.prepare_surface(mesh, "airfoil", "farfield")
+    u, points, nodes = displacement(half, mesh), np.asarray(mesh.points), pieces_of(mesh)[2]
+    path = np.stack([u, 2 * u, 4 * u])
+    piece = half.attach(points[nodes], nodes)
+    steps, moved = jm.march(piece, path)
+    np.testing.assert_allclose(moved, np.asarray(jm.march(plan, path)[1])[nodes], rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(jm.replay(steps, path), moved)
+    with pytest.raises(ValueError, match="march of a piece keeps its ids"):
+        jm.march(piece, path, rebuild=True)
+
+
+def brick():
+    """A unit square of 6 by 6 nodes: its lower side moves, the upper one is fixed, the left one lies in a symmetry plane."""
+    x, y = np.meshgrid(np.linspace(0, 1, 6), np.linspace(0, 1, 6))
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    return points, np.arange(6), np.arange(30, 36)
+
+
+@pytest.mark.slow
+def test_planes_and_guided_nodes_go_with_the_half():
+    points, moving, fixed = brick()
+    kinds = {
+        "symmetry": {"symmetry": [jm.Plane((1, 0), (0, 0)), jm.Plane((1, 0), (1, 0))]},
+        "sliding": {"sliding": jm.Slide(np.arange(6, 30, 6), jm.Plane((1, 0), (0, 0)))},
+    }
+    for chosen in kinds.values():
+        plan = jm.prepare(points, moving, fixed, **chosen)
+        half = jm.prepare_surface(points, moving, fixed, **chosen)
+        u = 0.1 * np.stack([0 * points[moving, 0], np.sin(2 * points[moving, 0])], axis=1)
+        whole = np.asarray(jm.deform(plan, u))
+        for nodes in (np.arange(3, 20), np.arange(20, 36)):
+            moved = jm.deform(half.attach(points[nodes], nodes), u)
+            np.testing.assert_allclose(moved, whole[nodes], rtol=0, atol=1e-12)
+
+
+def test_a_surface_gathered_from_elsewhere(mesh):
+    """No process has the mesh: the half is made of the surface's points, in another order and with ids of their own."""
+    points = np.asarray(mesh.points)
+    wall, far = mesh.patch("airfoil"), mesh.patch("farfield")
+    some = np.concatenate([far, wall])
+    rows = np.arange(len(some))
+    graph = jm.DelaunayGraph()
+    half = jm.prepare_surface(points[some], rows[len(far) :], rows[: len(far)], nodes=some, method=graph)
+    plan = jm.prepare(points, wall, far, method=graph)
+    u = displacement(half, mesh)
+    nodes = np.arange(100, 200)
+    moved = jm.deform(half.attach(points[nodes], nodes), u)
+    np.testing.assert_allclose(moved, np.asarray(jm.deform(plan, u))[nodes], rtol=0, atol=1e-13)
+
+
+def test_a_half_in_a_file(mesh, tmp_path):
+    half = jm.prepare_surface(mesh, "airfoil", "farfield", method=jm.DelaunayGraph())
+    jm.save(tmp_path / "half.npz", pickle.loads(pickle.dumps(half)))
+    again = jm.load(tmp_path / "half.npz")
+    nodes, u = np.arange(50), displacement(half, mesh)
+    first, second = (np.asarray(jm.deform(each.attach(mesh.points[nodes], nodes), u)) for each in (half, again))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_what_a_half_refuses(mesh):
+    points = np.asarray(mesh.points)
+    half = jm.prepare_surface(mesh, "airfoil", "farfield", method=jm.DelaunayGraph())
+    wall = half.moving[:4]
+    with pytest.raises(ValueError, match=r"1 nodes are named more than once in `nodes`, first \d+"):
+        half.attach(points[wall[[0, 0]]], wall[[0, 0]])
+    with pytest.raises(jm.MeshError, match=r"1 surface nodes lie elsewhere than in the half: id \d+, point 2, by 0.1"):
+        half.attach(points[wall] + [[0, 0], [0, 0], [0, 0.1], [0, 0]], wall)
+    with pytest.raises(ValueError, match=r"expected one id for each of 4 points"):
+        half.attach(points[wall], wall[:2])
+    with pytest.raises(ValueError, match="the piece has no points"):
+        half.attach(points[:0], wall[:0])
+    with pytest.raises(ValueError, match="none twice but -1"):
+        jm.prepare_surface(points, [0], [1], nodes=np.zeros(len(points), int))
+    with pytest.raises(ValueError, match="LinearElasticity solves on the cells of the whole mesh"):
+        jm.prepare_surface(mesh, "airfoil", "farfield", method=jm.LinearElasticity())
+    with pytest.raises(ValueError, match="this plan is of a piece: call prepare_surface"):
+        jm.refit(half.attach(points[wall], wall), points[wall])
+
+
+@pytest.mark.slow
+def test_a_free_side_that_only_pieces_show():
+    points, moving, fixed = brick()
+    some = np.concatenate([moving, fixed])
+    rows = np.arange(12)
+    half = jm.prepare_surface(points[some], rows[:6], rows[6:], nodes=some)
+    with pytest.raises(ValueError, match="flat side of the mesh that is neither moving, fixed nor a symmetry plane"):
+        half.attach(points, np.arange(36))
+    told = jm.prepare_surface(points[some], rows[:6], rows[6:], nodes=some, is_open=True)
+    u = 0.1 * np.stack([0 * points[moving, 0], np.sin(2 * points[moving, 0])], axis=1)
+    expected = jm.deform(jm.prepare(points, moving, fixed), u)
+    np.testing.assert_allclose(jm.deform(told.attach(points, np.arange(36)), u), expected, rtol=0, atol=1e-12)

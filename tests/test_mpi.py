@@ -1,0 +1,31 @@
+"""Pieces of a mesh in the processes of an MPI run."""
+
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.slow
+def test_two_processes_move_one_mesh():
+    pytest.importorskip("mpi4py")
+    command = pathlib.Path(sys.executable).with_name("mpiexec")
+    command = str(command) if command.exists() else shutil.which("mpiexec")
+    if command is None:
+        pytest.skip("no mpiexec")
+    run = [command, "-n", "2", sys.executable, str(ROOT / "tests" / "mpi_pieces.py")]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    for line in (
+        "0 process 1: `u` has shape",
+        "1 `u` has shape",
+        "0 2 moving nodes are displaced differently",
+        "1 2 moving nodes are displaced differently",
+    ):
+        assert line in done.stdout, done.stdout
