@@ -67,6 +67,8 @@ for wrong in (lambda: piece.deform(u[:-1] if comm.rank else u), lambda: piece.de
     try:
         wrong()
     except ValueError as error:
-        print(comm.rank, error)
+        message = str(error)
     else:
         sys.exit(f"process {comm.rank} saw no error")
+    for rank, line in enumerate(comm.gather(message) or ()):
+        print(rank, line)  # one process prints: lines of two would mix
