@@ -25,6 +25,7 @@ from .cyclic import check_cyclic, cyclic_pairs
 from .file import PARENTHESES, FoamFile, Patch, load, patches
 from .plane import Layer, layer, plane_cells
 from .topology import Topology, topology_of
+from .wedge import Sector, sector
 
 NAME = "OpenFOAM"
 TOPOLOGY = ("faces", "owner", "neighbour", "boundary")
@@ -34,12 +35,12 @@ COPIED = ("constant", "system", "0", "0.orig")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _CaseContent:
-    """Keeps the file of points, its values, the folder of the faces, and the two planes of a 2-D case."""
+    """Keeps the file of points, its values, the folder of the faces, and the two planes of a 2-D or axisymmetric case."""
 
     file: FoamFile
     points: np.ndarray
     topology: pathlib.Path
-    plane: Layer | None
+    plane: Layer | Sector | None
 
 
 def read(path: pathlib.Path) -> Mesh:
@@ -47,18 +48,23 @@ def read(path: pathlib.Path) -> Mesh:
 
     `patches` are those of `boundary`, `groups` of their `inGroups`. Cells with more or other faces than the standard types are
     cut into tetrahedra between their own nodes. Of a case with `empty` patches the plane in front is the mesh, in two coordinates.
+    So it is with `wedge` patches, at places along the axis and distances from it; nodes on the axis are the patch `axis`.
     """
     here, topology = _folders(path)
     boundary = patches(load(topology, "boundary"))
-    wedges = [patch.name for patch in boundary if patch.type == "wedge"]
-    if wedges:
-        raise ValueError(f"{path}: patches of type wedge ({', '.join(wedges)}); axisymmetric cases are not supported.")
-    empty = [patch for patch in boundary if patch.type == "empty" and patch.count]
-    topology_data = topology_of(topology, boundary, is_plane=bool(empty))
+    empty, wedges = ([each for each in boundary if each.type == kind and each.count] for kind in ("empty", "wedge"))
+    if wedges and (len(wedges) != 2 or empty):
+        names = ", ".join(patch.name for patch in wedges + empty)
+        raise ValueError(
+            f"{path}: patches of type wedge ({names}); an axisymmetric case has two of them, and none of type empty."
+        )
+    topology_data = topology_of(topology, boundary, is_plane=bool(empty or wedges))
     file, points = _points(here)
     topology_data.check(topology, len(points))
     try:
-        if empty:
+        if wedges:
+            mesh, ids, whole, plane = _in_sector(topology_data, points, boundary, wedges)
+        elif empty:
             mesh, ids, whole, plane = _in_plane(topology_data, points, boundary, empty)
         else:
             (mesh, ids, whole), plane = _in_space(topology_data, points), None
@@ -203,6 +209,26 @@ def _in_plane(
     plane = layer(topology.faces, points)
     nodes = {patch.name: plane.ids(topology.nodes[patch.name]) for patch in boundary if patch.type != "empty"}
     cells, ids, whole = plane_cells(topology.faces, points, chosen, plane)
+    mesh = Mesh(plane.in_plane(points), cells, nodes)
+    return mesh, _joined_ids(mesh, ids), whole, plane
+
+
+def _in_sector(
+    topology: Topology, points: np.ndarray, boundary: list[Patch], wedges: list[Patch]
+) -> tuple[Mesh, np.ndarray | None, Polyhedra | None, Sector]:
+    faces = topology.faces
+    assert faces is not None
+    plane, is_first = sector(topology.nodes[wedges[0].name], topology.nodes[wedges[1].name], points)
+    patch = wedges[0 if is_first else 1]
+    front = np.arange(patch.start, patch.start + patch.count)
+    if (faces.sizes[front] > 4).any():
+        raise ValueError("patches of type wedge with faces of more than four corners are not supported.")
+    nodes = {
+        patch.name: plane.ids(topology.nodes[patch.name]) for patch in boundary if patch.type not in ("empty", "wedge")
+    }
+    if plane.on_axis.any():
+        nodes["axis"] = np.flatnonzero(plane.on_axis)
+    cells, ids, whole = plane_cells(faces, points, front, plane)
     mesh = Mesh(plane.in_plane(points), cells, nodes)
     return mesh, _joined_ids(mesh, ids), whole, plane
 

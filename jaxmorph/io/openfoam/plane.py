@@ -7,6 +7,8 @@ import numpy as np
 from jaxmorph._mesh.faces import Faces
 from jaxmorph._mesh.polyhedra import Polyhedra, triangles
 
+from .wedge import Sector
+
 TOLERANCE = 1e-6
 """Distance that a node may be off its plane, as a share of the distance between the two."""
 
@@ -85,7 +87,7 @@ def layer(faces: Faces, points: np.ndarray) -> Layer:
 
 
 def plane_cells(
-    faces: Faces, points: np.ndarray, empty: np.ndarray, plane: Layer
+    faces: Faces, points: np.ndarray, empty: np.ndarray, plane: Layer | Sector
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Polyhedra | None]:
     """Makes triangles and quads of the front, in the order of their cells; a face of more corners becomes triangles.
 
@@ -113,7 +115,7 @@ def plane_cells(
     return cells, ids, whole
 
 
-def _edges(faces: Faces, empty: np.ndarray, is_front: np.ndarray, plane: Layer) -> Faces:
+def _edges(faces: Faces, empty: np.ndarray, is_front: np.ndarray, plane: Layer | Sector) -> Faces:
     """Makes the edges of the front, one for each face across the layer, with its cell on the left."""
     across = np.ones(len(faces.owner), bool)
     across[empty] = False

@@ -1,0 +1,104 @@
+"""OpenFOAM's axisymmetric cases: one layer of cells between two `wedge` planes that meet at the axis, as a mesh in (x, r)."""
+
+import dataclasses
+
+import numpy as np
+from scipy.spatial import KDTree
+
+TOLERANCE = 1e-6
+"""Distance that a node may be off its plane or its partner, as a share of the mesh's extent."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sector:
+    """Pairs the nodes of two wedge planes: `front` and `back`, row by row one behind the other, the same on the axis.
+
+    Node i of the 2-D mesh is `front[i]`, at its place along the `axis` and its distance from it, along `out` in front and
+    `out_behind` behind, from the point `origin`. Ids ascend, so nodes keep the order of the file.
+    """
+
+    front: np.ndarray
+    back: np.ndarray
+    axis: np.ndarray
+    origin: np.ndarray
+    out: np.ndarray
+    out_behind: np.ndarray
+
+    def in_plane(self, points: np.ndarray) -> np.ndarray:
+        arms = points[self.front] - self.origin
+        return np.stack([arms @ self.axis, np.where(self.on_axis, 0, arms @ self.out)], axis=1)
+
+    @property
+    def on_axis(self) -> np.ndarray:
+        """Marks the nodes (n,) of the axis."""
+        return self.front == self.back
+
+    def in_space(self, old: np.ndarray, plane: np.ndarray) -> np.ndarray:
+        """Moves both planes of `old` as `plane` has moved. Raises `ValueError` where the axis does not stay."""
+        along, outward = (plane - self.in_plane(old)).T[:, :, None]
+        off = np.flatnonzero(self.on_axis & (outward[:, 0] != 0))
+        if off.size:
+            raise ValueError(
+                f"{off.size} nodes of the axis have left it, first node {off[0]}: name it, symmetry='axis' or --symmetry axis."
+            )
+        new = old.copy()
+        new[self.front] = old[self.front] + along * self.axis + outward * self.out
+        behind = self.back[~self.on_axis]
+        new[behind] = old[behind] + (along * self.axis + outward * self.out_behind)[~self.on_axis]
+        return new
+
+    def added(self, values: np.ndarray) -> np.ndarray:
+        """Adds the values (N, 3) of both planes to (n, 2), as both move: the transpose of `in_space`."""
+        front, back = values[self.front], np.where(self.on_axis[:, None], 0, values[self.back])
+        return np.stack([(front + back) @ self.axis, front @ self.out + back @ self.out_behind], axis=1)
+
+    def ids(self, nodes: np.ndarray) -> np.ndarray:
+        """Returns the 2-D mesh's ids of those of `nodes` that are in the front."""
+        at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
+        return at[self.front[at] == nodes]
+
+
+def sector(first: np.ndarray, second: np.ndarray, points: np.ndarray) -> tuple[Sector, bool]:
+    """Finds the planes of two wedge patches from their nodes; tells whether the first one is in front.
+
+    It raises `ValueError` where they are not planes at an angle, or their nodes are not pairs.
+    """
+    size = np.ptp(points, axis=0).max()
+    first, second = np.unique(first), np.unique(second)
+    if len(np.union1d(first, second)) < len(points):
+        raise ValueError("patches of type wedge, but there are nodes off both: there is more than one layer of cells.")
+    normals = []
+    for nodes in (first, second):
+        middle = points[nodes].mean(axis=0)
+        normals.append(np.linalg.svd(points[nodes] - middle, full_matrices=False)[2][-1])
+        if np.abs((points[nodes] - middle) @ normals[-1]).max() > TOLERANCE * size:
+            raise ValueError("a patch of type wedge does not lie in a plane.")
+    axis = np.cross(*normals)
+    if not np.linalg.norm(axis) > 1e-9:
+        raise ValueError("two patches of type wedge are parallel; a case in two dimensions has patches of type empty.")
+    axis = axis / np.linalg.norm(axis) * np.sign(axis[np.abs(axis).argmax()])
+    sharp = np.round(axis)
+    axis = sharp if np.abs(axis - sharp).max() < TOLERANCE else axis
+    heights = [normal @ points[nodes].mean(axis=0) for normal, nodes in zip(normals, (first, second), strict=True)]
+    origin = np.linalg.lstsq(np.stack([*normals, axis]), np.array([*heights, 0.0]), rcond=None)[0]
+    origin = np.where(np.abs(origin) < TOLERANCE * size, 0, origin)
+    outward = []
+    for nodes in (first, second):
+        arm = points[nodes].mean(axis=0) - origin
+        arm = arm - (arm @ axis) * axis
+        outward.append(arm / np.linalg.norm(arm))
+    is_first = (
+        np.cross(outward[1], outward[0]) @ axis > 0
+    )  # farther around the axis: seen from outside, (x, r) is right-handed
+    front, back = (first, second) if is_first else (second, first)
+    out, behind = outward if is_first else outward[::-1]
+    places = [
+        np.stack([(points[n] - origin) @ axis, (points[n] - origin) @ o], axis=1)
+        for n, o in ((front, out), (back, behind))
+    ]
+    distance, nearest = map(np.asarray, KDTree(places[1]).query(places[0]))
+    if distance.max() > 1e3 * TOLERANCE * size or len(np.unique(nearest)) < len(back):
+        raise ValueError(
+            f"patches of type wedge, but their {len(front)} and {len(back)} nodes are not pairs, by up to {distance.max():.3g}."
+        )
+    return Sector(front, back[nearest], axis, origin, out, behind), bool(is_first)

@@ -1,0 +1,77 @@
+"""OpenFOAM's axisymmetric cases: a mesh in (x, r), written back to both planes."""
+
+import foam
+import numpy as np
+import pytest
+from test_openfoam import HEXAHEDRON
+
+import jaxmorph as jm
+from jaxmorph import io
+
+ANGLE = np.radians(2.5)
+PRISM = ((0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4), (0, 2, 1), (3, 4, 5))
+
+
+def around(x, r, side):
+    return np.stack([x, r * np.cos(ANGLE), side * r * np.sin(ANGLE)], axis=-1)
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    """Cells of x from 0 to 2 and r from 0 to 1, two along and two across; those at the axis are prisms."""
+    x, r = np.meshgrid([0.0, 1, 2], [0.0, 0.4, 1], indexing="ij")
+    front, back = np.arange(9).reshape(3, 3), np.arange(9).reshape(3, 3)
+    back[:, 1:] = 9 + np.arange(6).reshape(3, 2)
+    points = np.concatenate([around(x, r, 1).reshape(-1, 3), around(x[:, 1:], r[:, 1:], -1).reshape(-1, 3)])
+    cells = []
+    for i in range(2):
+        a, b = back[i], back[i + 1]
+        c, d = front[i], front[i + 1]
+        # seen along x: the triangle of the axis and both sides
+        prism = [a[0], a[1], c[1], b[0], b[1], d[1]]
+        cells.append([[int(prism[k]) for k in face] for face in PRISM])
+        brick = [a[1], b[1], b[2], a[2], c[1], d[1], d[2], c[2]]
+        cells.append([[int(brick[k]) for k in face] for face in HEXAHEDRON])
+    sides = {"front": set(front.ravel()), "back": set(back.ravel())}
+    patches = [(name, "wedge", lambda face, ids=ids: set(face) <= ids) for name, ids in sides.items()]
+    patches += [("wall", "wall", lambda face: bool((np.hypot(*points[face][:, 1:].T) > 0.99).all()))]
+    patches += [("ends", "patch", lambda face: True)]
+    foam.write_case(tmp_path / "pipe", points, cells, patches)
+    return tmp_path / "pipe", x, r
+
+
+def test_a_wedge_is_a_plane_mesh(pipe, tmp_path):
+    case, x, r = pipe
+    mesh = io.read(case)
+    np.testing.assert_allclose(mesh.points, np.stack([x.ravel(), r.ravel()], axis=1), rtol=0, atol=1e-15)
+    assert {name: len(nodes) for name, nodes in mesh.patches.items()} == {"wall": 3, "ends": 6, "axis": 3}
+    area = np.asarray(jm.quality(mesh).area)
+    assert area.min() > 0
+    np.testing.assert_allclose(area.sum(), 2, rtol=1e-14)
+    io.write(tmp_path / "same", mesh)
+    assert foam.tree(tmp_path / "same") == foam.tree(case)
+    moved = np.stack([x + 0.1 * np.sin(x), 1.2 * r], axis=-1).reshape(-1, 2)
+    io.write(tmp_path / "moved", mesh.moved(moved))
+    again = io.read(tmp_path / "moved")
+    np.testing.assert_allclose(again.points, moved, rtol=0, atol=1e-14)
+    both = [around(x + 0.1 * np.sin(x), 1.2 * r, side).reshape(-1, 3) for side in (1, -1)]
+    expected = np.concatenate([both[0], both[1].reshape(3, 3, 3)[:, 1:].reshape(-1, 3)])
+    np.testing.assert_allclose(again.source.content.points, expected, rtol=0, atol=1e-14)
+    with pytest.raises(ValueError, match="3 nodes of the axis have left it, first node 0: name it, symmetry='axis'"):
+        io.write(tmp_path / "off", mesh.moved(moved + 0.1))
+    w = np.random.default_rng(0).normal(size=expected.shape)
+    plane = mesh.source.content.plane
+    h = np.random.default_rng(1).normal(size=moved.shape) * (r.ravel() > 0)[:, None]
+    spread = plane.in_space(expected, moved + h) - plane.in_space(expected, moved)
+    np.testing.assert_allclose(np.vdot(w, spread), np.vdot(plane.added(w), h), rtol=1e-12)
+
+
+def test_openfoam_takes_a_moved_wedge(pipe, tmp_path):
+    foam.need_openfoam()
+    case = pipe[0]
+    mesh = io.read(case)
+    plan = jm.prepare(mesh, "wall", "ends", symmetry="axis", method=jm.RBF.classic(jm.ThinPlateSpline()))
+    u = np.zeros((3, 2))
+    u[1, 1] = 0.2
+    io.write(tmp_path / "moved", mesh.moved(jm.deform(plan, u)))
+    assert foam.verdict(tmp_path / "moved") == foam.verdict(case)
