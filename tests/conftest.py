@@ -1,5 +1,6 @@
 """What every test stands on: float64, broadcasts that are written out, compiled code that is shared and dropped file by file."""
 
+import collections
 import contextlib
 import ctypes
 import gc
@@ -34,6 +35,12 @@ EMPTIED = [0.5e9]
 """Memory of this process after compiled code was dropped last, bytes."""
 
 
+LONG = (
+    *("notebooks", "openfoam_runs", "wing", "fuzz", "choose", "improve", "shared_cases", "conditioning", "demo_wing"),
+    *("mpi", "halves", "cli_chunks", "free_faces", "agard445", "demo", "mphys", "tesseract", "docs"),
+)
+"""Files of few tests, each of which takes long. They come first, so that no worker waits for another at the end."""
+
 _raises = pytest.raises
 
 
@@ -50,6 +57,14 @@ def raises(*expected, **keywords):
 
 
 pytest.raises = raises
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items):
+    """Puts the files that take longest first: a worker takes one after the other."""
+    count = collections.Counter(item.path for item in items)
+    is_long = {path: path.stem.removeprefix("test_") in LONG or path.parent.name in LONG for path in count}
+    items.sort(key=lambda item: (not is_long[item.path], -count[item.path], item.path))
 
 
 @pytest.fixture(autouse=True)

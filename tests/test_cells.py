@@ -67,7 +67,11 @@ def slab(columns):
 
 
 @pytest.mark.parametrize("turn", [pytest.param(0.0, marks=pytest.mark.slow), 0.6])
-@pytest.mark.parametrize("method", [jm.LinearElasticity(), jm.Laplacian()], ids=["elasticity", "laplacian"])
+@pytest.mark.parametrize(
+    "method",
+    [jm.LinearElasticity(), pytest.param(jm.Laplacian(), marks=pytest.mark.slow)],
+    ids=["elasticity", "laplacian"],
+)
 def test_nodes_slide_in_symmetry_planes(method, turn):
     """A half, with a plane in any direction, moves like the half of the whole."""
     points, quads, ids = slab(3)

@@ -41,6 +41,7 @@ def test_the_errors_are_those_of_scipys_interpolation(problem, choice):
     np.testing.assert_allclose(row["error"], missed, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_radius_is_no_worse_than_others_that_one_might_guess(problem, choice):
     mesh, moving, fixed, motions = problem
     row = choice.table[3]

@@ -40,9 +40,10 @@ def run(file, out, *flags):
     return np.asarray(io.read(out).points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "flags",
-    [["--steps", "2"], pytest.param(["--method", "rbf", "--dtype", "float32"], marks=pytest.mark.slow)],
+    [["--steps", "2"], ["--method", "rbf", "--dtype", "float32"]],
     ids=" ".join,
 )
 def test_chunks_give_the_mesh_of_the_whole(here, sizes, flags):

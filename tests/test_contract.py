@@ -333,6 +333,7 @@ print(json.dumps(answer))
 """
 
 
+@pytest.mark.slow
 def test_without_x64(request):
     """In a process of its own: float32 in, float32 out; float64 points are not cut to float32 in silence."""
     root = request.config.rootpath

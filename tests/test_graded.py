@@ -91,7 +91,8 @@ def test_a_cascade_turns_as_far_as_with_every_source():
     assert float(graded.min_jacobian_ratio) > 0.9 * float(classic.min_jacobian_ratio)
 
 
-@pytest.mark.parametrize("degrees", [pytest.param(-44, marks=pytest.mark.slow), 42])
+@pytest.mark.slow
+@pytest.mark.parametrize("degrees", [-44, 42])
 def test_the_default_turns_the_cascade_as_far(degrees):
     mesh = cases.cascade()
     blade = mesh.patch("blade")

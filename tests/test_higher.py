@@ -101,6 +101,7 @@ def test_a_hundred_steps_of_an_optimisation_in_one_program(mesh, plan):
     np.testing.assert_allclose(slope, 1.0, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_plans_of_one_shape_in_one_call(mesh, plan):
     u = bump(mesh, 0.1)
     plans = [jm.refit(plan, plan.points * stretch) for stretch in (0.9, 1.0, 1.2)]

@@ -98,7 +98,8 @@ def test_inverted_cells_have_a_finite_energy_that_pulls_them_back(kind):
     assert along[2] > 10
 
 
-@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("dimension", [2, 3])
 def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
     """At the target the Hessian is positive: blocks add up to it, and the host solves with it."""
     mesh = grid(3, dimension)

@@ -71,7 +71,7 @@ def test_derivatives_of_turning_nodes_at_rest():
     assert (jm.deform(plan, 0 * v) == mesh.points).all()
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_rigid_blend_is_rigid_near_the_body(dimension):
     mesh = body(dimension)
     middle = mesh.points[mesh.moving].mean(axis=0)

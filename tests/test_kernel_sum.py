@@ -65,7 +65,9 @@ def test_scipy_agrees(name, dimension):
     np.testing.assert_allclose(jm.deform(plan, u) - points, reference, rtol=0, atol=1e-8 * np.abs(reference).max())
 
 
-@two_bases
+@pytest.mark.parametrize(
+    "name", ["wendland", *(pytest.param(name, marks=pytest.mark.slow) for name in BASES if name != "wendland")]
+)
 def test_blocks_are_the_one_point_form(name):
     plan, u, w = case(name)
     scale = np.abs(one_by_one(plan, u)).max()
@@ -147,7 +149,7 @@ def test_any_number_of_points(n):
     np.testing.assert_allclose(found, pulled, rtol=0, atol=1e-10 * np.abs(pulled).max())
 
 
-@pytest.mark.parametrize("name", ["thin-plate", "wendland"])
+@pytest.mark.parametrize("name", ["thin-plate", pytest.param("wendland", marks=pytest.mark.slow)])
 def test_derivatives_at_a_source_are_finite(name):
     """First and second derivatives with respect to the points, some of which are sources."""
     plan, u, w = case(name, n=BLOCK + 3, s=25)

@@ -224,6 +224,7 @@ def test_classes_are_checked(tmp_path):
         jm.load(tmp_path / "a", (print,))
 
 
+@pytest.mark.slow
 def test_double_precision_needs_its_mode(tmp_path):
     jm.save(tmp_path / "a", planned(jm.DelaunayGraph()))
     code = "import jaxmorph as jm, sys; jm.load(sys.argv[1])"

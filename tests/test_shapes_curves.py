@@ -73,7 +73,8 @@ def test_the_curve_is_scipys_spline():
     np.testing.assert_allclose(LINEAR["curve"].at(AIRFOIL)(control), spline(lengths / lengths[-1]), atol=1e-13)
 
 
-@pytest.mark.parametrize("given", [(0.02, 0.4, 0.12), pytest.param((0.0, 0.4, 0.12), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("given", [(0.02, 0.4, 0.12), (0.0, 0.4, 0.12)])
 def test_one_naca_airfoil_becomes_another(given):
     shape, x = shapes.NACA4(*given), naca(*given)
     np.testing.assert_array_equal(shape(x, shape.neutral()), x)

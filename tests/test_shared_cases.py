@@ -112,6 +112,7 @@ def test_the_bump_that_came_with_the_mesh(method):
     assert smallest_corner_ratio(mesh, points) > 0.8
 
 
+@pytest.mark.slow
 def test_flat_faces_that_follow_stay_flat():
     """Nodes on the hull of brick: none is lost, none leaves its face, in spite of the many degenerate simplices."""
     mesh = mesh_of("brick")
