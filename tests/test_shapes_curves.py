@@ -193,6 +193,7 @@ def test_a_planform_twists_and_scales_sections_about_its_axis():
     [
         (lambda: shapes.HicksHenne([0.0, 0.5]), "between 0 and 1"),
         (lambda: shapes.HicksHenne([0.5], 0.0), "above 0"),
+        (lambda: shapes.HicksHenne([0.5, 0.2, 0.5]), "1 of 3 bumps stand twice"),
         (lambda: shapes.HicksHenne([0.5])(AIRFOIL, [0.1, 0.2]), "parameters have shape"),
         (lambda: shapes.HicksHenne([0.5])(wing(), [0.1]), "a chord in 2-D"),
         (lambda: shapes.CST(0), "1 or more"),
@@ -212,7 +213,7 @@ def test_a_planform_twists_and_scales_sections_about_its_axis():
         (lambda: shapes.upper_side(np.column_stack([np.linspace(0, 1, 9), np.zeros(9)])), "two sides"),
         (lambda: shapes.fit_cst(AIRFOIL[::20], 8), "do not tell 10 numbers"),
         (lambda: shapes.fit(shapes.CST(2), AIRFOIL, AIRFOIL[:3]), "row to row"),
-        (lambda: shapes.fit(shapes.CST(2), AIRFOIL, AIRFOIL * np.nan), "121 of `targets` are not finite"),
+        (lambda: shapes.fit(shapes.CST(2), AIRFOIL, AIRFOIL * np.nan), "121 of 121 rows of `targets` are not finite"),
         (lambda: shapes.fit(lambda x, a: x, AIRFOIL, AIRFOIL), "a plain function does not tell"),
         (lambda: shapes.FreeForm([0, 0], np.eye(2), (3, 3)).linked(groups=[[(0, 3)]]), "no control of"),
         (lambda: shapes.FreeForm([0, 0], [[1, 1], [0, 1]], (3, 3)).linked(mirror=0), "along no axis"),

@@ -110,6 +110,24 @@ def test_continuity_joins_the_border(k):
         (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4), degree=4), "count - 1"),
         (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4), continuity=1), "no control"),
         (lambda: shapes.FreeForm.around(np.zeros((5, 2)), (2, 2)), "flat"),
+        (lambda: shapes.FreeForm.around(np.zeros((0, 2)), (2, 2)), "no rows"),
+        (
+            lambda: shapes.FreeForm.around([[0, 0], [np.nan, 1]], (2, 2)),
+            "1 of 2 rows of `points` are not finite, first row 1",
+        ),
+        (lambda: shapes.FreeForm([0, 0], np.eye(2), (2.5, 2)), "whole numbers"),
+        (
+            lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4)).raise_if_outside([[0, 1], [0, 2]]),
+            "1 of 2 .* row 1 at \\(0, 2",
+        ),
+        (
+            lambda: shapes.fit(shapes.FreeForm([0, 0], np.eye(2), (2, 2)), cloud(2) + 9, cloud(2)),
+            "none of 8 parameters",
+        ),
+        (
+            lambda: shapes.fit(shapes.FreeForm([0, 0], np.eye(2), (2, 2)), [[0, 0]], [[0, 1]]).raise_if_singular(),
+            "6 of 8",
+        ),
         (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4))(cloud(3), np.zeros((4, 4, 2))), "in 2-D"),
         (lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4))(cloud(2), np.zeros((4, 4, 3))), "this lattice needs"),
     ],
@@ -172,3 +190,33 @@ def test_points_by_control_points_forward_and_reverse(d):
     cotangent = np.random.default_rng(0).normal(size=mesh.points.shape)
     back = jax.jit(jax.grad(lambda control: jnp.vdot(moved(control), cotangent)))(zero)
     np.testing.assert_allclose(back.ravel(), np.einsum("nd,ndk->k", cotangent, forward), atol=1e-11)
+
+
+@pytest.mark.parametrize("degree", [2, pytest.param(None, marks=pytest.mark.slow)])
+def test_a_child_follows_its_parent(degree):
+    """Exactly where the parent moves affinely, also in a child of the child; alone it is the child, and outside it the parent."""
+    rng, x = np.random.default_rng(5), cloud(2)
+    parent = shapes.FreeForm([-1.2, -1.2], np.diag([2.4, 2.4]), (3, 4))
+    child = shapes.FreeForm([-0.5, -0.6], [[0.9, 0.2], [-0.1, 1.0]], (5, 4), degree=degree, continuity=0)
+    shape = shapes.Child(child, parent)
+    inner = shapes.Child(shapes.FreeForm([-0.2, -0.3], np.eye(2) / 2, (4, 4), degree=2), shape)
+    matrix, shift = rng.normal(size=(2, 2)), rng.normal(size=2)
+    corners, own = np.asarray(parent.lattice()), rng.normal(size=(5, 4, 2))
+    affine = corners @ matrix + shift - corners
+    np.testing.assert_allclose(shape(x, (affine, child.neutral())), x @ matrix + shift, atol=1e-12)
+    np.testing.assert_allclose(
+        inner(x, ((affine, child.neutral()), np.zeros((4, 4, 2)))), x @ matrix + shift, atol=1e-12
+    )
+    np.testing.assert_allclose(shape(x, (parent.neutral(), own)), child(x, own), atol=1e-14)
+    np.testing.assert_allclose(
+        shape.lattice((parent.neutral(), own)), child.lattice(own * child.free[..., None]), atol=1e-14
+    )
+    control = rng.normal(size=(3, 4, 2))
+    inside = np.asarray(child.holds(child.coordinates(jnp.asarray(x))))
+    assert 3 < inside.sum() < len(x) - 3
+    both = shape(x, (control, own))
+    np.testing.assert_array_equal(both[~inside], parent(x, control)[~inside])
+    moved = child.at(x)(own) + shape.at(x)((control, child.neutral()))
+    np.testing.assert_allclose(both[inside], (x + moved)[inside], atol=1e-13)
+    with pytest.raises(ValueError, match="the child needs"):
+        shape(x, (control, control))

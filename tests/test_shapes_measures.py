@@ -142,9 +142,15 @@ def test_a_constrained_optimisation_keeps_the_thickness():
             lambda: shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.5, 0], [3, 0]], [0, 1]),
             "1 of 2 lines miss the body, first row 1",
         ),
-        (lambda: shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "must not be zero"),
+        (lambda: shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "length 0"),
         (lambda: shapes.Stations.on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), "have segments"),
         (lambda: shapes.wall_faces(bricks(), "roof"), "no patch"),
+        (lambda: shapes.area(ELLIPSE, LOOP + 2), f"2 ids of `loop` are no row of {len(ELLIPSE)} positions"),
+        (lambda: shapes.chord(ELLIPSE, -1, 0), "1 ids of `nose` are no row"),
+        (lambda: shapes.area(ELLIPSE, LOOP * 1.0), "array of float64; expected row numbers"),
+        (lambda: shapes.Stations.on(ELLIPSE, SEGMENTS + 1, [[0.5, 0]], [0, 1]), "1 ids of `faces`|2 ids of `faces`"),
+        (lambda: shapes.thickness(ELLIPSE[:5], LINES), "are no row of 5 positions"),
+        (lambda: shapes.thickness(BALL, LINES), "the stations are in 2-D"),
     ],
 )
 def test_bad_input_is_refused(call, message):

@@ -4,6 +4,7 @@ from ._axis import ReferenceAxis as ReferenceAxis
 from ._chain import Chain as Chain
 from ._chain import Function as Function
 from ._chain import OnRows as OnRows
+from ._child import Child as Child
 from ._combine import Linked as Linked
 from ._combine import Part as Part
 from ._combine import Together as Together

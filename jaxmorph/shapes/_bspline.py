@@ -3,7 +3,14 @@
 import math
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
+
+
+def greville(count: int, degree: int) -> Float[np.ndarray, " count"]:
+    """Finds where the control points of t itself stand: the means of `degree` knots each."""
+    knots = np.clip(np.arange(1 - degree, count) / (count - degree), 0, 1)
+    return np.convolve(knots, np.full(degree, 1 / degree), mode="valid")
 
 
 def spans(t: Float[Array, " m"], count: int, degree: int) -> Int[Array, " m"]:

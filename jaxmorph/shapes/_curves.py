@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from . import _bspline
 from ._combine import MatrixOperator
-from ._door import Numbers, positions
+from ._door import Numbers, known_positions, positions
 from ._section import Chord
 from ._shape import AbstractLinearShape, AbstractOperator
 
@@ -26,7 +26,7 @@ class HicksHenne(AbstractLinearShape):
     - `widths`: exponents, one or (k,), above 0; a larger one is narrower.
     - `chord`: where the airfoil lies; from (0, 0) to (1, 0) by default.
 
-    **Raises:** `ValueError` for centres outside of 0 to 1, and widths that are not above 0.
+    **Raises:** `ValueError` for centres outside of 0 to 1, widths that are not above 0, and two bumps alike.
     """
 
     centres: Float[Array, " k"]
@@ -39,6 +39,9 @@ class HicksHenne(AbstractLinearShape):
             raise ValueError(f"`centres` must be (k,) between 0 and 1, got {known}.")
         if np.shape(widths) not in ((), known.shape) or not (np.asarray(widths) > 0).all():
             raise ValueError(f"`widths` must be one number above 0, or {len(known)} of them.")
+        bumps = np.column_stack([known, np.broadcast_to(np.asarray(widths, float), known.shape)])
+        if len(np.unique(bumps, axis=0)) < len(bumps):
+            raise ValueError(f"{len(bumps) - len(np.unique(bumps, axis=0))} of {len(bumps)} bumps stand twice.")
         self.centres, self.widths = jnp.asarray(known), jnp.broadcast_to(jnp.asarray(widths, float), known.shape)
         self.chord = Chord() if chord is None else chord
 
@@ -115,7 +118,7 @@ class BSplineCurve(AbstractLinearShape):
     degree: int = eqx.field(static=True)
 
     def __init__(self, points: Numbers, count: int, degree: int = 3):
-        known = np.asarray(positions(points, "points"))
+        known = known_positions(points, "points")
         steps = np.linalg.norm(np.diff(known, axis=0), axis=1)
         if not 1 <= degree < count:
             raise ValueError(f"a B-spline of degree {degree} with {count} control points: degree is 1 to count - 1.")

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Real
+from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from .._kernels.values import is_known
 
@@ -22,6 +22,32 @@ def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
     if x.ndim != 2 or x.shape[1] not in (2, 3):
         raise ValueError(f"`{name}` has shape {x.shape}; positions have shape (m, 2) or (m, 3).")
     return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))
+
+
+def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
+    """Turns positions that can be read into an array (m, d) of NumPy.
+
+    **Raises:** `ValueError` for another shape, and for positions that are not finite.
+    """
+    known = np.asarray(positions(x, name))
+    bad = np.flatnonzero(~np.isfinite(known).all(axis=1))
+    if len(bad):
+        raise ValueError(f"{len(bad)} of {len(known)} rows of `{name}` are not finite, first row {bad[0]}.")
+    return known
+
+
+def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
+    """Turns ids into row numbers of `count` positions.
+
+    **Raises:** `ValueError` for anything else, with the first such id.
+    """
+    ids = np.asarray(ids)
+    if ids.dtype.kind not in "iu":
+        raise ValueError(f"`{name}` is an array of {ids.dtype}; expected row numbers.")
+    bad = ids[(ids < 0) | (ids >= count)]
+    if bad.size:
+        raise ValueError(f"{bad.size} ids of `{name}` are no row of {count} positions, first {bad[0]}.")
+    return ids
 
 
 def number(name: str, value: Any, like: Array) -> Float[Array, ""]:

@@ -5,15 +5,15 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
+from .._kernels.values import is_known
 from ._combine import Part, Together
 from ._curves import CST
 from ._displacement import neutral
-from ._door import Numbers, positions
+from ._door import Numbers, known_positions, positions
 from ._section import Chord, upper_side
 from ._shape import AbstractLinearShape
 
@@ -31,6 +31,15 @@ class Fit(eqx.Module):
     residual: Float[Array, " m"]
     rank: Int[Array, ""]
     count: int = eqx.field(static=True)
+
+    def raise_if_singular(self) -> None:
+        """Raises `ValueError` where some parameters, or some combinations of them, have no effect on the points."""
+        idle = self.count - int(self.rank)
+        if idle:
+            raise ValueError(
+                f"the fit is singular: {idle} of {self.count} parameters have no effect of their own on these {len(self.residual)} "
+                f"points. Try fewer parameters, or more points."
+            )
 
     @property
     def max_residual(self) -> Float[Array, ""]:
@@ -55,13 +64,15 @@ def fit(
 
     **Returns:** a `Fit`.
 
-    **Raises:** `ValueError` for different shapes, values that are not finite, and no `start` for a function.
+    **Raises:** `ValueError` for different shapes, values that are not finite, no `start` for a function, and parameters of which
+    none moves a point.
     """
     points, targets = positions(points, "points"), positions(targets, "targets")
+    for x, name in ((points, "points"), (targets, "targets")):
+        if is_known(x):
+            known_positions(x, name)
     if points.shape != targets.shape:
         raise ValueError(f"`points` has shape {points.shape}, `targets` {targets.shape}; they belong row to row.")
-    if not np.isfinite(np.asarray(targets)).all():
-        raise ValueError(f"{(~np.isfinite(np.asarray(targets)).all(axis=1)).sum()} of `targets` are not finite.")
     start = neutral(shape) if start is None else start
     flat, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, points.dtype), start))
 
@@ -73,6 +84,10 @@ def fit(
         flat = optimistix.least_squares(miss, solver, flat, max_steps=max_steps, throw=False).value
     jacobian = jax.jacfwd(miss)(flat)
     change, _, rank, _ = jnp.linalg.lstsq(jacobian, -miss(flat))
+    if is_known(rank) and not int(rank):
+        raise ValueError(
+            f"none of {len(flat)} parameters moves one of the {len(points)} points: are they outside the box?"
+        )
     if isinstance(shape, AbstractLinearShape):
         flat = flat + change
     residual = jnp.linalg.norm(miss(flat).reshape(points.shape), axis=1)

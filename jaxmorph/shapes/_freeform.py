@@ -11,7 +11,7 @@ from .._kernels.values import is_known
 from . import _bspline
 from ._blocks import Blocks
 from ._combine import Linked
-from ._door import Numbers, positions
+from ._door import Numbers, known_positions, positions
 from ._lattice import LatticeOperator, Rows
 from ._links import link_matrix
 from ._shape import AbstractLinearShape
@@ -90,6 +90,10 @@ class FreeForm(AbstractLinearShape):
         **Raises:** `ValueError` as the class does, and for points in one plane without a margin.
         """
         points = positions(points, "points")
+        if is_known(points):
+            known_positions(points, "points")
+        if not len(points):
+            raise ValueError("`points` has no rows: there is nothing to put a box around.")
         low, high = points.min(axis=0), points.max(axis=0)
         space = margin * (high - low).max()
         return FreeForm(low - space, jnp.diag(high - low + 2 * space), counts, degree=degree, continuity=continuity)
@@ -143,6 +147,15 @@ class FreeForm(AbstractLinearShape):
         points = t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
         return points if control is None else points + jnp.asarray(control)
 
+    def anchors(self) -> Float[Array, "..."]:
+        """Computes the positions (*counts, d) at which an affine field gives the control displacements that reproduce it.
+
+        They are those of `lattice` for the highest degree, and Greville's abscissae for any other.
+        """
+        shares = [jnp.asarray(_bspline.greville(*each)) for each in zip(self.counts, self.degrees, strict=True)]
+        t = jnp.stack(jnp.meshgrid(*shares, indexing="ij"), axis=-1)
+        return t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
+
     def linked(
         self,
         *,
@@ -182,6 +195,20 @@ class FreeForm(AbstractLinearShape):
             raise ValueError("no control point is left free.")
         return Linked(self, matrix)
 
+    def raise_if_outside(self, x: Numbers) -> None:
+        """Raises where positions (m, d) that the box should hold are outside, and would stay.
+
+        **Raises:** `ValueError` with their number and the first one.
+        """
+        known = known_positions(x)
+        outside = np.flatnonzero(~np.asarray(self.holds(self.coordinates(jnp.asarray(known)))))
+        if len(outside):
+            place = ", ".join(f"{value:.6g}" for value in known[outside[0]])
+            raise ValueError(
+                f"{len(outside)} of {len(known)} positions are outside the box, first row {outside[0]} at ({place}). "
+                "Try a larger box."
+            )
+
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
         """Raises where the box would tear a wall: nodes outside of it stay while the border beside them moves past them.
 
@@ -208,6 +235,8 @@ class FreeForm(AbstractLinearShape):
 
 
 def _checked_counts(counts, degree, d: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    if any(int(count) != count for count in counts):
+        raise ValueError(f"`counts` is {tuple(counts)}; expected whole numbers.")
     counts = tuple(int(count) for count in counts)
     if len(counts) != d or min(counts) < 2:
         raise ValueError(f"`counts` is {counts}; a box in {d}-D needs {d} numbers, 2 or more each.")

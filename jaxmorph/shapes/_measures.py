@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.topology import boundary_faces
 from .._kernels.values import is_known
-from ._door import Numbers, positions, vector
+from ._door import Numbers, positions, rows_of, vector
 
 
 def wall_loop(mesh: Any, patch: str) -> Int[np.ndarray, " k"]:
@@ -129,9 +129,12 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
     - `nose`, `tail`: a node, or several whose mean counts, as for a blunt tail.
 
     **Returns:** a number, in the unit of `x`.
+
+    **Raises:** `ValueError` for nodes that are no rows of `x`.
     """
     x = positions(x)
-    ends = [jnp.mean(x[np.atleast_1d(np.asarray(ids))], axis=0) for ids in (nose, tail)]
+    known = (rows_of(name, ids, len(x)) for name, ids in (("nose", nose), ("tail", tail)))
+    ends = [jnp.mean(x[np.atleast_1d(ids)], axis=0) for ids in known]
     return jnp.linalg.norm(ends[1] - ends[0])
 
 
@@ -166,7 +169,8 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
 
     **Raises:** `ValueError` for a tail that is not in the loop, and for too many nodes.
     """
-    x, loop = positions(x), np.asarray(loop)
+    x = positions(x)
+    loop = rows_of("loop", loop, len(x))
     if tail not in loop or not 1 <= around < len(loop) // 2:
         raise ValueError(
             f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in {len(loop)}."
@@ -199,7 +203,8 @@ def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
     x = positions(x)
     if np.shape(upper) != (2,) or np.shape(lower) != (2,):
         raise ValueError(f"`upper` is {upper}, `lower` {lower}; expected two nodes each, (ahead, at the edge).")
-    a, b = (x[ids[1]] - x[ids[0]] for ids in (np.asarray(upper), np.asarray(lower)))
+    known = (rows_of(name, ids, len(x)) for name, ids in (("upper", upper), ("lower", lower)))
+    a, b = (x[ids[1]] - x[ids[0]] for ids in known)
     return jnp.abs(jnp.arctan2(a[0] * b[1] - a[1] * b[0], a @ b))
 
 
@@ -207,6 +212,7 @@ def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, 
     x, loop = positions(x), np.asarray(loop)
     if x.shape[1] != 2 or loop.ndim != 1 or len(loop) < 3:
         raise ValueError(f"`x` has shape {x.shape} and `loop` {loop.shape}; expected (n, 2) and three nodes or more.")
+    loop = rows_of("loop", loop, len(x))
     return x[loop], x[np.roll(loop, -1)]
 
 
@@ -214,10 +220,11 @@ def _triangles(faces: Any, x: Float[Array, "n d"]) -> Int[np.ndarray, "k 3"]:
     pieces = []
     for ids in faces if isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2 else [faces]:
         ids = np.asarray(ids)
-        if x.shape[1] != 3 or ids.ndim != 2 or ids.shape[1] not in (3, 4) or ids.size == 0 or ids.max() >= len(x):
+        if x.shape[1] != 3 or ids.ndim != 2 or ids.shape[1] not in (3, 4) or ids.size == 0:
             raise ValueError(
                 f"`x` has shape {x.shape}, `faces` {ids.shape}; expected (n, 3) and its rows (k, 3) or (k, 4)."
             )
+        ids = rows_of("faces", ids, len(x))
         pieces += [ids[:, [0, k, k + 1]] for k in range(1, ids.shape[1] - 1)]
     return np.concatenate(pieces)
 

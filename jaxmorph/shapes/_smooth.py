@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from .._host.topology import boundary_faces
-from ._door import Numbers, positions
+from ._door import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, AbstractOperator
 
 
@@ -64,7 +64,7 @@ class Smoother(AbstractLinearShape):
     factor: Factor = eqx.field(static=True)
 
     def __init__(self, points: Numbers, faces: Any, length: float, *, held: Any = ()):
-        known = np.asarray(positions(points, "points"), float)
+        known = known_positions(points, "points").astype(float)
         pieces = _pieces(faces, known)
         if not length >= 0:
             raise ValueError(f"`length` is {length}; it must be 0 or more.")

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._door import Numbers, positions
+from .._kernels.values import is_known
+from ._door import Numbers, known_positions, positions, rows_of
 from ._measures import _triangles
 
 
@@ -38,14 +39,20 @@ class Stations(eqx.Module):
 
         **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
         """
-        x, points = np.asarray(positions(x), float), np.asarray(positions(points, "points"), float)
-        lines = np.broadcast_to(np.asarray(direction, float), points.shape)
-        if x.shape[1] != points.shape[1] or not np.linalg.norm(lines, axis=1).all():
-            raise ValueError(f"`x` has shape {x.shape}, `points` {points.shape}; a direction must not be zero.")
+        x, points = known_positions(x).astype(float), known_positions(points, "points").astype(float)
+        known = np.asarray(direction, float)
+        if x.shape[1] != points.shape[1] or known.shape not in (points.shape, points.shape[1:]):
+            raise ValueError(
+                f"`x` has shape {x.shape}, `points` {points.shape}, `direction` {known.shape}; expected (n, d), (s, d), (d,)."
+            )
+        lines = np.broadcast_to(known, points.shape)
+        if not np.linalg.norm(lines, axis=1).all():
+            raise ValueError("`direction` has length 0; it must be a direction.")
         lines = lines / np.linalg.norm(lines, axis=1)[:, None]
         ids = np.asarray(faces) if x.shape[1] == 2 else _triangles(faces, jnp.asarray(x))
         if ids.ndim != 2 or ids.shape[1] != x.shape[1]:
             raise ValueError(f"`faces` has shape {ids.shape}; walls in 2-D have segments (k, 2).")
+        rows_of("faces", ids, len(x))
         chosen = np.zeros((len(points), 2, x.shape[1]), int)
         missed = []
         for s, (point, line) in enumerate(zip(points, lines, strict=True)):
@@ -71,8 +78,14 @@ def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
     - `stations`: from `Stations.on`.
 
     **Returns:** thickness (s,), in the units of `x`; the faces count as planes, beyond their corners too.
+
+    **Raises:** `ValueError` for positions of another wall: another dimension, or fewer rows than the faces name.
     """
     x = positions(x)
+    if is_known(stations.faces) and x.shape[1] == stations.points.shape[1]:
+        rows_of("stations.faces", stations.faces, len(x))
+    elif x.shape[1] != stations.points.shape[1]:
+        raise ValueError(f"`x` has shape {x.shape}; the stations are in {stations.points.shape[1]}-D.")
     corners = x[stations.faces]
     first, line = (
         corners[:, :, 0],
