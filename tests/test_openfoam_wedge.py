@@ -1,5 +1,7 @@
 """OpenFOAM's axisymmetric cases: a mesh in (x, r), written back to both planes."""
 
+import shutil
+
 import foam
 import numpy as np
 import pytest
@@ -75,3 +77,19 @@ def test_openfoam_takes_a_moved_wedge(pipe, tmp_path):
     u[1, 1] = 0.2
     io.write(tmp_path / "moved", mesh.moved(jm.deform(plan, u)))
     assert foam.verdict(tmp_path / "moved") == foam.verdict(case)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["compressible/rhoCentralFoam/LadenburgJet60psi", "combustion/coldEngineFoam/freePiston"]
+)
+def test_wedges_of_tutorials(name, tmp_path):
+    foam.need_openfoam()
+    case = shutil.copytree(foam.EXAMPLES / name, tmp_path / "case")
+    foam.run(case, "blockMesh")
+    mesh = io.read(case)
+    assert int(jm.quality(mesh).inverted) == 0
+    points, size = np.asarray(mesh.points), np.ptp(mesh.points, axis=0)
+    moved = (points + [[0.05, 0]] * size * np.sin(3 * points / size)) * [1, 1.1]
+    io.write(tmp_path / "moved", mesh.moved(moved))
+    assert foam.verdict(tmp_path / "moved") == foam.verdict(case) == ["Mesh OK."]
