@@ -11,6 +11,8 @@ import stat
 import zlib
 from collections.abc import Iterator
 
+import numpy as np
+
 
 def output_path(path: str | os.PathLike[str], *endings: str) -> pathlib.Path:
     """Checks the name of a file to write, before any work; returns it as a path.
@@ -23,6 +25,27 @@ def output_path(path: str | os.PathLike[str], *endings: str) -> pathlib.Path:
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}.")
     return path
+
+
+def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
+    """Reads the arrays of an NPZ file by name, without objects.
+
+    It raises `ValueError` for a file that is not `what` it should be or is damaged, `OSError` for one that cannot be opened.
+    """
+    with path.open("rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                return {name: archive[name] for name in archive.files}
+        except Exception as error:  # zipfile, zlib and NumPy raise a dozen classes for damage
+            detail = " ".join(str(error).split())[:120]
+            raise ValueError(f"{path}: not {what}, or a damaged one ({type(error).__name__}: {detail}).") from error
+
+
+def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """Returns one of the arrays of a file as floats; raises `ValueError` for one that holds no real numbers."""
+    if arrays[name].dtype.kind not in "fiu":
+        raise ValueError(f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected.")
+    return arrays[name].astype(float)
 
 
 @contextlib.contextmanager

@@ -12,7 +12,6 @@ import json
 import math
 import os
 import pathlib
-import zipfile
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,14 +19,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._host.files import complete
+from .._host.files import complete, read_arrays
 from .halves import SurfaceHalf
 from .known import known_classes
 from .plan import Plan
 
 FORMAT, VERSION = "jaxmorph plan", 3
 _HEADER = "description"
-_DAMAGED = (zipfile.BadZipFile, ValueError, KeyError, TypeError, IndexError, EOFError, AttributeError, RecursionError)
+_DAMAGED = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, OverflowError)
 
 Plans = Plan | SurfaceHalf | Sequence[Any]
 
@@ -76,17 +75,14 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
     for a file that cannot be opened.
     """
     path = pathlib.Path(path)
-    with path.open("rb") as file:
-        try:
-            with np.load(file, allow_pickle=False) as archive:
-                header = json.loads(archive[_HEADER].tobytes())
-                arrays = [archive[str(i)] for i in range(len(archive.files) - 1)]
-            kind, version = header["format"], int(header["version"])
-        except _DAMAGED as error:
-            detail = " ".join(str(error).split())[:120]
-            raise ValueError(
-                f"{path}: not a saved plan, or a damaged one ({type(error).__name__}: {detail})."
-            ) from error
+    members = read_arrays(path, "a saved plan")
+    try:
+        header = json.loads(members[_HEADER].tobytes())
+        arrays = [members[str(i)] for i in range(len(members) - 1)]
+        kind, version = header["format"], int(header["version"])
+    except _DAMAGED as error:
+        detail = " ".join(str(error).split())[:120]
+        raise ValueError(f"{path}: not a saved plan, or a damaged one ({type(error).__name__}: {detail}).") from error
     if kind != FORMAT:
         raise ValueError(f"{path}: not a saved plan; its format is {kind!r}.")
     if version < VERSION:

@@ -13,6 +13,9 @@ from jaxmorph.shapes import FreeForm
 
 NEEDED, OPTIONAL = ("low", "high", "points", "moved"), ("degree", "continuity")
 
+MOST = 10**6
+"""Control points that a box may have."""
+
 
 def read_box(
     source: str | os.PathLike[str] | Mapping[str, Any], dimensions: int
@@ -41,6 +44,8 @@ def read_box(
     counts = _numbers(where, "points", table["points"], d)
     if not (low < high).all() or not (counts >= 2).all() or (counts != np.floor(counts)).any():
         raise ValueError(f"{where}: low must be below high, and points 2 or more whole numbers of control points.")
+    if counts.prod() > MOST:
+        raise ValueError(f"{where}: points = {table['points']} are {counts.prod():.3g} control points; {MOST} at most.")
     options = {name: table[name] for name in OPTIONAL if name in table}
     if any(type(value) is not int for value in options.values()):
         raise ValueError(f"{where}: degree and continuity are whole numbers, found {options}.")

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
+from jaxmorph._host.files import read_arrays, real_array
 
-from ._shape import carried, load_npz, read_shape
+from ._shape import carried, read_shape
 from ._surface import read_surface
 
 SHAPES = (".stl", ".obj")
@@ -63,14 +64,11 @@ def read_displacement(
 
 
 def _arrays(path: pathlib.Path, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-    with load_npz(path) as arrays:
-        names = [name for name in ("displacement", "position") if name in arrays]
-        if len(names) != 1:
-            raise ValueError(
-                f"{path}: one array displacement or position expected, found {', '.join(arrays) or 'none'}."
-            )
-        values = np.asarray(arrays[names[0]], float)
-        ids = np.asarray(arrays["ids"]) if "ids" in arrays else moving
+    arrays = read_arrays(path)
+    names = [name for name in ("displacement", "position") if name in arrays]
+    if len(names) != 1:
+        raise ValueError(f"{path}: one array displacement or position expected, found {', '.join(arrays) or 'none'}.")
+    values, ids = real_array(path, arrays, names[0]), arrays.get("ids", moving)
     if ids.dtype.kind not in "iu" or ids.ndim != 1 or not np.isfinite(values).all():
         raise ValueError(f"{path}: whole numbers as ids (m,), and finite values, expected.")
     if len(np.unique(ids)) < len(ids):

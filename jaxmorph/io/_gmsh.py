@@ -20,6 +20,7 @@ from ._meshio import load, meshio, to_mesh
 from .text.sections import Section, replace
 
 NAME = "gmsh"
+TYPES, CORNERS_OF = meshio.gmsh.common._gmsh_to_meshio_type, meshio._mesh.num_nodes_per_cell
 SPARSE = 1000
 """Largest tag that a file may have, in numbers of nodes."""
 
@@ -38,6 +39,7 @@ def read(path: pathlib.Path) -> Mesh:
     A group without a name is `physical_` and its tag.
     """
     data = path.read_bytes()
+    _check_sections(path, data)
     _check_tags(path, data)
     mesh = load(path, ".msh", meshio.gmsh.read)
     return to_mesh(path, mesh, Source(path, NAME, _GmshContent(data, mesh.points)))
@@ -94,15 +96,86 @@ def _nodes(data: bytes) -> tuple[bytes, bool, int]:
 
     It goes from section to section, for a comment may hold any word. It raises `ValueError` for a file without them.
     """
-    at = data.index(b"$MeshFormat")
-    version, binary, _ = data[at:].split(b"\n", 2)[1].split()
-    while True:
-        at = data.index(b"$", at)
-        end = data.index(b"\n", at)
-        name = data[at + 1 : end].strip()
+    version, is_binary = _format(data)
+    for name, start, _ in _sections(data):
         if name == b"Nodes":
-            return version, binary != b"0", end + 1
-        at = data.index(b"$End" + name, end) + 4 + len(name)
+            return version, is_binary, start
+    raise ValueError("no $Nodes")
+
+
+def _format(data: bytes) -> tuple[bytes, bool]:
+    version, binary, _ = data[data.index(b"$MeshFormat") :].split(b"\n", 2)[1].split()
+    return version, binary != b"0"
+
+
+def _sections(data: bytes) -> Iterator[tuple[bytes, int, int]]:
+    """Yields the name of each section, where its lines begin, and where its `$End...` stands; `ValueError` for one without."""
+    at = data.index(b"$MeshFormat")
+    while (at := data.find(b"$", at)) >= 0:
+        start = data.index(b"\n", at) + 1
+        name = data[at + 1 : start].strip()
+        stop = data.index(b"$End" + name, start)
+        yield name, start, stop
+        at = stop + 4 + len(name)
+
+
+def _check_sections(path: pathlib.Path, data: bytes) -> None:
+    """Raises `ValueError` for sections that hold more or less than they announce: meshio would take them as they come."""
+    try:
+        version, is_binary = _format(data)
+        for name, start, stop in _sections(data):
+            is_text = not is_binary or name == b"PhysicalNames"
+            end = (_end_of_text if is_text else _end_of_binary)(name, version, data, start, stop)
+            if end is not None and (end > stop or data[end:stop].strip()):
+                raise ValueError(f"more or less in ${name.decode(errors='replace')[:40]} than it announces")
+    except (ValueError, IndexError, OverflowError, struct.error) as error:
+        raise ValueError(f"{path}: not a .msh file, or a damaged one ({error}).") from error
+
+
+def _end_of_text(name: bytes, version: bytes, data: bytes, start: int, stop: int) -> int | None:
+    """Finds where the announced lines of a section end; None for a section or version that is not looked at."""
+    rows = {b"PhysicalNames": 1, b"Nodes": 2 if version == b"4.1" else 1, b"Elements": 1}.get(name)
+    if rows is None:
+        return None
+    numbers = [int(word) for word in data[start : data.index(b"\n", start)].split()[:2]]
+    blocks = 0 if name == b"PhysicalNames" or version.startswith(b"2") else numbers.pop(0)
+    wanted = 1 + blocks + rows * numbers[0]
+    if wanted == data.count(b"\n", start, stop):
+        return stop
+    lines = sum(1 for line in data[start:stop].splitlines() if line.strip())
+    if lines != wanted:
+        raise ValueError(f"{lines} lines in ${name.decode()}, {wanted} announced")
+    return stop
+
+
+def _end_of_binary(name: bytes, version: bytes, data: bytes, start: int, stop: int) -> int | None:
+    """Finds where the announced bytes of a section end; None for a section that is not looked at."""
+    if name == b"Nodes":
+        ends = [each.offset + each.strides[0] * each.shape[0] for each, _ in _binary_blocks(data, start, version)]
+        # the rows of version 2 begin with a tag of four bytes, before the coordinates
+        return max(ends) - 4 * version.startswith(b"2") if ends else None
+    if name != b"Elements":
+        return None
+    if version.startswith(b"2"):
+        line = data.index(b"\n", start) + 1
+        at, left, width = line, int(data[start:line]), 4
+    else:
+        left = struct.unpack_from("<Q", data, start + 8)[0]
+        at, width = start + 32, 8
+    while left > 0:
+        if version.startswith(b"2"):
+            kind, count, tags = struct.unpack_from("<3i", data, at)
+            at += 12
+        else:
+            (kind, count), tags = struct.unpack_from("<iQ", data, at + 8), 0
+            at += 20
+        if kind not in TYPES or count < 1 or tags < 0:
+            raise ValueError(f"{count} elements of type {kind} with {tags} tags in $Elements")
+        at += count * width * (1 + tags + CORNERS_OF[TYPES[kind]])
+        left -= count
+    if left or at > stop:
+        raise ValueError("$Elements is cut short")
+    return at
 
 
 def _check_tags(path: pathlib.Path, data: bytes) -> None:
@@ -116,7 +189,7 @@ def _check_tags(path: pathlib.Path, data: bytes) -> None:
             wanted = 4 if version.startswith(b"2") else 1
             rows = section.rows(np.float64)
             tags = rows.values[rows.first[rows.counts == wanted]]
-    except (ValueError, struct.error, TypeError):
+    except (ValueError, OverflowError, struct.error, TypeError):
         return  # meshio tells what is wrong
     if len(tags) and tags.max() > SPARSE * len(tags) + SPARSE**2:
         raise ValueError(f"{path}: node tag {int(tags.max())} of {len(tags)} nodes: a damaged file, or renumber them.")

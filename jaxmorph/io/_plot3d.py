@@ -109,10 +109,15 @@ def _text_layout(numbers: np.ndarray) -> FileLayout | None:
     for d, is_multiple in itertools.product((3, 2), (True, False)):
         shapes = _shapes(numbers[:1] if is_multiple else np.ones(1), numbers[is_multiple:], d)
         start = is_multiple + d * len(shapes)
-        counts = [int(np.prod(shape)) for shape in shapes]
+        counts = np.array([np.prod(shape) for shape in shapes], int)
         for width in (d, d + 1):
             if shapes and start + width * sum(counts) == len(numbers):
                 starts = start + width * (np.cumsum(counts) - counts)
+                blanks = [
+                    numbers[end - count : end] for end, count in zip(starts + width * counts, counts, strict=True)
+                ]
+                if width > d and any((blank != np.floor(blank)).any() for blank in blanks):
+                    continue  # IBLANK is whole numbers
                 return FileLayout(shapes, tuple(starts.tolist()), None)
     return None
 

@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
-from jaxmorph._host.files import complete, output_path
+from jaxmorph._host.files import complete, output_path, read_arrays, real_array
 
-from ._shape import load_npz
 from ._surface import read_table
 from .openfoam.field import is_foam_file, read_point_vectors
 
@@ -66,11 +65,11 @@ def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarr
 
 
 def _arrays(path: pathlib.Path, n: int) -> tuple[np.ndarray, np.ndarray]:
-    with load_npz(path) as arrays:
-        if "sensitivity" not in arrays:
-            raise ValueError(f"{path}: an array sensitivity expected, found {', '.join(arrays) or 'none'}.")
-        values = np.asarray(arrays["sensitivity"], float)
-        ids = np.asarray(arrays["ids"]) if "ids" in arrays else np.arange(len(values))
+    arrays = read_arrays(path)
+    if "sensitivity" not in arrays:
+        raise ValueError(f"{path}: an array sensitivity expected, found {', '.join(arrays) or 'none'}.")
+    values = real_array(path, arrays, "sensitivity")
+    ids = arrays.get("ids", np.arange(len(np.atleast_1d(values))))
     if ids.dtype.kind not in "iu" or ids.ndim != 1:
         raise ValueError(f"{path}: ids must be whole numbers (n,), found {ids.dtype} of shape {ids.shape}.")
     return ids, values

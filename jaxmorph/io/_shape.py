@@ -3,10 +3,11 @@
 import dataclasses
 import pathlib
 import re
-from typing import Any
 
 import numpy as np
 from scipy import spatial
+
+from jaxmorph._host.files import read_arrays, real_array
 
 from .text.sections import parse, scan
 
@@ -87,22 +88,17 @@ def _chains(ids: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 
 def _npz(path: pathlib.Path) -> Shape:
-    with load_npz(path) as arrays:
-        kind = next((name for name in ("triangles", "lines") if name in arrays), None)
-        if kind is None or "points" not in arrays:
-            raise ValueError(
-                f"{path}: arrays points, and triangles or lines, expected; found {', '.join(arrays) or 'none'}."
-            )
-        return Shape(np.asarray(arrays["points"], float), np.asarray(arrays[kind]).astype(np.int64))
-
-
-def load_npz(path: pathlib.Path) -> Any:
-    """Opens the arrays of an NPZ file, without objects; raises `ValueError` for a file that is none."""
-    path.open("rb").close()
-    try:
-        return np.load(path, allow_pickle=False)
-    except Exception as error:
-        raise ValueError(f"{path}: not an NPZ file, or a damaged one ({error}).") from error
+    arrays = read_arrays(path)
+    kind = next((name for name in ("triangles", "lines") if name in arrays), None)
+    if kind is None or "points" not in arrays:
+        raise ValueError(
+            f"{path}: arrays points, and triangles or lines, expected; found {', '.join(arrays) or 'none'}."
+        )
+    corners = 3 if kind == "triangles" else 2
+    if arrays[kind].dtype.kind not in "iu" or arrays[kind].ndim != 2 or arrays[kind].shape[1] != corners:
+        given = f"{arrays[kind].dtype} of shape {arrays[kind].shape}"
+        raise ValueError(f"{path}: {kind} must be whole numbers (k, {corners}), found {given}.")
+    return Shape(real_array(path, arrays, "points"), arrays[kind].astype(np.int64))
 
 
 def carried(before: Shape, values: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,7 @@
 """VTK's unstructured grids, XML (.vtu) and legacy (.vtk), through meshio."""
 
 import pathlib
+from xml.etree import ElementTree
 
 from jaxmorph import Mesh
 
@@ -18,10 +19,32 @@ def read(path: pathlib.Path) -> Mesh:
     reader = meshio.vtu.read if path.suffix.lower() == ".vtu" else meshio.vtk.read
     mesh = load(path, path.suffix.lower(), reader)
     if reader is meshio.vtk.read:
-        last = path.read_bytes().rstrip().rpartition(b"\n")[2]
+        data = path.read_bytes()
+        last = data.rstrip().rpartition(b"\n")[2]
         if last.startswith((b"POINT_DATA", b"CELL_DATA", b"FIELD")):
             raise ValueError(f"{path}: the file ends after {last.decode()!r}: it is cut short.")
+        types = max(data.find(b"\nCELL_TYPES"), 0)
+        places = [data.find(word, types) for word in (b"\nFIELD", b"\nPOINT_DATA", b"\nCELL_DATA")]
+        if places[0] >= 0 and not any(0 <= place < places[0] for place in places[1:]):
+            raise ValueError(f"{path}: FIELD after CELL_TYPES, but neither POINT_DATA nor CELL_DATA before it.")
+    elif b'"ascii"' in path.read_bytes():
+        _check_counts(path)
     return to_mesh(path, mesh, Source(path, NAME, mesh))
+
+
+def _check_counts(path: pathlib.Path) -> None:
+    """Raises `ValueError` for lists of points or cells in text that hold more or less than announced."""
+    for piece in ElementTree.parse(path).iter("Piece"):
+        values = {}
+        for array in [*piece.iterfind("Points/DataArray"), *piece.iterfind("Cells/DataArray")]:
+            if array.get("format") == "ascii":
+                values[array.get("Name", "Points").lower()] = (array.text or "").split()
+        points, cells = int(piece.get("NumberOfPoints", 0)), int(piece.get("NumberOfCells", 0))
+        wanted = {"points": 3 * points, "offsets": cells, "types": cells}
+        wanted["connectivity"] = int((values.get("offsets") or ["0"])[-1])
+        for name, count in wanted.items():
+            if name in values and len(values[name]) != count:
+                raise ValueError(f"{path}: {len(values[name])} numbers in {name}, {count} expected.")
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:

@@ -1,0 +1,200 @@
+"""Small good files of every format, in every form: what the fuzzers damage."""
+
+import gzip
+import itertools
+import pathlib
+import struct
+import sys
+from collections.abc import Callable
+
+import numpy as np
+
+sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
+
+import cgns
+import foam
+import h5py
+import meshio
+from small import bricks
+from test_cgns import polyhedral
+from test_openfoam import PATCHES, mixed, split, strip
+from test_plot3d import box
+from test_plot3d import write as write_plot3d
+
+import jaxmorph as jm
+from jaxmorph import io
+
+Seed = tuple[Callable, pathlib.Path, list[pathlib.Path]]
+"""A reader of one argument, the path that it is given, and the files below it that are damaged."""
+
+
+def mesh_3d() -> jm.Mesh:
+    points, _ = mixed()
+    cells = {
+        "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]],
+        "wedge": [[1, 8, 2, 5, 9, 6]],
+        "pyramid": [[4, 5, 6, 7, 10]],
+        "tetra": [[6, 11, 7, 10]],
+    }
+    return jm.Mesh(points, cells, {"floor": [0, 1, 2, 3], "side": [0, 3, 4, 7]})
+
+
+def single(path: pathlib.Path, reader: Callable = io.read) -> Seed:
+    return reader, path, [path]
+
+
+def su2(folder: pathlib.Path) -> list[Seed]:
+    io.write(folder / "a.su2", mesh_3d())
+    text = (folder / "a.su2").read_text()
+    (folder / "b.su2").write_text(f"% a comment\n{text}")
+    return [single(folder / "a.su2"), single(folder / "b.su2")]
+
+
+def vtk(folder: pathlib.Path) -> list[Seed]:
+    io.write(folder / "a.vtu", mesh_3d())
+    io.write(folder / "a.vtk", mesh_3d())
+    plain = mesh_3d().to_meshio()
+    meshio.vtu.write(str(folder / "b.vtu"), plain, binary=False)
+    meshio.vtk.write(str(folder / "b.vtk"), plain, binary=False)
+    return [single(folder / name) for name in ("a.vtu", "a.vtk", "b.vtu", "b.vtk")]
+
+
+def single_type():
+    mesh = bricks(2)
+    return np.asarray(mesh.points), [("hexahedron", np.asarray(mesh.cells["hexahedron"]))]
+
+
+def gmsh(folder: pathlib.Path) -> list[Seed]:
+    io.write(folder / "a.msh", mesh_3d())
+    mesh = meshio.gmsh.read(str(folder / "a.msh"))
+    meshio.gmsh.write(str(folder / "b.msh"), mesh, fmt_version="2.2", binary=False)
+    mesh = meshio.Mesh(*single_type())
+    for name, binary in (("c.msh", True), ("d.msh", False)):
+        meshio.gmsh.write(str(folder / name), mesh, fmt_version="4.1", binary=binary)
+    return [single(folder / f"{name}.msh") for name in "abcd"]
+
+
+def cgns_files(folder: pathlib.Path) -> list[Seed]:
+    polyhedral(folder / "a.cgns")
+    mesh = bricks(2)
+    with h5py.File(folder / "b.cgns", "w") as file:
+        base = cgns.base(file, 3, 3)
+        corners = np.asarray(mesh.cells["hexahedron"]) + 1
+        zone = cgns.zone(base, "box", tuple(np.asarray(mesh.points).T), len(corners))
+        cgns.elements(zone, "cells", 17, corners, 1, len(corners))
+    return [single(folder / f"{name}.cgns") for name in "ab"]
+
+
+def plot3d(folder: pathlib.Path) -> list[Seed]:
+    seeds = []
+    for k, (form, order) in enumerate(itertools.product(("text", "records", "plain"), "<>")):
+        write_plot3d(folder / f"{k}.xyz", [block + 0.123 for block in box(3, 2, 4)], form, order)
+        seeds.append(single(folder / f"{k}.xyz"))
+    beside = folder / "0.xyz.patches"
+    beside.write_text("wall 1 kmin # a comment\nfar 2 1 2 1 1 1 3\n")
+    return [*seeds, (io.read, folder / "0.xyz", [beside])]
+
+
+def openfoam(folder: pathlib.Path) -> list[Seed]:
+    seeds = []
+    for name, form in foam.FORMS.items():
+        for make in (mixed, split):
+            foam.write_case(folder / f"{name}-{make.__name__}", *make(), PATCHES, form)
+    points, cells, patches = strip(2, around=5)
+    foam.write_case(folder / "plane", points, cells, patches)
+    for case in sorted(folder.iterdir()):
+        seeds.append((io.read, case, sorted((case / "constant" / "polyMesh").iterdir())))
+    return seeds
+
+
+def tables(folder: pathlib.Path) -> list[Seed]:
+    mesh = bricks(2)
+    nodes, rng = mesh.patch("floor"), np.random.default_rng(0)
+    values = rng.normal(size=(len(nodes), 3))
+
+    def displacement(path: pathlib.Path) -> np.ndarray:
+        return io.read_displacement(path, mesh, nodes)
+
+    def sensitivity(path: pathlib.Path) -> np.ndarray:
+        return io.read_sensitivity(path, mesh)
+
+    np.savez(folder / "a.npz", displacement=values, ids=nodes)
+    np.savez_compressed(folder / "b.npz", position=values)
+    rows = "".join(f"{node} {x!r} {y!r} {z!r}\n" for node, (x, y, z) in zip(nodes, values.tolist(), strict=True))
+    (folder / "a.dat").write_text(rows)
+    (folder / "a.csv").write_text("id,x,y,z\n" + rows.replace(" ", ","))
+    every = rng.normal(size=np.shape(mesh.points))
+    io.write_sensitivity(folder / "s.csv", np.arange(len(every)), every)
+    io.write_sensitivity(folder / "s.npz", np.arange(len(every)), every)
+    return [
+        *(single(folder / name, displacement) for name in ("a.npz", "b.npz", "a.dat", "a.csv")),
+        *(single(folder / name, sensitivity) for name in ("s.csv", "s.npz")),
+    ]
+
+
+def surfaces(folder: pathlib.Path) -> list[Seed]:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    mesh = jm.Mesh(corners, {"quad": [[0, 1, 2, 3]]})
+
+    def between(path: pathlib.Path) -> np.ndarray:
+        return io.read_displacement(path, mesh, np.arange(4), before=path)
+
+    vertices = "".join(f"v {x} {y} {z}\n" for x, y, z in corners.tolist())
+    (folder / "a.obj").write_text(vertices + "f 1 2 3\nf 1/1 3/2 4/3\n")
+    np.savez(folder / "a.npz", points=corners, triangles=triangles)
+    facets = b"".join(struct.pack("<12fH", 0, 0, 1, *corners[t].ravel().tolist(), 0) for t in triangles)
+    (folder / "a.stl").write_bytes(b" " * 80 + struct.pack("<I", 2) + facets)
+    words = "".join(
+        "facet normal 0 0 1\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in corners[t].tolist())
+        + "endloop\nendfacet\n"
+        for t in triangles
+    )
+    (folder / "b.stl").write_text(f"solid a\n{words}endsolid a\n")
+    return [single(folder / name, between) for name in ("a.obj", "a.npz", "a.stl", "b.stl")]
+
+
+def plans(folder: pathlib.Path) -> list[Seed]:
+    mesh = bricks(2)
+    top = np.flatnonzero(np.asarray(mesh.points)[:, 2] == 1)
+    jm.save(folder / "a.npz", jm.prepare(np.asarray(mesh.points), mesh.patch("floor"), top))
+    return [single(folder / "a.npz", jm.load)]
+
+
+def boxes(folder: pathlib.Path) -> list[Seed]:
+    text = "low = [0, 0.5]\nhigh = [1.0, 2]\npoints = [4, 3]\n[[moved]]\nat = [1, 1]\nby = [0.25, -1e-1]\n"
+    (folder / "a.toml").write_text(text)
+    return [single(folder / "a.toml", lambda path: io.read_box(path, 2)[1])]
+
+
+def fields(folder: pathlib.Path) -> list[Seed]:
+    seeds = []
+    for name in ("ascii", "binary", "ascii-gz"):
+        foam.write_case(folder / name, *mixed(), PATCHES, foam.FORMS[name])
+        mesh = io.read(folder / name)
+        path = folder / name / "1" / "pointSensVec"
+        foam.write_point_vectors(path, np.random.default_rng(0).normal(size=(12, 3)), foam.FORMS[name])
+        path = path if path.is_file() else path.with_name("pointSensVec.gz")
+        seeds.append(single(path, lambda path, mesh=mesh: io.read_sensitivity(path, mesh)))
+    return seeds
+
+
+FORMATS = {
+    "SU2": su2,
+    "VTK": vtk,
+    "gmsh": gmsh,
+    "CGNS": cgns_files,
+    "PLOT3D": plot3d,
+    "OpenFOAM": openfoam,
+    "tables": tables,
+    "surfaces": surfaces,
+    "plans": plans,
+    "boxes": boxes,
+    "fields": fields,
+}
+
+
+def unpacked(path: pathlib.Path, data: bytes) -> bytes:
+    """The text inside of a packed file."""
+    return gzip.decompress(data) if path.suffix == ".gz" else data

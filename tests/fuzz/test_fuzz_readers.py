@@ -1,0 +1,44 @@
+"""Damaged files of every format: the right mesh, or a ValueError that names the file, in bounded time and memory.
+
+JAXMORPH_FUZZ is the number of damaged files a format (200 by default; `.ci/run` takes 2,000), JAXMORPH_FUZZ_SEED another
+series of them. `python tests/fuzz/child.py FORMAT SEED K K+1 FOLDER` does number K again.
+"""
+
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+
+import pytest
+
+HERE = pathlib.Path(__file__).parent
+COUNT, SEED = int(os.environ.get("JAXMORPH_FUZZ", "200")), int(os.environ.get("JAXMORPH_FUZZ_SEED", "0"))
+FORMATS = ("SU2", "VTK", "gmsh", "CGNS", "PLOT3D", "OpenFOAM", "tables", "surfaces", "plans", "boxes", "fields")
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not pathlib.Path("/proc/self/clear_refs").exists(), reason="memory is read as Linux tells it"),
+]
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_damaged_files_are_read_right_or_refused(tmp_path, name):
+    at, faults, rounds = 0, [], 0
+    while at < COUNT:
+        folder = tmp_path / str(rounds)
+        folder.mkdir()
+        words = [sys.executable, str(HERE / "child.py"), name, str(SEED), str(at), str(COUNT), str(folder)]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
+        done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
+        lines = done.stdout.splitlines()
+        faults += [line for line in lines if line.startswith("{")]
+        if done.returncode == 0:
+            break
+        begun = [int(line[3:]) for line in lines if line.startswith("at ")]
+        assert begun, done.stderr[-2000:]
+        how = signal.Signals(-done.returncode).name if done.returncode < 0 else done.stderr[-500:]
+        faults.append(json.dumps({"mutation": begun[-1], "fault": f"the process ended: {how}"}))
+        at, rounds = begun[-1] + 1, rounds + 1
+    assert not faults, f"{len(faults)} of {COUNT}\n" + "\n".join(faults[:40])
