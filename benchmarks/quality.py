@@ -1,4 +1,4 @@
-"""CPU seconds of `quality` called directly, the first time and again, and under `jit`.
+"""CPU seconds of `quality` called directly, the first time and again, and under `jit`; of its gradient, and of `inverted`.
 
 python benchmarks/quality.py [--hexahedra 100000] [--quads 8000]
 """
@@ -35,8 +35,18 @@ def measure(name: str, mesh: jm.Mesh) -> None:
     placed = jnp.asarray(moved)
     _, first, _ = once(direct)
     _, compiled, _ = once(lambda: traced(placed))
-    again = cpu_seconds({"direct": direct, "jit": lambda: traced(placed)}, repeats=5)
-    row = (first, again["direct"], compiled, again["jit"])
+    gradient = jax.jit(jax.grad(lambda points: jnp.sum(jm.quality(mesh, points).skewness)))
+    flags = jax.jit(lambda points: jm.inverted(mesh, points))
+    once(lambda: gradient(placed))
+    once(lambda: flags(placed))
+    calls = {
+        "direct": direct,
+        "jit": lambda: traced(placed),
+        "gradient": lambda: gradient(placed),
+        "inverted": lambda: flags(placed),
+    }
+    again = cpu_seconds(calls, repeats=5)
+    row = (first, again["direct"], compiled, again["jit"], again["gradient"], again["inverted"])
     ratio = f"{compiled / first:.1f} | {again['jit'] / again['direct']:.2f}"
     print(
         f"| {next(iter(mesh.cells.values())).shape[0]} {name} | "
@@ -52,7 +62,9 @@ if __name__ == "__main__":
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     about(hexahedra=arguments.hexahedra, quads=arguments.quads)
-    print("| cells | direct, first | again | jit, first | again | jit over direct, first | again |")
-    print("|---|---|---|---|---|---|---|")
+    print(
+        "| cells | direct, first | again | jit, first | again | gradient | inverted | jit over direct, first | again |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
     measure("quads", grid(round(arguments.quads ** (1 / 2)), 2))
     measure("hexahedra", grid(round(arguments.hexahedra ** (1 / 3)), 3))

@@ -90,6 +90,7 @@ from ._plan.velocity import velocity as velocity
 from ._quality.distortion import distortion as distortion
 from ._quality.faces import FaceQuality as FaceQuality
 from ._quality.faces import face_quality as face_quality
+from ._quality.quality import inverted as inverted
 from ._quality.quality import quality as quality
 from ._quality.report import QualityReport as QualityReport
 from ._quality.smooth import soft_maximum as soft_maximum

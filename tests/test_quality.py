@@ -572,3 +572,21 @@ def test_wrong_arguments():
         jm.quality(jm.Mesh(points))
     with pytest.raises(ValueError, match=r"\(9, 3\); this mesh has \(9, 2\)"):
         jm.quality(jm.Mesh(points, {"quad": cells}), np.zeros((9, 3)))
+
+
+@pytest.mark.parametrize("kind", ["quad", "hexahedron", "tetra", "wedge"])
+def test_flags_alone_are_those_of_the_report(kind):
+    mesh = scattered(kind, count=300)
+    points = mesh.points + np.random.default_rng(4).normal(0, 0.3, mesh.points.shape)
+    expected = np.asarray(jm.quality(mesh, points).is_inverted)
+    assert 0 < expected.sum() < 300
+    np.testing.assert_array_equal(jm.inverted(mesh, points), expected)
+
+
+@pytest.mark.slow
+def test_flags_alone_in_a_jit():
+    mesh = scattered("hexahedron", count=300)
+    points = mesh.points + np.random.default_rng(4).normal(0, 0.3, mesh.points.shape)
+    np.testing.assert_array_equal(jax.jit(lambda x: jm.inverted(mesh, x))(points), jm.inverted(mesh, points))
+    with pytest.raises(ValueError, match="this mesh has"):
+        jm.inverted(mesh, points[:-1])
