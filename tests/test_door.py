@@ -179,6 +179,56 @@ MISTAKES = {
 }
 
 
+U = np.zeros((24, 2))
+NONSENSE = {
+    "u of objects": (lambda plan, _: jm.deform(plan, U.astype(object)), "deform was given an array of object; real"),
+    "u of words": (lambda plan, _: jm.deform(plan, U.astype(str)), "deform was given an array of <U"),
+    "u of a complex step": (lambda plan, _: jm.deform(plan, U + 1e-30j), r"`u` holds complex128; .* \(24, 2\)"),
+    "a cotangent of words": (
+        lambda plan, _: jm.pullback(plan, U, np.asarray(MESH.points).astype(str)),
+        "pullback was given an array of <U",
+    ),
+    "points without end": (
+        lambda *_: jm.prepare(np.asarray(MESH.points) * 1e300, MESH.patch("body"), MESH.patch("far")),
+        r"168 of 168 points are too far out for float64, first node 0 at .*e\+299: volumes overflow",
+    ),
+    "a device twice": (
+        lambda plan, _: jm.shard(plan, jax.devices()[:1] * 2),
+        r"`devices` has .* more than once, among 2",
+    ),
+    "no device": (lambda plan, _: jm.shard(plan, []), "`devices` is empty"),
+    "complex arrays": (
+        lambda _, folder: jm.io.write(folder / "a.vtu", MESH, point_data={"a": np.ones(168, complex)}),
+        "array 'a' holds complex128; files hold real numbers",
+    ),
+    "words as an array": (
+        lambda _, folder: jm.io.write(folder / "a.vtu", MESH, point_data={"a": np.full(168, "x")}),
+        "array 'a' holds <U1",
+    ),
+    "a folder that is missing": (
+        lambda _, folder: jm.io.write(folder / "no" / "a.su2", MESH),
+        r"no/a\.su2: there is no folder",
+    ),
+    "no plans": (lambda *_: jm.replay((), np.zeros((0, 24, 2))), "`plans` is empty"),
+    "no motions": (lambda *_: jm.choose(MESH, "body", "far", []), r"`motions` has shape \(0,\)"),
+}
+
+
+@pytest.mark.parametrize("case", NONSENSE)
+def test_nonsense_is_answered_by_what_was_given(tmp_path, case):
+    call, words = NONSENSE[case]
+    plan = jm.prepare(np.asarray(MESH.points), MESH.patch("body"), MESH.patch("far"), method=jm.InverseDistance())
+    with pytest.raises(ValueError, match=words):
+        call(plan, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_plan_saved_into_no_folder_names_its_file(tmp_path):
+    plan = jm.prepare(np.asarray(MESH.points), MESH.patch("body"), MESH.patch("far"), method=jm.InverseDistance())
+    with pytest.raises(FileNotFoundError, match=r"no/a\.npz: there is no folder"):
+        jm.save(tmp_path / "no" / "a.npz", plan)
+
+
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_first_mistakes(mistake):
     call, words = MISTAKES[mistake]

@@ -74,6 +74,8 @@ def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -
             if values.ndim not in (1, 2) or len(values) != rows:
                 message = f"array {name!r} has shape {values.shape}; expected one row for each of {rows} {what}."
                 raise ValueError(message)
+            if values.dtype.kind not in "biuf":
+                raise ValueError(f"array {name!r} holds {values.dtype}; files hold real numbers.")
             if values.ndim == 2 and values.shape[1] == 2:
                 both[-1][name] = np.column_stack([values, np.zeros(rows, values.dtype)])
     for name, nodes in mesh.patches.items():

@@ -25,6 +25,9 @@ class Layout:
     def over(devices: Sequence[Any], count: int) -> "Layout":
         if len(devices) == 0:
             raise ValueError("`devices` is empty: pass jax.devices(), or some of them.")
+        if len(set(devices)) < len(devices):
+            twice = next(each for each in devices if list(devices).count(each) > 1)
+            raise ValueError(f"`devices` has {twice} more than once, among {len(devices)}: pass each device once.")
         return Layout(Mesh(np.array(devices), (AXIS,)), count)
 
     @property

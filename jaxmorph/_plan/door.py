@@ -159,6 +159,14 @@ def checked_points(points: Any) -> np.ndarray:
         raise MeshError(
             f"{(~finite).sum()} of {len(array)} points are not finite, first node {{node}}.", np.flatnonzero(~finite)
         )
+    size = np.abs(array).max(axis=1, initial=0)
+    far = np.flatnonzero(size > np.finfo(array.dtype).max ** (1 / 3))
+    if len(far):
+        raise MeshError(
+            f"{len(far)} of {len(array)} points are too far out for {array.dtype}, first node {{node}} at {size[far[0]]:.3g}: "
+            "volumes overflow. Choose another unit of length.",
+            far,
+        )
     return array
 
 
