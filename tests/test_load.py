@@ -1,0 +1,42 @@
+"""A thousand motions and adjoints through one plan: no growth, no compilation, the same bits."""
+
+import os
+import pathlib
+
+import jax
+import numpy as np
+import pytest
+from small import bricks
+
+import jaxmorph as jm
+
+pytestmark = pytest.mark.slow
+
+
+def resident():
+    return int(pathlib.Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/statm").exists(), reason="memory is read as Linux tells it")
+def test_a_thousand_calls_leave_nothing_behind():
+    mesh = bricks(8)
+    points = np.asarray(mesh.points)
+    plan = jm.prepare(points, mesh.patch("floor"), np.flatnonzero(points[:, 2] == 1))
+    rng = np.random.default_rng(0)
+    u, cotangent = 0.01 * rng.normal(size=(plan.n_moving, 3)), rng.normal(size=points.shape)
+
+    def both():
+        return np.asarray(jm.deform(plan, u)), np.asarray(jm.pullback(plan, u, cotangent))
+
+    for _ in range(20):
+        first = both()
+    compiled, before = [], resident()
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: compiled.append(name) if "backend_compile" in name else None
+    )
+    for _ in range(1000):
+        again = both()
+    assert not compiled
+    assert resident() - before < 20e6
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
