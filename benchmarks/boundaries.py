@@ -30,26 +30,6 @@ def block(cells: int = 25) -> jm.Mesh:
     return jm.Mesh(points, {"quad": quads.reshape(-1, 4)}, patches)
 
 
-def tip(layers: int = 5, gap: float = 0.01) -> jm.Mesh:
-    """Makes bricks between a blade's tip, a plate of 0.5 by 0.2 at radius 2 - gap, and a shroud at radius 2 about x."""
-    x, angle = np.linspace(-1, 1, 25), np.linspace(-0.4, 0.4, 25)
-    r = np.concatenate([np.linspace(1, 2 - gap, 13), 2 - gap + gap * np.arange(1, layers + 1) / layers])
-    r, angle, x = np.meshgrid(r, angle, x, indexing="ij")
-    points = np.stack([x, r * np.sin(angle), r * np.cos(angle)], axis=-1).reshape(-1, 3)
-    ids = np.arange(r.size).reshape(r.shape)
-    low = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
-    cells = np.stack([each[..., :-1] for each in low] + [each[..., 1:] for each in low], axis=-1).reshape(-1, 8)
-    middle = np.stack([each.ravel()[cells].mean(axis=1) for each in (x, angle, r)], axis=1)
-    cells = cells[~((np.abs(middle[:, 0]) < 0.25) & (np.abs(middle[:, 1]) < 0.05) & (middle[:, 2] < 2 - gap))]
-    used, cells = np.unique(cells, return_inverse=True)
-    points, x, angle, r = points[used], *(each.ravel()[used] for each in (x, angle, r))
-    close = 1e-9
-    blade = (np.abs(x) <= 0.25 + close) & (np.abs(angle) <= 0.4 / 6 + close) & (r <= 2 - gap + close)
-    patches = {"blade": blade, "shroud": r == r.max(), "hub": (r == 1) & ~blade}
-    patches |= {"inlet": x == -1, "outlet": x == 1, "left": angle == angle.min(), "right": angle == angle.max()}
-    return jm.Mesh(points, {"hexahedron": cells.reshape(-1, 8)}, {k: np.flatnonzero(v) for k, v in patches.items()})
-
-
 def judge(name: str, mesh: jm.Mesh, plan: jm.Plan, motion: Callable[[float], np.ndarray], angle: float, step: float):
     """Prints how the mesh fares at an angle, and from which angle on cells are inverted."""
     report = jm.quality(mesh, jm.deform(plan, motion(angle)))
@@ -88,7 +68,7 @@ def main() -> None:
         plan = jm.prepare(passage, "blade", ends, periodic=pair, method=method)
         judge(f"cascade, sides repeat{kind}", passage, plan, pitched, 15, 1)
 
-    stage = tip()
+    stage = cases.blade_tip()
     nodes = np.asarray(stage.points)[stage.patch("blade")]
 
     def twisted(degrees):

@@ -54,16 +54,11 @@ def crossings(mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings |
 
     Faces with a node that is not among them are left out. It returns None for a mesh whose boundary faces are not known.
     """
-    outer = outer_faces(mesh)
-    if outer is None:
+    cut = simplices(mesh, nodes)
+    if cut is None:
         return None
+    faces, ids = cut
     points = np.asarray(mesh.points, dtype=float)
-    rows = np.full(len(points), -1)
-    rows[nodes] = np.arange(len(nodes))
-    parts = [(_simplices(rows[corners]), outer.ids[kind]) for kind, corners in outer.corners.items()]
-    faces, ids = np.concatenate([each for each, _ in parts]), np.concatenate([_repeated(*part) for part in parts])
-    known = (faces >= 0).all(axis=1)
-    faces, ids = faces[known], ids[known]
     before = points[nodes]
     together = _together(before, SAME * np.ptp(points, axis=0).max())
     pairs, places = crossing_faces(before, before + vectors, faces, together)
@@ -71,6 +66,22 @@ def crossings(mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings |
     pairs, places = pairs[single], places[single]
     first, second = (_names(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
     return Crossings(nodes[faces[pairs, 0]], tuple(zip(first, second, strict=True)), places)
+
+
+def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes` seen from outside; None without faces.
+
+    It also returns the number (f,) of the file's face that each is a part of.
+    """
+    outer = outer_faces(mesh)
+    if outer is None:
+        return None
+    rows = np.full(len(mesh.points), -1)
+    rows[nodes] = np.arange(len(nodes))
+    parts = [(_simplices(rows[corners]), outer.ids[kind]) for kind, corners in outer.corners.items()]
+    faces, ids = np.concatenate([each for each, _ in parts]), np.concatenate([_repeated(*part) for part in parts])
+    known = (faces >= 0).all(axis=1)
+    return faces[known], ids[known]
 
 
 def _simplices(corners: np.ndarray) -> np.ndarray:

@@ -9,12 +9,14 @@ import scipy.spatial
 from jaxtyping import ArrayLike, Integer, Real
 
 from .._host.errors import MeshError
+from .._host.gaps import share_left
 from .._host.skin import edges
+from .._host.walls import walls
 from .._mesh.mesh import Mesh
 from .._methods.fitted import FittedRBF
 from .._plan.judge import ended, ends
 from .._plan.plan import Plan
-from .crossings import Crossings, crossings
+from .crossings import Crossings, crossings, simplices
 from .overshoot import overshoot
 
 PUT_BACK = 0.01
@@ -22,6 +24,13 @@ PUT_BACK = 0.01
 
 STEEP = 0.5
 """Slope of a displacement along the wall from which on a fitted field strains cells noticeably more."""
+
+
+TOUCHING = 1e-9
+"""Distance of a node from another wall, relative to the surface's extent, at which there is no gap."""
+
+NARROW = 0.2
+"""Share of a gap, left after a motion, below which one step folds cells in it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +54,9 @@ class Inspection:
     - `put_back_by`: the largest of these changes.
     - `ended`: sliding nodes (k,) that come to the end of their surface.
     - `ended_at`: where these are then (k, d).
+    - `gap_left`: the share of its gap to another wall that is left to the node that loses most of it. It is 1 and more if no
+      gap becomes smaller, as of walls that slide along each other; None without a mesh, and of one wall alone.
+    - `gap_node`: that node.
     """
 
     offset: float
@@ -61,6 +73,8 @@ class Inspection:
     put_back_by: float = 0.0
     ended: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
     ended_at: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
+    gap_left: float | None = None
+    gap_node: int | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -91,7 +105,20 @@ class Inspection:
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """One sentence for another method that may do better."""
+        """One sentence for another method, or for more steps, that may do better."""
+        return (*self._narrow, *self._steep)
+
+    @property
+    def _narrow(self) -> tuple[str, ...]:
+        if self.gap_left is None or self.gap_left >= NARROW:
+            return ()
+        return (
+            f"{100 * self.gap_left:.2g} % of the gap between node {self.gap_node} and another wall is left. Go there in several "
+            "steps, each of which leaves half of it or more: `march(plan, path, rebuild=True)`.",
+        )
+
+    @property
+    def _steep(self) -> tuple[str, ...]:
         if not self.is_fitted or self.slope <= STEEP:
             return ()
         return (
@@ -106,6 +133,18 @@ class Inspection:
         node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
         kept = {"put_back": ids[self.put_back], "ended": ids[self.ended]}
         return dataclasses.replace(self, offset_node=node, contradictions=pairs, **kept)
+
+    def with_faces(self, mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int) -> "Inspection":
+        """Returns the same with what needs faces: the mesh's `nodes` (o,) move by `vectors` (o, d), the first `moving` given."""
+        crossed, left, node = crossings(mesh, nodes, vectors), None, None
+        cut = simplices(mesh, nodes)
+        if cut is not None and len(cut[0]):
+            before = np.asarray(mesh.points, dtype=float)[nodes]
+            wall = walls(before, moving, {"simplex": cut[0]})
+            share = share_left(before, before + vectors, wall, cut[0], TOUCHING * np.ptp(before, axis=0).max())
+            if np.isfinite(share).any():
+                left, node = float(share.min()), int(nodes[share.argmin()])
+        return dataclasses.replace(self, crossings=crossed, gap_left=left, gap_node=node)
 
     def __str__(self) -> str:
         """Tells what no method moves well, then what another method may do better."""
@@ -125,7 +164,8 @@ def inspect(
     their distance: a wall slides along a boundary that is held. They are also where both move and their distance more
     than doubles. No method moves such a mesh well.
 
-    With the mesh, moved walls that cross another boundary or themselves are found too. What crossed before does not count,
+    With the mesh, it measures how much is left of the gaps between walls: the distance of nodes to the faces of other walls.
+    Moved walls that cross another boundary or themselves are found too. What crossed before does not count,
     nor do faces that share a node or touch in coincident ones, as at a sharp trailing edge. Faces with a node that is neither
     moving nor fixed are left out: where they go is not known yet.
 
@@ -147,10 +187,11 @@ def inspect(
         )
     inspection = _of_plan(plan, u)
     ids = np.arange(len(plan.points)) if nodes is None else np.asarray(nodes)
-    if mesh is not None:
-        surface, vectors = ids[np.asarray(plan.surface_nodes)], np.asarray(plan.of_surface(u), dtype=float)
-        inspection = dataclasses.replace(inspection, crossings=crossings(mesh, surface, vectors))
-    return inspection if nodes is None else inspection.renumbered(ids)
+    inspection = inspection if nodes is None else inspection.renumbered(ids)
+    if mesh is None:
+        return inspection
+    surface, vectors = ids[np.asarray(plan.surface_nodes)], np.asarray(plan.of_surface(u), dtype=float)
+    return inspection.with_faces(mesh, surface, vectors, plan.n_moving)
 
 
 def _of_plan(plan: Plan, u: Any) -> Inspection:

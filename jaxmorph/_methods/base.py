@@ -197,8 +197,8 @@ class AbstractMethod(eqx.Module):
     def place(self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
         """Adds to a point's ids what its own place gives (barycentric coordinates), whatever `u` is. Traced.
 
-        By default it returns the ids. It is computed once per base mesh. The steps of `march` keep it: a graph stands
-        on the undeformed mesh.
+        By default it returns the ids. It is computed once per base mesh. The steps of `march` keep it, unless `carry_place`
+        says otherwise: a graph stands on the undeformed mesh.
         """
         return ids
 
@@ -208,6 +208,12 @@ class AbstractMethod(eqx.Module):
         What goes with the places that points keep (see `place`) stays as it is.
         """
         return self.fit(ids, surface, points)
+
+    def carry_place(
+        self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], placed: PyTree
+    ) -> PyTree:
+        """Changes what `place` returned for a point, on the mesh that a step of `march` left; by default it stays. Traced."""
+        return placed
 
     def matched(self, ids: PyTree) -> np.ndarray:
         """Returns the surface's rows whose displacement the field takes, of those that `connect` chose, on the host.

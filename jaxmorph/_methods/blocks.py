@@ -22,14 +22,36 @@ def place_points(
     """Adds to every point's ids what its place gives, by `method.place`."""
     if not jax.tree.leaves(ids):
         return ids
-    place = jax.checkpoint(jax.vmap(lambda x, ids: method.place(x, ids, factors, surface)))
-    n = len(points)
+    return _mapped(lambda x, ids: method.place(x, ids, factors, surface), (points, ids))
+
+
+def carry_points(
+    method: AbstractMethod,
+    rows: tuple[Float[Array, "n d"], PyTree, PyTree],
+    factors: PyTree,
+    surface: Float[Array, "b d"],
+) -> PyTree:
+    """Changes what every point's place gives, by `method.carry_place`; `rows` are points, ids, and what they were placed at."""
+    points, ids, placed = rows
+    if not jax.tree.leaves(ids):
+        return placed
+    carried = _mapped(
+        lambda x, ids, placed: method.carry_place(x, ids, factors, surface, placed),
+        (points, ids, without_tables(placed)),
+    )
+    return with_tables_of(placed, carried)
+
+
+def _mapped(function: Callable[..., PyTree], rows: tuple) -> PyTree:
+    """Applies a function of one point's rows to all, in blocks, and keeps nothing of it for the derivatives."""
+    place = jax.checkpoint(jax.vmap(function))
+    n = len(rows[0])
     block = min(BLOCK, n)
     # the last block begins within the one before, so that all have one shape
     starts = jnp.minimum(jnp.arange(0, n, block), n - block)
 
     def of_block(start):
-        return place(*jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, block), (points, ids)))
+        return place(*jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, block), rows))
 
     def put_together(leaf):
         rows = leaf.reshape(-1, *leaf.shape[2:])

@@ -95,9 +95,17 @@ class NearWall(AbstractMethod):
         return self.correction.carry(ids[0], factors[0], surface, points), factors[1]
 
     def place(self, x, ids, factors, surface):
+        return self._layered(x, ids, factors, surface, self.correction.place(x, ids[0], factors[0], surface))
+
+    def carry_place(self, x, ids, factors, surface, placed):
+        return self._layered(
+            x, ids, factors, surface, self.correction.carry_place(x, ids[0], factors[0], surface, placed[0])
+        )
+
+    def _layered(self, x, ids, factors, surface, correction):
         chi, weights = _blend(x, ids[1], factors[1], surface)
         follow = Interpolation(ids[1].nodes[:NEIGHBOURS], chi * weights, ids[1].reached)
-        return self.correction.place(x, ids[0], factors[0], surface), follow, 1 - chi
+        return correction, follow, 1 - chi
 
     def field(self, ids, factors, surface, u):
         field = self.correction.field(ids[0], factors[0], surface, u)

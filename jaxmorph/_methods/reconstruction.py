@@ -88,6 +88,10 @@ class SurfaceReconstruction(AbstractMethod):
         coarse = self.coarse.place(x, ids[0], factors[0], surface)
         return coarse, self.correction.place(x, ids[1], factors[2], surface)
 
+    def carry_place(self, x, ids, factors, surface, placed):
+        coarse = self.coarse.carry_place(x, ids[0], factors[0], surface, placed[0])
+        return coarse, self.correction.carry_place(x, ids[1], factors[2], surface, placed[1])
+
     def matched(self, ids):
         return self.correction.matched(ids[2])
 

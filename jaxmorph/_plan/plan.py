@@ -12,7 +12,15 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 from .._kernels.compile import compiled
 from .._kernels.values import is_known
 from .._methods.base import AbstractMethod, Located
-from .._methods.blocks import is_rows, map_points, place_points, with_tables, with_tables_of, without_tables
+from .._methods.blocks import (
+    carry_points,
+    is_rows,
+    map_points,
+    place_points,
+    with_tables,
+    with_tables_of,
+    without_tables,
+)
 from .devices import Layout, over_points, pad_rows, rows_here
 from .images import Images
 from .periodic import Pairing
@@ -222,6 +230,10 @@ def _refitted(plan: Plan, points) -> Plan:
         placed = place_points(plan.method, rows.points, rows.ids, *shared)
         return placed if rows.placed is None else with_tables_of(rows.placed, placed)
 
+    return _placed(plan, place)
+
+
+def _placed(plan: Plan, place: Callable[[PyTree, VolumePart], PyTree]) -> Plan:
     placed = over_points(plan.layout, place, (plan.surface.factors, plan.surface.points), plan.volume)
     return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
 
@@ -232,13 +244,22 @@ def carry(
 ) -> Plan:
     """Moves a plan to the mesh that one of its own steps left; a piece needs all of the moved surface.
 
-    The solve is made anew, and each point keeps its place in the graph.
+    The solve is made anew, and each point keeps its place in the graph. A layer over a wall is laid anew.
     """
-    return _fitted(plan, points, carried=True, surface=surface)
+    return _carried(plan, points, surface)
+
+
+def _carried(plan: Plan, points, surface: Float[Array, "o d"] | None = None) -> Plan:
+    plan = _fitted(plan, points, carried=True, surface=surface)
+
+    def place(shared, rows: VolumePart) -> PyTree:
+        return carry_points(plan.method, (rows.points, rows.ids, rows.placed), *shared)
+
+    return _placed(plan, place)
 
 
 def _stepped(plan: Plan, points, carried: bool) -> Plan:
-    return _fitted(plan, points, carried=True) if carried else _refitted(plan, points)
+    return _carried(plan, points) if carried else _refitted(plan, points)
 
 
 def _fitted(plan: Plan, points, carried: bool = False, surface: Float[Array, "o d"] | None = None) -> Plan:

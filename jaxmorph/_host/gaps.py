@@ -1,0 +1,69 @@
+"""Gaps between walls: how far each node is from the nearest face of another wall."""
+
+import numpy as np
+from scipy.spatial import KDTree
+
+CLOSEST = 12
+"""Faces of other walls, those with the nearest middles, that a node's distance is measured to."""
+
+
+def share_left(
+    before: np.ndarray, after: np.ndarray, wall: np.ndarray, faces: np.ndarray, touching: float
+) -> np.ndarray:
+    """Measures the share (b,) of the gap at each row that a motion leaves: infinite where there was no gap.
+
+    The gap before is that of the row, or of the corners of the face that is nearest afterwards, whichever is less. So walls
+    that slide along each other keep their gap. Distances up to `touching` are none.
+    """
+    first, second = gaps(before, wall, faces)[0], gaps(after, wall, faces)
+    narrowest = np.minimum(first, first[second[1]].min(axis=1))
+    known = np.isfinite(second[0]) & (narrowest > touching)
+    return np.where(known, second[0] / np.where(known, narrowest, 1), np.inf)
+
+
+def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Measures the distance (b,) of each row of `points` to the nearest face of another wall, and returns that face (b, d).
+
+    The distance is infinite if there is none.
+
+    `wall` (b,) numbers the walls; `faces` are segments (f, 2) in 2-D, triangles (f, 3) in 3-D, rows of `points`. A face between
+    two walls belongs to neither.
+    """
+    labels = wall[faces]
+    whole = (labels == labels[:, :1]).all(axis=1)
+    faces, labels = faces[whole], labels[whole, 0]
+    distance, nearest = np.full(len(points), np.inf), np.zeros((len(points), faces.shape[1]), dtype=np.int64)
+    for label in np.unique(wall):
+        here, others = np.flatnonzero(wall == label), faces[labels != label]
+        if len(others):
+            corners = points[others]
+            count = min(CLOSEST, len(others))
+            near = np.asarray(KDTree(corners.mean(axis=1)).query(points[here], k=count)[1]).reshape(len(here), count)
+            each = np.stack([_distance(points[here], corners[column]) for column in near.T], axis=1)
+            closest, row = each.argmin(axis=1), np.arange(len(here))
+            distance[here], nearest[here] = each[row, closest], others[near[row, closest]]
+    return distance, nearest
+
+
+def _distance(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Measures the distance (k,) of points (k, d) to segments (k, 2, d) or triangles (k, 3, d), one each."""
+    count = corners.shape[1]
+    sides = [(corners[:, k], corners[:, (k + 1) % count]) for k in range(count if count > 2 else 1)]
+    nearest = np.min([_to_segment(x, *side) for side in sides], axis=0)
+    if count == 2:
+        return nearest
+    first, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(one, other)
+    size = np.maximum(np.einsum("kd,kd->k", normal, normal), 1e-300)
+    arm = x - first
+    u = np.einsum("kd,kd->k", np.cross(arm, other), normal) / size
+    v = np.einsum("kd,kd->k", np.cross(one, arm), normal) / size
+    above = np.abs(np.einsum("kd,kd->k", arm, normal)) / np.sqrt(size)
+    return np.where((u >= 0) & (v >= 0) & (u + v <= 1), above, nearest)
+
+
+def _to_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    along = end - start
+    squared = np.maximum(np.einsum("kd,kd->k", along, along), 1e-300)
+    share = np.clip(np.einsum("kd,kd->k", x - start, along) / squared, 0, 1)
+    return np.linalg.norm(x - start - share[:, None] * along, axis=1)

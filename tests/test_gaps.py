@@ -1,0 +1,121 @@
+"""Walls that nearly touch: generated meshes, how much of a gap is left, and layers that end between walls that have moved."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph._host.gaps import gaps, share_left
+
+
+def closing(base, left, lift=0.1):
+    """A valve that goes down until a share of its lift is left."""
+    return np.broadcast_to([0, (left - 1) * lift], base.shape)
+
+
+def on_its_seat(method=None):
+    mesh = cases.valve()
+    plan = jm.prepare(mesh, "valve", ("seat", "inlet", "outlet", "top"), symmetry="middle", method=method)
+    return mesh, plan, mesh.points[mesh.patch("valve")]
+
+
+def test_a_valve_stands_above_its_seat():
+    mesh = cases.valve(lift=0.05, layers=3)
+    assert int(jm.quality(mesh).inverted) == 0
+    valve, seat = (mesh.points[mesh.patch(name)] for name in ("valve", "seat"))
+    assert valve[:, 1].min() - seat[:, 1].max() == pytest.approx(0.05)
+    inside = mesh.points[(mesh.points[:, 0] == 0.6) & (mesh.points[:, 1] >= 0) & (mesh.points[:, 1] <= 0.05)]
+    assert len(inside) == 4
+    areas = 1.5 * 1 + 0.5 * 0.6 - 0.7 * 0.15
+    assert float(np.sum(jm.quality(mesh).volume)) == pytest.approx(areas)
+    assert (mesh.points[mesh.patch("middle"), 0] == 0).all()
+    with pytest.raises(ValueError, match=r"a lift from 0 to 0\.5"):
+        cases.valve(lift=0)
+
+
+def test_a_tip_stands_below_its_shroud():
+    mesh = cases.blade_tip(gap=0.02, layers=4)
+    radius = np.linalg.norm(mesh.points[:, 1:], axis=1)
+    assert radius[mesh.patch("blade")].max() == pytest.approx(1.98)
+    np.testing.assert_allclose(radius[mesh.patch("shroud")], 2)
+    turn = Rotation.from_rotvec([-0.8, 0, 0])
+    left, right = (mesh.points[mesh.patch(side)] for side in ("left", "right"))
+    images = turn.apply(left)
+    assert max(np.abs(right - image[None]).max(axis=1).min() for image in images) < 1e-12
+    with pytest.raises(ValueError, match=r"a gap from 0 to 0\.5"):
+        cases.blade_tip(gap=1)
+
+
+def test_gaps_are_distances_to_faces():
+    """Two triangles above a third: over its middle, its edge and its corner; in 2-D a node beside a segment and beyond it."""
+    floor = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    nodes = np.array([[0.25, 0.25, 0.3], [0.5, -0.4, 0.3], [-0.3, -0.4, 1.2]])
+    found = gaps(np.concatenate([floor, nodes]), np.array([0, 0, 0, 1, 1, 1]), np.array([[0, 1, 2]]))
+    np.testing.assert_allclose(found[0][3:], [0.3, 0.5, 1.3])
+    assert np.isinf(found[0][:3]).all()
+    flat = np.array([[0.0, 0], [1, 0], [0.5, 0.2], [4, 4]])
+    np.testing.assert_allclose(gaps(flat, np.array([0, 0, 1, 1]), np.array([[0, 1]]))[0][2:], [0.2, 5])
+
+
+def test_walls_that_slide_keep_their_gap():
+    """A short wall over a long one: along it nothing is lost, towards it as much as the distance says."""
+    x = np.arange(11.0)
+    points = np.concatenate([np.column_stack([x, 0 * x]), [[2, 1], [3, 1], [4, 1]]])
+    faces = np.stack([np.arange(13), np.arange(1, 14)], axis=1)
+    wall = np.repeat([0, 1], [11, 3])
+    for vector, expected in (([3, 0], 1), ([0, -0.75], 0.25)):
+        left = share_left(points, points + np.where(wall[:, None] == 1, vector, 0.0), wall, faces, 0.0)
+        assert left.min() == pytest.approx(expected)
+
+
+@pytest.mark.slow
+def test_inspect_says_how_much_of_a_gap_is_left():
+    mesh, plan, base = on_its_seat(jm.DelaunayGraph())
+    for left in (0.5, 0.02):
+        seen = jm.inspect(plan, closing(base, left), mesh=mesh)
+        assert seen.gap_left == pytest.approx(left)
+        assert mesh.points[seen.gap_node, 1] in (0, 0.1)
+        assert ("2 % of the gap" in str(seen)) == (left == 0.02)
+    assert jm.inspect(plan, closing(base, 0.5)).gap_left is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["channel", "valve"])
+def test_layers_end_between_walls_that_have_moved(case):
+    """Gaps that close to 2 % in steps: the layers are laid anew, and no cell is inverted."""
+    steps = np.arange(1, 11) / 10
+    if case == "valve":
+        mesh, plan, base = on_its_seat()
+        path = np.stack([closing(base, 0.02**t) for t in steps])
+    else:
+        mesh = cases.channel(columns=20, rows=12, first_cell=1e-3)
+        plan = jm.prepare(mesh, "inner", ("outer", "inlet", "outlet"))
+        x = mesh.points[mesh.patch("inner"), 0]
+        bump = (4 * x * (1 - x)) ** 4
+        path = np.stack([np.column_stack([0 * x, 0.2 * (1 - 0.02**t) * bump]) for t in steps])
+    _, points = jm.march(plan, path, rebuild=case == "valve")
+    assert int(jm.quality(mesh, points).inverted) == 0
+    assert float(jm.quality(mesh, points).min_jacobian_ratio) < 0.02
+    assert jm.inspect(plan, path[-1], mesh=mesh).gap_left == pytest.approx(0.02, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_step_lays_the_layer_anew():
+    """A layer far too wide ends half way between walls: where the gap has halved, it ends at half of what it did."""
+    across = np.linspace(0, 1, 21)
+    x = np.linspace(0, 1, 11)
+    points = np.stack(np.meshgrid(x, across, indexing="ij"), axis=-1).reshape(-1, 2)
+    moving, fixed = np.flatnonzero(points[:, 1] == 0), np.flatnonzero(points[:, 1] == 1)
+    resting = jm.SurfaceReconstruction(
+        jm.RBF(reduction=jm.KDTree(1), fixed_reduction=jm.KDTree(1)), jm.NearWall(width=9.0)
+    )
+    plan = jm.prepare(points, moving, fixed, method=resting)
+    u = np.tile([0, 0.5], (len(moving), 1))
+    (_, after), moved = jm.march(plan, np.stack([u, u]))
+    chi = 1 - np.asarray(after.volume.placed[1][2])
+    height = (np.asarray(moved)[:, 1] - 0.5) / 0.5
+    np.testing.assert_allclose(chi[height == 0], 1)
+    assert (chi[np.isclose(height, 0.5, atol=0.02)] < 1e-3).all()
+    expected = jm.refit(plan, moved).volume.placed[1][2]
+    np.testing.assert_allclose(after.volume.placed[1][2], expected, rtol=0, atol=1e-12)
