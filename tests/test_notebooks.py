@@ -23,6 +23,7 @@ SMALL = {
     "09_wave_drag.ipynb": {"around": 52, "layers": 16, "steps": 3, "refined": ()},
     "10_flap.ipynb": {"size": 0.008, "deflections": 4},
     "11_wing_openmdao.ipynb": {"points": 6500, "steps": 8},
+    "12_blade_passage.ipynb": {"gap": 0.02, "angles": (10, 20)},
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
 
@@ -243,6 +244,20 @@ def check_wing_openmdao(said):
     assert "6592 nodes, 0 inverted cells" in said
 
 
+def check_blade_passage(said):
+    """Nodes stay on the shroud and sides match; boundaries that are held cost cells; the gradient is the difference."""
+    rows = re.findall(r"(\d+) degrees, (held|slides, repeats) +(\d+) inverted, smallest Jacobian ratio (\S+)", said)
+    ratio = {(int(degrees), name): float(smallest) for degrees, name, _, smallest in rows}
+    for degrees, name, inverted, _ in rows:
+        if name != "held":
+            assert inverted == "0"
+            assert ratio[int(degrees), name] > ratio[int(degrees), "held"]
+    off, apart = map(float, re.search(r"off the shroud (\S+), sides differ by (\S+)", said).groups())
+    assert max(off, apart) < 1e-12
+    slope, difference = map(float, re.search(r"\(degree\): (\S+), central difference (\S+)", said).groups())
+    assert slope == pytest.approx(difference, rel=1e-4)
+
+
 CHECKS = {
     "00_first_steps.ipynb": check_first_steps,
     "01_airfoil.ipynb": check_airfoil,
@@ -256,6 +271,7 @@ CHECKS = {
     "09_wave_drag.ipynb": check_wave_drag,
     "10_flap.ipynb": check_flap,
     "11_wing_openmdao.ipynb": check_wing_openmdao,
+    "12_blade_passage.ipynb": check_blade_passage,
 }
 
 
