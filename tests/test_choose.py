@@ -64,6 +64,7 @@ def test_the_radius_is_no_worse_than_others_that_one_might_guess(problem, choice
     assert row["error"] <= 1.05 * min(error(radius) for radius in (0.25, 0.5, 1.0, 2.0, 5.0))
 
 
+@pytest.mark.slow
 def test_the_choice_moves_the_mesh_as_the_table_says(problem, choice):
     mesh, _, _, motions = problem
     row = choice.table[choice.chosen]
@@ -81,6 +82,7 @@ def test_the_choice_moves_the_mesh_as_the_table_says(problem, choice):
     assert all(a or b for a, b in zip(missing, worse, strict=True))
 
 
+@pytest.mark.slow
 def test_a_change_of_shape_asks_for_the_fit_and_a_turn_does_not(problem, choice):
     """Camber turns the wall along the chord; a body that turns as a whole needs no fit to keep its grid lines."""
     mesh, moving, fixed, _ = problem

@@ -101,6 +101,7 @@ def test_chunks_cover_the_mesh_and_have_one_length(here):
         jm.prepare_in_chunks(mesh.points, wall, far, size=0)
 
 
+@pytest.mark.slow
 def test_a_job_carries_it_and_a_bad_number_is_answered(here, capsys):
     write_ring(here / "ring.su2")
     assert main(["deform", "ring.su2", "a.su2", *MOVE, "--chunk", "100", "--save-job", "job.toml"]) == 0
