@@ -63,7 +63,13 @@ assert abs(summary.mean["skewness"] - float(report.mean_skewness)) < 1e-9
 assert abs(summary.smallest["jacobian_ratio"] - float(report.min_jacobian_ratio)) < 1e-9
 
 # what one process refuses, all refuse; none waits
-for wrong in (lambda: piece.deform(u[:-1] if comm.rank else u), lambda: piece.deform(u + comm.rank)):
+for wrong in (
+    lambda: piece.deform(u[:-1] if comm.rank else u),
+    lambda: piece.deform(u + comm.rank),
+    lambda: mpi.prepare(comm, points[nodes], nodes, moving + 1000 * comm.rank, fixed),
+    lambda: mpi.prepare(comm, points[nodes][: 0 if comm.rank else None], nodes[: 0 if comm.rank else None], [], []),
+    lambda: mpi.prepare(comm, points[nodes], nodes, np.isin(nodes, wall), fixed),
+):
     try:
         wrong()
     except ValueError as error:

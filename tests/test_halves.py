@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxmorph as jm
-from jaxmorph import cases
+from jaxmorph import cases, shapes
 
 METHODS = {
     "default": lambda: None,
@@ -59,7 +59,7 @@ def test_pieces_move_as_the_whole(mesh, name):
             np.testing.assert_array_equal(moved[on_wall], points[nodes[on_wall]] + u[rows])
         first = np.array([node not in seen for node in nodes])  # a node counts in the first piece that has it
         for node, place in zip(nodes, moved, strict=True):
-            assert seen.setdefault(node, tuple(place)) == tuple(place)  # bit for bit
+            np.testing.assert_allclose(seen.setdefault(node, place), place, rtol=0, atol=1e-13)
         total = total + np.asarray(jm.pullback(piece, u, np.where(first[:, None], cotangent[nodes], 0)))
     assert len(seen) == len(points)
     expected = np.asarray(jm.pullback(plan, u, cotangent))
@@ -130,7 +130,7 @@ def test_a_half_in_a_file(mesh, tmp_path):
 def test_what_a_half_refuses(mesh):
     points = np.asarray(mesh.points)
     half = jm.prepare_surface(mesh, "airfoil", "farfield", method=jm.DelaunayGraph())
-    wall = half.moving[:4]
+    u, wall = displacement(half, mesh), half.moving[:4]
     with pytest.raises(ValueError, match=r"1 nodes are named more than once in `nodes`, first \d+"):
         half.attach(points[wall[[0, 0]]], wall[[0, 0]])
     with pytest.raises(jm.MeshError, match=r"1 surface nodes lie elsewhere than in the half: id \d+, point 2, by 0.1"):
@@ -141,10 +141,24 @@ def test_what_a_half_refuses(mesh):
         half.attach(points[:0], wall[:0])
     with pytest.raises(ValueError, match="none twice but -1"):
         jm.prepare_surface(points, [0], [1], nodes=np.zeros(len(points), int))
-    with pytest.raises(ValueError, match="LinearElasticity solves on the cells of the whole mesh"):
+    with pytest.raises(ValueError, match="LinearElasticity needs the cells of the whole mesh"):
         jm.prepare_surface(mesh, "airfoil", "farfield", method=jm.LinearElasticity())
+    piece = half.attach(points[wall], wall)
+    for call in (lambda: jm.inspect(piece, u), lambda: jm.boundary_quality(piece, points[wall])):
+        with pytest.raises(ValueError, match=r"\d+ surface nodes are in others: call \w+ with the plan of the surface"):
+            call()
     with pytest.raises(ValueError, match="this plan is of a piece: call prepare_surface"):
-        jm.refit(half.attach(points[wall], wall), points[wall])
+        jm.refit(piece, points[wall])
+    with pytest.raises(ValueError, match="`method` is the class DelaunayGraph: call it"):
+        jm.prepare_surface(mesh, "airfoil", "farfield", method=jm.DelaunayGraph)
+
+
+def test_shapes_move_the_nodes_of_other_pieces_too(mesh):
+    half = jm.prepare_surface(mesh, "airfoil", "farfield", method=jm.DelaunayGraph())
+    nodes = half.moving[5:9]
+    piece, wall = half.attach(mesh.points[nodes], nodes), mesh.points[half.moving]
+    u = shapes.displacement(lambda x, angle: shapes.rotate(x, angle, (0.25, 0)), piece, 0.1)
+    np.testing.assert_allclose(u, shapes.rotate(wall, 0.1, (0.25, 0)) - wall, rtol=0, atol=1e-15)
 
 
 @pytest.mark.slow
@@ -159,3 +173,15 @@ def test_a_free_side_that_only_pieces_show():
     u = 0.1 * np.stack([0 * points[moving, 0], np.sin(2 * points[moving, 0])], axis=1)
     expected = jm.deform(jm.prepare(points, moving, fixed), u)
     np.testing.assert_allclose(jm.deform(told.attach(points, np.arange(36)), u), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_parts_march_by_a_method_that_is_not_exact():
+    points, moving, fixed = brick()
+    method = jm.RBF(reduction=jm.KDTree(2))
+    u = 0.05 * np.stack([0 * points[moving, 0], np.sin(2 * points[moving, 0])], axis=1)
+    path = np.stack([u, 2 * u])
+    whole = jm.march(jm.prepare(points, moving, fixed, method=method), path)[1]
+    parts = jm.prepare_in_chunks(points, moving, fixed, size=10, method=method)
+    assert len(parts) == 3
+    np.testing.assert_allclose(parts.march(path), whole, rtol=0, atol=1e-12)

@@ -192,7 +192,8 @@ def test_points_by_control_points_forward_and_reverse(d):
     np.testing.assert_allclose(back.ravel(), np.einsum("nd,ndk->k", cotangent, forward), atol=1e-11)
 
 
-@pytest.mark.parametrize("degree", [2, pytest.param(None, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("degree", [2, None])
 def test_a_child_follows_its_parent(degree):
     """Exactly where the parent moves affinely, also in a child of the child; alone it is the child, and outside it the parent."""
     rng, x = np.random.default_rng(5), cloud(2)

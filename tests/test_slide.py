@@ -256,6 +256,7 @@ def duct():
     return mesh, ends, {"sliding": ("bottom", "top"), "periodic": jm.Periodic("left", "right")}
 
 
+@pytest.mark.slow
 def test_walls_and_translations_follow_the_base():
     """Of another base `refit` makes what `prepare` does; pairs that match bit for bit go on to."""
     mesh, (left, right), wrapped = duct()

@@ -181,6 +181,7 @@ def inspect(
     **Raises:** `ValueError` when the shape of `u` is not (m, d), or a component is not finite, or the mesh has another number
     of points than the plan.
     """
+    plan.check_surface("inspect")
     if nodes is None and mesh is not None and tuple(mesh.points.shape) != tuple(plan.points.shape):
         raise ValueError(
             f"`mesh` has points of shape {tuple(mesh.points.shape)}; this plan was made for {tuple(plan.points.shape)}."

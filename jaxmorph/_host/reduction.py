@@ -155,8 +155,9 @@ class KDTree(AbstractReduction):
         **Raises:** `ValueError` for a count below d + 1.
         """
         points = np.asarray(points, dtype=float)
-        if count <= points.shape[1]:
-            raise ValueError(f"`count` must be {points.shape[1] + 1} or more in {points.shape[1]}-D, not {count}.")
+        if count <= points.shape[1] or not len(points):
+            least = f"{points.shape[1] + 1} or more in {points.shape[1]}-D"
+            raise ValueError(f"`count` must be {least}, not {count}, and {len(points)} points have sources.")
         tried: dict[int, int] = {}
         low, high = 1, min(count, len(points))
         while low <= high:

@@ -24,12 +24,14 @@ def constant(values: Either) -> Either:
 
 def on_host(*values: Any) -> bool:
     """Tells whether values are best computed by NumPy: they can be read, and lie in the host's memory."""
-    leaves = jax.tree.leaves(values)
-    return is_known(leaves) and all(
-        leaf.sharding.is_fully_addressable and all(device.platform == "cpu" for device in leaf.devices())
-        for leaf in leaves
-        if isinstance(leaf, jax.Array)
-    )
+    arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))
+    return is_readable(values) and all(device.platform == "cpu" for leaf in arrays for device in leaf.devices())
+
+
+def is_readable(*values: Any) -> bool:
+    """Tells whether this process can read values: nothing is traced, or lies in other processes."""
+    arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))
+    return is_known(values) and all(leaf.sharding.is_fully_addressable for leaf in arrays)
 
 
 def root(squared: Float[Either, "*shape"]) -> Float[Either, "*shape"]:

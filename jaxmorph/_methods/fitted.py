@@ -128,16 +128,18 @@ class FittedRBF(AbstractMethod):
         label = wall[pairs[:, 0]]
         held = nearest_held(surface.points, surface.moving, wall, pairs)
         far, reach = drawn_in(surface.points, moving, fixed, surface.images)
-        tips = self._behind(surface, pairs, held)
+        tips = self._behind(surface)
         each_row = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
         rows = (jnp.asarray(each.astype(np.int32)) for each in each_row)
         return WallIds(*rows, share=jnp.asarray(share[label]), reach=jnp.asarray(reach))
 
-    def _behind(self, surface: Surface, pairs: np.ndarray, held: np.ndarray) -> np.ndarray:
+    def _behind(self, surface: Surface) -> np.ndarray:
         """Finds sharp tips (g, 3) of the moving walls in 2-D, each with a node on either side."""
         if surface.points.shape[1] == 3:
             return np.zeros((0, 3))
         wall, ends, share = surface.walls
+        pairs = edges(surface.points, surface.moving, surface.faces)  # all of them: a tip lies between two
+        held = nearest_held(surface.points, surface.moving, wall, pairs)
         chord = (share * np.linalg.norm(np.subtract(*surface.points[ends.T]), axis=1))[wall[pairs[:, 0]]]
         apart = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
         room = np.where(held == pairs[:, 0], chord, np.minimum(chord, apart))

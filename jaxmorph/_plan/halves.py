@@ -14,12 +14,12 @@ from .._host.errors import MeshError
 from .._host.reduction import roundoff
 from .._host.skin import has_free_sides
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Surface
+from .._methods.base import AbstractMethod, Surface, check_kind
 from .._methods.reconstruction import SurfaceReconstruction
 from .door import Boundary, boundary, checked_points
 from .periodic import Periodic
 from .plan import Plan, SurfacePart
-from .prepare import boundary_of, laid_out, plan_of, surface_of
+from .prepare import boundary_of, laid_out, plan_of, refuse_cells, surface_of
 from .slide import Slide
 from .symmetry import Plane
 
@@ -29,7 +29,7 @@ class SurfaceHalf:
     """Holds what all pieces of a mesh share: the surface, its sources and the solve. `prepare_surface` makes it.
 
     `jm.save`, `jm.load` and pickle keep its bits. Pieces that are attached to equal bits, in whatever process, move a point
-    that they share to equal bits.
+    that they share alike, to round-off; on the surface to equal bits.
 
     - `plan`: the plan of the surface's nodes alone, for `inspect`, `plan.offset` and `plan.sources`.
     - `nodes` (k,): the whole mesh's ids of that plan's points.
@@ -190,9 +190,9 @@ def prepare_surface(
 
 def half_of(named: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> SurfaceHalf:
     """Prepares the surface of what has been checked; `ids` (n,) name its points in the whole mesh."""
+    check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     method = SurfaceReconstruction() if method is None else method
-    if method.needs_cells:
-        raise ValueError(f"{type(method).__name__} solves on the cells of the whole mesh: pass the mesh to `prepare`.")
+    refuse_cells(method)
     is_open = has_open_side(named) if named.is_open is None else named.is_open
     kept = np.union1d(named.nodes, fence(named))
     part = dataclasses.replace(named.part(kept), is_open=is_open)

@@ -51,7 +51,7 @@ class BoundaryQuality:
 def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> BoundaryQuality:
     """Measures, on the host, how well moved points keep symmetry planes, surfaces to slide on, and periodic pairs.
 
-    It judges points from anywhere: `deform`, the last step of a `march`, `improve`, another tool. Fixed nodes are not judged.
+    It judges points from anywhere: `deform`, the last step of a `march`, `improve`, another tool.
 
     **Arguments:**
 
@@ -60,8 +60,10 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
 
     **Returns:** a `BoundaryQuality`; `str` of it is a line.
 
-    **Raises:** `ValueError` when the shape of `points` differs from the plan's.
+    **Raises:** `ValueError` when the shape of `points` differs from the plan's. Also for a plan of a piece that lacks nodes of
+    the surface: judge `half.plan`.
     """
+    plan.check_surface("boundary_quality")
     points = np.asarray(points)
     if points.shape != tuple(plan.points.shape):
         raise ValueError(f"`points` has shape {points.shape}; this plan was made for {tuple(plan.points.shape)}.")
@@ -91,7 +93,7 @@ def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]
     Those that were there at the base do not count, nor do those between two walls.
     """
     guide = plan.surface.guide
-    base, rows = np.asarray(plan.points)[np.asarray(plan.surface_nodes)], [np.zeros(0, dtype=int)]
+    base, rows = np.asarray(plan.surface_points), [np.zeros(0, dtype=int)]
     for track in () if guide is None else guide.tracks:
         if len(track.walls) == 1:
             here, wall = np.asarray(track.rows), track.walls[0]

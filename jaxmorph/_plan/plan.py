@@ -172,6 +172,19 @@ class Plan(eqx.Module):
         rows = jnp.zeros((len(self.surface.nodes), self.points.shape[1]), self.points.dtype)
         return rows.at[_rows_of_originals(self.images, len(rows))].set(self.surface.points, mode="drop")
 
+    @property
+    def moving_points(self) -> Float[Array, "m d"]:
+        """Base coordinates of `moving`, in a piece those of nodes of other pieces too."""
+        return self.surface_points[: self.n_moving]
+
+    def check_surface(self, call: str) -> None:
+        """Raises `ValueError`, on the host, for a piece that lacks nodes of the surface."""
+        if self.is_piece and (absent := int((np.asarray(self.surface_nodes) >= len(self.points)).sum())):
+            raise ValueError(
+                f"this plan is of a piece, and {absent} surface nodes are in others: call {call} with the plan of the "
+                "surface, half.plan."
+            )
+
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Computes the displacement left to the correction (eq. 5), of moving, fixed and guided nodes. Traced in `u`."""
         return _offset(self, u)

@@ -68,10 +68,8 @@ def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
         check_planes(named.planes, named.points)
     check_pairings(named.pairings, named.planes, float(np.ptp(named.points, axis=0).max()))
     method = SurfaceReconstruction() if method is None else method
-    if method.needs_cells and named.cells is None:
-        raise ValueError(
-            f"{type(method).__name__} needs the cells of the whole mesh: pass the mesh, prepare(mesh, ...), not points or a part."
-        )
+    if named.cells is None:
+        refuse_cells(method)
     guide = _guide_of(named, method)
     plan = _plan_of(dataclasses.replace(named, pairings=(), tracks=()), method, guide)
     if plan.points.dtype != named.points.dtype:
@@ -81,6 +79,14 @@ def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
             stacklevel=3,
         )
     return plan
+
+
+def refuse_cells(method: AbstractMethod) -> None:
+    """Raises `ValueError` for a method that solves on cells, where they are not known."""
+    if method.needs_cells:
+        raise ValueError(
+            f"{type(method).__name__} needs the cells of the whole mesh: pass the mesh, prepare(mesh, ...), not points or a part."
+        )
 
 
 def _plan_of(named: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from .._host.errors import MeshError, place_of
 from .._kernels.compile import compiled
-from .._kernels.values import is_known
+from .._kernels.values import is_readable
 from .periodic import MISMATCH, Pairing
 from .plan import Plan, base_points, refitted
 from .symmetry import tolerance
@@ -50,7 +50,7 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     guide = plan.surface.guide
     if guide is not None:
         plan = _with(plan, *_boundary_at(guide.tracks, guide.pairings, points[plan.surface.nodes]))
-    if (guide is not None or plan.images is not None) and is_known((points, plan)):
+    if (guide is not None or plan.images is not None) and is_readable((points, plan)):
         _check_boundary(plan, np.asarray(points))
     return refitted(plan, points)
 
@@ -85,7 +85,8 @@ def _check_boundary(plan: Plan, points: np.ndarray) -> None:
         flags = np.asarray(plan.volume.on_plane)[: len(points)]
         for plane, is_on in zip(plan.images.planes, flags.T, strict=True):
             nodes = np.flatnonzero(is_on)
-            allowed = max(DEVIATION * np.ptp(points, axis=0).max(), tolerance(points))
+            size = np.ptp(points[nodes], axis=0).max(initial=0.0)
+            allowed = max(DEVIATION * size, tolerance(points))
             what = f"nodes have left the symmetry plane with normal {plane.normal.tolist()}"
             _refuse(what, np.abs(plane.height(points[nodes])), allowed, nodes, points)
     guide = plan.surface.guide

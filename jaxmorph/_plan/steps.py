@@ -92,11 +92,14 @@ def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
 def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d"], Float[Array, "o d"] | None]:
     """Moves all of the surface to the target, fixed nodes too where a method moved them; of a piece all of the surface too."""
     vectors = target - plan.surface_points
-    return deform_surface(plan, vectors), moved_surface(plan, vectors) if plan.is_piece else None
+    points = deform_surface(plan, vectors)
+    if not plan.is_piece:
+        return points, None
+    return points, moved_surface(plan, vectors) if plan.method.exact else points[plan.surface.nodes]
 
 
 def _check_piece(plan: Plan, rebuild: bool) -> None:
-    if rebuild or not plan.method.exact:
+    if rebuild or (not plan.method.exact and (np.asarray(plan.surface.nodes) >= len(plan.points)).any()):
         raise ValueError(
             "march of a piece keeps its ids, and needs a method that is exact at the surface: the rest is in other pieces."
         )

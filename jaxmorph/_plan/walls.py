@@ -88,6 +88,8 @@ class FlatFaces(Flat):
 
     def has_end(self, x):
         ends = np.asarray(self.vertices)[rim(np.asarray(self.faces))]
+        if not len(ends):  # both sides of a plate: no rim
+            return np.zeros(len(x), dtype=bool)
         normal = np.asarray(self.normal)
         if x.shape[1] == 2:
             along = np.array([normal[1], -normal[0]])

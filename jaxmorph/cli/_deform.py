@@ -39,7 +39,7 @@ def deform(request: Deform, out: Output) -> int:
         tables.append(_gates.table(request.gates, attempt.before, after))
     out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
     if boundary.nodes:
-        _wrapped(out, f"boundary {boundary}")
+        _wrapped(out, f"boundary: {boundary}")
         kept = {name: getattr(boundary, name) for name in boundary.nodes} | {"ended": boundary.ended.tolist()}
         out.say(boundary=kept)
     start, end = wall_numbers(wall)

@@ -64,10 +64,9 @@ class Judged:
         """
         if self.by_faces:
             return self.faces.is_inverted
-        old = None if self.before is None else self.before.inverted
-        if old is None or not old.any():
+        if not self._old.any():
             return self._lost
-        return self._lost | (old & np.asarray(jm.quality(self.mesh.moved(self.points)).is_inverted))
+        return self._lost | (self._old & ~self._repaired)
 
     @property
     def spoilt(self) -> np.ndarray:
@@ -77,9 +76,21 @@ class Judged:
             lost = lost & ~self.before.inverted
         return self.counted[lost[self.counted]]
 
-    @property
+    @functools.cached_property
     def _lost(self) -> Bool[np.ndarray, " k"]:
-        return np.asarray(self.report.is_inverted)
+        return np.asarray(self.report.is_inverted) & ~self._repaired
+
+    @property
+    def _old(self) -> Bool[np.ndarray, " k"]:
+        """Cells that were inverted before the motion, by corners."""
+        return np.zeros(len(self.report.is_inverted), dtype=bool) if self.before is None else self.before.inverted
+
+    @functools.cached_property
+    def _repaired(self) -> Bool[np.ndarray, " k"]:
+        """Cells that were inverted before the motion and are not on their own now: they lost a sign that was wrong."""
+        if not self._old.any():
+            return self._old
+        return self._old & ~np.asarray(jm.quality(self.mesh.moved(self.points)).is_inverted)
 
     @property
     def measures(self) -> tuple[tuple[str, str], ...]:

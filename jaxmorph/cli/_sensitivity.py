@@ -58,7 +58,7 @@ def _to_variables(
     request: Sensitivity, plan: jm.Plan, moves: Motion, steps: int, given: np.ndarray, out: Output
 ) -> None:
     with out.progress(f"pulling back through {count(steps, 'step')}"):
-        wall = np.asarray(plan.points, float)[np.asarray(plan.moving)]
+        wall = np.asarray(plan.moving_points, float)
         plans = plan if steps == 1 else jm.march(plan, moves.path(wall, steps))[0]
         gradient = shapes.pullback(moves.shape, plans, moves.parameters, given)
     names = shapes.names(moves.parameters)

@@ -72,7 +72,7 @@ class VolumeBuilder(Builder):
 
     def get_mesh_coordinate_subsystem(self, scenario_name=None) -> om.IndepVarComp:  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
         """Makes the component that has the wall's coordinates."""
-        wall: Any = np.asarray(self.plan.points[self.plan.moving], float).ravel()
+        wall: Any = np.asarray(self.plan.moving_points, float).ravel()
         component = om.IndepVarComp()
         component.add_output(SURFACE.Mesh.COORDINATES, wall, distributed=True, units="m", tags=["mphys_coordinates"])
         return component
@@ -139,5 +139,5 @@ class _Followed(eqx.Module):
     plan: jm.Plan
 
     def __call__(self, values: dict[str, Any]) -> Float[Array, " k"]:
-        u = jnp.reshape(values[SURFACE.COORDINATES], (-1, 3)) - self.plan.points[self.plan.moving]
+        u = jnp.reshape(values[SURFACE.COORDINATES], (-1, 3)) - self.plan.moving_points
         return jm.deform(self.plan, u).ravel()

@@ -27,6 +27,7 @@ class Piece:
     - `moving` (k,): the points that move, as `prepare` was given them.
     - `rows` (k,): the row of each in the displacement of all moving nodes.
     - `is_owner` (n,): whether this process, the first one that has the node, speaks for it.
+    - `is_shared` (n,): whether other processes have the node too.
     """
 
     comm: Any
@@ -35,15 +36,21 @@ class Piece:
     moving: Int[np.ndarray, " k"]
     rows: Int[np.ndarray, " k"]
     is_owner: Bool[np.ndarray, " n"]
+    is_shared: Bool[np.ndarray, " n"]
 
     def deform(self, u: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
         """Moves the piece: row i of `u` (k, d) displaces point `moving[i]`. Returns the piece's points (n, d).
+
+        Nodes that processes share come from the one that owns them: they are equal bit for bit.
 
         Raises `ValueError`, in every process, for a `u` of another shape, and where processes displace a node that they share
         differently.
         """
         u = self.gathered(u)
-        return _together(self.comm, lambda: np.asarray(jm.deform(self.plan, u)))
+        moved = np.array(_together(self.comm, lambda: jm.deform(self.plan, u)))
+        if self.comm.allreduce(int(self.is_shared.sum())):
+            _agree(self.comm, self.nodes, self.is_shared, self.is_owner, moved)
+        return moved
 
     def pullback(self, u: Real[ArrayLike, "k d"], cotangent: Real[ArrayLike, "n d"]) -> Float[np.ndarray, "k d"]:
         """Pulls dJ/d(points) of the whole mesh back to this piece's moving nodes (k, d).
@@ -140,30 +147,53 @@ def prepare(
         x, ids = np.asarray(points), np.asarray(nodes)
         if x.ndim != 2 or ids.shape != (len(x),) or ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
             raise ValueError(f"`nodes` must be one id for each of {len(x)} points, no id twice.")
-        lists = (np.asarray(each, dtype=np.int64) for each in (moving, fixed))
-        return x, ids.astype(np.int64), *lists
+        if not len(x) or x.dtype.kind not in "fiu" or not np.isfinite(x).all() or (ids < 0).any():
+            raise ValueError("a piece needs at least one point, finite coordinates, and ids from 0 on.")
+        outermost = x[np.concatenate([x.argmin(axis=0), x.argmax(axis=0)])]
+        return x, ids.astype(np.int64), outermost, *(_rows(each, len(x)) for each in (moving, fixed))
 
-    x, ids, moves, held = _together(comm, checked)
+    x, ids, outermost, moves, held = _together(comm, checked)
     shares = comm.allgather((ids[moves], x[moves], ids[held], x[held]))
     moving_ids, moving_points = _union([share[:2] for share in shares])
-    fixed_ids, fixed_points = _union([share[2:] for share in shares])
+    fixed_ids, fixed_points = _union([share[2:] for share in shares])  # all processes see the same, and raise together
     rest = ~np.isin(fixed_ids, moving_ids)
     surface = np.concatenate([moving_points, fixed_points[rest]])
     surface_ids, m = np.concatenate([moving_ids, fixed_ids[rest]]), len(moving_ids)
     lists = np.arange(m), np.arange(m, len(surface))
-    outermost = np.concatenate(comm.allgather(x[np.concatenate([x.argmin(axis=0), x.argmax(axis=0)])]))
+    outermost = np.concatenate(comm.allgather(outermost))
     everything = np.concatenate([surface, outermost])
     names = np.concatenate([surface_ids, np.full(len(outermost), -1)])
 
     def half() -> jm.SurfaceHalf | None:
         if comm.rank:
             return None
-        return jm.prepare_surface(everything, *lists, nodes=names, method=method, symmetry=symmetry, is_open=is_open)
+        try:
+            return jm.prepare_surface(
+                everything, *lists, nodes=names, method=method, symmetry=symmetry, is_open=is_open
+            )
+        except jm.MeshError as error:
+            raise error.renumbered(names) from None
 
     shared = comm.bcast(_together(comm, half))
     assert shared is not None
     plan = _together(comm, lambda: shared.attach(x, ids))
-    return Piece(comm, plan, ids, moves, np.searchsorted(moving_ids, ids[moves]), _owned(comm, ids))
+    return Piece(comm, plan, ids, moves, np.searchsorted(moving_ids, ids[moves]), *_owned(comm, ids))
+
+
+def _rows(values: Any, n: int) -> np.ndarray:
+    """Returns rows of the piece's points as an array. Raises `ValueError` for what is no list of them."""
+    rows = np.asarray(values)
+    if rows.size == 0:
+        return np.zeros(0, dtype=np.int64)
+    if (
+        rows.ndim != 1
+        or rows.dtype.kind not in "iu"
+        or rows.min() < 0
+        or rows.max() >= n
+        or len(np.unique(rows)) < len(rows)
+    ):
+        raise ValueError(f"`moving` and `fixed` are rows of the piece's {n} points, whole numbers from 0, none twice.")
+    return rows.astype(np.int64)
 
 
 def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -176,21 +206,36 @@ def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     return unique, points[first]
 
 
-def _owned(comm: Any, ids: np.ndarray) -> np.ndarray:
-    """Marks the nodes of which this process is the first that has them.
+def _owned(comm: Any, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Marks the nodes of which this process is the first that has them, and those that others have too.
 
     Each id has a process that keeps its list, so that no process sees the nodes of all.
     """
     keeper = ids % comm.size
     asked = comm.alltoall([ids[keeper == rank] for rank in range(comm.size)])
-    first = np.unique(np.concatenate(asked), return_index=True)[1]
-    is_first = np.zeros(sum(map(len, asked)), dtype=bool)
-    is_first[first] = True
-    answers = comm.alltoall(np.split(is_first, np.cumsum([len(each) for each in asked])[:-1]))
-    owned = np.zeros(len(ids), dtype=bool)
+    _, first, back, count = np.unique(np.concatenate(asked), return_index=True, return_inverse=True, return_counts=True)
+    flags = np.zeros((len(back), 2), dtype=bool)
+    flags[first, 0] = True
+    flags[:, 1] = count[back] > 1
+    answers = comm.alltoall(np.split(flags, np.cumsum([len(each) for each in asked])[:-1]))
+    marks = np.zeros((len(ids), 2), dtype=bool)
     for rank, answer in enumerate(answers):
-        owned[keeper == rank] = answer
-    return owned
+        marks[keeper == rank] = answer
+    return marks[:, 0], marks[:, 1]
+
+
+def _agree(comm: Any, ids: np.ndarray, is_shared: np.ndarray, is_owner: np.ndarray, values: np.ndarray) -> None:
+    """Puts the owner's rows of shared nodes in place of the others', by way of the process that keeps each id."""
+    keeper = np.where(is_shared, ids % comm.size, -1)
+    given = [np.flatnonzero((keeper == rank) & is_owner) for rank in range(comm.size)]
+    wanted = [np.flatnonzero((keeper == rank) & ~is_owner) for rank in range(comm.size)]
+    known = comm.alltoall([(ids[rows], values[rows]) for rows in given])
+    asked = comm.alltoall([ids[rows] for rows in wanted])
+    names, rows = (np.concatenate([each[k] for each in known]) for k in range(2))
+    order = np.argsort(names)
+    answers = comm.alltoall([rows[order[np.searchsorted(names[order], each)]] for each in asked])
+    for places, answer in zip(wanted, answers, strict=True):
+        values[places] = answer
 
 
 def _summed(comm: Any, report: jm.QualityReport) -> Summary:
@@ -205,18 +250,18 @@ def _summed(comm: Any, report: jm.QualityReport) -> Summary:
     whole = sum(share[4] for share in shares)
     return Summary(
         *(sum(share[0][k] for share in shares) for k in range(3)),
-        smallest={name: min(share[1][name] for share in shares) for name in names},
-        largest={name: max(share[2][name] for share in shares) for name in names},
-        mean={name: sum(share[3][name] for share in shares) / whole for name in names},
+        smallest={name: float(np.min([share[1][name] for share in shares])) for name in names},
+        largest={name: float(np.max([share[2][name] for share in shares])) for name in names},
+        mean={name: sum(share[3][name] for share in shares) / whole if whole else float("nan") for name in names},
     )
 
 
 def _together(comm: Any, function: Callable[[], T]) -> T:
-    """Calls a function in every process. Where it raises `ValueError` in one, all raise: none waits for the others for good."""
+    """Calls a function in every process. Where it raises in one, all raise: none waits for the others for good."""
     result, error = None, None
     try:
         result = function()
-    except ValueError as raised:
+    except Exception as raised:
         error = raised
     messages = comm.allgather(None if error is None else str(error))
     if error is not None:

@@ -137,4 +137,4 @@ class _Displaced(eqx.Module):
 
     def __call__(self, values: dict[str, Any]) -> Float[Array, "m d"]:
         u = shapes.displacement(self.shape, self.plan, from_inputs(self.parameters, values))
-        return self.plan.points[self.plan.moving] + u if self.positions else u
+        return self.plan.moving_points + u if self.positions else u

@@ -30,7 +30,7 @@ def displacement(shape: AnyShape, plan: Any, parameters: PyTree) -> Float[Array,
 
     **Raises:** `ValueError` where the shape returns another number of positions.
     """
-    return moves(shape, plan.points[plan.moving], parameters)
+    return moves(shape, plan.moving_points, parameters)
 
 
 def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[Array, "k m d"]:
