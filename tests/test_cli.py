@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 from ring import write_ring
+from small import bricks
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -150,6 +151,18 @@ def test_inverted_cells_end_with_1_and_no_file_unless_allowed(here, capsys):
     assert f"jaxmorph quality: {bad} of 192 cells are inverted" in said.err
     assert re.search(rf"inverted cells +0 +{bad}\n", said.out)
     (here / "inverted.su2").unlink()
+
+
+def test_one_inverted_cell_and_a_skewness_of_zero_are_written_as_they_are_said(tmp_path, capsys):
+    mesh = bricks(2)
+    io.write(tmp_path / "a.su2", mesh)
+    assert main(["quality", str(tmp_path / "a.su2")]) == 0
+    assert re.search(r"max skewness +0 ", capsys.readouterr().out)
+    points = np.array(mesh.points)
+    points[0] = 0.9
+    io.write(tmp_path / "b.su2", mesh.moved(points))
+    assert main(["quality", str(tmp_path / "a.su2"), str(tmp_path / "b.su2")]) == 1
+    assert "1 of 8 cells is inverted" in capsys.readouterr().err
 
 
 WRONG = {

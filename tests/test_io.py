@@ -170,6 +170,16 @@ def test_files_of_gmsh_come_back_as_they_were(tmp_path, gmsh, version, binary, d
     np.testing.assert_array_equal(np.sort(found.reshape(-1, 3)[:, :dimension], axis=0), np.sort(points, axis=0))
 
 
+def test_parametric_nodes_are_refused_in_so_many_words(tmp_path, gmsh):
+    drawn(gmsh, 2, second_group=False)
+    for option, value in (("MshFileVersion", 4.1), ("Binary", 1), ("SaveParametric", 1)):
+        gmsh.option.setNumber(f"Mesh.{option}", value)
+    gmsh.write(str(tmp_path / "a.msh"))
+    gmsh.option.setNumber("Mesh.SaveParametric", 0)
+    with pytest.raises(ValueError, match=r"a\.msh: .*parametric nodes not implemented"):
+        io.read(tmp_path / "a.msh")
+
+
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("content", [b"", b"# a text\nabout = nothing\n", bytes(range(256)) * 9])
 def test_what_is_no_mesh_is_a_value_error_without_other_words(tmp_path, capfd, suffix, content):
@@ -285,6 +295,28 @@ def test_sections_of_gmsh_are_told_from_words_in_comments(tmp_path, version, bin
     io.write(tmp_path / "b.msh", read.moved(read.points + 1))
     assert comment in (tmp_path / "b.msh").read_bytes()
     np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, mesh.points + 1)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_files_of_gmsh_4_0_are_read_and_moved(tmp_path, binary):
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    mesh = meshio.Mesh(square, [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))])
+    meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, "4.0", binary=binary)
+    read = io.read(tmp_path / "a.msh")
+    np.testing.assert_array_equal(read.points, square[:, :2])
+    io.write(tmp_path / "b.msh", read.moved(2 * read.points))
+    again = io.read(tmp_path / "b.msh")
+    np.testing.assert_array_equal(again.points, 2 * square[:, :2])
+    np.testing.assert_array_equal(again.cells["triangle"], read.cells["triangle"])
+
+
+def test_a_block_of_no_elements_is_no_damage(tmp_path):
+    mesh = meshio.Mesh(np.eye(3), [("triangle", np.array([[0, 1, 2]]))])
+    meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, "2.2", binary=True)
+    data = (tmp_path / "a.msh").read_bytes()
+    start = data.index(b"$Elements\n1\n") + 12
+    (tmp_path / "a.msh").write_bytes(data[:start] + np.array([2, 0, 2], "<i4").tobytes() + data[start:])
+    np.testing.assert_array_equal(io.read(tmp_path / "a.msh").cells["triangle"], [[0, 1, 2]])
 
 
 @pytest.mark.parametrize("version", ["2.2", "4.1"])

@@ -28,14 +28,24 @@ def test_a_thousand_calls_leave_nothing_behind():
     def both():
         return np.asarray(jm.deform(plan, u)), np.asarray(jm.pullback(plan, u, cotangent))
 
-    for _ in range(20):
-        first = both()
-    compiled, before = [], resident()
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda name, *_, **__: compiled.append(name) if "backend_compile" in name else None
-    )
-    for _ in range(1000):
-        again = both()
+    compiled = []
+
+    def listen(event, *_, **__):
+        if "backend_compile" in event:
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        jax.clear_caches()
+        for _ in range(20):
+            first = both()
+        assert compiled, "the event of a compilation has another name"
+        compiled.clear()
+        before = resident()
+        for _ in range(1000):
+            again = both()
+    finally:
+        jax.monitoring.clear_event_listeners()
     assert not compiled
     assert resident() - before < 20e6
     for a, b in zip(first, again, strict=True):

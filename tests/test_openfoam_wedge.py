@@ -1,5 +1,6 @@
 """OpenFOAM's axisymmetric cases: a mesh in (x, r), written back to both planes."""
 
+import re
 import shutil
 
 import foam
@@ -59,6 +60,9 @@ def test_a_wedge_is_a_plane_mesh(pipe, tmp_path):
     both = [around(x + 0.1 * np.sin(x), 1.2 * r, side).reshape(-1, 3) for side in (1, -1)]
     expected = np.concatenate([both[0], both[1].reshape(3, 3, 3)[:, 1:].reshape(-1, 3)])
     np.testing.assert_allclose(again.source.content.points, expected, rtol=0, atol=1e-14)
+    io.write(tmp_path / "rounded", mesh.moved(np.where(moved == 0, 1e-14, moved)))
+    np.testing.assert_allclose(io.read(tmp_path / "rounded").source.content.points, expected, rtol=0, atol=1e-13)
+    assert (np.asarray(io.read(tmp_path / "rounded").source.content.points)[::3][:3, 1:] == 0).all()
     with pytest.raises(ValueError, match="3 nodes of the axis have left it, first node 0: name it, symmetry='axis'"):
         io.write(tmp_path / "off", mesh.moved(moved + 0.1))
     w = np.random.default_rng(0).normal(size=expected.shape)
@@ -66,6 +70,19 @@ def test_a_wedge_is_a_plane_mesh(pipe, tmp_path):
     h = np.random.default_rng(1).normal(size=moved.shape) * (r.ravel() > 0)[:, None]
     spread = plane.in_space(expected, moved + h) - plane.in_space(expected, moved)
     np.testing.assert_allclose(np.vdot(w, spread), np.vdot(plane.added(w), h), rtol=1e-12)
+
+
+def test_a_patch_named_axis_is_joined_or_refused(pipe):
+    case = pipe[0]
+    boundary = case / "constant" / "polyMesh" / "boundary"
+    text = boundary.read_text()
+    end = text.rindex(")")
+    count, entry = re.search(r"^(\d+)\s*\(", text, re.MULTILINE), "axis { type patch; nFaces 0; startFace 0; }\n"
+    boundary.write_text(text[: count.start(1)] + str(int(count[1]) + 1) + text[count.end(1) : end] + entry + text[end:])
+    assert len(io.read(case).patch("axis")) == 3
+    boundary.write_text(re.sub(r"\bwall\b", "axis", text, count=1))
+    with pytest.raises(ValueError, match="pipe: the patch axis has faces"):
+        io.read(case)
 
 
 def test_openfoam_takes_a_moved_wedge(pipe, tmp_path):

@@ -23,7 +23,7 @@ examples:
   jaxmorph deform airfoil.su2 rotated.su2 --moving airfoil --fixed farfield \\
       --rotate -5 --about 0.25 0
 
-exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input;
+exit status: 0; 1 when a motion inverts cells or a gate fails; 2 for bad input;
 130 when interrupted"""
 
 DEFORM = """\
@@ -36,8 +36,9 @@ steps, each with 1/N of every angle, factor, translation and displacement.
 NAME is a patch, a regular expression for the whole of a name ("motorBike.*"),
 or a group that the file has (inGroups of an OpenFOAM case). A patch with faces
 that are not named as moving, fixed, symmetry, sliding, periodic or free is an
-error: its nodes would follow like inner ones, and may leave the boundary. The
-cyclic patches of an OpenFOAM case that no flag names are periodic.
+error: its nodes would follow like inner ones, and may leave the boundary.
+Cyclic patches of an OpenFOAM case, and periodic interfaces of a CGNS file, are
+periodic where no flag names them.
 
 A box is a TOML file: low and high (two corners), points (how many control
 points each way), and for each that moves a [[moved]] with at (its numbers, from
@@ -82,7 +83,7 @@ examples:
   the same with another angle of the flap:
     jaxmorph deform --job flaps.toml --set flap.rotate=12
 
-exit status: 0; 1 when cells are inverted or a gate fails (OUT is then not
+exit status: 0; 1 when the motion inverts cells or a gate fails (OUT is then not
 written unless --allow-inverted is given); 2 for bad input"""
 
 DEFORM_SHORT = """\
@@ -97,7 +98,7 @@ examples:
   jaxmorph deform wing.su2 up.su2 --moving wing --fixed farfield \\
       --symmetry symmetry --rotate 2 --axis 0 1 0 --picture up.html
 
-exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input"""
+exit status: 0; 1 when the motion inverts cells or a gate fails; 2 for bad input"""
 
 MODES = """\
 Every mode file at every amplitude, through one plan, several at a time. Times
@@ -111,8 +112,8 @@ examples:
     jaxmorph modes airfoil.su2 shapes.su2 --moving airfoil --fixed farfield \\
         --mode bumps/*.npz --amplitude 0.01
 
-exit status: 0; 1 when cells are inverted or a gate fails in any of them (it is
-then not written unless --allow-inverted is given); 2 for bad input"""
+exit status: 0; 1 when a motion inverts cells or a gate fails (its mesh is then
+not written unless --allow-inverted is given); 2 for bad input"""
 
 MODES_SHORT = """\
 Other methods, limits of quality, output for machines: jaxmorph modes --help-all
@@ -123,7 +124,7 @@ examples:
   jaxmorph modes airfoil.su2 shapes.su2 --moving airfoil --fixed farfield \\
       --mode bumps/*.npz --amplitude 0.01
 
-exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input"""
+exit status: 0; 1 when a motion inverts cells or a gate fails; 2 for bad input"""
 
 _SENSITIVITY_EXAMPLES = """\
 examples:
@@ -166,7 +167,8 @@ examples:
   jaxmorph quality airfoil.su2
   jaxmorph quality airfoil.su2 pitched.su2 --max-non-orthogonality 70
 
-exit status: 0; 1 when cells are inverted or a gate fails; 2 for bad input"""
+exit status: 0; 1 when FILE2 inverts cells, FILE alone has inverted ones, or a
+gate fails; 2 for bad input"""
 
 INFO = """\
 example:

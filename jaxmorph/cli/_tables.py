@@ -69,10 +69,10 @@ def inverted_cells(judged: Judged) -> str:
     bad = len(judged.spoilt)
     if not bad:
         return ""
-    are = "cell is" if bad == 1 else "cells are"
+    are = "is" if bad == 1 else "are"
     worst = judged.worst_spoilt()
     where = f"the worst is cell {worst} near {place(judged, worst)}"
-    return f"{bad} of {len(judged.counted)} {are} inverted, {where}, by {judged.rule}."
+    return f"{bad} of {count(len(judged.counted), 'cell')} {are} inverted, {where}, by {judged.rule}."
 
 
 def place(judged: Judged, cell: int) -> str:
@@ -101,7 +101,7 @@ def _heading(judged: Judged) -> str:
 
 
 def _number(judged: Judged, kind: str, name: str) -> str:
-    return f"{judged.number(kind, name):>12.5g}"
+    return f"{judged.number(kind, name) + 0.0:>12.5g}"  # -0 is 0
 
 
 def _row(judged: Judged, kind: str, name: str, numbers: str) -> str:

@@ -1,4 +1,4 @@
-"""gmsh's .msh, versions 2.2 and 4.1, ascii and binary: read by meshio, written back by replacing the coordinates.
+"""gmsh's .msh, versions 2.2 and 4.1, ascii and binary, and 4.0: read by meshio, written back by replacing the coordinates.
 
 meshio's own writer would lose bounding boxes, second physical groups and comments of a file it has read.
 """
@@ -48,10 +48,11 @@ def read(path: pathlib.Path) -> Mesh:
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the file the mesh came from with new coordinates; for any other mesh a new file of version 2.2, binary.
 
-    In a new file a patch becomes a physical group, with the boundary faces between its nodes as elements.
+    So it is with a mesh from ascii 4.0, whose rows of coordinates look like the heads of its blocks. In a new file a patch
+    becomes a physical group, with the boundary faces between its nodes as elements.
     """
     source = source_of(mesh, NAME)
-    if source is None:
+    if source is None or _format(source.content.data) == (b"4.0", False):
         meshio.gmsh.write(str(path), _new(mesh), fmt_version="2.2", binary=True)
         return
     points = np.array(source.content.points, dtype=float)
@@ -119,6 +120,10 @@ def _sections(data: bytes) -> Iterator[tuple[bytes, int, int]]:
         at = stop + 4 + len(name)
 
 
+class _Parametric(ValueError):
+    """Stands for nodes with parametric coordinates, of which meshio says that it cannot read them."""
+
+
 def _check_sections(path: pathlib.Path, data: bytes) -> None:
     """Raises `ValueError` for sections that hold more or less than they announce: meshio would take them as they come."""
     try:
@@ -128,6 +133,8 @@ def _check_sections(path: pathlib.Path, data: bytes) -> None:
             end = (_end_of_text if is_text else _end_of_binary)(name, version, data, start, stop)
             if end is not None and (end > stop or data[end:stop].strip()):
                 raise ValueError(f"more or less in ${name.decode(errors='replace')[:40]} than it announces")
+    except _Parametric:
+        return
     except (ValueError, IndexError, OverflowError, struct.error) as error:
         raise ValueError(f"{path}: not a .msh file, or a damaged one ({error}).") from error
 
@@ -152,27 +159,27 @@ def _end_of_binary(name: bytes, version: bytes, data: bytes, start: int, stop: i
     """Finds where the announced bytes of a section end; None for a section that is not looked at."""
     if name == b"Nodes":
         ends = [each.offset + each.strides[0] * each.shape[0] for each, _ in _binary_blocks(data, start, version)]
-        # the rows of version 2 begin with a tag of four bytes, before the coordinates
-        return max(ends) - 4 * version.startswith(b"2") if ends else None
+        # before 4.1, rows begin with a tag of four bytes, before the coordinates
+        return max(ends) - 4 * (version != b"4.1") if ends else None
     if name != b"Elements":
         return None
     if version.startswith(b"2"):
         line = data.index(b"\n", start) + 1
-        at, left, width = line, int(data[start:line]), 4
+        at, left, blocks, width = line, int(data[start:line]), 0, 4
     else:
-        left = struct.unpack_from("<Q", data, start + 8)[0]
-        at, width = start + 32, 8
-    while left > 0:
+        blocks, left = struct.unpack_from("<2Q", data, start)
+        at, width = (start + 32, 8) if version == b"4.1" else (start + 16, 4)
+    while left > 0 or blocks > 0:
         if version.startswith(b"2"):
             kind, count, tags = struct.unpack_from("<3i", data, at)
             at += 12
         else:
             (kind, count), tags = struct.unpack_from("<iQ", data, at + 8), 0
             at += 20
-        if kind not in TYPES or count < 1 or tags < 0:
+        if kind not in TYPES or count < 0 or tags < 0:
             raise ValueError(f"{count} elements of type {kind} with {tags} tags in $Elements")
         at += count * width * (1 + tags + CORNERS_OF[TYPES[kind]])
-        left -= count
+        left, blocks = left - count, blocks - 1
     if left or at > stop:
         raise ValueError("$Elements is cut short")
     return at
@@ -217,9 +224,16 @@ def _binary_blocks(data: bytes, at: int, version: bytes) -> Iterator[tuple[_Bloc
         yield _Block(end + 4, (count, 3), (28, 8)), _Block(end, (count, 1), (28, 4), "<i4")
         return
     blocks = struct.unpack_from("<Q", data, at)[0]
-    at += 4 * 8
+    at += 8 * (4 if version == b"4.1" else 2)
     for _ in range(blocks):
-        count = struct.unpack_from("<Q", data, at + 12)[0]
-        at += 20 + 8 * count
+        is_parametric, count = struct.unpack_from("<iQ", data, at + 8)
+        if is_parametric:
+            raise _Parametric
+        at += 20
+        if version != b"4.1":
+            yield _Block(at + 4, (count, 3), (28, 8)), _Block(at, (count, 1), (28, 4), "<i4")
+            at += 28 * count
+            continue
+        at += 8 * count
         yield _Block(at, (count, 3), (24, 8)), _Block(at - 8 * count, (count, 1), (8, 8), "<u8")
         at += 24 * count

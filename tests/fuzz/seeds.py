@@ -1,6 +1,5 @@
 """Small good files of every format, in every form: what the fuzzers damage."""
 
-import gzip
 import itertools
 import pathlib
 import struct
@@ -193,8 +192,3 @@ FORMATS = {
     "boxes": boxes,
     "fields": fields,
 }
-
-
-def unpacked(path: pathlib.Path, data: bytes) -> bytes:
-    """The text inside of a packed file."""
-    return gzip.decompress(data) if path.suffix == ".gz" else data

@@ -227,6 +227,8 @@ def _in_sector(
         patch.name: plane.ids(topology.nodes[patch.name]) for patch in boundary if patch.type not in ("empty", "wedge")
     }
     if plane.on_axis.any():
+        if len(nodes.get("axis", ())):
+            raise ValueError("the patch axis has faces; nodes on the axis get its name: call it otherwise in boundary.")
         nodes["axis"] = np.flatnonzero(plane.on_axis)
     cells, ids, whole = plane_cells(faces, points, front, plane)
     mesh = Mesh(plane.in_plane(points), cells, nodes)

@@ -1,6 +1,7 @@
 """OpenFOAM's 2-D cases: one layer of cells between two `empty` planes, which move alike."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,6 +24,7 @@ class Layer:
     front: np.ndarray
     back: np.ndarray
     axes: tuple[int, int]
+    patch_type: ClassVar[str] = "empty"
 
     def in_plane(self, points: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(points[self.front][:, self.axes])
@@ -101,7 +103,8 @@ def plane_cells(
     owner, sizes = faces.owner[front], faces.sizes[front]
     if not np.array_equal(owner, np.arange(faces.owner.max() + 1)):
         raise ValueError(
-            f"patches of type empty, but {len(front)} faces in front are not those of {faces.owner.max() + 1} cells, one each."
+            f"patches of type {plane.patch_type}, but {len(front)} faces in front are not those of {faces.owner.max() + 1} "
+            "cells, one each."
         )
     corners = {"triangle": faces.corners(front[sizes == 3], 3), "quad": faces.corners(front[sizes == 4], 4)}
     ids = {"triangle": owner[sizes == 3], "quad": owner[sizes == 4]}
@@ -128,7 +131,7 @@ def _edges(faces: Faces, empty: np.ndarray, is_front: np.ndarray, plane: Layer |
         (~is_front[label[rows]] & is_front[label[after]]),
     )
     if not (np.array_equal(face[leaves], chosen) and np.array_equal(face[enters], chosen)):
-        raise ValueError("patches of type empty, but there are faces that do not join the two planes.")
+        raise ValueError(f"patches of type {plane.patch_type}, but there are faces that do not join the two planes.")
     # seen from its cell, such a face runs along the front against the sense of the cell's face in the front
     ends = np.stack([label[rows[leaves]], label[after[enters]]], axis=1)
     neighbour = np.full(len(faces.owner), -1)

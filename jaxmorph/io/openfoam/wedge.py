@@ -1,12 +1,17 @@
 """OpenFOAM's axisymmetric cases: one layer of cells between two `wedge` planes that meet at the axis, as a mesh in (x, r)."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import KDTree
 
 TOLERANCE = 1e-6
-"""Distance that a node may be off its plane or its partner, as a share of the mesh's extent."""
+"""Distance that a node may be off its plane, as a share of the mesh's extent."""
+APART = 1e-3
+"""Distance that the places of two partners may be apart, as a share of the mesh's extent."""
+ROUNDING = 1e-12
+"""Distance that a node of the axis may have left it, as a share of the mesh's extent: it is written on the axis."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -23,6 +28,7 @@ class Sector:
     origin: np.ndarray
     out: np.ndarray
     out_behind: np.ndarray
+    patch_type: ClassVar[str] = "wedge"
 
     def in_plane(self, points: np.ndarray) -> np.ndarray:
         arms = points[self.front] - self.origin
@@ -36,11 +42,13 @@ class Sector:
     def in_space(self, old: np.ndarray, plane: np.ndarray) -> np.ndarray:
         """Moves both planes of `old` as `plane` has moved. Raises `ValueError` where the axis does not stay."""
         along, outward = (plane - self.in_plane(old)).T[:, :, None]
-        off = np.flatnonzero(self.on_axis & (outward[:, 0] != 0))
+        limit = ROUNDING * np.ptp(old, axis=0).max()
+        off = np.flatnonzero(self.on_axis & ~(np.abs(outward[:, 0]) <= limit))
         if off.size:
             raise ValueError(
                 f"{off.size} nodes of the axis have left it, first node {off[0]}: name it, symmetry='axis' or --symmetry axis."
             )
+        outward = np.where(self.on_axis[:, None], 0, outward)
         new = old.copy()
         new[self.front] = old[self.front] + along * self.axis + outward * self.out
         behind = self.back[~self.on_axis]
@@ -97,7 +105,7 @@ def sector(first: np.ndarray, second: np.ndarray, points: np.ndarray) -> tuple[S
         for n, o in ((front, out), (back, behind))
     ]
     distance, nearest = map(np.asarray, KDTree(places[1]).query(places[0]))
-    if distance.max() > 1e3 * TOLERANCE * size or len(np.unique(nearest)) < len(back):
+    if distance.max() > APART * size or len(np.unique(nearest)) < len(back):
         raise ValueError(
             f"patches of type wedge, but their {len(front)} and {len(back)} nodes are not pairs, by up to {distance.max():.3g}."
         )
