@@ -76,6 +76,7 @@ def test_the_advice_is_one_that_works(here, capsys):
     assert deform("advised.su2", *motion, *advice[1].split()) == 0
 
 
+@pytest.mark.slow
 def test_no_advice_where_none_works(here, capsys):
     assert deform("never.su2", "--translate", "4.5", "0") == 1
     assert "A dry run with more --sources or --steps does not cure it." in capsys.readouterr().err

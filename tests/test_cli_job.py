@@ -258,6 +258,7 @@ def test_time_left_is_told_where_it_is_known():
     assert str(stage) == "deforming ... 10 s, 25%, 30 s left"
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_no_half_written_file(here):
     """A signal while the file is being written, in a process of its own."""
     code = f"""

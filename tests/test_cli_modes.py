@@ -55,6 +55,7 @@ def test_each_file_is_what_deform_writes(here, capsys):
         np.testing.assert_allclose(io.read(f"sweep_{k:04d}.su2").points, io.read("one.su2").points, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_series_in_xdmf_holds_what_the_files_of_a_series_hold(here, capsys):
     """Read by VTK's own reader, as ParaView does."""
     amplitudes = ["--amplitude", "-0.1", "0", "0.2"]

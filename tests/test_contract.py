@@ -199,7 +199,7 @@ def test_derivatives_with_respect_to_the_base_points(name, dimension):
         np.testing.assert_allclose(found[node, axis], difference, rtol=1e-6, atol=2e-6)
 
 
-@pytest.mark.parametrize("name", ["reduced", "wendland-none"])
+@pytest.mark.parametrize("name", ["reduced", pytest.param("wendland-none", marks=pytest.mark.slow)])
 def test_second_derivatives_with_respect_to_the_base_points(name):
     plan, (u, w), mesh = planned(name, 2), given(2), body(2)
     v = np.linalg.norm(mesh.points, axis=1)[:, None] * 0.1 * np.random.default_rng(6).normal(size=w.shape)
@@ -221,7 +221,7 @@ def test_jit_and_vmap(name, dimension):
     np.testing.assert_allclose(mapped, looped, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["delaunay", "reduced"])
+@pytest.mark.parametrize("name", ["delaunay", pytest.param("reduced", marks=pytest.mark.slow)])
 def test_eager_scan_jacfwd_and_vjp(name):
     plan, (u, w) = planned(name, 2), given(2)
     one = jm.deform(plan, u)

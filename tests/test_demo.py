@@ -30,6 +30,7 @@ def turned(points, degrees):
     return np.column_stack([z.real, z.imag])
 
 
+@pytest.mark.slow
 def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(_airfoil, "LEAVES", (1,))
     output = tmp_path / "made" / "for it"

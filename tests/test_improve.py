@@ -243,6 +243,7 @@ def test_derivatives_are_those_of_the_minimum():
     assert np.all(np.asarray(gradient)[inner] == 0)
 
 
+@pytest.mark.slow
 def test_progress_and_choice_of_fixed_nodes():
     mesh, said = grid(3), []
     points = mesh.points.copy()

@@ -42,7 +42,7 @@ def results(form):
 reference = functools.cache(lambda: results(np.asarray))
 
 
-@pytest.mark.parametrize("form", ["jax", "list"])
+@pytest.mark.parametrize("form", [pytest.param("jax", marks=pytest.mark.slow), "list"])
 def test_every_call_takes_every_form(form):
     for name, values in results(FORMS[form]).items():
         np.testing.assert_array_equal(np.asarray(values), np.asarray(reference()[name]), err_msg=name)

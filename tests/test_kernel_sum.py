@@ -65,6 +65,7 @@ def test_scipy_agrees(name, dimension):
     np.testing.assert_allclose(jm.deform(plan, u) - points, reference, rtol=0, atol=1e-8 * np.abs(reference).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["wendland", *(pytest.param(name, marks=pytest.mark.slow) for name in BASES if name != "wendland")]
 )
@@ -140,6 +141,7 @@ def test_every_transformation():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(moved))(u), dense, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [BLOCK, *(pytest.param(n, marks=pytest.mark.slow) for n in (26, BLOCK + 1))])
 def test_any_number_of_points(n):
     plan, u, w = case("thin-plate", n=n, s=25)

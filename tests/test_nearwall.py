@@ -85,7 +85,7 @@ def test_the_defect_and_the_cure(section, points, extremes, motion):
 
 
 @pytest.mark.parametrize("points", [SMALL, pytest.param(WHOLE, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("leaves", [1, 8])
+@pytest.mark.parametrize("leaves", [1, pytest.param(8, marks=pytest.mark.slow)])
 def test_the_convex_airfoil_does_not_get_worse(leaves, points):
     """Mean and largest skewness of the paper's case, with and without NearWall."""
     mesh = cases.naca0015(points=points)
@@ -219,6 +219,7 @@ def test_derivatives_with_respect_to_displacement_and_base_points():
     assert back == pytest.approx(float(jnp.vdot(derivative, cotangent)), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_same_field_on_a_mesh_refined_along_the_wall():
     """The layer depends on sources, not on how many nodes the wall has: its blend has no scale of its own."""
     fields = []

@@ -69,6 +69,7 @@ def test_patches_that_drift_apart_are_an_error(case, tmp_path):
         io.write(folder / "1", mesh.moved(moved))
 
 
+@pytest.mark.slow
 def test_cyclic_patches_are_periodic(case, tmp_path):
     """The file's own pairs, held as such: walls that move in any way leave a mesh that matches."""
     folder, _, points, _ = case

@@ -85,6 +85,7 @@ def test_a_patch_named_axis_is_joined_or_refused(pipe):
         io.read(case)
 
 
+@pytest.mark.slow
 def test_openfoam_takes_a_moved_wedge(pipe, tmp_path):
     foam.need_openfoam()
     case = pipe[0]

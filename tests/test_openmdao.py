@@ -106,6 +106,7 @@ def bend(x, p):
     return shapes.rotate(x, p["turn"]["angle"], [0.1, 0.0]) + p["shift"][None, :] * x[:, :1] ** 2
 
 
+@pytest.mark.slow
 def test_a_shape_passes_openmdaos_check_and_moves_the_mesh(plan):
     """In a model with the mesh: displacements, positions, and the gradient of the volume by the shape's parameters."""
     from jaxmorph import shapes

@@ -39,6 +39,7 @@ def joined(dimension, sides, **keywords):
     return jm.Periodic(*sides, rotation=np.pi / 2, **axis, **keywords)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_sector_moves_as_the_whole_wheel(dimension):
     """The field between all four sectors is known: the one that moves the sides of the quarter is it."""

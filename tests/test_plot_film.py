@@ -50,6 +50,7 @@ def test_a_mode_swings_as_a_sine():
     np.testing.assert_allclose(frames[6], -extreme)
 
 
+@pytest.mark.slow
 def test_a_film_in_2d_shows_each_frame(tmp_path):
     mesh = mixed()
     frames = plot.swing(mesh.points, raised(mesh), frames=8)

@@ -394,6 +394,7 @@ def test_gradients_are_those_of_differences(kind):
     np.testing.assert_allclose(jnp.sum(gradient * direction[None], axis=(1, 2)), difference, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "dtype"), DEGENERATE)
 def test_derivatives_are_finite_on_degenerate_cells(kind, dtype):
     ideal = np.array(IDEAL[kind], dtype=dtype)
@@ -427,6 +428,7 @@ def test_derivatives_are_finite_on_degenerate_cells(kind, dtype):
     assert np.isfinite(report.mean_skewness)
 
 
+@pytest.mark.slow
 def test_coincident_centres_have_finite_derivatives():
     """A cell folded onto its neighbour: no distance between the centres."""
     points = np.array([[0, 0], [1, 0], [0.5, 1], [0.5, 1]])

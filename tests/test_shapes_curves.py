@@ -96,6 +96,7 @@ def test_sides_of_airfoils():
         )  # nose and tail may be either
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("last", [pytest.param(0.1015, marks=pytest.mark.slow), 0.1036])
 def test_cst_fits_an_airfoil_with_a_blunt_or_sharp_edge(last):
     x = naca(0.0, 0.4, 0.12, last=last)

@@ -172,7 +172,7 @@ def test_many_points_are_summed_in_blocks(name):
     np.testing.assert_allclose(squares, 2 * jax.linear_transpose(operator, control)(operator(other))[0], atol=1e-11)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("d", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_points_by_control_points_forward_and_reverse(d):
     """d(points)/d(control) through `deform`, component by component; the map is linear, so differences are exact."""
     mesh = body(d)

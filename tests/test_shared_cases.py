@@ -99,6 +99,7 @@ def test_no_cell_inverts(name, motion, method):
     assert float(report.min_jacobian_ratio) == pytest.approx(worst, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_the_bump_that_came_with_the_mesh(method):
     """New positions of the 200 wall nodes, from a file."""
@@ -125,6 +126,7 @@ def test_flat_faces_that_follow_stay_flat():
         assert smallest_corner_ratio(mesh, points) > 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_what_cannot_be_done_is_reported(method):
     """The floor of the brick is lifted through its lid; the airfoil's nodes are torn apart, every other one up."""

@@ -207,6 +207,7 @@ def test_a_circle_in_single_precision_and_an_ellipse():
         wall_of(slide, outer, mesh.points * [1, 1.1], None)
 
 
+@pytest.mark.slow
 def test_a_face_without_area():
     """A pyramid of quads, each of which ends in the pole: one of its triangles has no area."""
     points = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1]])

@@ -58,7 +58,7 @@ def test_they_are_near_the_exact_ones_by_the_bounds_stated(kind):
 @pytest.mark.parametrize(
     "kind", [kind if kind != "tetra" else pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS]
 )
-@pytest.mark.parametrize("size", [0.0, 0.1], ids=["ideal", "shaken"])
+@pytest.mark.parametrize("size", [pytest.param(0.0, marks=pytest.mark.slow), 0.1], ids=["ideal", "shaken"])
 def test_derivatives_are_those_of_differences(kind, size):
     """At the ideal cell, where every term is as large as the others and the exact measures have their kinks, too."""
     mesh = pair(kind)
@@ -74,7 +74,7 @@ def test_derivatives_are_those_of_differences(kind, size):
     np.testing.assert_allclose(np.vdot(jax.grad(objective)(points), tangent), difference, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["triangle", "quad", "tetra"])
+@pytest.mark.parametrize("kind", ["triangle", "quad", pytest.param("tetra", marks=pytest.mark.slow)])
 def test_inverted_and_flat_cells_are_bad_by_a_finite_number_that_falls_as_they_turn_round(kind):
     mesh = pair(kind)
     axis = mesh.points.shape[1] - 1

@@ -77,6 +77,7 @@ def test_a_rigid_motion_and_camber_of_an_airfoil():
     assert np.isin(report.nodes, wall).all()
 
 
+@pytest.mark.slow
 def test_derivatives_and_the_smooth_twin():
     mesh = cases.bricks("tetra", cells=3)
     rng = np.random.default_rng(0)

@@ -37,6 +37,7 @@ def judged(mesh, points):
     return int(report.inverted), float(report.min_jacobian_ratio)
 
 
+@pytest.mark.slow
 def test_the_fit_is_the_least_of_its_sum():
     """The sum of squares in the docstring, written out with derivatives of the field by JAX, has no slope at the answer."""
     mesh, ell, mu = body(2), 0.2, 0.15
@@ -73,6 +74,7 @@ def test_the_fit_is_the_least_of_its_sum():
     assert float(total(values)) < 0.5 * float(total(0 * values))
 
 
+@pytest.mark.slow
 def test_both_lengths_are_differentiable():
     mesh = body(2)
     u, w = motion(mesh.points[mesh.moving]), np.random.default_rng(1).normal(size=mesh.points.shape)
@@ -225,6 +227,7 @@ def test_a_bump_leaves_the_far_field_alone():
     np.testing.assert_allclose(moved, mesh.points @ affine, atol=1e-9 * radius)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whole", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["mesh", "points"])
 def test_a_free_side_is_seen_however_it_is_turned(whole):
     """The outlet is named nowhere: the field is then an interpolation, and has no edges to be fitted to."""

@@ -129,7 +129,7 @@ def test_the_turn_is_nose_up():
 
 @both_sizes
 @pytest.mark.parametrize("symmetric", [pytest.param(False, marks=pytest.mark.slow), True], ids=["free", "plane"])
-@pytest.mark.parametrize("method", [REDUCED, None], ids=["paper's", "default"])
+@pytest.mark.parametrize("method", [pytest.param(REDUCED, marks=pytest.mark.slow), None], ids=["paper's", "default"])
 def test_bending(wing, method, symmetric):
     start = wing.judge(wing.mesh.points)
     for amplitude in (0.25, 0.5, 0.75):
@@ -138,6 +138,7 @@ def test_bending(wing, method, symmetric):
         assert start.aspect_ratio.mean() < end.aspect_ratio.mean() < start.aspect_ratio.mean() + 0.36 * amplitude**2
 
 
+@pytest.mark.slow
 @both_sizes
 def test_bending_spares_the_volumes_that_graph_mapping_squeezes(wing):
     u = agard445_mode(wing.base, 1, 0.25)
@@ -155,6 +156,7 @@ def test_other_motions(wing, name):
         assert wing.moved(OTHERS[name](wing.base), method).inverted == 0
 
 
+@pytest.mark.slow
 @both_sizes
 def test_one_step_of_the_field_and_three_of_the_graph(wing):
     """As the paper does it (section 3.2), with a new graph before each step."""
