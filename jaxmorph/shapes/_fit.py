@@ -84,7 +84,7 @@ def fit(
         flat = optimistix.least_squares(miss, solver, flat, max_steps=max_steps, throw=False).value
     jacobian = jax.jacfwd(miss)(flat)
     change, _, rank, _ = jnp.linalg.lstsq(jacobian, -miss(flat))
-    if is_known(rank) and not int(rank):
+    if is_known(jacobian) and not jnp.any(jacobian):
         raise ValueError(
             f"none of {len(flat)} parameters moves one of the {len(points)} points: are they outside the box?"
         )
