@@ -138,7 +138,8 @@ def test_linear_in_u(name, dimension):
     v = np.random.default_rng(2).normal(size=u.shape)
     together = jm.deform(plan, 2 * u - 3 * v) - plan.points
     apart = 2 * (jm.deform(plan, u) - plan.points) - 3 * (jm.deform(plan, v) - plan.points)
-    np.testing.assert_allclose(together, apart, rtol=0, atol=1e-10)
+    size = max(1.0, float(np.abs(together).max()))  # a sparse system may amplify what it is given
+    np.testing.assert_allclose(together, apart, rtol=0, atol=1e-10 * size)
 
 
 @every_method
