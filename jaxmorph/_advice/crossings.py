@@ -55,8 +55,11 @@ def crossings(mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings |
     Faces with a node that is not among them are left out. It returns None for a mesh whose boundary faces are not known.
     """
     cut = simplices(mesh, nodes)
-    if cut is None:
-        return None
+    return None if cut is None else crossings_of(cut, mesh, nodes, vectors)
+
+
+def crossings_of(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
+    """Finds the same for boundary faces that `simplices` has cut."""
     faces, ids = cut
     points = np.asarray(mesh.points, dtype=float)
     before = points[nodes]

@@ -16,7 +16,7 @@ from .._mesh.mesh import Mesh
 from .._methods.fitted import FittedRBF
 from .._plan.judge import ended, ends
 from .._plan.plan import Plan
-from .crossings import Crossings, crossings, simplices
+from .crossings import Crossings, crossings_of, simplices
 from .overshoot import overshoot
 
 PUT_BACK = 0.01
@@ -136,8 +136,8 @@ class Inspection:
 
     def with_faces(self, mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int) -> "Inspection":
         """Returns the same with what needs faces: the mesh's `nodes` (o,) move by `vectors` (o, d), the first `moving` given."""
-        crossed, left, node = crossings(mesh, nodes, vectors), None, None
-        cut = simplices(mesh, nodes)
+        cut, left, node = simplices(mesh, nodes), None, None
+        crossed = None if cut is None else crossings_of(cut, mesh, nodes, vectors)
         if cut is not None and len(cut[0]):
             before = np.asarray(mesh.points, dtype=float)[nodes]
             wall = walls(before, moving, {"simplex": cut[0]})
