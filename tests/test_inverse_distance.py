@@ -90,13 +90,24 @@ def test_rigid_blend_is_rigid_near_the_body(dimension):
         np.testing.assert_allclose(pushed, difference, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
+def test_rigid_blend_turns_an_airfoil_by_165_degrees_in_one_step():
+    """Cells grow with their distance, and so does the width over which the rotation fades."""
+    mesh = cases.naca0015(points=1200)
+    method = jm.SurfaceReconstruction(jm.RigidBlend(0.25, 19.5), jm.NearWall())
+    plan = jm.prepare(mesh, "airfoil", "farfield", method=method)
+    wall = plan.points[plan.moving]
+    turned = jm.shapes.rotate(wall, np.deg2rad(-165.0), about=(0.25, 0.0))
+    assert int(jm.quality(mesh, jm.deform(plan, turned - wall)).inverted) == 0
+
+
 def test_wrong_arguments_are_told():
     mesh = body(2)
     with pytest.raises(ValueError, match=r"positive and finite, not -1.0"):
         jm.InverseDistance(near=-1.0)
     with pytest.raises(ValueError, match=r"needs the boundary faces: pass the mesh"):
         jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(rotations=True))
-    with pytest.raises(ValueError, match=r"0 <= inner < outer, not 2.0 and 1.0"):
+    with pytest.raises(ValueError, match=r"0 < inner < outer, not 2.0 and 1.0"):
         jm.RigidBlend(2.0, 1.0)
 
 

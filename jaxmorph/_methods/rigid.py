@@ -18,23 +18,24 @@ class RigidBlend(AbstractMethod):
     """Moves points near the moving surface rigidly with it, and less the farther they are.
 
     The rigid motion is the one nearest to the displacements, about the middle of the moving nodes. Its angle and translation
-    are those of the body up to `inner` from the nearest moving node, zero from `outer` on, and fade smoothly between. It is
-    a coarse field, `SurfaceReconstruction(RigidBlend(0.5, 10), NearWall())`, for rotations by up to 180 degrees in one step;
-    OpenFOAM's `sixDoFRigidBodyMotion` moves meshes so. It is not linear in `u`. Several bodies count as one.
+    are those of the body up to `inner` from the nearest moving node, zero from `outer` on. Between they fade with the logarithm
+    of the distance, which spreads the shear evenly over cells that grow with it. It is a coarse field,
+    `SurfaceReconstruction(RigidBlend(0.25, 19.5), NearWall())`, for rotations by up to 180 degrees in one step; OpenFOAM's
+    `sixDoFRigidBodyMotion` moves meshes so, but fades with the distance. It is not linear in `u`. Several bodies count as one.
 
     **Arguments:**
 
-    - `inner`, `outer`: distances in the mesh's units.
+    - `inner`, `outer`: distances in the mesh's units: about a quarter of the body, and where the fixed boundary begins.
 
-    **Raises:** `ValueError` unless 0 <= inner < outer. `prepare` raises it for moving nodes at one place, or in 3-D on one line.
+    **Raises:** `ValueError` unless 0 < inner < outer. `prepare` raises it for moving nodes at one place, or in 3-D on one line.
     """
 
     inner: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, float))
     outer: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, float))
 
     def __check_init__(self):
-        if is_known((self.inner, self.outer)) and not 0 <= float(self.inner) < float(self.outer):
-            raise ValueError(f"RigidBlend needs 0 <= inner < outer, not {float(self.inner)} and {float(self.outer)}.")
+        if is_known((self.inner, self.outer)) and not 0 < float(self.inner) < float(self.outer):
+            raise ValueError(f"RigidBlend needs 0 < inner < outer, not {float(self.inner)} and {float(self.outer)}.")
 
     @property
     def exact(self) -> bool:
@@ -77,8 +78,9 @@ class RigidField(AbstractField):
 
     def __call__(self, x, ids):
         inner, outer = self.method.inner.astype(x.dtype), self.method.outer.astype(x.dtype)
-        far = jnp.clip((norm(x - self.surface[ids]) - inner) / (outer - inner), 0, 1)
-        share = 1 - far**3 * (10 - 15 * far + 6 * far**2)
+        distance = jnp.clip(norm(x - self.surface[ids]), inner, outer)
+        far = jnp.log(distance / inner) / jnp.log(outer / inner)
+        share = 1 - far**2 * (3 - 2 * far)
         arm, turn = x - self.middle, share * self.turn
         if len(x) == 2:
             along, across = -2 * jnp.sin(turn / 2) ** 2, jnp.sin(turn)
