@@ -7,6 +7,7 @@ import scipy.interpolate
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._advice.rivals import MOST_POINTS, is_better
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,7 @@ def problem():
 
 @pytest.fixture(scope="module")
 def choice(problem):
-    return jm.choose(*problem, leaves=(2, 16))
+    return jm.choose(*problem, leaves=(2, 16), methods={})
 
 
 @pytest.mark.slow
@@ -90,7 +91,7 @@ def test_a_change_of_shape_asks_for_the_fit_and_a_turn_does_not(problem, choice)
     assert row["fit"]
     assert row["angle"] < min(other["angle"] for other in choice.table if not other["fit"])
     points = mesh.points[moving]
-    translation = jm.choose(mesh, moving, fixed, np.full((1, *points.shape), 0.1), leaves=(2,))
+    translation = jm.choose(mesh, moving, fixed, np.full((1, *points.shape), 0.1), leaves=(2,), methods={})
     assert not translation.table[translation.chosen]["fit"]
 
 
@@ -108,7 +109,13 @@ def test_a_symmetry_plane_counts_the_image_too():
         return 0.2 * np.stack([x[:, 0] ** 2, x[:, 1] * x[:, 0]], axis=1)
 
     choice = jm.choose(
-        jm.Mesh(points, {"quad": quads}), ids[0], ids[-1], motion(points[ids[0]])[None], symmetry=plane, leaves=(2,)
+        jm.Mesh(points, {"quad": quads}),
+        ids[0],
+        ids[-1],
+        motion(points[ids[0]])[None],
+        symmetry=plane,
+        leaves=(2,),
+        methods={},
     )
     row = choice.table[0]
     reduced = jm.RBF(reduction=jm.KDTree(2, extremes=True))
@@ -125,6 +132,52 @@ def test_a_symmetry_plane_counts_the_image_too():
     assert missed > 1e-4
     np.testing.assert_allclose(row["error"], missed, rtol=1e-6)
     assert choice.plan.images is not None
+
+
+ROW = {"inverted": 0, "jacobian": 0.8, "angle": 5.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "better"),
+    [
+        ({"inverted": 1, "jacobian": -0.1, "angle": 0.0}, False),
+        ({"angle": 3.9, "jacobian": 0.65}, True),
+        ({"angle": 3.9, "jacobian": 0.6}, False),
+        ({"angle": 4.5}, False),
+        ({"angle": 5.9, "jacobian": 1.01}, True),
+        ({"angle": 6.1, "jacobian": 1.01}, False),
+        ({"angle": np.nan, "jacobian": 1.01}, True),
+    ],
+)
+def test_what_is_better(change, better):
+    """By more than a degree, or by a quarter of the Jacobian ratio, and never with more inverted cells."""
+    assert is_better(ROW | change, ROW) is better
+    assert not (better and is_better(ROW, ROW | change))
+
+
+@pytest.mark.slow
+def test_camber_asks_for_the_cells_and_half_a_turn_for_a_rigid_blend(problem, monkeypatch):
+    """Elastic and torsional cells turn with the wall; half a turn in one step is rigid, and only RigidBlend knows that."""
+    mesh, moving, fixed, _ = problem
+    base = mesh.points[moving]
+    camber = 0.2 * (base[:, :1] - base[:, :1] ** 2) * [0, 1]
+    turn = np.asarray(jm.shapes.rotate(base, np.deg2rad(-165.0), about=(0.25, 0.0))) - base
+    first, second = (jm.choose(mesh, moving, fixed, u[None], leaves=(8,)) for u in (camber, turn))
+    rows = {row["method"]: row for row in first.table}
+    assert first.method.needs_cells
+    assert first.table[first.chosen]["angle"] < rows["fitted"]["angle"] - 1 < rows["thin plate"]["angle"]
+    assert rows["elasticity"]["angle"] < rows["graph"]["angle"]
+    assert all(row["seconds"] > 0 for row in first.table)
+    chosen = second.table[second.chosen]
+    assert (chosen["method"], chosen["inverted"]) == ("rigid", 0)
+    assert all(row["inverted"] > 0 for row in second.table if row["method"] != "rigid")
+    monkeypatch.setitem(MOST_POINTS, 2, 1000)
+    skipped = jm.choose(mesh, moving, fixed, camber[None], leaves=(8,))
+    assert "elasticity: skipped: 1279 points" in str(skipped)
+    assert not skipped.method.needs_cells
+    named = {"soft": jm.LinearElasticity(jm.ByDistance(1.0))}
+    other = jm.choose(mesh, moving, fixed, camber[None], leaves=(8,), methods=named)
+    assert [row["method"] for row in other.table[3:]] == ["soft"]
 
 
 @pytest.mark.parametrize("motions", [np.zeros((1, 3, 2)), np.zeros((3, 2))])

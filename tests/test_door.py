@@ -210,6 +210,10 @@ NONSENSE = {
         r"no/a\.su2: there is no folder",
     ),
     "no plans": (lambda *_: jm.replay((), np.zeros((0, 24, 2))), "`plans` is empty"),
+    "methods without names": (
+        lambda *_: jm.choose(MESH, "body", "far", np.ones((1, 24, 2)), methods=[jm.RBF()]),
+        r"`methods` is a dict of names and methods",
+    ),
     "no motions": (lambda *_: jm.choose(MESH, "body", "far", []), r"`motions` has shape \(0,\)"),
 }
 
@@ -240,7 +244,7 @@ def test_first_mistakes(mistake):
 @pytest.mark.slow
 def test_choose_takes_names():
     motions = np.random.default_rng(0).normal(size=(1, 24, 2)) * 1e-3
-    assert jm.choose(MESH, "body", "far", motions, leaves=(4,)).plan.n_moving == 24
+    assert jm.choose(MESH, "body", "far", motions, leaves=(4,), methods={}).plan.n_moving == 24
 
 
 def test_a_plan_goes_through_jit():

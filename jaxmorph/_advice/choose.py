@@ -1,9 +1,8 @@
-"""Sources and support radius, chosen for a family of motions instead of guessed."""
+"""Method, sources and support radius, chosen for a family of motions instead of guessed."""
 
 import dataclasses
 import math
-import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -16,26 +15,25 @@ from jaxtyping import Array, ArrayLike, Float, Real
 from .._host.reduction import KDTree
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Surface
+from .._methods.base import AbstractMethod, Surface, check_kind
 from .._methods.basis import WendlandC2
 from .._methods.fitted import FittedRBF
 from .._methods.nearwall import NearWall
 from .._methods.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
-from .._plan.door import Boundary, boundary
+from .._plan.door import boundary
 from .._plan.images import Images
 from .._plan.periodic import Periodic
-from .._plan.plan import Plan, deform
-from .._plan.prepare import plan_of, surface_of
+from .._plan.plan import Plan
+from .._plan.prepare import surface_of
 from .._plan.slide import Slide
 from .._plan.symmetry import Plane
-from .._quality.quality import quality
-from .._quality.wall import wall_quality
+from .rivals import WORTH, is_better, judged, others, tried
 
-COLUMNS = ("leaves", "sources", "radius", "fit", "error", "rounding", "inverted", "jacobian", "angle")
+COLUMNS = ("leaves", "sources", "radius", "fit", "error", "rounding", "inverted", "jacobian", "angle", "seconds")
 
-WORTH, NOTICEABLE = 0.8, 0.1
-"""Share of the smallest Jacobian ratio that a fitted field keeps, at least, and degrees by which it is closer to the angle."""
+NOTICEABLE = 0.1
+"""Degrees by which a fitted field is closer to the angle, at least, to be taken in place of one that interpolates."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,17 +42,20 @@ class Choice:
 
     `chosen` is the method's row of `table`. Each row has
 
-    - `leaves`: those of the k-d tree on the moving nodes;
-    - `sources`: how many control points in all;
-    - `radius`: that of the Wendland C2 function, None for a thin plate spline;
+    - `method`: its name; radial functions are `thin plate`, `Wendland C2` and `fitted`;
+    - `leaves`: those of the k-d tree on the moving nodes, None for other methods;
+    - `sources`: how many control points in all, None without any;
+    - `radius`: that of the Wendland C2 function, None for any other;
     - `fit`: whether the field is fitted to the wall, `FittedRBF`, instead of interpolating;
     - `error`: the coarse field's error on the surface, relative to the largest displacement: root mean square over
-      surface and motions;
+      surface and motions; None for other methods;
     - `rounding`: the error that float64 makes of the system's condition, relative to it too; None with the fit;
     - `inverted`: inverted cells in all motions;
-    - `jacobian`: the smallest Jacobian ratio in any; NaN where `prepare` refused;
+    - `jacobian`: the smallest Jacobian ratio in any; NaN where the row was refused;
     - `angle`: degrees by which first grid lines leave their angle to the wall, mean over nodes and motions. It is NaN where
-      no cell has a side on the wall.
+      no cell has a side on the wall;
+    - `seconds`: CPU time of one `deform`, compiled before;
+    - `refused`: why `prepare` refused or the mesh is too large, or None.
     """
 
     method: AbstractMethod
@@ -64,8 +65,12 @@ class Choice:
 
     def __str__(self) -> str:
         rows = [COLUMNS, *([_shown(row[name]) for name in COLUMNS] for row in self.table)]
-        marks = [" ", *("*" if i == self.chosen else " " for i in range(len(self.table)))]
-        return "\n".join(mark + "".join(f"{cell:>10}" for cell in row) for mark, row in zip(marks, rows, strict=True))
+        names = [" method", *(("*" if i == self.chosen else " ") + row["method"] for i, row in enumerate(self.table))]
+        width = max(map(len, names))
+        lines = [
+            f"{name:<{width}}" + "".join(f"{cell:>10}" for cell in row) for name, row in zip(names, rows, strict=True)
+        ]
+        return "\n".join([*lines, *(f"{row['method']}: {row['refused']}" for row in self.table if row["refused"])])
 
 
 def _shown(value: Any) -> str:
@@ -87,8 +92,9 @@ def choose(
     sliding: Slide | str | Sequence[Slide | str] = (),
     leaves: Sequence[int] = (8, 32, 128),
     tolerance: float = 0.01,
+    methods: Mapping[str, AbstractMethod] | None = None,
 ) -> Choice:
-    """Chooses sources, support radius, and whether to fit the field to the wall, for a family of motions.
+    """Chooses a method, its sources and support radius, and whether to fit the field to the wall, for a family of motions.
 
     For each number of leaves a thin plate spline, a Wendland C2 function and a fitted thin plate spline are tried. The radius
     of the second minimises the sum of `error` and `rounding` (see `Choice`). It is found by optimistix's golden section search,
@@ -99,8 +105,18 @@ def choose(
     is that good, the one with the largest Jacobian ratio. That is done for the fields that interpolate, and for the fitted ones.
 
     The fitted one is chosen if it inverts no more cells, leaves the grid lines closer to their angle to the wall, and keeps 80 %
-    of the other's Jacobian ratio. A change of shape asks for it; a body that moves as a whole does not. Every motion is
-    deformed and judged once for each of the 3 len(`leaves`) candidates.
+    of the other's Jacobian ratio. A change of shape asks for it; a body that moves as a whole does not.
+
+    The rows of `methods` follow. One after the other takes the place of the row chosen so far if it inverts fewer cells.
+    Where it inverts as many, it does so in two cases:
+
+    - its grid lines are closer to their angle, by more than a degree, and it keeps 80 % of the Jacobian ratio;
+    - its Jacobian ratio is larger by a quarter or more, and its grid lines are at most a degree farther from their angle.
+
+    The methods are, in this order: `DelaunayGraph`, `Multiscale.whole`, `Biharmonic`, `LinearElasticity`, `TorsionalSprings`,
+    `InverseDistance(rotations=True)` and `RigidBlend`, corrected by `NearWall`. The last two are not linear in `u`. Methods on
+    the cells are skipped beyond 100,000 points in 2-D and 40,000 in 3-D; inverse distances beyond 3e8 pairs of a point and a
+    node of the surface. The table says so. Every motion is deformed and judged once for each row.
 
     **Arguments:**
 
@@ -108,11 +124,13 @@ def choose(
     - `motions`: displacements (s, m, d) of the moving nodes that the mesh is to bear: modes, or samples.
     - `leaves`: numbers of leaves of the k-d tree to try, default 8, 32, 128.
     - `tolerance`: the error on the surface that is allowed, relative to the largest displacement. Default 0.01.
+    - `methods`: other methods to try, by the names that they have in the table. Default: those above. With `{}` there are
+      radial functions alone.
 
     **Returns:** a `Choice`.
 
-    **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for no `leaves`, and what `prepare` raises
-    where it refuses every candidate.
+    **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for no `leaves`, and for `methods` that are
+    no methods by name. Also what `prepare` raises where it refuses every candidate.
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(f"call choose(mesh, moving, fixed, motions) with a Mesh, not {type(mesh).__name__}.")
@@ -127,20 +145,32 @@ def choose(
         raise ValueError(f"{(~np.isfinite(motions)).sum()} components of `motions` are not finite.")
     if not len(leaves):
         raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
+    if not isinstance(methods, Mapping | None):
+        raise ValueError(
+            f'`methods` is a dict of names and methods, {{"soft": jm.LinearElasticity()}}, not {methods!r}.'
+        )
+    for name, method in (methods or {}).items():
+        check_kind(method, AbstractMethod, f'methods["{name}"]', "jm.LinearElasticity()")
     known = named.alone() if len(named.guided) else named
     surface, images, _ = surface_of(known)
     columns = _columns(motions, len(known.nodes), images)
     rows, plans, refused = [], [], None
     for is_fit, count, with_radius in _tries(leaves):
         coarse, row = _candidate(surface, columns, count, with_radius)
-        plan, refused = _prepared(named, FittedRBF(coarse) if is_fit else coarse, refused)
+        plan = tried(named, SurfaceReconstruction(FittedRBF(coarse) if is_fit else coarse, NearWall()))
+        refused = plan if isinstance(plan, Exception) else refused
         if is_fit:
             row |= {"error": _left(plan, motions), "rounding": None}
-        rows.append(row | {"fit": is_fit} | _judged(mesh, plan, motions))
+        name = "fitted" if is_fit else "Wendland C2" if with_radius else "thin plate"
+        rows.append({"method": name} | row | {"fit": is_fit} | judged(mesh, plan, motions))
+        plans.append(plan if isinstance(plan, Plan) else None)
+    radial = len(rows)
+    for row, plan in others(mesh, named, methods, motions):
+        rows.append(row)
         plans.append(plan)
     if all(plan is None for plan in plans):
         raise refused or ValueError("every candidate was refused.")
-    chosen = _best(rows, tolerance)
+    chosen = _best(rows, radial, tolerance)
     return Choice(plans[chosen].method, plans[chosen], tuple(rows), chosen)
 
 
@@ -205,50 +235,33 @@ def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Arra
     return jnp.sqrt(jnp.mean(missed**2)), unit * jnp.max(jnp.sum(jnp.abs(field.beta), axis=1))
 
 
-def _left(plan: Plan | None, motions: np.ndarray) -> float:
+def _left(plan: Plan | Exception, motions: np.ndarray) -> float:
     """Measures the root mean square of what the coarse field leaves to the correction, over surface and motions."""
-    if plan is None:
+    if isinstance(plan, Exception):
         return math.nan
     left = np.stack([np.asarray(plan.offset(jnp.asarray(u, plan.points.dtype))) for u in motions])
     return float(np.sqrt(np.mean(left**2)) / np.abs(motions).max())
 
 
-def _prepared(
-    named: Boundary, coarse: AbstractMethod, refused: ValueError | None
-) -> tuple[Plan | None, ValueError | None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a condition that the table tells
-        try:
-            return plan_of(named, SurfaceReconstruction(coarse, NearWall())), refused
-        except ValueError as error:
-            return None, error
+def _best(rows: list[dict[str, Any]], radial: int, error: float) -> int:
+    """Picks the best of the radial functions' rows, which come first, unless one of the others is better."""
+    usable = [i for i, row in enumerate(rows) if not row["refused"]]
+    kinds = [[i for i in usable if i < radial and rows[i]["fit"] is fit] for fit in (False, True)]
+    best = [_best_of(rows, kind, error) for kind in kinds if kind]
+    chosen = best[0] if best else None
+    if len(best) == 2 and _is_fit_better(rows[best[0]], rows[best[1]]):
+        chosen = best[1]
+    for i in usable:
+        if chosen is None or (i >= radial and is_better(rows[i], rows[chosen])):
+            chosen = i
+    assert chosen is not None  # some row was not refused
+    return chosen
 
 
-def _judged(mesh: Mesh, plan: Plan | None, motions: np.ndarray) -> dict[str, Any]:
-    if plan is None:
-        return {"inverted": math.nan, "jacobian": math.nan, "angle": math.nan}
-    moved = [deform(plan, jnp.asarray(u, plan.points.dtype)) for u in motions]
-    reports = [quality(mesh, points) for points in moved]
-    least = min(float(report.min_jacobian_ratio) for report in reports)
-    try:
-        angle = float(np.mean([wall_quality(mesh, np.asarray(plan.moving), points).mean_angle for points in moved]))
-    except ValueError:  # no cell has a side on the wall
-        angle = math.nan
-    return {"inverted": sum(int(report.inverted) for report in reports), "jacobian": least, "angle": angle}
-
-
-def _best(rows: list[dict[str, Any]], error: float) -> int:
-    """Picks the fitted row or the other one, of the best of each kind."""
-    usable = [i for i, row in enumerate(rows) if not math.isnan(row["jacobian"])]
-    first, *others = (
-        _best_of(rows, kind, error) for fit in (False, True) if (kind := [i for i in usable if rows[i]["fit"] is fit])
-    )
-    if not others:
-        return first
-    plain, fitted = rows[first], rows[others[0]]
-    is_better = fitted["inverted"] < plain["inverted"]
-    is_worth_it = fitted["angle"] < plain["angle"] - NOTICEABLE and fitted["jacobian"] >= WORTH * plain["jacobian"]
-    return others[0] if is_better or (fitted["inverted"] == plain["inverted"] and is_worth_it) else first
+def _is_fit_better(plain: dict[str, Any], fitted: dict[str, Any]) -> bool:
+    if fitted["inverted"] != plain["inverted"]:
+        return fitted["inverted"] < plain["inverted"]
+    return fitted["angle"] < plain["angle"] - NOTICEABLE and fitted["jacobian"] >= WORTH * plain["jacobian"]
 
 
 def _best_of(rows: list[dict[str, Any]], usable: list[int], error: float) -> int:

@@ -3,6 +3,8 @@
 import dataclasses
 import warnings
 
+from jaxmorph._advice.rivals import MOST_POINTS
+
 from . import _gates
 from ._attempt import Attempt
 from ._method import NamedMethod, named_method
@@ -10,8 +12,10 @@ from ._output import Output
 from ._requests import Method
 
 MORE = "more --sources or --steps"
+ON_CELLS = ("elasticity", "torsional")
+"""Methods on the cells that are tried after the default, where the mesh is small enough for them."""
 HINTS = {
-    "default": MORE,
+    "default": f"{MORE}, or --method {' or '.join(ON_CELLS)}",
     "published": f"--method default, or {MORE}",
     "rbf": "more --steps",
 }
@@ -42,7 +46,8 @@ def explain(attempt: Attempt, choice: NamedMethod, bad: list[str], out: Output) 
 def _tried(attempt: Attempt, choice: NamedMethod, out: Output) -> str:
     """Returns the flags of the first attempt whose mesh is good, beside the requested ones; nothing if none is."""
     asked, steps = attempt.request.method, attempt.request.steps
-    trials = _trials(asked, steps, choice.sources, len(attempt.wall))
+    n, d = attempt.base.shape
+    trials = _trials(asked, steps, choice.sources, len(attempt.wall), n <= MOST_POINTS[d])
     with out.progress("trying others") as stage:
         for k, (method, count) in enumerate(trials):
             if _works(attempt, method, count):
@@ -53,7 +58,7 @@ def _tried(attempt: Attempt, choice: NamedMethod, out: Output) -> str:
     return ""
 
 
-def _trials(asked: Method, steps: int, sources: int, most: int) -> list[tuple[Method, int]]:
+def _trials(asked: Method, steps: int, sources: int, most: int, with_cells: bool) -> list[tuple[Method, int]]:
     """Lists methods and numbers of steps, in the order in which they are tried."""
     if asked.name not in ("default", "rbf"):
         better = dataclasses.replace(asked, name="default")
@@ -62,6 +67,8 @@ def _trials(asked: Method, steps: int, sources: int, most: int) -> list[tuple[Me
         return [(asked, 2 * steps), (asked, 4 * steps)]
     more = [dataclasses.replace(asked, sources=min(factor * sources, most)) for factor in (2, 4)]
     trials = [(more[0], steps), (asked, 2 * steps), (more[1], 4 * steps)]
+    if with_cells and asked.sources is None:
+        trials += [(dataclasses.replace(asked, name=name), steps) for name in ON_CELLS]
     return [trial for trial in trials if trial != (asked, steps)]
 
 
@@ -72,6 +79,6 @@ def _works(attempt: Attempt, method: Method, steps: int) -> bool:
         try:
             chunks = attempt.patches.chunks(named_method(method, attempt.wall), attempt.request.chunk)
             points = attempt.points(chunks, attempt.patches.plan(chunks), steps)
-        except ValueError:
+        except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
             return False
         return not attempt.judge(points)[1]
