@@ -52,6 +52,12 @@ def full(basis, degree):
     return jm.RBF.classic(basis, degree=degree)
 
 
+def iterative(basis, **options):
+    """The classic method by iterations, small enough that the sparse part of the preconditioner has work to do."""
+    solver = jm.Iterative(1e-13, neighbours=12, dense=12)
+    return jm.RBF(basis, jm.AllPoints(), jm.AllPoints(), solver=solver, **options)
+
+
 def few(leaves=2):
     return jm.RBF(reduction=jm.KDTree(leaves), fixed_reduction=jm.KDTree(2))
 
@@ -158,6 +164,14 @@ CASES = [
         "power",
         lambda length: jm.SurfaceReconstruction(jm.RBF(reduction=jm.PGreedy(8)), jm.DelaunayGraph()),
         turns=False,
+        dimensions=(2,),
+    ),
+    Case("iterative", lambda length: iterative(jm.ThinPlateSpline())),
+    Case(
+        "iterative-wendland-none",
+        lambda length: iterative(jm.WendlandC2(2 * length), degree=None),
+        affine=False,
+        translates=False,
         dimensions=(2,),
     ),
     Case("gaussian-1", lambda length: full(jm.Gaussian(0.1 * length), 1), dimensions=(2,)),

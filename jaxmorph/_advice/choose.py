@@ -194,7 +194,7 @@ def _columns(motions: np.ndarray, nodes: int, images: Images | None) -> np.ndarr
 def _candidate(surface: Surface, columns: np.ndarray, count: int, with_radius: bool) -> tuple[RBF, dict[str, Any]]:
     rbf = RBF(reduction=KDTree(count, extremes=True))
     ids, points, values = (
-        jnp.asarray(rbf.connect(surface, surface.points)[0]),
+        jnp.asarray(rbf.chosen(surface)),
         jnp.asarray(surface.points),
         jnp.asarray(columns),
     )

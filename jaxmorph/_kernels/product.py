@@ -19,6 +19,11 @@ def few_rows_times(rows: Float[Array, "k s"], block: Float[Array, "s c"]) -> Flo
     return _product.bind(rows, block, axis=0)
 
 
+def few_rows_times_transposed(rows: Float[Array, "k c"], block: Float[Array, "s c"]) -> Float[Array, "k s"]:
+    """Computes `rows @ block.T` as `few_rows_times` does, from the block as it lies."""
+    return _product.bind(rows, block, axis=1)
+
+
 def _contract(rows, block, axis):
     """Sums the product over the last axis of `rows` and over `axis` of the matrix `block`."""
     dimensions = (((rows.ndim - 1,), (axis,)), ((), ()))

@@ -13,7 +13,9 @@ from .._host.sharp import behind_tips
 from .._host.skin import drawn_in, edges, has_free_sides, nearest_held, thinned
 from .._kernels.values import norm
 from .base import AbstractMethod, Surface, check_kind
-from .rbf import RBF, RBFFactors, polynomial
+from .rbf import RBF, RBFFactors
+from .solvers import Direct
+from .system import polynomial
 
 ELL, MU = {2: 0.17, 3: 0.1}, {2: 0.1, 3: 0.25}
 """Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall.
@@ -82,6 +84,10 @@ class FittedRBF(AbstractMethod):
 
     def __check_init__(self):
         check_kind(self.rbf, RBF, "rbf", "jm.RBF()")
+        if self.rbf.solver is not None and not isinstance(self.rbf.solver, Direct):
+            raise ValueError(
+                f"FittedRBF factors its dense system: `rbf` with solver={type(self.rbf.solver).__name__}() is for RBF alone."
+            )
 
     @property
     def exact(self) -> bool:
@@ -96,11 +102,11 @@ class FittedRBF(AbstractMethod):
         if is_open is None:
             is_open = has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points)
         if is_open:
-            sources = self._denser.connect(surface, points)[0]
+            sources = self._denser.chosen(surface)
             return self._sources_alone(surface, sources), None
-        sources, at_points = self.rbf.connect(surface, points)
+        sources = self.rbf.chosen(surface)
         is_moving = sources < surface.moving
-        return self._wall(surface, sources[is_moving], sources[~is_moving]), at_points
+        return self._wall(surface, sources[is_moving], sources[~is_moving]), None
 
     @property
     def _denser(self) -> RBF:

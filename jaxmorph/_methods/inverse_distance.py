@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._kernels.values import is_known, norm
-from .base import BLOCK, AbstractField, AbstractMethod, Surface
-from .rbf import KERNEL_BLOCK, squared_distances
+from .base import AbstractField, AbstractMethod, Surface
+from .system import block_size, squared_distances
 
 SMALLEST = 1e-12
 """Distance, relative to the surface's extent, below which a point is at a node."""
@@ -93,7 +93,7 @@ class InverseDistanceField(AbstractField):
 
     @property
     def block_size(self) -> int:
-        return min(BLOCK, max(64, KERNEL_BLOCK // len(self.surface) // 64 * 64))
+        return block_size(len(self.surface))
 
     def __call__(self, x, ids):
         return self.evaluate(x[None], ids)[0]

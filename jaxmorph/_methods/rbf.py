@@ -15,14 +15,27 @@ import scipy.spatial
 from jaxtyping import Array, Float, Int
 
 from .._host.graded import Graded
+from .._host.ordering import far_to_near
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
 from .._kernels.compile import compiled
-from .._kernels.product import few_rows_times
-from .base import BLOCK, AbstractField, AbstractMethod, Surface, check_kind
+from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import AbstractBasis, ThinPlateSpline
+from .blocks import map_rows
+from .solvers import (
+    LIMIT,
+    TRIAL,
+    AbstractSolver,
+    Cardinals,
+    ConjugateGradients,
+    Iterative,
+    OrderedIds,
+    local_weights,
+    precondition,
+)
+from .system import block_size, in_rows, kernel_sum, polynomial, squared_distances, symmetric_kernel_sum
 
-KERNEL_BLOCK = 2**17
-"""Elements of the kernel that a block of points makes: 1 MiB in float64, which stays in a core's own cache."""
+MANY = 8192
+"""Sources beyond which the system is solved by iterations."""
 
 USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
 """Changes of displacements by rounding, relative to them, that are an error, and that are warned of (solved in float32)."""
@@ -44,12 +57,14 @@ class RBF(AbstractMethod):
     - `degree`: degree of the polynomial p: None (no polynomial), 0, or 1, which reproduces rigid and affine motions. Default 1.
     - `ridge`: added to the matrix at each source, in units of phi at the sources' extent (of phi itself for a basis with a
       radius). The field then smooths noise and misses the sources. Default 0.
+    - `solver`: `Direct()` factors the dense system once per plan, `Iterative()` solves for each displacement without the
+      matrix. Default None: `Iterative()` for more than 8,192 sources.
 
     **Raises:** `ValueError` for another degree or a negative ridge. `prepare` raises it where the sources cannot determine
     the polynomial (all in one plane). It also does so if rounding changes displacements by more than 1 %, because the radius
     is wide or sources nearly coincide. It warns from 1e-6 on (1e-3 without x64).
 
-    The dense system (eq. 3) is factored once per plan, in float64 if JAX's x64 mode is on. The effect of rounding is measured.
+    The system (eq. 3) is solved in float64 if JAX's x64 mode is on. The effect of rounding on the dense solve is measured.
     A smooth motion is interpolated, and so is what the result misses at the sources. The largest value of this second field,
     at the sources and between them, is the error. A condition number would not do, and scaling the mesh changes it. Its
     reciprocal is 1e-15 for a sound Wendland C2 function of the size of an airfoil's mesh (error 3e-7), and also for a useless
@@ -61,8 +76,10 @@ class RBF(AbstractMethod):
     fixed_reduction: AbstractReduction = eqx.field(static=True, default=Graded())
     degree: int | None = eqx.field(static=True, default=1)
     ridge: float = eqx.field(static=True, default=0.0)
+    solver: AbstractSolver | None = None
 
     def __check_init__(self):
+        check_kind(self.solver, AbstractSolver, "solver", "jm.Iterative()", optional=True)
         check_kind(self.basis, AbstractBasis, "basis", "jm.ThinPlateSpline()")
         check_kind(self.reduction, AbstractReduction, "reduction", "jm.KDTree(64)")
         check_kind(self.fixed_reduction, AbstractReduction, "fixed_reduction", "jm.KDTree(16)")
@@ -102,10 +119,25 @@ class RBF(AbstractMethod):
         return every and not self.ridge
 
     def connect(self, surface: Surface, points):
+        sources = self.chosen(surface)
+        solver = self._iterative(len(sources))
+        if solver is None:
+            return sources, None
+        order, earlier = far_to_near(surface.points[sources].astype(float), solver.dense, solver.neighbours)
+        return OrderedIds(jnp.asarray(sources[order]), jnp.asarray(earlier)), None
+
+    def chosen(self, surface: Surface) -> np.ndarray:
+        """Chooses the surface's rows that are sources, on the host. Raises `ValueError` if they do not determine the polynomial."""
         sources = surface.reduced(self.reduction, self.fixed_reduction)
         sources = drop_close(surface.points, sources, roundoff(surface.points))
         self._check_spread(surface.points[sources])
-        return sources.astype(np.int32), None
+        return sources.astype(np.int32)
+
+    def _iterative(self, count: int) -> Iterative | None:
+        """Returns the iterative solver for a number of sources, or None where the system is factored."""
+        if self.solver is None:
+            return Iterative() if count > MANY else None
+        return self.solver if isinstance(self.solver, Iterative) else None
 
     def _check_spread(self, sources: np.ndarray) -> None:
         if len(sources) == 0:
@@ -123,13 +155,13 @@ class RBF(AbstractMethod):
             )
 
     def matched(self, ids):
-        return ids
+        return self.sources(ids)
 
     def sources(self, ids):
-        return np.asarray(ids)
+        return np.asarray(_rows(ids))
 
-    def fit(self, ids: Int[Array, " s"], surface, points):
-        points = surface[ids].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))
+    def fit(self, ids: Int[Array, " s"] | OrderedIds, surface, points):
+        points = surface[_rows(ids)].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))
         centre = points.mean(axis=0)
         extent = jnp.abs(points - centre[None]).max()
         if self.ridge:  # its effect depends on the scale, which must then not depend on the axes
@@ -140,51 +172,124 @@ class RBF(AbstractMethod):
         elif not self.ridge:
             centre, scale = jax.lax.stop_gradient((centre, scale))
         sources = (points - centre[None]) * scale
+        if not isinstance(ids, OrderedIds):
+            return RBFFactors(sources, centre, scale, *self._factored(sources, scale))
+        method, places, stretch = jax.lax.stop_gradient((self, sources, scale))  # any preconditioner gives one solution
+        first = len(sources) - len(ids.earlier)
+        weights = local_weights(lambda r2: method._matrix(r2, stretch), places, ids.earlier, self.degree, self._sign)
+        tolerance = (method._iterative(len(sources)) or Iterative()).tolerance.astype(weights.dtype)
+        rows = Cardinals(ids.earlier, weights, tolerance)
+        lu, pivots = method._factored(places[:first], stretch)
+        return RBFFactors(sources, centre, scale, lu, pivots, rows)
+
+    def _factored(self, sources, scale):
+        """Factors the dense system of some sources."""
         tail = polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges those wrongly with the transposition
         # that LAPACK asks for, and the jitted gradient with respect to one coordinate of the sources is wrong or NaN.
         distances = jnp.sum((sources[:, None] - sources[None]) ** 2, axis=-1)
-        kernel = self._phi(distances, scale)
-        if self.ridge:  # on the side of the definite part: phi is negative definite where its order is one
-            sign = -1 if self.basis.min_degree == 0 else 1
-            kernel = kernel + sign * self.ridge * jnp.eye(len(kernel), dtype=kernel.dtype)
+        kernel = self._matrix(distances, scale)
         corner = jnp.zeros((tail.shape[1],) * 2, kernel.dtype)
         matrix = jnp.block([[kernel, tail], [tail.T, corner]])  # eq. (3)
-        lu, pivots = jax.scipy.linalg.lu_factor(matrix)
-        return RBFFactors(sources, centre, scale, lu, pivots)
+        return jax.scipy.linalg.lu_factor(matrix)
+
+    @property
+    def _sign(self) -> int:
+        """Returns the side of the definite part: phi is negative definite where its order is one."""
+        return -1 if self.basis.min_degree == 0 else 1
+
+    @property
+    def _at_sources(self) -> float:
+        """Returns what the ridge adds to phi at each source."""
+        return self._sign * self.ridge
+
+    def _matrix(self, r2, scale):
+        """Computes the kernel's square matrix, ridge included."""
+        kernel = self._phi(r2, scale)
+        return kernel + self._at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
     def _phi(self, r2, scale):
         return self.basis(r2 if self.basis.scale_free else r2 / scale**2)
 
     def check(self, ids, factors: "RBFFactors", u):
         dtype = factors.lu.dtype
-        error = _rounding(self, factors, np.asarray(u, dtype)[np.asarray(ids)]) / np.abs(u).max()
+        values = np.asarray(u, dtype)[self.sources(ids)]
+        if factors.cardinals is not None:
+            return _check_convergence(self, factors, factors.cardinals, values)
+        error = _rounding(self, factors, values) / np.abs(u).max()
         noticeable = NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE
         if error <= noticeable:
             return
         useless = not error <= USELESS  # NaN too
         how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
-        sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
-        message = (
-            f"the interpolation matrix of {len(sources)} sources is {how if np.isfinite(error) else 'singular'}"
-            f"{_nearest_two(sources)}. Try a smaller radius of the basis, fewer sources or a larger `separation` in the "
-            f"reduction, or another `degree` of the polynomial{'' if dtype == np.float64 else ', or x64 mode of JAX'}."
-        )
+        message = _unusable(factors, how if np.isfinite(error) else "singular")
         if useless:
             raise ValueError(message)
         warnings.warn(message, stacklevel=3)
 
     def field(self, ids, factors: "RBFFactors", surface, u):
-        return self.through(factors, u[ids].astype(factors.lu.dtype), u.dtype)
+        return self.through(factors, u[_rows(ids)].astype(factors.lu.dtype), u.dtype)
 
     def through(self, factors: "RBFFactors", values: Float[Array, "s k"], dtype) -> "RBFField":
         """Makes the field with given values at the sources, in a given precision. Traced."""
-        terms = factors.lu.shape[0] - len(factors.sources)
+        terms = polynomial(factors.sources[:1], self.degree).shape[1]
         rhs = jnp.concatenate([values, jnp.zeros((terms, values.shape[1]), values.dtype)])
-        weights = jax.scipy.linalg.lu_solve((factors.lu, factors.pivots), rhs).astype(dtype)
+        if factors.cardinals is None:
+            weights = jax.scipy.linalg.lu_solve((factors.lu, factors.pivots), rhs).astype(dtype)
+        else:
+            weights = self._iterated(factors, factors.cardinals, rhs).astype(dtype)
         beta, alpha = weights.T[:, : len(factors.sources)], weights.T[:, len(factors.sources) :]
         sources, centre, scale = (leaf.astype(dtype) for leaf in (factors.sources, factors.centre, factors.scale))
         return RBFField(self, sources, centre, scale, beta, alpha)
+
+    def _iterated(self, factors: "RBFFactors", cardinals: Cardinals, rhs: Float[Array, "t k"]) -> Float[Array, "t k"]:
+        """Solves the system without its matrix. Its derivatives are products and solves of the same kind."""
+        count, tail = len(factors.sources), polynomial(factors.sources, self.degree)
+
+        def product(x):
+            beta, alpha = x[:count], x[count:]
+            top = self._times_kernel(factors, beta) + jnp.matmul(tail, alpha, precision="highest")
+            return jnp.concatenate([top, jnp.matmul(tail.T, beta, precision="highest")])
+
+        method, kept, rows = jax.lax.stop_gradient((self, factors, cardinals))
+        iterations = method._iterations(kept, rows)
+        return jax.lax.custom_linear_solve(product, rhs, lambda _, rhs: iterations.solve(rhs), symmetric=True)
+
+    def _iterations(self, factors: "RBFFactors", cardinals: Cardinals) -> ConjugateGradients:
+        first = len(factors.sources) - len(cardinals.earlier)
+
+        def inverse_of_first(values):
+            padded = jnp.pad(values, ((0, len(factors.lu) - first), (0, 0)))
+            return jax.scipy.linalg.lu_solve((factors.lu, factors.pivots), padded)[:first]
+
+        return ConjugateGradients(
+            lambda beta: self._times_kernel_quickly(factors, beta),
+            lambda residual: precondition(cardinals, inverse_of_first, residual),
+            polynomial(factors.sources, self.degree),
+            cardinals.tolerance,
+        )
+
+    def _times_kernel(self, factors: "RBFFactors", beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
+        """Multiplies by the matrix of functions at the sources, block by block. To be differentiated."""
+        sources, phi = factors.sources, lambda r2: self._phi(r2, factors.scale)
+
+        def of_block(points):
+            return kernel_sum(phi, sources, beta.T, in_rows(points, jnp.ones((), points.dtype))).T
+
+        product = map_rows(jax.checkpoint(of_block), sources, block_size(len(sources)))
+        return product + self._at_sources * beta if self.ridge else product
+
+    def _times_kernel_quickly(self, factors: "RBFFactors", beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
+        """Computes what `_times_kernel` does in half the time on a CPU: each function of two sources once."""
+
+        def block_by_block(factors, beta):
+            return self._times_kernel(factors, beta)
+
+        def of_pairs(factors, beta):
+            product = symmetric_kernel_sum(lambda r2: self._phi(r2, factors.scale), factors.sources, beta.T).T
+            return product + self._at_sources * beta if self.ridge else product
+
+        return jax.lax.platform_dependent(factors, beta, cpu=of_pairs, default=block_by_block)
 
     def rows(self, factors: "RBFFactors", points: Float[Array, "k d"]) -> Float[Array, "k t"]:
         """Computes rows at any points: times the weights of functions and polynomial they give the field. Traced."""
@@ -216,8 +321,7 @@ def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
         first = weights(values)
         missed = values - field(first, sources)
         if rbf.ridge:
-            sign = -1 if rbf.basis.min_degree == 0 else 1
-            missed = missed - sign * rbf.ridge * first[:count]
+            missed = missed - rbf._at_sources * first[:count]
         between = [(sources + np.roll(sources, shift, axis=0)) / 2 for shift in (1, 1 + count // 2)]
         moved = field(weights(missed), np.concatenate([sources, *between]))
         return float(np.abs(np.concatenate([missed, moved])).max())
@@ -230,6 +334,40 @@ def _system_rows(rbf: RBF, sources, scale, points):
     return jnp.concatenate([kernel, polynomial(points, rbf.degree)], axis=1)
 
 
+def _check_convergence(rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, values: np.ndarray) -> None:
+    """Raises `ValueError` if some steps do not promise that conjugate gradients converge."""
+    left = float(_left_after_trial(rbf, factors, cardinals, jnp.asarray(values)))
+    steps = TRIAL * np.log(float(cardinals.tolerance)) / np.log(max(left, 1e-300)) if left < 1 else np.inf
+    if not steps <= LIMIT:
+        how = f"too ill-conditioned for Iterative(): an error of {left:.1g} is left after {TRIAL} steps"
+        raise ValueError(_unusable(factors, how))
+
+
+@compiled
+def _left_after_trial(
+    rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, values: Float[Array, "s k"]
+) -> Float[Array, ""]:
+    """Computes which share of the error some steps of conjugate gradients leave, in the norm of the basis."""
+    iterations = rbf._iterations(factors, cardinals)
+    now = iterations.improve(iterations.without_polynomial(values), jnp.abs(values).max(), TRIAL)
+    return jnp.sqrt(jnp.abs(now.left / now.energy).max())
+
+
+def _unusable(factors: "RBFFactors", how: str) -> str:
+    """Describes what is wrong with a system, where, and what to try."""
+    sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
+    return (
+        f"the interpolation matrix of {len(sources)} sources is {how}"
+        f"{_nearest_two(sources)}. Try a smaller radius of the basis, fewer sources or a larger `separation` in the "
+        f"reduction, or another `degree` of the polynomial{'' if sources.dtype == np.float64 else ', or x64 mode of JAX'}."
+    )
+
+
+def _rows(ids) -> Int[Array, " s"]:
+    """Returns the surface's rows that are sources."""
+    return ids.sources if isinstance(ids, OrderedIds) else ids
+
+
 def _nearest_two(sources: np.ndarray) -> str:
     if len(sources) < 2:
         return ""
@@ -240,13 +378,17 @@ def _nearest_two(sources: np.ndarray) -> str:
 
 
 class RBFFactors(eqx.Module):
-    """Sources in coordinates of order one, and the factored system (eq. 3) of t = s + p equations."""
+    """Sources in coordinates of order one, and the factored system (eq. 3) of t = s + p equations.
+
+    With `cardinals`, the factored system is that of the first sources alone.
+    """
 
     sources: Float[Array, "s d"]
     centre: Float[Array, " d"]
     scale: Float[Array, ""]
     lu: Float[Array, "t t"]
     pivots: Int[Array, " t"]
+    cardinals: Cardinals | None = None
 
 
 class RBFField(AbstractField):
@@ -267,28 +409,11 @@ class RBFField(AbstractField):
 
     @property
     def block_size(self) -> int:
-        return min(BLOCK, max(64, KERNEL_BLOCK // len(self.sources) // 64 * 64))
+        return block_size(len(self.sources))
 
     def evaluate(self, points, ids):
-        """Computes distances and kernel in one loop along the points, then a product with the weights.
-
-        The compiler makes vector instructions of the loop only if each coordinate lies in a row of its own. A product of
-        matrices lays the points out in that way. It is not merged into the loop, as a transposition would be.
-        """
-        stretch = self.scale * jnp.eye(points.shape[1], dtype=points.dtype)
-        x = jnp.matmul(stretch, (points - self.centre[None]).T, precision="highest")
-        phi = self.rbf._phi(squared_distances(self.sources, x.T), self.scale)
+        """Sums the functions as `kernel_sum` does, and adds the polynomial."""
+        x = in_rows(points - self.centre[None], self.scale)
         terms = polynomial(x.T, self.rbf.degree).T
         tail = sum((self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)), start=jnp.zeros_like(x))
-        return (few_rows_times(self.beta, phi) + tail).T
-
-
-def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, "k p"]:
-    """Evaluates the monomials of eq. (1) at each point: none, 1, or 1, x1, x2(, x3)."""
-    one = jnp.ones((len(points), 1), points.dtype)
-    return {None: one[:, :0], 0: one, 1: jnp.concatenate([one, points], axis=1)}[degree]
-
-
-def squared_distances(a: Float[Array, "k d"], b: Float[Array, "s d"]) -> Float[Array, "k s"]:
-    """Computes squared distances by direct differences: the expanded form loses the small ones of a boundary layer."""
-    return sum((a[:, None, k] - b[None, :, k]) ** 2 for k in range(a.shape[1]))  # pyright: ignore[reportReturnType]
+        return (kernel_sum(lambda r2: self.rbf._phi(r2, self.scale), self.sources, self.beta, x) + tail).T

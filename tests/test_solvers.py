@@ -1,0 +1,123 @@
+"""The interpolation system by iterations: against the dense solve, where surfaces are flat, and where nothing converges."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, iterative, motion
+
+import jaxmorph as jm
+from jaxmorph._host.ordering import far_to_near
+from jaxmorph._methods import rbf as rbf_module
+
+
+def classic(solver=None, basis=None, **options):
+    every = jm.AllPoints()
+    return jm.RBF(jm.ThinPlateSpline() if basis is None else basis, every, every, solver=solver, **options)
+
+
+def box(side):
+    """The surface of a cube in a lattice, most neighbours of a node in one plane with it; then nodes around it."""
+    line = np.linspace(-0.5, 0.5, side)
+    lattice = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
+    wall = lattice[(np.abs(lattice) == 0.5).any(axis=1)]
+    outer = 4 * lattice[::7] + 0.01
+    return np.concatenate([wall, outer]), np.arange(len(wall))
+
+
+def test_neighbours_are_the_nearest_of_those_before():
+    points = np.random.default_rng(0).normal(size=(200, 3)) ** 3
+    order, earlier = far_to_near(points, 20, 9)
+    assert sorted(order) == list(range(200))
+    assert earlier.shape == (180, 9)
+    points = points[order]
+    for place, row in zip(range(20, 200), earlier, strict=True):
+        apart = np.linalg.norm(points[:place] - points[place], axis=1)
+        given = row[1:][row[1:] != place]
+        assert row[0] == place
+        assert (given < place).all()
+        if len(given) == 8:
+            np.testing.assert_array_equal(np.sort(apart[given]), np.sort(apart)[:8])
+    shuffled = np.random.default_rng(1).permutation(200)
+    again = far_to_near(points[shuffled], 20, 9)
+    np.testing.assert_array_equal(points[shuffled][again[0]], points)
+    np.testing.assert_array_equal(again[1], earlier)
+
+
+@pytest.mark.slow
+def test_the_default_tolerance_against_the_dense_solve_on_flat_sides():
+    points, moving = box(9)
+    u = motion(points[moving])
+    weights = np.random.default_rng(0).normal(size=points.shape)
+    plans = [
+        jm.prepare(points, moving, np.arange(len(moving), len(points)), method=classic(solver))
+        for solver in (jm.Direct(), jm.Iterative(neighbours=20, dense=40))
+    ]
+    exact, found = (np.asarray(jm.deform(plan, u)) for plan in plans)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9 * np.abs(u).max())
+    exact, found = (np.asarray(jm.pullback(plan, u, weights)) for plan in plans)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7 * np.abs(exact).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("basis", "options"),
+    [
+        (jm.LinearSpline(), {"degree": 0}),
+        (jm.CubicSpline(), {}),
+        (jm.Multiquadric(0.15), {"degree": 0}),
+        (jm.WendlandC4(1.5), {"degree": None}),
+        (jm.ThinPlateSpline(), {"ridge": 1e-3}),
+    ],
+)
+def test_bases_against_the_dense_solve(basis, options):
+    mesh = body(3)
+    u = motion(mesh.points[mesh.moving])
+    methods = classic(jm.Direct(), basis, **options), iterative(basis, **options)
+    plans = [jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method) for method in methods]
+    exact, found = (np.asarray(jm.deform(plan, u)) for plan in plans)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9)
+
+    def gradient(plan):
+        return jax.grad(lambda points: jnp.sum(jnp.sin(3 * jm.deform(jm.refit(plan, points), u))))(plan.points)
+
+    exact, found = map(gradient, plans)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7 * np.abs(exact).max())
+
+
+def test_many_sources_are_solved_by_iterations(monkeypatch, tmp_path):
+    """Beyond a number, here a small one; the plan can be saved."""
+    mesh = body(2)
+    u = motion(mesh.points[mesh.moving])
+    dense = jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=classic()), u)
+    monkeypatch.setattr(rbf_module, "MANY", 50)
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=classic())
+    assert plan.surface.factors.cardinals is not None
+    np.testing.assert_array_equal(np.sort(plan.sources), np.sort(mesh.boundary))
+    np.testing.assert_allclose(jm.deform(plan, u), dense, rtol=0, atol=1e-10)
+    jm.save(tmp_path / "plan.npz", plan)
+    assert (jm.deform(jm.load(tmp_path / "plan.npz"), u) == jm.deform(plan, u)).all()
+
+
+@pytest.mark.slow
+def test_what_does_not_converge_is_told():
+    mesh = body(2)
+    u = motion(mesh.points[mesh.moving])
+    with pytest.raises(ValueError, match=r"62 sources is too ill-conditioned for Iterative.*Try a smaller radius"):
+        jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=iterative(jm.Gaussian(30.0), degree=None))
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=iterative(jm.ThinPlateSpline()))
+    flat = mesh.points.copy()
+    flat[mesh.boundary] = flat[mesh.boundary[0]]  # all sources at one place: no such system has a solution
+    moved = np.asarray(jm.deform(jm.refit(plan, flat), u))
+    assert np.isnan(moved[mesh.inner]).all()
+
+
+def test_nonsense_at_the_door():
+    with pytest.raises(ValueError, match="`tolerance` must lie between 0 and 1, not 0"):
+        jm.Iterative(0.0)
+    with pytest.raises(ValueError, match="`neighbours` must be a whole number of at least 8, not 3"):
+        jm.Iterative(neighbours=3)
+    with pytest.raises(ValueError, match="solver=Iterative"):
+        jm.FittedRBF(jm.RBF(solver=jm.Iterative()))
+    with pytest.raises(ValueError, match="`solver` must be"):
+        jm.RBF(solver="cg")  # pyright: ignore[reportArgumentType]
