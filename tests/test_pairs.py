@@ -5,8 +5,9 @@ import collections
 import numpy as np
 import pytest
 
+from jaxmorph import cases
 from jaxmorph._host import pairs
-from jaxmorph._host.topology import boundary_faces
+from jaxmorph._host.topology import FACES, boundary_faces
 
 RNG = np.random.default_rng(7)
 
@@ -54,3 +55,17 @@ def test_boundary_of_mixed_cells():
     wall = boundary_faces(cells, 9, np.array([0, 1, 2, 3, 4, 5]))
     assert wall["triangle"].tolist() == []
     assert np.sort(wall["quad"], axis=1).tolist() == [[0, 1, 2, 3], [0, 1, 4, 5]]
+
+
+@pytest.mark.parametrize("kind", ["hexahedron", "tetra", "pyramid", "wedge"])
+def test_faces_that_are_there_twice_are_dropped_early_or_late(kind):
+    """Some cells are left out, and some stand twice: equal to a count of sets of nodes."""
+    cells = cases.bricks(kind, cells=3).cells
+    chosen = {kind: np.concatenate([ids[RNG.random(len(ids)) < 0.7], ids[:2]]) for kind, ids in cells.items()}
+    count = collections.Counter(
+        frozenset(corner[list(side)].tolist()) for kind, ids in chosen.items() for side in FACES[kind] for corner in ids
+    )
+    outer = boundary_faces(chosen, int(1 + max(ids.max() for ids in chosen.values())))
+    found = [frozenset(ids) for faces in outer.values() for ids in faces.tolist()]
+    assert len(set(found)) == len(found)
+    assert set(found) == {ids for ids, times in count.items() if times == 1}

@@ -39,7 +39,9 @@ class Location:
     outside: int = 0
 
 
-def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Location:
+def locate(
+    surface: np.ndarray, points: np.ndarray, wanted: np.ndarray, near: tuple[np.ndarray, np.ndarray] | None = None
+) -> Location:
     """Finds the surface nodes whose simplex holds each of the `wanted` points.
 
     Coordinates in single precision are taken for exact numbers, except for points on the hull.
@@ -49,6 +51,7 @@ def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Locat
     - `surface`: the surface nodes (b, d).
     - `points`: all points (n, d).
     - `wanted`: ids (w,) of the points to locate.
+    - `near`: ids of points near a wall, and the surface node nearest to each. Location is then faster.
 
     **Raises:** `MeshError` for points outside of the surface's convex hull, with their count, the worst one and its distance.
     `ValueError` for a surface without extent in some direction.
@@ -66,6 +69,8 @@ def locate(surface: np.ndarray, points: np.ndarray, wanted: np.ndarray) -> Locat
     flat = FLAT * roundoff(surface) / size
     graph = _graph(nodes, flat)
     order = morton_order(targets)
+    if near is not None:
+        order = _inwards(order, *_among(wanted, *near, len(points)), targets, unit)
     simplex = np.empty(len(targets), dtype=np.int64)
     simplex[order] = graph.find_simplex(targets[order])
     smallest = smallest_weight(nodes, graph.simplices, simplex, targets, flat)
@@ -124,6 +129,30 @@ def morton_order(points: np.ndarray) -> np.ndarray:
         for axis in range(dimension):
             key |= (grid[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(bit * dimension + axis)
     return np.argsort(key, kind="stable")
+
+
+def _among(wanted: np.ndarray, ids: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Finds those of the `wanted` points that are among the `ids`, as places in `wanted`, and their nodes."""
+    node = np.full(n, -1, dtype=np.int64)
+    node[ids] = nodes
+    place = np.flatnonzero(node[wanted] >= 0)
+    return place, node[wanted[place]]
+
+
+def _inwards(
+    order: np.ndarray, near: np.ndarray, nodes: np.ndarray, points: np.ndarray, surface: np.ndarray
+) -> np.ndarray:
+    """Moves the points `near` walls to the end of an order: one node's after the other's, and each node's from afar to the wall.
+
+    A search begins in the simplex of the point before. Along a wall it passes through all flat simplices in between: from the
+    outside it takes half as long.
+    """
+    height = np.linalg.norm(points[near] - surface[nodes], axis=1)
+    rank = np.empty(len(surface), dtype=np.int64)
+    rank[morton_order(surface)] = np.arange(len(surface))
+    far = np.ones(len(order), dtype=bool)
+    far[near] = False
+    return np.concatenate([order[far[order]], near[np.lexsort((-height, rank[nodes]))]])
 
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:

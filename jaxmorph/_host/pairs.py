@@ -1,5 +1,6 @@
 """Pairing of equal faces: faces that have the same nodes, in whatever order."""
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -51,6 +52,22 @@ def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
     repeated[1:] |= same
     repeated[:-1] |= same
     return _scatter(order, ~repeated)
+
+
+def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndarray]]:
+    """Drops faces that are surely there twice: those whose first node has pairs of equal faces alone.
+
+    A mesh has few others, so what looks at the rest is fast. Each part has the nodes of its faces by column; there are n nodes.
+    """
+    # faces have random numbers by their nodes, whatever the order; those of two equal faces cancel each other
+    random = np.random.default_rng(n).integers(0, 2**64, n, dtype=np.uint64)
+    left, firsts = np.zeros(n, np.uint64), []
+    for columns in parts:
+        firsts.append(functools.reduce(np.minimum, columns))
+        number = functools.reduce(np.add, (random[column] for column in columns))
+        np.bitwise_xor.at(left, firsts[-1], number * (number | np.uint64(1)))
+    kept = [left[first] != 0 for first in firsts]
+    return [[column[keep] for column in columns] for columns, keep in zip(parts, kept, strict=True)]
 
 
 def _ordered(columns: Sequence[Any], xp: Any) -> tuple[Any, Any]:

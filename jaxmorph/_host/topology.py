@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .pairs import columns_of, is_single, sorted_columns
+from .pairs import columns_of, is_single, sorted_columns, unpaired
 
 CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 """Corners of each type; names are meshio's."""
@@ -112,7 +112,7 @@ def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
             sides.setdefault(len(side), []).append(columns)
     outer = {}
     for size, parts in sorted(sides.items()):
-        columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        columns = [np.concatenate(column) for column in zip(*unpaired(parts, n), strict=True)]
         single = is_single(sorted_columns(columns, size))
         outer[_SIDE_TYPES[size]] = np.stack([column[single] for column in columns], axis=1).astype(np.int64)
     return outer

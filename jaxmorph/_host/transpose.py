@@ -1,6 +1,7 @@
 """The transpose of a sparse operator with a few entries a row, sorted on the host so that no scatter is needed."""
 
 import numpy as np
+from scipy.sparse import csr_array
 
 WIDTH = 16
 """Entries in a row of the table."""
@@ -25,7 +26,7 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
         raise ValueError(f"{len(nodes)} points are too many for one device; lay the plan over several with `shard`.")
     entries = np.flatnonzero(np.broadcast_to(used.reshape(len(nodes), -1), nodes.shape)).astype(np.int32)
     columns = nodes.ravel()[entries]
-    order = np.argsort(columns, kind="stable")
+    order = _stable_order(columns, count)
     entries = entries[order]
     sizes = np.bincount(columns, minlength=count)
     lengths = -(-sizes // WIDTH)
@@ -36,3 +37,10 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
     table = np.full((len(owner), WIDTH), -1, dtype=np.int32)
     table[first_row[sorted_columns] + within // WIDTH, within % WIDTH] = entries
     return table, owner
+
+
+def _stable_order(columns: np.ndarray, count: int) -> np.ndarray:
+    """Sorts small integers, equal ones in their order: SciPy counts them, several times faster than a sort."""
+    places = np.arange(len(columns), dtype=np.int32)
+    row = csr_array((places, columns, np.array([0, len(columns)], dtype=np.int32)), shape=(1, count))
+    return row.tocsc().data

@@ -54,14 +54,15 @@ def compiled(function: Function) -> Function:
 @functools.cache
 def _known_options() -> dict[str, Any]:
     """Selects the options that this version of XLA knows: it refuses a program for one that it does not."""
-    known = {}
-    for name, value in OPTIONS.items():
+
+    def is_known(options: dict[str, Any]) -> bool:
         try:
-            jax.jit(jnp.negative, compiler_options={name: value})(np.zeros(1))
+            jax.jit(jnp.negative, compiler_options=options)(np.zeros(1))
         except Exception:
-            continue
-        known[name] = value
-    return known
+            return False
+        return True
+
+    return OPTIONS if is_known(OPTIONS) else {name: value for name, value in OPTIONS.items() if is_known({name: value})}
 
 
 def _array(argument: Any) -> Any:

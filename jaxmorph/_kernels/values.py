@@ -22,6 +22,14 @@ def constant(values: Either) -> Either:
     return values if isinstance(values, np.ndarray) else jax.lax.stop_gradient(values)
 
 
+def as_jax(tree: Any) -> Any:
+    """Copies the NumPy arrays of a tree into arrays of JAX.
+
+    `jnp.asarray` compiles a program for each new shape, and may share the memory of a caller, who changes it later.
+    """
+    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jax.device_put(np.array(leaf)), tree)
+
+
 def on_host(*values: Any) -> bool:
     """Tells whether values are best computed by NumPy: they can be read, and lie in the host's memory."""
     arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))

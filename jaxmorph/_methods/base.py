@@ -50,6 +50,7 @@ class Surface:
     - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None without cells.
     - `is_open`: whether boundary faces of the mesh are neither moving, fixed nor on a symmetry plane, or None without cells.
     - `cells`: the mesh's cells and symmetry planes, or None where they are not known: points alone, or a part of a mesh.
+    - `near`: points (k,) near a wall, and the row (k,) of the nearest node, where a method has found them. They make searches fast.
     """
 
     points: np.ndarray
@@ -60,6 +61,7 @@ class Surface:
     faces: Mapping[str, np.ndarray] | None = None
     is_open: bool | None = None
     cells: Cells | None = None
+    near: tuple[np.ndarray, np.ndarray] | None = None
 
     @functools.cached_property
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 
 from .._host import linear
 from .._host.topology import CORNERS
+from .._kernels.values import as_jax
 from .base import AbstractField, AbstractMethod, Surface
 from .blocks import map_rows
 
@@ -120,8 +121,8 @@ class AbstractCellMethod(AbstractMethod):
         beyond = np.flatnonzero(surface.nodes >= n)  # images: the surface alone has them
         last = np.zeros(len(points) - n, dtype=np.int64)
         last[surface.nodes[beyond] - n] = n + beyond
-        pairs, rows, nodes = (jnp.asarray(each, jnp.int32) for each in (pairs, rows, nodes))
-        node_ids = NodeIds(of_kind, pairs, jnp.asarray(frame), jnp.asarray(free), rows, nodes)
+        pairs, rows, nodes = (each.astype(np.int32) for each in (pairs, rows, nodes))
+        node_ids = NodeIds(of_kind, *as_jax((pairs, frame, free, rows, nodes)))
         return node_ids, np.concatenate([volume, last]).astype(np.int32)
 
     def _numbered(
@@ -195,8 +196,8 @@ class NodeField(AbstractField):
 
 
 def _of_kind(corners, entry, flipped, wall) -> CellIds:
-    corners, entry, wall = (jnp.asarray(each, jnp.int32) for each in (corners, entry, wall))
-    return CellIds(corners, entry, jnp.asarray(flipped), wall)
+    corners, entry, wall = (np.asarray(each).astype(np.int32) for each in (corners, entry, wall))
+    return CellIds(*as_jax((corners, entry, flipped, wall)))
 
 
 def _frame(normals: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
 from .._host.hierarchy import overlaps, padded
+from .._kernels.values import as_jax
 from .base import AbstractMethod, Surface
 from .basis import WendlandC2, checked_length
 from .cells import NodeFactors, solved_on_host, symmetric_product
@@ -52,8 +53,8 @@ class CompactRBF(AbstractMethod):
             radius = float(self.radius)
         pairs = np.asarray(tree.query_pairs(radius, output_type="ndarray"), np.int32).reshape(-1, 2)
         near = overlaps(nodes, np.arange(len(nodes)), np.full(len(nodes), radius), points.astype(float))
-        reach = Reach(*map(jnp.asarray, padded(*near, len(points))))
-        return CompactIds(jnp.asarray(pairs), jnp.asarray(radius)), reach
+        reach = Reach(*as_jax(padded(*near, len(points))))
+        return CompactIds(*as_jax((pairs, radius))), reach
 
     def fit(self, ids: CompactIds, surface, points):
         radius = ids.radius if self.radius is None else self.radius

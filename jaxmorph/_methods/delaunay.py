@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 
 from .._host.graph import locate
 from .._host.products import determinant
+from .._kernels.values import as_jax
 from .base import AbstractMethod, Located, Surface
 from .sparse import InterpolatedField, Interpolation
 
@@ -26,9 +27,9 @@ class DelaunayGraph(AbstractMethod):
         inside = np.flatnonzero(rows == len(surface.points))
         repaired = outside = 0
         if inside.size:
-            location = locate(surface.points, points, inside)
+            location = locate(surface.points, points, inside, surface.near)
             vertices[inside], repaired, outside = location.vertices, location.repaired, location.outside
-        return Located(jnp.asarray(repaired, jnp.int32), jnp.asarray(outside, jnp.int32)), vertices
+        return Located(*as_jax((np.int32(repaired), np.int32(outside)))), vertices
 
     def fit(self, ids, surface, points):
         return None

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from .._host.reduction import KDTree
 from .._host.sharp import behind_tips
 from .._host.skin import drawn_in, edges, has_free_sides, nearest_held, thinned
-from .._kernels.values import norm
+from .._kernels.values import as_jax, norm
 from .base import AbstractMethod, Surface, check_kind
 from .rbf import RBF, RBFFactors
 from .solvers import Direct
@@ -121,8 +121,7 @@ class FittedRBF(AbstractMethod):
         moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
         none = np.zeros((0, 2))
         each_row = (moving, fixed, moving, none, none[:, 0], none, none[:, 0], np.zeros((0, 3)))
-        rows = (jnp.asarray(each.astype(np.int32)) for each in each_row)
-        return WallIds(*rows, share=jnp.zeros(0), reach=jnp.zeros(0))
+        return WallIds(*as_jax([each.astype(np.int32) for each in each_row]), share=jnp.zeros(0), reach=jnp.zeros(0))
 
     def _wall(self, surface: Surface, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
         nodes = np.union1d(
@@ -136,8 +135,7 @@ class FittedRBF(AbstractMethod):
         far, reach = drawn_in(surface.points, moving, fixed, surface.images)
         tips = self._behind(surface)
         each_row = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        rows = (jnp.asarray(each.astype(np.int32)) for each in each_row)
-        return WallIds(*rows, share=jnp.asarray(share[label]), reach=jnp.asarray(reach))
+        return WallIds(*as_jax([*(each.astype(np.int32) for each in each_row), share[label], reach]))
 
     def _behind(self, surface: Surface) -> np.ndarray:
         """Finds sharp tips (g, 3) of the moving walls in 2-D, each with a node on either side."""
@@ -156,12 +154,12 @@ class FittedRBF(AbstractMethod):
         return self.sources(ids) if not len(ids.edges) else np.asarray(ids.fixed)
 
     def sources(self, ids):
-        return np.concatenate([ids.moving, ids.fixed])
+        return np.concatenate([np.asarray(ids.moving), np.asarray(ids.fixed)])
 
     def check(self, ids, factors: "FitFactors", u):
-        more = jnp.zeros((len(ids.far) + len(ids.tips), u.shape[1]), u.dtype)
-        values = jnp.concatenate([u[ids.moving], u[ids.fixed], more])
-        self.rbf.check(jnp.arange(len(values)), factors.rbf, values)
+        more = np.zeros((len(ids.far) + len(ids.tips), u.shape[1]), u.dtype)
+        values = as_jax(np.concatenate([np.asarray(u)[self.sources(ids)], more]))
+        self.rbf.check(np.arange(len(values)), factors.rbf, values)
 
     def fit(self, ids: "WallIds", surface, points):
         sources = _sources(ids, surface)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.hierarchy import Share, farthest_first, overlaps, padded, sweeps
+from .._kernels.values import as_jax
 from .base import AbstractMethod, Surface
 from .basis import WendlandC2
 from .rbf import RBF
@@ -52,11 +53,11 @@ class Multiscale(AbstractMethod):
         row, column = overlaps(nodes, order, radius, nodes)
         below = (radius[row] > 0) & (rank[row] > rank[column])
         row, column = row[below].astype(np.int32), column[below].astype(np.int32)
-        forward, backward = (Sweep(*map(jnp.asarray, sweep)) for sweep in sweeps(row, column, len(nodes)))
-        entries = jnp.asarray(row), jnp.asarray(column)
-        ids = Hierarchy(jnp.asarray(nearest.astype(np.int32)), *entries, forward, backward)
+        forward, backward = (Sweep(*as_jax(sweep)) for sweep in sweeps(row, column, len(nodes)))
+        nearest, row, column = as_jax((nearest.astype(np.int32), row, column))
+        ids = Hierarchy(nearest, row, column, forward, backward)
         reach = padded(*overlaps(nodes, order, radius, points.astype(float)), len(points))
-        return ids, Reach(*map(jnp.asarray, reach))
+        return ids, Reach(*as_jax(reach))
 
     def fit(self, ids: "Hierarchy", surface, points):
         squared = _squared(surface - surface[ids.nearest])

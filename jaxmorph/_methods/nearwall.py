@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.neighbours import near_walls, nearest_of
-from .._kernels.values import Either, is_known, namespace, norm, root
+from .._kernels.values import Either, as_jax, is_known, namespace, norm, root
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
 from .blocks import map_points
@@ -73,19 +73,20 @@ class NearWall(AbstractMethod):
         return self.correction.linear
 
     def connect(self, surface: Surface, points):
-        correction, correction_at_points = self.correction.connect(surface, points)
         extent = self._extent(surface)
         width = self._width(jax.tree.map(np.asarray, extent), np.asarray(surface.points))
         wall = np.asarray(extent.wall)
         row_of_point = surface.rows(len(points))
         inside = np.flatnonzero(row_of_point == len(surface.points))
         near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1)
+        surface = surface.altered(near=(inside[near], rows[:, 0]))
+        correction, correction_at_points = self.correction.connect(surface, points)
         nodes = np.repeat(row_of_point[:, None], NEIGHBOURS + 2, axis=1)  # a node of the surface: itself
         nodes[inside] = 0
         nodes[inside[near]] = rows
         reached = row_of_point < len(surface.points)
         reached[inside[near]] = True
-        return (correction, extent), (correction_at_points, WallRow(jnp.asarray(nodes), jnp.asarray(reached)))
+        return (correction, extent), (correction_at_points, WallRow(*as_jax((nodes, reached))))
 
     def fit(self, ids, surface, points):
         correction, extent = ids
@@ -123,8 +124,7 @@ class NearWall(AbstractMethod):
             chosen = surface.matched[wall[surface.matched] == label]
             matched[here] = nearest_of(surface.points[here], surface.points[chosen], chosen)
             share[label] = 0
-        ids = (jnp.asarray(each.astype(np.int32)) for each in (wall, matched, ends))
-        return Extent(*ids, share=jnp.asarray(share))
+        return Extent(*as_jax([*(each.astype(np.int32) for each in (wall, matched, ends)), share]))
 
     def _width(self, extent: "Extent", surface: Float[Either, "b d"]) -> Float[Either, " b"]:
         """Computes the width of the layer over each surface node, the same for all of one wall."""

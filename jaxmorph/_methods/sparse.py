@@ -17,6 +17,7 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._host.transpose import tabulate
+from .._kernels.values import as_jax
 from .base import AbstractField, AbstractMethod, AbstractRows
 
 
@@ -78,7 +79,7 @@ def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
     owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
     weights = np.split(np.asarray(rows.weights), parts)
     gathered = [np.where(at < 0, 0, share.ravel()[at]) for at, share in zip(entries, weights, strict=True)]
-    table = Table(*(jnp.asarray(np.concatenate(part)) for part in (entries, owners, gathered)))
+    table = Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
     return Interpolation(rows.nodes, rows.weights, rows.reached, table)
 
 

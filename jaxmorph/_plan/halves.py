@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int, Integer, Real
 
 from .._host.errors import MeshError
 from .._host.reduction import roundoff
 from .._host.skin import has_free_sides
+from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface, check_kind
 from .._methods.reconstruction import SurfaceReconstruction
@@ -90,11 +90,11 @@ class SurfaceHalf:
         volume_ids = plan.method.connect(surface.altered(nodes=nodes), together)[1]
         if on_plane is not None:
             on_plane = np.stack([plane.holds(together)[:count] for plane in boundary_of(plan).planes], axis=1)
-        volume_ids = jax.tree.map(lambda leaf: jnp.asarray(leaf[:count]), volume_ids)
-        here = jnp.asarray(rows[np.asarray(plan.surface.nodes)], jnp.int32)
+        volume_ids = as_jax(jax.tree.map(lambda leaf: leaf[:count], volume_ids))
+        here = as_jax(rows[np.asarray(plan.surface.nodes)].astype(np.int32))
         shared = plan.surface
         shared = SurfacePart(shared.points, here, shared.images, shared.ids, shared.factors, shared.guide)
-        return laid_out(plan, shared, jnp.asarray(points), on_plane, volume_ids)
+        return laid_out(plan, shared, as_jax(points), on_plane, volume_ids)
 
     def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:
         """Raises `ValueError` for points on a free side of a mesh that was taken for one without."""

@@ -5,11 +5,11 @@ import itertools
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._kernels.values import as_jax
 from .periodic import Pairing
 from .symmetry import Plane, combinations
 
@@ -191,4 +191,4 @@ def images_of(
     origins = np.stack([plane.origin for plane in planes]) if planes else np.zeros((0, dimension))
     kind, images = made.kind.astype(np.int32), made.rows.astype(np.int32)
     parts = (normals, origins, on_plane[nodes], images, kind, made.matrices, made.shifts, made.powers)
-    return Images(*jax.tree.map(jnp.asarray, (*parts, tuple(rows)))), made
+    return Images(*as_jax((*parts, tuple(rows)))), made

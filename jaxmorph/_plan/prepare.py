@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 
 from .._kernels.compile import compiled
+from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Cells, Surface, check_kind
 from .._methods.blocks import place_points, with_tables
@@ -91,13 +92,13 @@ def refuse_cells(method: AbstractMethod) -> None:
 
 def _plan_of(named: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:
     surface, images, on_plane = surface_of(named)
-    surface_ids, volume_ids = jax.tree.map(jnp.asarray, method.connect(surface, named.points))
-    nodes = jnp.asarray(named.nodes, jnp.int32)
-    on_plane = None if on_plane is None else jnp.asarray(on_plane)
+    surface_ids, volume_ids = as_jax(method.connect(surface, named.points))
+    nodes = as_jax(named.nodes.astype(np.int32))
+    on_plane = None if on_plane is None else as_jax(on_plane)
     plan = Plan(
         method=method,
-        surface=SurfacePart(jnp.asarray(surface.points), nodes, images, surface_ids, None, guide),
-        volume=VolumePart(jnp.asarray(named.points), on_plane, volume_ids, None),
+        surface=SurfacePart(as_jax(surface.points), nodes, images, surface_ids, None, guide),
+        volume=VolumePart(as_jax(named.points), on_plane, volume_ids, None),
         n_moving=len(named.moving),
         n_guided=len(named.guided),
     )
@@ -110,7 +111,7 @@ def laid_out(
     plan: Plan, shared: SurfacePart, points: Array, on_plane: Bool[np.ndarray, "n p"] | None, volume_ids: PyTree
 ) -> Plan:
     """Makes the plan of other points from one of the same surface: its factors stay."""
-    flags = None if on_plane is None else jnp.asarray(on_plane)
+    flags = None if on_plane is None else as_jax(on_plane)
     volume = VolumePart(points, flags, volume_ids, _placed(plan.method, shared, points, volume_ids))
     return _with_tables(Plan(plan.method, shared, volume, plan.n_moving, plan.n_guided, is_piece=True))
 
@@ -153,7 +154,7 @@ def _guide_of(named: Boundary, method: AbstractMethod) -> Guide | None:
     alone = named.alone()
     plan = _plan_of(alone, guiding(method))
     rows = [*(pairing.nodes for pairing in alone.pairings), *(np.asarray(track.rows) for track in alone.tracks)]
-    pairings, tracks = jax.tree.map(jnp.asarray, (alone.pairings, alone.tracks))
+    pairings, tracks = as_jax((alone.pairings, alone.tracks))
     return Guide(plan, pairings, tracks, jnp.asarray(np.unique(np.concatenate(rows)), jnp.int32))
 
 
@@ -181,5 +182,5 @@ def _trial(plan: Plan) -> Float[Array, "b d"]:
     u = np.zeros_like(points)
     u[: plan.n_moving] = np.cos(2 * arms / (np.abs(arms).max() or 1))
     if images is None:
-        return jnp.asarray(u)
-    return images.extended(jnp.asarray(u))
+        return as_jax(u)
+    return images.extended(as_jax(u))

@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real, Shaped
 from .._host.adjacency import handedness, neighbours
 from .._host.topology import DIMENSION
 from .._kernels.compile import compiled
-from .._kernels.values import Either, constant, is_known, namespace, on_host
+from .._kernels.values import Either, as_jax, constant, is_known, namespace, on_host
 from .._mesh.mesh import Mesh
 from . import measures
 from .blocks import in_blocks
@@ -64,7 +64,7 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     if on_host(cells, links, current, standards):
         with np.errstate(all="ignore"), jax.ensure_compile_time_eval():  # cells may have no size
             columns = _columns(kinds, *jax.tree.map(np.asarray, (cells, links, current, standards)))
-            columns = jax.tree.map(jnp.asarray, columns)
+            columns = as_jax(columns)
     else:
         columns = _measured(kinds, cells, links, current, jax.tree.map(jnp.asarray, standards))
     types = tuple((kind, len(ids)) for kind, ids in zip(kinds, cells, strict=True))
