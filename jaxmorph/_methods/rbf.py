@@ -5,6 +5,7 @@ Rendall and Allen (Journal of Computational Physics 228, 2009) reduced its sourc
 """
 
 import warnings
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -363,7 +364,7 @@ def _unusable(factors: "RBFFactors", how: str) -> str:
     )
 
 
-def _rows(ids) -> Int[Array, " s"]:
+def _rows(ids: Any) -> Any:
     """Returns the surface's rows that are sources."""
     return ids.sources if isinstance(ids, OrderedIds) else ids
 
