@@ -119,3 +119,16 @@ def test_a_step_lays_the_layer_anew():
     assert (chi[np.isclose(height, 0.5, atol=0.02)] < 1e-3).all()
     expected = jm.refit(plan, moved).volume.placed[1][2]
     np.testing.assert_allclose(after.volume.placed[1][2], expected, rtol=0, atol=1e-12)
+
+
+def test_bodies_are_cut_from_a_box():
+    mesh = cases.bodies({"a": (-3.0, -2.0, 0.0, 1.0), "b": (1.0, 3.0, -2.0, -1.0)}, spacing=0.5)
+    volume = np.asarray(jm.quality(mesh).volume)
+    assert volume.min() > 0
+    assert volume.sum() == pytest.approx(16 * 8 - 1 - 2)
+    assert np.ptp(mesh.points[mesh.patch("b")], axis=0) == pytest.approx([2, 1])
+    assert len(mesh.patch("farfield")) == 2 * (32 + 16)
+    with pytest.raises(ValueError, match=r"body 'c' at .* try a smaller spacing"):
+        cases.bodies({"c": (0.0, 0.01, 0.0, 1.0)})
+    with pytest.raises(ValueError, match="from least to largest"):
+        cases.bodies({}, box=(1.0, 0.0, 0.0, 1.0))

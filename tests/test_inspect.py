@@ -93,6 +93,24 @@ def test_an_infeasible_motion_is_reported_with_the_fraction_reached(mesh):
     assert int(report.inverted) or float(report.min_jacobian_ratio) <= 0.05
 
 
+@pytest.mark.slow
+def test_a_mesh_that_steps_tangle_is_improved_when_asked():
+    """A store that leaves a wing for the far side: improved, it gets farther, and all that the result says is true."""
+    mesh = cases.bodies({"wing": (-2.0, 2.0, 1.0, 1.5), "store": (-0.5, 0.5, 0.0, 0.5)})
+    plan = jm.prepare(mesh, "store", ("wing", "farfield"))
+    motion = lambda t: np.full((plan.n_moving, 2), [0.0, -3.85 * t])  # noqa: E731
+    alone = jm.fewest_steps(plan, mesh, motion, max_steps=2)
+    steps = jm.fewest_steps(plan, mesh, motion, max_steps=2, improve=True)
+    assert alone.fraction < steps.fraction
+    assert alone.improvement is None
+    assert steps.improvement is not None
+    assert int(jm.quality(mesh, steps.points).inverted) == 0
+    again = jm.improve(mesh, jm.replay(steps.plans, steps.path)).points
+    np.testing.assert_allclose(steps.points, again, rtol=0, atol=1e-9)
+    surface = plan.points[plan.moving] + motion(steps.fraction)
+    np.testing.assert_allclose(steps.points[plan.moving], surface, rtol=0, atol=1e-12)
+
+
 def bump_on_one_side(side):
     """A thin plate, its upper or both sides raised in the middle."""
     mesh = cases.naca0015(points=2000)

@@ -10,6 +10,7 @@ import pytest
 from cases import body, few, full, motion
 
 import jaxmorph as jm
+from jaxmorph import cases
 from jaxmorph._kernels.compile import compiled
 
 STEPS = 2
@@ -164,3 +165,28 @@ def test_tuples_of_numbers_compile_once():
 
     assert [float(total(((a, 2.0), (3, 4)))) for a in (1.0, 2.0, 3.0)] == [10, 11, 12]
     assert len(traced) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "method",
+    [jm.LinearElasticity(jm.ByDistance(1.0)), jm.InverseDistance(rotations=True)],
+    ids=["elasticity", "turning"],
+)
+def test_rebuilt_steps_with_the_mesh_are_those_of_prepare(method):
+    """Each step's plan is what `prepare` makes of the moved mesh, cells and boundary faces included; replayed as well."""
+    mesh = cases.bodies({"body": (-1.0, 1.0, -1.0, 1.0)}, box=(-4.0, 4.0, -4.0, 4.0), spacing=1.0)
+    base = mesh.points[mesh.patch("body")]
+    path = np.stack([np.asarray(jm.shapes.rotate(base, angle, about=(0.0, 0.0))) - base for angle in (0.2, 0.5)])
+    plan = jm.prepare(mesh, "body", "farfield", method=method)
+    plans, points = jm.march(plan, path, rebuild=True, mesh=mesh)
+    first = jm.deform(plan, path[0])
+    second = jm.prepare(mesh.moved(first), "body", "farfield", method=method)
+    expected = jm.deform(second, base + path[1] - np.asarray(first)[mesh.patch("body")])
+    np.testing.assert_allclose(points, expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(jm.replay(plans, path), points, rtol=0, atol=1e-12)
+    if method.needs_cells:
+        with pytest.raises(ValueError, match=r"march\(plan, path, rebuild=True, mesh=mesh\)"):
+            jm.march(plan, path, rebuild=True)
+    with pytest.raises(ValueError, match=r"`mesh` has points"):
+        jm.march(plan, path, mesh=cases.bodies({}, spacing=1.0))

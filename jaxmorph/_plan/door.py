@@ -12,7 +12,7 @@ from .._host.errors import MeshError, place_of
 from .._host.skin import has_free_faces
 from .._host.topology import solid
 from .._mesh.mesh import Mesh
-from .faces import FreeFaces, free_faces, outer_faces
+from .faces import FreeFaces, OuterFaces, free_faces, outer_faces
 from .periodic import Pairing, Periodic, merged, paired
 from .slide import Slide, tracks_of, wall_of
 from .symmetry import Plane
@@ -61,6 +61,20 @@ class Boundary:
             return None
         rows = {kind: _rows(self.nodes, len(self.points))[corners] for kind, corners in self.faces.items()}
         return {kind: corners[(corners >= 0).all(axis=1)] for kind, corners in rows.items()}
+
+    def with_faces_of(
+        self, mesh: Mesh, outer: OuterFaces | None = None, free: np.ndarray | Sequence[int] = ()
+    ) -> "Boundary":
+        """Returns the same with the faces and cells of its mesh, and those of the faces, `outer` ones, that no list names."""
+        outer = outer_faces(mesh) if outer is None else outer
+        if outer is None:
+            return self
+        is_held = _listed(self.points, self.nodes, self.planes)
+        is_open = has_free_faces(self.points, outer.corners, is_held)
+        is_held[np.asarray(free, dtype=int)] = True
+        cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.cells, self.points.shape[1]).items()}
+        left = free_faces(mesh, outer, is_held)
+        return dataclasses.replace(self, faces=outer.corners, left=left, is_open=is_open, cells=cells)
 
     def warn_of_free_faces(self) -> None:
         """Warns about boundary faces that no list names."""
@@ -130,14 +144,8 @@ def boundary(
     tracks = tuple(Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
     tracks = tuple(track for track in tracks if len(track.rows))
     lists = moving, fixed, _guided(pairings, tracks, moving, fixed, points), planes, pairings, tracks
-    if patches is None or outer is None:
-        return Boundary(points, *lists, None, None, None)
-    is_held = _listed(points, np.concatenate(lists[:3]), planes)
-    is_open = has_free_faces(points, outer.corners, is_held)
-    is_held[free] = True
-    cells = {kind: np.asarray(corners) for kind, corners in solid(patches.cells, points.shape[1]).items()}
-    left = free_faces(patches, outer, is_held)
-    return Boundary(points, *lists, outer.corners, left, is_open, cells)
+    named = Boundary(points, *lists, None, None, None)
+    return named if patches is None else named.with_faces_of(patches, outer, free)
 
 
 def checked_points(points: Any) -> np.ndarray:

@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._kernels.compile import compiled
+from .._mesh.mesh import Mesh
 from .plan import Plan, carry, deform_surface, moved_surface, refitted
 from .prepare import boundary_of, plan_of
 from .refit import with_boundary_of
 
 
 def march(
-    plan: Plan, path: Real[ArrayLike, "k m d"] | Sequence[Any], *, rebuild: bool = False
+    plan: Plan, path: Real[ArrayLike, "k m d"] | Sequence[Any], *, rebuild: bool = False, mesh: Mesh | None = None
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
     """Follows a path of total surface displacements, each step refitted on the mesh that the last one left.
 
@@ -30,16 +31,25 @@ def march(
     - `rebuild`: choose the ids (sources, graph) again before each step, as the paper does. Default False. The result
       then jumps wherever the graph of the moved surface changes, by as much as a step. A line search or a finite
       difference meets cliffs.
+    - `mesh`: the mesh that the plan is of, for `rebuild`: methods see its cells and boundary faces again. Default: points alone,
+      which methods that need cells refuse.
 
     **Returns:** one plan a step, for `replay`, and the points (n, d) at the end.
 
-    **Raises:** `ValueError` when `path` is not (k, m, d), and whatever `prepare` raises.
+    **Raises:** `ValueError` when `path` is not (k, m, d), for a mesh of other points, and whatever `prepare` raises.
     """
+    if mesh is not None and tuple(mesh.points.shape) != plan.points.shape:
+        raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
+    if rebuild and mesh is None and plan.method.needs_cells:
+        name = type(plan.method).__name__
+        raise ValueError(
+            f"{name} needs the cells of the mesh at each step: march(plan, path, rebuild=True, mesh=mesh)."
+        )
     if plan.is_piece:
         _check_piece(plan, rebuild)
     points, surface, plans = plan.points, None, []
     for j, target in enumerate(_targets(plan, path)):
-        step = plan if j == 0 else _anew(plan, points) if rebuild else carry(plan, points, surface)
+        step = plan if j == 0 else _anew(plan, points, mesh) if rebuild else carry(plan, points, surface)
         points, surface = _advance(step, target)
         plans.append(step)
     return tuple(plans), points
@@ -105,5 +115,8 @@ def _check_piece(plan: Plan, rebuild: bool) -> None:
         )
 
 
-def _anew(plan: Plan, points) -> Plan:
-    return plan_of(dataclasses.replace(boundary_of(plan), points=np.asarray(points)), plan.method)
+def _anew(plan: Plan, points, mesh: Mesh | None) -> Plan:
+    named = dataclasses.replace(boundary_of(plan), points=np.asarray(points))
+    if mesh is not None:
+        named = dataclasses.replace(named.with_faces_of(mesh), left=None)  # `prepare` has warned of these
+    return plan_of(named, plan.method)

@@ -5,6 +5,7 @@ from ._agard445 import agard445_mode as agard445_mode
 from ._blocks import bricks as bricks
 from ._blocks import wing as wing
 from ._gaps import blade_tip as blade_tip
+from ._gaps import bodies as bodies
 from ._gaps import valve as valve
 from ._naca import naca0015 as naca0015
 from ._naca import naca4 as naca4

@@ -1,6 +1,6 @@
-"""Walls that nearly touch: a valve above its seat, and a blade's tip below its shroud. Both are grids from which bodies are cut."""
+"""Walls that nearly touch or come close: a valve, a blade's tip, bodies in a box. All are grids from which bodies are cut."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -74,6 +74,49 @@ def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
     patches |= {"inlet": x == -1, "outlet": x == 1, "left": angle == angle.min(), "right": angle == angle.max()}
     points = np.stack([x, r * np.sin(angle), r * np.cos(angle)], axis=1)
     return jm.Mesh(points, {"hexahedron": cells}, {k: np.flatnonzero(v) for k, v in patches.items()})
+
+
+def bodies(
+    boxes: Mapping[str, Sequence[float]], *, box: Sequence[float] = (-8.0, 8.0, -4.0, 4.0), spacing: float = 0.25
+) -> jm.Mesh:
+    """Makes squares around rectangular bodies in a rectangular box: for bodies that pass each other or part.
+
+    Patches: each body by its name, and `farfield`.
+
+    **Arguments:**
+
+    - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They are moved to the nearest grid line.
+    - `box`: those of the box. Default: 16 wide and 8 high about the origin.
+    - `spacing`: side of a cell, about; a whole number of them fills the box. Default 0.25.
+
+    **Returns:** a `Mesh`.
+
+    **Raises:** `ValueError` for sides in another order, and a body without a cell within or beside it.
+    """
+    (left, right, bottom, top), ends = box, []
+    if not (left < right and bottom < top and spacing > 0):
+        raise ValueError(f"a box has x and y from least to largest and a positive spacing, not {box} and {spacing}.")
+    axes = [
+        np.linspace(*side, 1 + max(1, round((side[1] - side[0]) / spacing))) for side in ((bottom, top), (left, right))
+    ]
+    for name, (x0, x1, y0, y1) in boxes.items():
+        near = [
+            np.abs(axis[:, None] - side).argmin(axis=0) for axis, side in zip(axes, ((y0, y1), (x0, x1)), strict=True)
+        ]
+        if any(not 0 < first < last < len(axis) - 1 for axis, (first, last) in zip(axes, near, strict=True)):
+            raise ValueError(
+                f"body {name!r} at {(x0, x1, y0, y1)} has no cell within it or beside it: try a smaller spacing."
+            )
+        ends.append([axis[i] for axis, i in zip(axes, near, strict=True)])
+
+    def within(y, x, margin):
+        return [(y > a - margin) & (y < b + margin) & (x > c - margin) & (x < d + margin) for (a, b), (c, d) in ends]
+
+    places, cells = _cut(axes, lambda y, x: np.any([np.zeros(len(x), bool), *within(y, x, 0.0)], axis=0))
+    y, x = places.T
+    patches = dict(zip(boxes, within(y, x, 1e-9), strict=True))
+    patches["farfield"] = (y == bottom) | (y == top) | (x == left) | (x == right)
+    return jm.Mesh(np.stack([x, y], axis=1), {"quad": cells}, {k: np.flatnonzero(v) for k, v in patches.items()})
 
 
 def _cut(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
