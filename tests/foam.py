@@ -90,6 +90,22 @@ def write_case(case, points, cells, patches, form=FORMS["ascii"]):
     _system(pathlib.Path(case))
 
 
+def write_parts(case, points, cells, patches, owner, form=FORMS["ascii"]):
+    """The folders processor* of a case: cell k is in part `owner[k]`; `patches` test nodes of the whole mesh."""
+    inner = {frozenset(face) for face in polyhedral(cells)[0]}
+    for part in sorted(set(owner)):
+        mine = [cell for cell, k in zip(cells, owner, strict=True) if k == part]
+        ids = np.unique(np.concatenate([np.concatenate(cell) for cell in mine]))
+        place = {node: row for row, node in enumerate(ids.tolist())}
+        local = [[[place[node] for node in face] for face in cell] for cell in mine]
+        between = ("procBoundary", "processor", lambda nodes, ids=ids: frozenset(ids[nodes].tolist()) in inner)
+        tests = [(name, kind, lambda nodes, ids=ids, fits=fits: fits(ids[nodes])) for name, kind, fits in patches]
+        folder = pathlib.Path(case, f"processor{part}")
+        write_case(folder, np.asarray(points)[ids], local, [between, *tests], form)
+        body = _list(ids, form, "label")
+        _file(folder / "constant" / "polyMesh", "pointProcAddressing", "labelList", body, form)
+
+
 def _list(values, form, what):
     count = f"\n{len(values)}\n(".encode()
     if form.binary:

@@ -70,6 +70,14 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndar
     return [[column[keep] for column in columns] for columns, keep in zip(parts, kept, strict=True)]
 
 
+def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Marks (f,) the faces (f, c) whose nodes are those of one of `others` (k, e); -1 stands behind a last corner in both."""
+    width = max(faces.shape[1], others.shape[1])
+    both = np.full((len(faces) + len(others), width), -1, np.int64)
+    both[: len(faces), : faces.shape[1]], both[len(faces) :, : others.shape[1]] = faces, others
+    return twins(sorted_columns(columns_of(both), width))[: len(faces)] >= len(faces)
+
+
 def _ordered(columns: Sequence[Any], xp: Any) -> tuple[Any, Any]:
     """Brings equal faces side by side: the order, and whether each face of it equals the next one."""
     if xp is not np:

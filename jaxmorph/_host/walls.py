@@ -38,7 +38,7 @@ def walls(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | Non
     together from them. Walls closer to each other than their own nodes then count as one.
     """
     label = np.full(len(points), -1)
-    groups = [np.asarray(group) for group in (faces or {}).values() if len(group)]
+    groups = [_in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
     if groups:
         label = _by_faces(points, moving, groups)
         known, left = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
@@ -47,6 +47,14 @@ def walls(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | Non
         label[:moving] = _by_chains(points[:moving])
         label[moving:] = _by_chains(points[moving:]) + 1 + label.max()
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
+
+
+def _in_order(faces: np.ndarray) -> np.ndarray:
+    """Sorts faces (k, c) by their nodes, each begun at its lowest: the walls of nodes do not depend on how faces came."""
+    if faces.shape[1] > 2:  # an edge begun at its other end would be seen from inside
+        turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
+        faces = np.take_along_axis(faces, turn % faces.shape[1], axis=1)
+    return faces[np.lexsort(faces.T[::-1])]
 
 
 def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

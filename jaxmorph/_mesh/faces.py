@@ -54,6 +54,14 @@ class Faces:
         rows = windows[start].view(labels.dtype).reshape(*faces.shape, size)
         return np.where((faces < 0)[..., None], rows[..., ::-1], rows)
 
+    def padded(self, faces: np.ndarray) -> np.ndarray:
+        """Gathers node ids (k, c) of faces of several sizes, -1 behind the last corner of each."""
+        sizes = self.sizes[faces]
+        corners = np.full((len(faces), int(sizes.max(initial=4))), -1, self.labels.dtype)
+        for size in np.unique(sizes).tolist():
+            corners[sizes == size, :size] = self.corners(faces[sizes == size], size)
+        return corners
+
     def around(self, faces: np.ndarray, size: int) -> np.ndarray:
         """Gathers `corners` of faces (k, m) as (m, size, k), begun anywhere: so each operation runs along the k cells."""
         faces = np.ascontiguousarray(faces.T)

@@ -94,6 +94,14 @@ class Mesh(eqx.Module):
         return np.arange(sum(len(corners) for corners in self.cells.values())) if ids is None else ids
 
     @property
+    def between(self) -> np.ndarray | None:
+        """The faces (k, corners), edges in 2-D, between this part of a mesh and others, -1 behind the last corner; or None.
+
+        They are no boundary: their nodes are inner ones. No measure compares the cells on their two sides.
+        """
+        return getattr(self.source, "between", None)
+
+    @property
     def cell_counts(self) -> dict[str, int]:
         """The number of cells of each type as the file has them, with `polyhedron` or `polygon` for those that are cut."""
         counts = {kind: len(corners) for kind, corners in self.cells.items()}

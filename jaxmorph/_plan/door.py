@@ -112,9 +112,20 @@ def renumbered(
 
 
 def boundary(
-    mesh: Any, moving: Any, fixed: Any, symmetry: Any, free: Any = (), periodic: Any = (), sliding: Any = ()
+    mesh: Any,
+    moving: Any,
+    fixed: Any,
+    symmetry: Any,
+    free: Any = (),
+    periodic: Any = (),
+    sliding: Any = (),
+    *,
+    outer: OuterFaces | None = None,
 ) -> Boundary:
-    """Checks what `prepare` was given. Raises `ValueError` in one sentence that names the call to make."""
+    """Checks what `prepare` was given. Raises `ValueError` in one sentence that names the call to make.
+
+    `outer` are the boundary faces where the cells of a `Mesh` are not there to tell them.
+    """
     points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
     patches = mesh if isinstance(mesh, Mesh) else None
     _check_named_once(sliding, fixed=fixed, symmetry=symmetry)
@@ -131,7 +142,9 @@ def boundary(
     fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]
     fixed = fixed[~np.isin(fixed, moving)]
     planes = _planes(symmetry, points, patches)
-    outer, pairings = None if patches is None else outer_faces(patches), _pairings(periodic, points, patches)
+    if outer is None and patches is not None:
+        outer = outer_faces(patches)
+    pairings = _pairings(periodic, points, patches)
     tracks, held = _tracks(sliding, points, patches, planes, fixed, None if outer is None else outer.corners)
     if np.isin(held, moving).any():
         corner = held[np.isin(held, moving)]

@@ -2,9 +2,11 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from .._host.pairs import is_among
 from .._host.topology import boundary_faces, solid
 from .._host.walls import seen_from_outside
 from .._mesh.mesh import Mesh
@@ -22,6 +24,14 @@ class OuterFaces:
     corners: dict[str, np.ndarray]
     ids: dict[str, np.ndarray]
 
+    @classmethod
+    def numbered(cls, faces: Mapping[str, Any]) -> "OuterFaces":
+        """Numbers faces one type after the other."""
+        corners = {kind: np.asarray(each) for kind, each in faces.items()}
+        starts = np.cumsum([0, *map(len, corners.values())])
+        ids = {kind: start + np.arange(len(each)) for (kind, each), start in zip(corners.items(), starts, strict=False)}
+        return cls(corners, ids)
+
     def count(self, chosen: Mapping[str, np.ndarray] | None = None) -> int:
         """Counts the file's faces, or those of them that have a part that is `chosen` by a mask for each type."""
         ids = [each if chosen is None else each[chosen[kind]] for kind, each in self.ids.items()]
@@ -29,21 +39,20 @@ class OuterFaces:
 
 
 def outer_faces(mesh: Mesh) -> OuterFaces | None:
-    """Finds the boundary faces of a mesh; None where its cells do not fill its dimension."""
+    """Finds the boundary faces of a mesh, without those between it and other parts; None where cells do not fill its dimension."""
     points = np.asarray(mesh.points)
     cells = {kind: np.asarray(each) for kind, each in solid(mesh.cells, points.shape[1]).items()}
     if not cells:
         return None
     if mesh.polyhedra is not None and points.shape[1] == 3:
-        return _of_polyhedra(mesh.polyhedra, points)
-    corners, ids, start = seen_from_outside(points, boundary_faces(cells, len(points))), {}, 0
-    for kind, each in corners.items():
-        ids[kind] = np.arange(start, start + len(each))
-        start += len(each)
-    return OuterFaces(corners, ids)
+        return _of_polyhedra(mesh.polyhedra, points, mesh.between)
+    corners = seen_from_outside(points, boundary_faces(cells, len(points)))
+    if mesh.between is not None:
+        corners = {kind: each[~is_among(each, mesh.between)] for kind, each in corners.items()}
+    return OuterFaces.numbered(corners)
 
 
-def _of_polyhedra(whole: Polyhedra, points: np.ndarray) -> OuterFaces:
+def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
     """Takes the faces from the file: the pieces of polyhedra and the whole cells beside them share none."""
     faces = whole.faces
     outer = np.ones(len(faces.owner), dtype=bool)
@@ -52,7 +61,11 @@ def _of_polyhedra(whole: Polyhedra, points: np.ndarray) -> OuterFaces:
     quads, others = (rows[is_quad] for is_quad in (faces.sizes[rows] == 4, faces.sizes[rows] != 4))
     cut, owner = triangles(faces, others, points) if len(others) else (np.zeros((0, 3), np.int64), np.zeros(0, int))
     corners = {"triangle": cut, "quad": faces.corners(quads, 4) if len(quads) else np.zeros((0, 4), np.int64)}
-    return OuterFaces(seen_from_outside(points, corners), {"triangle": others[owner], "quad": quads})
+    corners, ids = seen_from_outside(points, corners), {"triangle": others[owner], "quad": quads}
+    if between is not None:
+        kept = {kind: ~np.isin(each, rows[is_among(faces.padded(rows), between)]) for kind, each in ids.items()}
+        corners, ids = ({kind: each[kept[kind]] for kind, each in both.items()} for both in (corners, ids))
+    return OuterFaces(corners, ids)
 
 
 @dataclasses.dataclass(frozen=True)

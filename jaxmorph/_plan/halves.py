@@ -17,6 +17,7 @@ from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface, check_kind
 from .._methods.reconstruction import SurfaceReconstruction
 from .door import Boundary, boundary, checked_points
+from .faces import OuterFaces
 from .periodic import Periodic
 from .plan import Plan, SurfacePart
 from .prepare import boundary_of, laid_out, plan_of, refuse_cells, surface_of
@@ -159,6 +160,7 @@ def prepare_surface(
     sliding: Slide | str | Sequence[Slide | str] = (),
     free: str | Sequence[str] | Integer[np.ndarray, " k"] | Sequence[int | np.integer] = (),
     is_open: bool | None = None,
+    faces: Mapping[str, Integer[np.ndarray, "_k _c"]] | None = None,
 ) -> SurfaceHalf:
     """Prepares the surface of a mesh whose points are too many, or too far apart, for one call of `prepare`.
 
@@ -173,14 +175,20 @@ def prepare_surface(
     - `nodes`: the whole mesh's ids (n,) of these points, by which pieces name them; -1 for points that no piece names.
       Default: 0 to n - 1.
     - `is_open`: whether the whole mesh has a side that is neither moving, fixed nor a symmetry plane. Default None: it is looked
-      for in `mesh`, which must then be whole.
+      for in `mesh`, which must then be whole, or in `faces`.
+    - `faces`: the whole mesh's boundary faces (k, corners) by type as rows of `mesh`, seen from outside; in 2-D `line`s. With them
+      pieces move as by `prepare` of the whole mesh. Default None: those of the mesh's cells, where it has any.
 
     **Returns:** a `SurfaceHalf`.
 
     **Raises:** `ValueError` as `prepare` does, for `nodes` that name one twice, and for a method that solves on the
     cells of the whole mesh.
     """
-    named = boundary(mesh, moving, fixed, symmetry, free, periodic, sliding)
+    outer = None
+    if faces is not None:
+        mesh = mesh if isinstance(mesh, Mesh) else Mesh(mesh)
+        outer = OuterFaces.numbered(Mesh(mesh.points, dict(faces)).cells)
+    named = boundary(mesh, moving, fixed, symmetry, free, periodic, sliding, outer=outer)
     count = len(named.points)
     ids = np.arange(count) if nodes is None else np.asarray(nodes)
     if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():

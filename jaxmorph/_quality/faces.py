@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._host.adjacency import handedness, neighbours
-from .._host.pairs import columns_of, sorted_columns, twins
+from .._host.pairs import columns_of, is_among, sorted_columns, twins
 from .._host.topology import CORNERS, DIMENSION, FACES
 from .._mesh.faces import Faces
 from .._mesh.mesh import Mesh
@@ -28,10 +28,10 @@ class FaceQuality:
     - `pyramid`: the smallest pyramid between a face and the cell's centre, over the mean of them. 1 for a regular cell, negative
       where a face is seen from behind. In 2-D a triangle.
     - `is_inverted`: the volume or a pyramid is negative beyond round-off, as checkMesh tests cells of finite volumes. NaN counts.
-      Cells numbered the other way round than their neighbours are turned first, as `quality(mesh)` does.
+      Cells numbered the other way round than their neighbours are turned first, as `quality(mesh)` does; not in a part of a mesh.
     - `skewness`: the distance by which the line between the centres of two cells misses the centre of their face, over the
       face's reach in that direction. It has no upper bound. The reach is at least 0.2 of the line's length; at the boundary
-      0.4 of the distance from the cell's centre to the plane of the face.
+      0.4 of the distance from the cell's centre to the plane of the face. Faces to other parts (`Mesh.between`) do not count.
     - `aspect_ratio`: the faces' areas are summed as seen along each axis; the largest sum over the smallest. In 3-D it is at
       least a sixth of the sums' total over the volume to the power of 2/3. It depends on how a cell lies in the axes.
     - `non_orthogonality`: in degrees, the largest over the inner faces.
@@ -73,7 +73,7 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
         raise ValueError(f"`points` has shape {points.shape}; this mesh has {tuple(mesh.points.shape)}.")
     if not any(len(ids) for ids in mesh.cells.values()):
         raise ValueError("the mesh has no cells; its quality is not defined.")
-    sides = _standard(mesh) if mesh.polyhedra is None else _whole(mesh.polyhedra.faces)
+    sides = _standard(mesh) if mesh.polyhedra is None else _whole(mesh, mesh.polyhedra.faces)
     if sides.faces.shape[1] < points.shape[1] + (points.shape[1] == 3):
         raise ValueError(
             "OpenFOAM's measures are for meshes that fill a region in 2-D or 3-D, not for surfaces in 3-D."
@@ -86,7 +86,8 @@ def _measured(mesh: Mesh, sides: "_Sides", points: Float[np.ndarray, "n d"]) -> 
     corners = sides.corners(points)
     centre, area = _edges(corners) if points.shape[1] == 2 else _polygons(corners, sides.faces >= 0)
     middle, volume = _cell_centres(centre, area, sides)
-    if mesh.polyhedra is None and (volume < 0).any():
+    # a part that is inverted as a whole has no neighbours to tell so
+    if mesh.polyhedra is None and mesh.between is None and (volume < 0).any():
         turn = _turns(mesh, volume)
         area, volume = area * turn[sides.owner][:, None], volume * turn
     cosine = _cosines(sides, area, middle)
@@ -111,13 +112,14 @@ def _measured(mesh: Mesh, sides: "_Sides", points: Float[np.ndarray, "n d"]) -> 
 class _Sides:
     """Corners of each face of each cell (-1 behind the last), its cell, the same face as its other cell sees it (-1 if none).
 
-    `total` is the number of cells.
+    `total` is the number of cells, and `is_between` marks faces to other parts of the mesh.
     """
 
     faces: Int[np.ndarray, "t c"]
     owner: Int[np.ndarray, " t"]
     behind: Int[np.ndarray, " t"]
     total: int
+    is_between: Bool[np.ndarray, " t"]
 
     @functools.cached_property
     def counts(self) -> Int[np.ndarray, " k"]:
@@ -153,7 +155,7 @@ def _skewness(
     direction = by / np.maximum(size, FLOOR)[:, None]
     reach = np.abs(np.einsum("td,tcd->tc", direction, corners - centre[:, None])).max(axis=1)
     least = np.where(inside, 0.2, 0.4) * np.linalg.norm(across, axis=1)
-    return sides.largest(size / np.maximum(np.maximum(reach, least), FLOOR))
+    return sides.largest(np.where(sides.is_between, 0, size / np.maximum(np.maximum(reach, least), FLOOR)))
 
 
 def _aspect_ratio(sides: _Sides, area: Vectors, volume: Float[np.ndarray, " cells"]) -> Float[np.ndarray, " k"]:
@@ -209,10 +211,14 @@ def _standard(mesh: Mesh) -> _Sides:
         first += len(ids)
     joined = np.concatenate(faces)
     behind = twins(sorted_columns(columns_of(joined), width))
-    return _Sides(joined, np.concatenate(owners), behind, first)
+    return _Sides(joined, np.concatenate(owners), behind, first, _to_others(mesh, joined))
 
 
-def _whole(faces: Faces) -> _Sides:
+def _to_others(mesh: Mesh, sides: Int[np.ndarray, "t c"]) -> Bool[np.ndarray, " t"]:
+    return np.zeros(len(sides), dtype=bool) if mesh.between is None else is_among(sides, mesh.between)
+
+
+def _whole(mesh: Mesh, faces: Faces) -> _Sides:
     """Lists the sides of whole cells: faces as their owners see them, then the inner ones as their neighbours do."""
     count, inner = len(faces.owner), np.flatnonzero(faces.neighbour >= 0)
     signed = np.concatenate([np.arange(count), ~inner])
@@ -225,7 +231,7 @@ def _whole(faces: Faces) -> _Sides:
     behind = np.full(len(signed), -1)
     behind[inner], behind[count:] = count + np.arange(len(inner)), inner
     owner = np.concatenate([faces.owner, faces.neighbour[inner]])
-    return _Sides(corners, owner, behind, int(owner.max()) + 1)
+    return _Sides(corners, owner, behind, int(owner.max()) + 1, _to_others(mesh, corners))
 
 
 def _between(centres: Centres, sides: _Sides) -> Vectors:

@@ -5,6 +5,7 @@ import jax
 from jaxmorph import _demo
 
 from ._compiled import keep_compiled
+from ._decomposed import deform_parts
 from ._deform import deform
 from ._inspect import info, quality
 from ._modes import modes
@@ -18,6 +19,8 @@ def run(request: Request, out: Output) -> int:
     jax.config.update("jax_enable_x64", True)
     keep_compiled()
     match request:
+        case Deform(decomposed=True):
+            return deform_parts(request, out)
         case Deform():
             return deform(request, out)
         case Modes():

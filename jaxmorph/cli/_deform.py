@@ -13,7 +13,7 @@ from jaxmorph._host.files import complete
 from . import _gates
 from ._attempt import Attempt
 from ._judged import Judged
-from ._method import NamedMethod, named_method, patches_of
+from ._method import NamedMethod, Patches, named_method, patches_of
 from ._motion import motion
 from ._output import Output
 from ._requests import Deform
@@ -71,10 +71,20 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     with out.progress("choosing sources"):
         choice = named_method(request.method, wall, request.chunk)
         chunks = patches.chunks(choice, request.chunk)
-    way = np.linalg.norm(moves.path(wall, 1)[-1], axis=1)
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{request.file.name}: {n} points in {d}-D, {cells}", points=n)
+    described(request, patches, choice, moves.path(wall, 1)[-1], out)
+    with out.progress("judging the cells"):
+        before = Judged(mesh, mesh.points)
+        for gate in request.gates:
+            gate.extreme(before)  # what cannot be judged is told now
+    return Attempt(request, patches, moves, before), choice, chunks
+
+
+def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndarray, out: Output) -> None:
+    """Describes what moves, by how much, what stays, and the method; `u` are the displacements of the moving nodes."""
+    mesh, way = patches.mesh, np.linalg.norm(u, axis=1)
     for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
         nodes = mesh.patch(*names)
         largest = way[np.searchsorted(patches.nodes, nodes)].max()
@@ -88,11 +98,6 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     out.say(f"method   {choice.name}, {count(request.steps, 'step')}", method=choice.name, steps=request.steps)
     moving = {name: len(mesh.patch(name)) for name in patches.moving}
     out.say(moving=moving, largest=float(way.max()), sources=choice.sources)
-    with out.progress("judging the cells"):
-        before = Judged(mesh, mesh.points)
-        for gate in request.gates:
-            gate.extreme(before)  # what cannot be judged is told now
-    return Attempt(request, patches, moves, before), choice, chunks
 
 
 def _foreseen(attempt: Attempt, choice: NamedMethod, out: Output) -> jm.Estimate:
@@ -132,11 +137,8 @@ def _moved(
 
 def _write_beside(attempt: Attempt, after: Judged, out: Output) -> None:
     """Writes the job file, lattices and the picture, also if cells are bad."""
-    job, picture = attempt.request.job, attempt.request.picture
-    if job is not None:
-        with complete(job[0]) as partial:
-            partial.write_bytes(job[1].encode())
-        out.say(f"job      {job[0]}")
+    picture = attempt.request.picture
+    write_job(attempt.request, out)
     for file in attempt.motion.write_lattices():
         out.say(f"lattice  {file}")
     if picture is not None:
@@ -151,6 +153,14 @@ def _write_beside(attempt: Attempt, after: Judged, out: Output) -> None:
             out.warn(f"no picture: {error}")
 
 
+def write_job(request: Deform, out: Output) -> None:
+    """Writes the job file that is asked for."""
+    if request.job is not None:
+        with complete(request.job[0]) as partial:
+            partial.write_bytes(request.job[1].encode())
+        out.say(f"job      {request.job[0]}")
+
+
 def _wrapped(out: Output, text: str) -> None:
     out.say(textwrap.fill(text, 80, subsequent_indent=" " * 9, break_long_words=False, break_on_hyphens=False))
 
@@ -158,6 +168,13 @@ def _wrapped(out: Output, text: str) -> None:
 def _check(request: Deform, mesh: Mesh) -> None:
     """Raises `ValueError` for a request that is sure to fail, before any work."""
     io.check_output(request.output, mesh)
+    check_files(request, mesh)
+    if request.picture is not None:
+        _check_picture(request.picture, mesh)
+
+
+def check_files(request: Deform, mesh: Mesh) -> None:
+    """Raises `ValueError` for patches without nodes, and for files that are read or written beside the meshes."""
     for group in request.groups:
         inputs = [group.displacement, group.displacement_from, *(file for file, _ in group.mode), group.box]
         for file in filter(None, inputs):
@@ -173,8 +190,6 @@ def _check(request: Deform, mesh: Mesh) -> None:
             raise ValueError(f"--save-job {job}: there is no such folder.")
         if job.resolve() == request.output.resolve():
             raise ValueError(f"--save-job {job}: OUT goes there.")
-    if request.picture is not None:
-        _check_picture(request.picture, mesh)
 
 
 def _check_picture(path: Path, mesh: Mesh) -> None:

@@ -81,6 +81,8 @@ def _deform(command: Parser) -> None:
     _input(add)
     what = "where to write it; the ending chooses the format; for a case a new one, or CASE/TIME"
     add("output", everyday=True, metavar="OUT", type=Path, help=what)
+    what = "IN is a decomposed OpenFOAM case: take its folders processor* part by part, under mpiexec several at a time"
+    add("--decomposed", action="store_true", help=what)
     add("--job", metavar="FILE", type=Path, action=Job, help="read the flags from a TOML file")
     add("--save-job", metavar="FILE", type=Path, help="write such a file of this run")
     what = "draw before and after (.png), in 3-D also a page to turn and deform it (.html)"

@@ -37,6 +37,9 @@ NAME is a patch, a regular expression for the whole of a name ("motorBike.*"),
 or a group that the file has (inGroups of an OpenFOAM case). A patch with faces
 that are not named as moving, fixed, symmetry, sliding, periodic or free is an
 error: its nodes would follow like inner ones, and may leave the boundary.
+With --decomposed the parts processor* of an OpenFOAM case go one by one, under
+mpiexec (jaxmorph[mpi]) several at a time; OUT has them all, or is not written.
+
 Cyclic patches of an OpenFOAM case, and periodic interfaces of a CGNS file, are
 periodic where no flag names them.
 

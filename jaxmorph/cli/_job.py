@@ -17,7 +17,7 @@ from ._parser import meant
 
 LISTS = ("fixed", "symmetry", "free", "sliding", "periodic")
 VALUES = ("method", "sources", "steps", "chunk", "dtype", "preset", "picture", *GATES)
-SWITCHES = {"allow_inverted": True, "dry_run": False}
+SWITCHES = {"decomposed": True, "allow_inverted": True, "dry_run": False}
 """Names that are either true or false, and the value that has a flag."""
 
 FILES = ("file", "output")

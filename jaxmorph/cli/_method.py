@@ -8,6 +8,9 @@ from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._plan.door import boundary
+from jaxmorph._plan.faces import FreeFaces, OuterFaces
+from jaxmorph._plan.halves import half_of
 
 from ._requests import Method, PatchNames
 
@@ -103,11 +106,26 @@ class Patches:
             chunks = jm.prepare_in_chunks(mesh, *surface, size=size, method=choice.method, **kept)
         except jm.MeshError as error:
             raise self.explained(error) from None
-        if chunks.free_faces is not None and chunks.free_faces.patches:
-            raise ValueError(
-                f"{chunks.free_faces} Name them by --fixed, --moving, --symmetry, --sliding or --periodic, or by --free."
-            )
+        self._check_free(chunks.free_faces)
         return chunks
+
+    def half(self, choice: NamedMethod) -> jm.SurfaceHalf:
+        """Prepares the surface of a mesh in parts, which `mesh` is. Raises what `chunks` does."""
+        mesh, outer = self.mesh.moved(self.points(choice)), OuterFaces.numbered(self.mesh.cells)
+        kept = (self.planes, self.free, self.periodic, self.sliding)
+        try:
+            named = boundary(mesh, self.moving, self.fixed, *kept, outer=outer)
+            self._check_free(named.left)
+            return half_of(named, choice.method, io.global_nodes(mesh))
+        except jm.MeshError as error:
+            raise self.explained(error) from None
+
+    def _check_free(self, free: FreeFaces | None) -> None:
+        """Raises `ValueError` for boundary faces of patches that no flag names."""
+        if free is not None and free.patches:
+            raise ValueError(
+                f"{free} Name them by --fixed, --moving, --symmetry, --sliding or --periodic, or by --free."
+            )
 
     def plan(self, chunks: jm.Chunks) -> jm.Plan:
         """Prepares the first part. Raises the `ValueError` of `explained`."""

@@ -14,6 +14,8 @@ class Output:
 
     def __init__(self, command: str, *, as_json: bool = False, verbose: bool = False):
         self.name, self.as_json, self.verbose = f"jaxmorph {command}", as_json, verbose
+        self.is_silent = False
+        """True in all processes of an MPI run but one, which speaks for all."""
         self.facts: dict[str, Any] = {"command": command}
         self.progress = Progress(self.name)
         self.began = time.monotonic()
@@ -21,13 +23,14 @@ class Output:
     def say(self, text: str | None = None, **facts: Any) -> None:
         """Prints one or more lines, and collects their facts by name."""
         self.facts.update(facts)
-        if text is not None and not self.as_json:
+        if text is not None and not self.as_json and not self.is_silent:
             print(text, flush=True)
 
     def complain(self, text: str, key: str = "problems") -> None:
         """Prints a line on standard error, and adds it to the list of facts called `key`."""
         self.facts.setdefault(key, []).append(text)
-        print(f"{self.name}: {text}", file=sys.stderr)
+        if not self.is_silent:
+            print(f"{self.name}: {text}", file=sys.stderr)
 
     def warn(self, text: str) -> None:
         self.complain(f"warning: {text}", "warnings")
@@ -39,6 +42,8 @@ class Output:
     def end(self, status: int) -> int:
         """Timings where asked for, the JSON object where it is; returns the exit status."""
         stages = self.progress.seconds
+        if self.is_silent:
+            return status
         if self.as_json:
             timings = {name: round(taken, 3) for name, taken in stages.items()}
             facts = self.facts | {"status": status, "seconds": round(self.seconds, 3), "stages": timings}

@@ -51,6 +51,7 @@ class Deform:
     allow_inverted: bool
     dry_run: bool
     verbose: bool
+    decomposed: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,6 +131,7 @@ def _deform(arguments: argparse.Namespace) -> Deform:
         arguments.allow_inverted,
         arguments.dry_run,
         arguments.verbose,
+        arguments.decomposed,
     )
 
 

@@ -6,15 +6,14 @@ except ImportError as error:
     raise ImportError("pieces over MPI need mpi4py: pip install 'jaxmorph[mpi]', and an MPI library") from error
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
-
-T = TypeVar("T")
+from jaxmorph._host.ranks import together
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Piece:
         differently.
         """
         u = self.gathered(u)
-        moved = np.array(_together(self.comm, lambda: jm.deform(self.plan, u)))
+        moved = np.array(together(self.comm, lambda: jm.deform(self.plan, u)))
         if self.comm.allreduce(int(self.is_shared.sum())):
             _agree(self.comm, self.nodes, self.is_shared, self.is_owner, moved)
         return moved
@@ -66,7 +65,7 @@ class Piece:
                 raise ValueError(f"`cotangent` has shape {values.shape}; this piece has {self.plan.points.shape}.")
             return np.array(jm.pullback(self.plan, u, np.where(self.is_owner[:, None], values, 0)))
 
-        total = _together(self.comm, of_piece)
+        total = together(self.comm, of_piece)
         self.comm.Allreduce(MPI.IN_PLACE, total)
         return total[self.rows]
 
@@ -80,7 +79,7 @@ class Piece:
                 raise ValueError(f"`u` has shape {values.shape}; this piece moves {expected[0]} points: {expected}.")
             return values
 
-        shares = self.comm.allgather((self.rows, _together(self.comm, checked)))
+        shares = self.comm.allgather((self.rows, together(self.comm, checked)))
         whole = np.full((self.plan.n_moving, self.plan.points.shape[1]), np.nan, self.plan.points.dtype)
         for rows, values in shares:
             whole[rows] = values
@@ -152,7 +151,7 @@ def prepare(
         outermost = x[np.concatenate([x.argmin(axis=0), x.argmax(axis=0)])]
         return x, ids.astype(np.int64), outermost, *(_rows(each, len(x)) for each in (moving, fixed))
 
-    x, ids, outermost, moves, held = _together(comm, checked)
+    x, ids, outermost, moves, held = together(comm, checked)
     shares = comm.allgather((ids[moves], x[moves], ids[held], x[held]))
     moving_ids, moving_points = _union([share[:2] for share in shares])
     fixed_ids, fixed_points = _union([share[2:] for share in shares])  # all processes see the same, and raise together
@@ -174,9 +173,9 @@ def prepare(
         except jm.MeshError as error:
             raise error.renumbered(names) from None
 
-    shared = comm.bcast(_together(comm, half))
+    shared = comm.bcast(together(comm, half))
     assert shared is not None
-    plan = _together(comm, lambda: shared.attach(x, ids))
+    plan = together(comm, lambda: shared.attach(x, ids))
     return Piece(comm, plan, ids, moves, np.searchsorted(moving_ids, ids[moves]), *_owned(comm, ids))
 
 
@@ -254,19 +253,3 @@ def _summed(comm: Any, report: jm.QualityReport) -> Summary:
         largest={name: float(np.max([share[2][name] for share in shares])) for name in names},
         mean={name: sum(share[3][name] for share in shares) / whole if whole else float("nan") for name in names},
     )
-
-
-def _together(comm: Any, function: Callable[[], T]) -> T:
-    """Calls a function in every process. Where it raises in one, all raise: none waits for the others for good."""
-    result, error = None, None
-    try:
-        result = function()
-    except Exception as raised:
-        error = raised
-    messages = comm.allgather(None if error is None else str(error))
-    if error is not None:
-        raise error
-    failed = [rank for rank, message in enumerate(messages) if message is not None]
-    if failed:
-        raise ValueError(f"process {failed[0]}: {messages[failed[0]]}")
-    return result  # pyright: ignore[reportReturnType]

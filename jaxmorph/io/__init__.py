@@ -18,3 +18,5 @@ from ._sensitivity import write_sensitivity as write_sensitivity
 from ._series import XDMFSeries as XDMFSeries
 from ._series import write_pvd as write_pvd
 from ._surface import read_surface as read_surface
+from .openfoam.parts import Decomposed as Decomposed
+from .openfoam.parts import global_nodes as global_nodes

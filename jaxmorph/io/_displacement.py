@@ -53,12 +53,14 @@ def read_displacement(
         return _between(pathlib.Path(before), path, points[moving])
     if path.suffix.lower() in SHAPES:
         raise ValueError(f"{path}: a surface without node ids; give the surface before the motion too.")
+    of_file = getattr(mesh.source, "node_ids", None)
+    numbers = moving if of_file is None else of_file[moving]
     ids, values, is_position = (
-        _arrays(path, moving) if path.suffix.lower() == ".npz" else (*read_surface(path, points.shape[1]), is_position)
+        _arrays(path, numbers) if path.suffix.lower() == ".npz" else (*read_surface(path, points.shape[1]), is_position)
     )
     if values.shape != (len(ids), points.shape[1]):
         raise ValueError(f"{path}: values of shape {values.shape} for {len(ids)} nodes in {points.shape[1]}-D.")
-    _check_ids(path, ids, moving)
+    _check_ids(path, ids, numbers)
     values = values[np.argsort(ids)][np.argsort(np.argsort(moving))]
     return values - points[moving] if is_position else values
 

@@ -18,8 +18,9 @@ Arrays = Mapping[str, np.ndarray]
 class Source:
     """Keeps the file a mesh was read from, and the `content` that its format needs to give the file back as it was.
 
-    It is compared by identity, so that it can be a static field of a pytree however large `content` is. `polyhedra`, `cell_ids`
-    and `groups` are those of `Mesh`, and `periodic` are the pairs of patches that the file names as such.
+    It is compared by identity, so that it can be a static field of a pytree however large `content` is. `polyhedra`, `cell_ids`,
+    `between` and `groups` are those of `Mesh`. `node_ids` are the numbers that files give to its nodes, None for 0, 1, 2, ...
+    `periodic` are the pairs of patches that the file names as such.
     """
 
     path: pathlib.Path
@@ -29,6 +30,8 @@ class Source:
     cell_ids: np.ndarray | None = None
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     periodic: tuple[Periodic, ...] = ()
+    between: np.ndarray | None = None
+    node_ids: np.ndarray | None = None
 
     def __repr__(self) -> str:
         return f"Source({str(self.path)!r}, {self.format})"

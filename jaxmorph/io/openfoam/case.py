@@ -5,6 +5,7 @@ Only `points` is written: into a time folder of the case, or into a copy of the 
 
 import contextlib
 import dataclasses
+import functools
 import gzip
 import os
 import pathlib
@@ -35,12 +36,21 @@ COPIED = ("constant", "system", "0", "0.orig")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _CaseContent:
-    """Keeps the file of points, its values, the folder of the faces, and the two planes of a 2-D or axisymmetric case."""
+    """Keeps the file of points, its values, the folder of the faces, and the two planes of a 2-D or axisymmetric case.
+
+    `shared` are the points (k,) of the file that other parts of a decomposed case have too.
+    """
 
     file: FoamFile
     points: np.ndarray
     topology: pathlib.Path
     plane: Layer | Sector | None
+    shared: np.ndarray
+
+    @functools.cached_property
+    def point_ids(self) -> np.ndarray:
+        """The numbers (n,) of a part's points in the whole mesh: its `pointProcAddressing`."""
+        return point_ids(self.topology, len(self.points))
 
 
 def read(path: pathlib.Path) -> Mesh:
@@ -49,9 +59,13 @@ def read(path: pathlib.Path) -> Mesh:
     `patches` are those of `boundary`, `groups` of their `inGroups`. Cells with more or other faces than the standard types are
     cut into tetrahedra between their own nodes. Of a case with `empty` patches the plane in front is the mesh, in two coordinates.
     So it is with `wedge` patches, at places along the axis and distances from it; nodes on the axis are the patch `axis`.
+
+    Of a decomposed case `path` may be a folder `processor3`. Faces to other processors are no boundary, `processorXtoY` is no
+    patch. Faces of a cyclic patch whose partners are on another processor stay in their cyclic patch.
     """
     here, topology = _folders(path)
     boundary = patches(load(topology, "boundary"))
+    divided = [patch for patch in boundary if patch.refers and patch.count]
     empty, wedges = ([each for each in boundary if each.type == kind and each.count] for kind in ("empty", "wedge"))
     if wedges and (len(wedges) != 2 or empty):
         names = ", ".join(patch.name for patch in wedges + empty)
@@ -61,6 +75,7 @@ def read(path: pathlib.Path) -> Mesh:
     topology_data = topology_of(topology, boundary, is_plane=bool(empty or wedges))
     file, points = _points(here)
     topology_data.check(topology, len(points))
+    boundary = [patch for patch in boundary if patch.name in topology_data.nodes]
     try:
         if wedges:
             mesh, ids, whole, plane = _in_sector(topology_data, points, boundary, wedges)
@@ -74,7 +89,13 @@ def read(path: pathlib.Path) -> Mesh:
     for patch in boundary:
         groups |= {group: (*groups.get(group, ()), patch.name) for group in patch.groups}
     pairs = tuple(Periodic(first.name, second.name) for first, second in cyclic_pairs(boundary))
-    source = Source(file.path, NAME, _CaseContent(file, points, topology, plane), whole, ids, groups, pairs)
+    between = topology_data.between
+    shared = np.unique(between[between >= 0])
+    if plane is not None and len(between):
+        between = plane.edges(between)
+    content = _CaseContent(file, points, topology, plane, shared)
+    between = between if len(between) else None
+    source = Source(file.path, NAME, content, whole, ids, groups, () if len(divided) else pairs, between)
     return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
 
 
@@ -99,13 +120,33 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes `points` in a time folder of the case, or a new case: `constant`, `system`, `0` and `0.orig` with other points."""
+    points = file_points(mesh)
+    source = source_of(mesh, NAME)
+    assert source is not None
+    _warn_of_parts(path, _case_of(source.content.topology))
+    write_points(path, mesh, points)
+
+
+def file_points(mesh: Mesh) -> np.ndarray:
+    """Computes the points (N, 3) of the file of a mesh that was read from a case: both planes' of one in 2-D.
+
+    It raises `ValueError` where cyclic patches do not match any more.
+    """
     source = source_of(mesh, NAME)
     assert source is not None
     content: _CaseContent = source.content
-    points = _all_points(content, np.asarray(mesh.points))
+    points = np.asarray(mesh.points)
+    points = points if content.plane is None else content.plane.in_space(content.points, points)
     check_cyclic(content.topology, content.points, points)
+    return points
+
+
+def write_points(path: pathlib.Path, mesh: Mesh, points: np.ndarray) -> None:
+    """Writes a case, or a time folder of one, as `write` does, with these points (N, 3) of the file."""
+    source = source_of(mesh, NAME)
+    assert source is not None
+    content: _CaseContent = source.content
     case = _case_of(content.topology)
-    _warn_of_parts(path, case)
     if _is_time(path):
         folder = path / "polyMesh"
         made = [each for each in (path, folder) if not each.exists()]
@@ -141,9 +182,24 @@ def _warn_of_parts(path: pathlib.Path, case: pathlib.Path | None) -> None:
         )
 
 
-def _all_points(content: _CaseContent, points: np.ndarray) -> np.ndarray:
-    """Returns the points of both planes of a 2-D case, and those of others as they are."""
-    return points if content.plane is None else content.plane.in_space(content.points, points)
+def point_ids(topology: pathlib.Path, count: int) -> np.ndarray:
+    """Reads `pointProcAddressing`: the number (n,) of each point of a part in the whole mesh.
+
+    It raises `ValueError`, with what to do, where the file is missing or is not of these points.
+    """
+    try:
+        ids = load(topology, "pointProcAddressing").numbers("label").ravel()
+    except FileNotFoundError:
+        raise ValueError(
+            f"{topology}: there is no pointProcAddressing, so it is not known which points the processors share. Run "
+            "reconstructParMesh -constant in the case, which writes it, or decomposePar again."
+        ) from None
+    if len(ids) != count or ids.min(initial=0) < 0 or len(np.unique(ids)) < count:
+        raise ValueError(
+            f"{topology / 'pointProcAddressing'}: {len(ids)} numbers for {count} points; each point has one of its own, from 0 on. "
+            "Run decomposePar again."
+        )
+    return ids
 
 
 def _write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray) -> None:
@@ -206,7 +262,7 @@ def _in_plane(
 ) -> tuple[Mesh, np.ndarray | None, Polyhedra | None, Layer]:
     assert topology.faces is not None
     chosen = np.concatenate([np.arange(patch.start, patch.start + patch.count) for patch in empty])
-    plane = layer(topology.faces, points)
+    plane = layer(topology.faces, points, chosen)
     nodes = {patch.name: plane.ids(topology.nodes[patch.name]) for patch in boundary if patch.type != "empty"}
     cells, ids, whole = plane_cells(topology.faces, points, chosen, plane)
     mesh = Mesh(plane.in_plane(points), cells, nodes)
@@ -244,7 +300,12 @@ def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
     elif (path / "polyMesh").is_dir():
         here = path / "polyMesh"
     else:
-        raise ValueError(f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it.")
+        parts = len(list(path.glob("processor*/constant/polyMesh")))
+        raise ValueError(
+            f"{path}: no OpenFOAM case, there is no folder constant/polyMesh in it."
+            + f" It is decomposed: take one of its {parts} folders processor*, jaxmorph deform --decomposed, or reconstruct it."
+            * bool(parts)
+        )
     if any((here / name).is_file() for name in ("faces", "faces.gz")):
         return here, here
     return here, here.parent.parent / "constant" / "polyMesh"

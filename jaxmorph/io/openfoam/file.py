@@ -226,7 +226,8 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
 class Patch:
     """An entry of `boundary`: its faces are those from `start`, `count` in number.
 
-    `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`, "" for a patch without.
+    `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`. `refers` is the cyclic patch of which a
+    `processorCyclic` one holds faces. Both are "" for a patch without.
     """
 
     name: str
@@ -235,6 +236,12 @@ class Patch:
     count: int
     groups: tuple[str, ...] = ()
     neighbour: str = ""
+    refers: str = ""
+
+    @property
+    def is_between(self) -> bool:
+        """True if its faces lie between two parts of a decomposed case, inside of the mesh."""
+        return self.type == "processor"
 
 
 def patches(file: FoamFile) -> list[Patch]:
@@ -298,8 +305,8 @@ def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
         groups = entries.get("inGroups", [])
         groups = groups[groups.index("(") + 1 : -1] if "(" in groups else []
         type_, start, count = (entries[key][0] for key in ("type", "startFace", "nFaces"))
-        neighbour = entries.get("neighbourPatch", [""])[0].strip('"')
+        neighbour, refers = (entries.get(key, [""])[0].strip('"') for key in ("neighbourPatch", "referPatch"))
         groups = tuple(word.strip('"') for word in groups)
-        return Patch(name.strip('"'), type_, int(start), int(count), groups, neighbour)
+        return Patch(name.strip('"'), type_, int(start), int(count), groups, neighbour, refers)
     except (KeyError, ValueError, IndexError) as error:
         raise file.error(f"patch {name[:80]} has no good type, nFaces and startFace ({error})") from error

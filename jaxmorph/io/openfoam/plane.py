@@ -8,6 +8,7 @@ import numpy as np
 from jaxmorph._mesh.faces import Faces
 from jaxmorph._mesh.polyhedra import Polyhedra, triangles
 
+from .front import Front
 from .wedge import Sector
 
 TOLERANCE = 1e-6
@@ -15,7 +16,7 @@ TOLERANCE = 1e-6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Layer:
+class Layer(Front):
     """Pairs the nodes of two planes: `front` and `back`, row by row one behind the other; `axes` are the two along them.
 
     Node i of the 2-D mesh is `front[i]`; ids ascend, so nodes keep the order of the file.
@@ -43,20 +44,21 @@ class Layer:
         """Adds the values (N, 3) of both planes to (n, 2), as both move: the transpose of `in_space`."""
         return (values[self.front] + values[self.back])[:, self.axes]
 
-    def ids(self, nodes: np.ndarray) -> np.ndarray:
-        """Returns the 2-D mesh's ids of those of `nodes` that are in the front."""
-        at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
-        return at[self.front[at] == nodes]
 
-
-def layer(faces: Faces, points: np.ndarray) -> Layer:
-    """Finds the two planes of a case with patches of type empty.
+def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Layer:
+    """Finds the two planes of a case with patches of type empty, whose faces are `empty`.
 
     It raises `ValueError` where the nodes are not on two planes across one axis, or not in pairs.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     away = np.minimum(points - low, high - points).max(axis=0)
     normals = np.flatnonzero(away <= TOLERANCE * (high - low))
+    if len(normals) > 1 and len(empty):  # one row of cells: the empty faces tell which way
+        sizes = faces.sizes[empty]
+        ends = np.cumsum(sizes)
+        corners = points[np.concatenate([faces.nodes(face, face + 1) for face in empty.tolist()])]
+        reach = np.maximum.reduceat(corners, ends - sizes) - np.minimum.reduceat(corners, ends - sizes)
+        normals = normals[reach[:, normals].max(axis=0) <= TOLERANCE * (high - low)[normals]]
     if len(normals) != 1:
         raise ValueError(
             f"patches of type empty, but the nodes lie on two planes across {len(normals)} of the axes x, y, z instead of "

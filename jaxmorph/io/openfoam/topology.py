@@ -17,13 +17,15 @@ from .file import Patch, load
 class Topology:
     """Holds cells and their ids by type as `standard_cells` gives them, and the nodes of each patch.
 
-    `lowest` and `highest` are the ends of the nodes' numbers. `faces` is None where cells and patches say it all: not
-    in 2-D, and not with polyhedra.
+    Faces of a `processorCyclic` patch are those of the cyclic patch that it refers to. `between` (k, corners) are the faces to
+    other parts of a decomposed case, -1 behind the last corner. `lowest` and `highest` are the ends of the nodes' numbers. `faces`
+    is None where cells and patches say it all: not in 2-D, and not with polyhedra.
     """
 
     cells: dict[str, np.ndarray]
     ids: dict[str, np.ndarray]
     nodes: dict[str, np.ndarray]
+    between: np.ndarray
     lowest: int
     highest: int
     faces: Faces | None
@@ -45,11 +47,24 @@ def topology_of(folder: pathlib.Path, boundary: list[Patch], is_plane: bool) -> 
         raise ValueError(
             f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: faces, owner or neighbour are damaged."
         )
-    # copies, for a view would keep the labels of all faces
-    nodes = {patch.name: faces.nodes(patch.start, patch.start + patch.count).copy() for patch in boundary}
+    parts: dict[str, list[np.ndarray]] = {
+        patch.name: [] for patch in boundary if not (patch.is_between or patch.refers)
+    }
+    for patch in boundary:
+        if not patch.is_between:
+            of_faces = faces.nodes(patch.start, patch.start + patch.count)
+            parts.setdefault(patch.refers or patch.name, []).append(of_faces)
+    nodes = {name: np.concatenate(each) for name, each in parts.items()}  # copies: a view would keep all labels
     lowest, highest = int(faces.labels.min(initial=0)), int(faces.labels.max(initial=0))
     is_needed = is_plane or "polyhedron" in ids
-    return Topology(cells, ids, nodes, lowest, highest, faces if is_needed else None)
+    between = _between(faces, boundary)
+    return Topology(cells, ids, nodes, between, lowest, highest, faces if is_needed else None)
+
+
+def _between(faces: Faces, boundary: list[Patch]) -> np.ndarray:
+    """Lists the corners (k, c) of the faces to other parts, -1 behind the last one."""
+    chosen = [np.arange(patch.start, patch.start + patch.count) for patch in boundary if patch.is_between]
+    return faces.padded(np.concatenate([np.zeros(0, np.int64), *chosen]))
 
 
 def _faces(folder: pathlib.Path) -> Faces:

@@ -6,6 +6,8 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial import KDTree
 
+from .front import Front
+
 TOLERANCE = 1e-6
 """Distance that a node may be off its plane, as a share of the mesh's extent."""
 APART = 1e-3
@@ -15,7 +17,7 @@ ROUNDING = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Sector:
+class Sector(Front):
     """Pairs the nodes of two wedge planes: `front` and `back`, row by row one behind the other, the same on the axis.
 
     Node i of the 2-D mesh is `front[i]`, at its place along the `axis` and its distance from it, along `out` in front and
@@ -59,11 +61,6 @@ class Sector:
         """Adds the values (N, 3) of both planes to (n, 2), as both move: the transpose of `in_space`."""
         front, back = values[self.front], np.where(self.on_axis[:, None], 0, values[self.back])
         return np.stack([(front + back) @ self.axis, front @ self.out + back @ self.out_behind], axis=1)
-
-    def ids(self, nodes: np.ndarray) -> np.ndarray:
-        """Returns the 2-D mesh's ids of those of `nodes` that are in the front."""
-        at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
-        return at[self.front[at] == nodes]
 
 
 def sector(first: np.ndarray, second: np.ndarray, points: np.ndarray) -> tuple[Sector, bool]:

@@ -1,0 +1,259 @@
+"""Decomposed cases: folders `processor0`, `processor1`, ..., each with its part of the mesh, read and written one by one."""
+
+import contextlib
+import dataclasses
+import functools
+import os
+import pathlib
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Int
+
+from jaxmorph import Mesh, Periodic
+from jaxmorph._host.files import complete, output_path
+from jaxmorph._host.ranks import Agreement, Alone, Ranks, together
+from jaxmorph._plan.faces import outer_faces
+
+from .._format import Source, source_of
+from .case import COPIED, NAME, file_points, read, write_points
+from .file import Patch, load, patches
+
+REMEDY = "Run decomposePar, or leave --decomposed away"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Side:
+    """The outside of one part of a mesh: what the whole mesh's surface is gathered from. All ids are the whole mesh's.
+
+    - `nodes` (k,), `points` (k, d): ids, ascending, and coordinates of the nodes on boundary faces.
+    - `faces`: boundary faces (f, corners) by type. Faces to other parts are not among them; `between` is their number.
+    - `patches`: the nodes of each patch by name.
+    - `groups`: the groups of patches by name.
+    - `pairs`: pairs of cyclic patches.
+    """
+
+    nodes: np.ndarray
+    points: np.ndarray
+    faces: Mapping[str, np.ndarray]
+    patches: Mapping[str, np.ndarray]
+    groups: Mapping[str, tuple[str, ...]]
+    pairs: tuple[tuple[str, str], ...]
+    between: int
+
+
+class Decomposed:
+    """Reads and writes a decomposed OpenFOAM case part by part: memory is that of the surface and of one part.
+
+    ```python
+    case = io.Decomposed("case")
+    surface = case.surface()
+    half = jm.prepare_surface(surface, "wall", "inlet", nodes=io.global_nodes(surface), faces=surface.cells)
+    with case.writing("moved") as writer:
+        for k in range(len(case)):
+            part = case.read(k)
+            plan = half.attach(part.points, io.global_nodes(part))
+            writer.add(k, part.moved(jm.deform(plan, u)))
+    ```
+
+    **Arguments:**
+
+    - `path`: the folder of the case, which has folders `processor0` to `processorN`.
+
+    **Raises:** `ValueError` where these are missing, or are not all there.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        self.path = pathlib.Path(path)
+        if not self.path.is_dir():
+            raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
+        names = {folder.name.removeprefix("processor") for folder in self.path.glob("processor*") if folder.is_dir()}
+        if any(not name.isdecimal() for name in names) or any((self.path / "processors").glob("*")):
+            folders = ", ".join(sorted(f"processor{name}" for name in names))
+            raise ValueError(
+                f"{self.path}: folders {folders}; collated files are not read: run decomposePar -fileHandler uncollated."
+            )
+        missing = [k for k in range(len(names)) if str(k) not in names]
+        if not names or missing:
+            lacks = (
+                f"processor{missing[0]} is missing among {len(names)}" if missing else "there is no folder processor0"
+            )
+            raise ValueError(f"{self.path}: the case is not decomposed, {lacks}. {REMEDY}.")
+        self.count = len(names)
+        self._last: tuple[int, Mesh] | None = None
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __repr__(self) -> str:
+        return f"Decomposed({str(self.path)!r}, {self.count} parts)"
+
+    def folder(self, k: int) -> pathlib.Path:
+        return self.path / f"processor{k}"
+
+    def read(self, k: int) -> Mesh:
+        """Reads part `k` as `io.read` does; the last one is kept."""
+        if self._last is None or self._last[0] != k:
+            self._last = None  # before the next one is read
+            self._last = k, read(self.folder(k))
+        return self._last[1]
+
+    def side(self, k: int) -> Side:
+        """Reads the outside of part `k`."""
+        mesh = self.read(k)
+        ids, outer = global_nodes(mesh), outer_faces(mesh)
+        corners = {} if outer is None else outer.corners
+        boundary = [np.asarray(each).ravel() for each in (*corners.values(), *mesh.patches.values())]
+        rows = np.unique(np.concatenate([np.zeros(0, np.int64), *boundary]))
+        rows = rows[np.argsort(ids[rows])]
+        return Side(
+            ids[rows],
+            np.asarray(mesh.points)[rows],
+            {kind: ids[each] for kind, each in corners.items()},
+            {name: ids[np.asarray(each)] for name, each in mesh.patches.items()},
+            mesh.source.groups,
+            tuple((each.name, each.neighbour) for each in self._boundary(k) if each.type == "cyclic"),
+            0 if mesh.between is None else len(mesh.between),
+        )
+
+    def surface(self, sides: Sequence[Side] | None = None) -> Mesh:
+        """Joins the outsides of all parts: the boundary faces of the whole mesh as cells, its patches, no other nodes.
+
+        **Arguments:**
+
+        - `sides`: what `side` gives of all parts. Default: they are read, one after the other.
+
+        **Returns:** a `Mesh` for `prepare_surface(..., nodes=io.global_nodes(surface), faces=surface.cells)`.
+
+        **Raises:** `ValueError` where a node lies at different places in different parts.
+        """
+        sides = [self.side(k) for k in range(len(self))] if sides is None else sides
+        everywhere = np.concatenate([side.nodes for side in sides])
+        nodes, first, back = np.unique(everywhere, return_index=True, return_inverse=True)
+        places = np.concatenate([side.points for side in sides])
+        points = places[first]
+        apart = np.abs(places - points[back.ravel()]).max(axis=1)
+        wrong = np.flatnonzero(apart > 1e-9 * np.ptp(points, axis=0).max())
+        if len(wrong):
+            raise ValueError(
+                f"{self.path}: {len(wrong)} points lie at different places in different processors, first point "
+                f"{everywhere[wrong[0]]} of the whole mesh, by {apart[wrong[0]]:.3g}: they are not parts of one mesh. {REMEDY}."
+            )
+        kinds = dict.fromkeys(kind for side in sides for kind in side.faces)
+        corners = {kind: np.concatenate([side.faces[kind] for side in sides if kind in side.faces]) for kind in kinds}
+        cells = {kind: np.searchsorted(nodes, each) for kind, each in corners.items() if len(each)}
+        names = dict.fromkeys(name for side in sides for name in side.patches)
+        members = {name: [side.patches[name] for side in sides if name in side.patches] for name in names}
+        patches_of_all = {
+            name: np.searchsorted(nodes, np.unique(np.concatenate(each))) for name, each in members.items()
+        }
+        pairs = {frozenset(pair): pair for side in sides for pair in reversed(side.pairs)}
+        periodic = tuple(Periodic(*pair) for pair in pairs.values() if all(len(patches_of_all[name]) for name in pair))
+        groups = {name: each for side in sides for name, each in side.groups.items()}
+        source = Source(self.path, NAME, None, groups=groups, periodic=periodic, node_ids=nodes)
+        return Mesh(points, cells, patches_of_all, source=source)
+
+    def check_output(self, path: str | os.PathLike[str]) -> None:
+        """Raises `ValueError` for a folder that `writing` cannot write, before any work."""
+        target = output_path(path)
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            raise ValueError(f"{target}: exists; name a new folder for the moved case.")
+        if self.path.resolve() in target.resolve().parents:
+            raise ValueError(f"{target}: a new case cannot be inside of the one that the mesh was read from.")
+
+    @contextlib.contextmanager
+    def writing(self, path: str | os.PathLike[str], ranks: Ranks | None = None) -> Iterator["Writer"]:
+        """Writes a new case whose parts come one by one; it appears when it is complete, and not at all on failure.
+
+        It has the `constant`, `system`, `0` and `0.orig` of the case and of each part, with other points. The undivided mesh in
+        `constant/polyMesh` would have the old points: it is left out.
+
+        **Arguments:**
+
+        - `path`: the new folder.
+        - `ranks`: the communicator of an MPI run whose processes write together. Default: one process.
+        """
+        ranks = Alone() if ranks is None else ranks
+        with contextlib.ExitStack() as stack:
+
+            def begin() -> pathlib.Path | None:
+                self.check_output(path)
+                return stack.enter_context(complete(pathlib.Path(path), folder=True)) if ranks.rank == 0 else None
+
+            partial = ranks.bcast(together(ranks, begin))
+            together(ranks, functools.partial(self._copy, partial) if ranks.rank == 0 else lambda: None)
+            yield Writer(self, partial, ranks, Agreement(ranks))
+            together(ranks, lambda: None)
+
+    def _copy(self, folder: pathlib.Path) -> None:
+        """Copies what the parts share, without the undivided mesh."""
+        mesh = self.path / "constant"
+        for name in COPIED:
+            if (self.path / name).is_dir():
+                shutil.copytree(
+                    self.path / name,
+                    folder / name,
+                    ignore=lambda here, names: {"polyMesh"} & {*names} if pathlib.Path(here) == mesh else (),
+                )
+
+    def _boundary(self, k: int) -> list[Patch]:
+        return patches(load(self.folder(k) / "constant" / "polyMesh", "boundary"))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Writer:
+    """Takes the moved parts of a decomposed case; `Decomposed.writing` makes it."""
+
+    case: Decomposed
+    folder: pathlib.Path
+    ranks: Ranks
+    agreement: Agreement
+
+    def add(self, k: int | None, moved: Mesh | None) -> None:
+        """Writes part `k`, which is `moved`. A point that parts share gets the coordinates of the first one that has it.
+
+        The processes of an MPI run call it together, as often as each other: with None where one has no part left.
+
+        **Raises:** `ValueError` where cyclic patches do not match any more.
+        """
+
+        def shared() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            if moved is None:
+                return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64)
+            content = moved.source.content
+            return content.shared, file_points(moved), content.point_ids[content.shared]
+
+        rows, points, ids = together(self.ranks, shared)
+        points = np.array(points)
+        points[rows] = self.agreement(ids, points[rows])
+
+        def write() -> None:
+            if moved is not None:
+                write_points(self.folder / f"processor{k}", moved, points)
+
+        together(self.ranks, write)
+
+
+def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
+    """Returns the whole mesh's number of each node of a part of a decomposed OpenFOAM case, from `pointProcAddressing`.
+
+    Nodes that parts share have one number. In 2-D it is that of the point in front.
+
+    **Arguments:**
+
+    - `mesh`: what `io.read("case/processor3")` or `io.Decomposed("case").surface()` returned.
+
+    **Returns:** ids (n,) for `half.attach(mesh.points, ids)`.
+
+    **Raises:** `ValueError` for other meshes, and where `pointProcAddressing` is missing or is of another mesh.
+    """
+    source = source_of(mesh, NAME)
+    if source is None:
+        raise ValueError(
+            "the mesh was not read from an OpenFOAM case; global numbers are those of a case's processors."
+        )
+    if source.node_ids is not None:
+        return np.asarray(source.node_ids)
+    content = source.content
+    return np.asarray(content.point_ids if content.plane is None else content.point_ids[content.plane.front])

@@ -1,0 +1,257 @@
+"""Decomposed OpenFOAM cases: parts are read, moved, judged and written as the whole case is."""
+
+import contextlib
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+
+import foam
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph._host.ranks import Agreement, Alone, together
+from jaxmorph._plan.door import boundary
+from jaxmorph._plan.faces import OuterFaces
+from jaxmorph.cli import main
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+"""Faces of a cell of a lattice seen from outside, by corners 4 i + 2 j + k."""
+
+
+def lattice(shape=(3, 2, 2)):
+    """Points of a box of cubes, and the faces of each cell."""
+    grid = np.stack(np.meshgrid(*(np.arange(n + 1) for n in shape), indexing="ij"), axis=-1)
+    ids = np.arange(grid[..., 0].size).reshape(grid.shape[:3])
+    corners = [ids[i : i + 2, j : j + 2, k : k + 2].ravel() for i, j, k in np.ndindex(*shape)]
+    return grid.reshape(-1, 3).astype(float), [[[int(each[c]) for c in side] for side in SIDES] for each in corners]
+
+
+def box(points):
+    """Patches of the box, by a test of a face's nodes."""
+    high = points.max(axis=0)
+    floor, roof = (lambda nodes: (points[nodes, 2] == 0).all()), (lambda nodes: (points[nodes, 2] == high[2]).all())
+    return [("floor", "wall", floor), ("roof", "wall", roof), ("sides", "patch", lambda nodes: True)]
+
+
+@pytest.fixture
+def divided(tmp_path):
+    """A case of twelve cubes and its two parts, the second of which has the cells beyond the first plane."""
+    points, cells = lattice()
+    case = tmp_path / "case"
+    foam.write_case(case, points, cells, box(points))
+    foam.write_parts(case, points, cells, box(points), [0 if k < 4 else 1 for k in range(len(cells))])
+    return case
+
+
+def test_a_part_has_no_boundary_to_other_parts(divided):
+    whole, part = io.read(divided), io.read(divided / "processor1")
+    ids = io.global_nodes(part)
+    np.testing.assert_array_equal(whole.points[ids], part.points)
+    assert list(part.patches) == ["floor", "roof", "sides"]
+    between = np.asarray(part.between)
+    assert between.shape == (4, 4)
+    assert (part.points[between][:, :, 0] == 1).all()
+    inner = np.setdiff1d(np.arange(len(ids)), part.patch("floor", "roof", "sides"))
+    assert len(inner) == 2  # one between the parts, one between the last cells
+    named = jm.prepare_in_chunks(part, "floor", "roof", free="sides")
+    assert named.free_faces is not None
+    assert named.free_faces.total == 20  # of 24 around these eight cubes
+
+
+def test_the_surface_is_that_of_the_whole(divided):
+    whole, case = io.read(divided), io.Decomposed(divided)
+    surface = case.surface()
+    ids = io.global_nodes(surface)
+    np.testing.assert_array_equal(surface.points, whole.points[ids])
+    for name in whole.patches:
+        np.testing.assert_array_equal(ids[surface.patch(name)], whole.patch(name))
+    named = boundary(surface, "floor", "roof", (), "sides", outer=OuterFaces.numbered(surface.cells))
+    expected = boundary(whole, "floor", "roof", (), "sides")
+    np.testing.assert_array_equal(ids[named.nodes], expected.nodes)
+    assert named.is_open == expected.is_open
+    assert str(named.left) == str(expected.left)
+    of_whole, of_parts = expected.surface_faces or {}, named.surface_faces or {}
+    assert of_whole
+    for kind, corners in of_whole.items():
+        there = {frozenset(row) for row in of_parts[kind].tolist()}
+        assert {frozenset(row) for row in corners.tolist()} == there
+
+
+def test_cells_are_judged_alike_in_parts_and_whole(divided):
+    """Inverted cells, volumes and aspect ratios are the whole's; skewness and non-orthogonality those of other faces."""
+    whole, case = io.read(divided), io.Decomposed(divided)
+    points = whole.points + 0.6 * np.random.default_rng(0).normal(size=whole.points.shape)
+    expected, cells = jm.face_quality(whole, points), {0: np.arange(4), 1: np.arange(4, 12)}
+    assert 0 < expected.is_inverted.sum() < 12
+    for k in range(2):
+        part = case.read(k)
+        judged = jm.face_quality(part, points[io.global_nodes(part)])
+        for name in ("is_inverted", "volume", "aspect_ratio", "pyramid", "centroid"):
+            np.testing.assert_allclose(getattr(judged, name), getattr(expected, name)[cells[k]], rtol=1e-12)
+        for name in ("skewness", "non_orthogonality"):
+            assert (getattr(judged, name) <= getattr(expected, name)[cells[k]] + 1e-12).all()
+
+
+def test_shared_points_are_written_with_equal_bits(divided, tmp_path):
+    case = io.Decomposed(divided)
+    rng = np.random.default_rng(1)
+    with case.writing(tmp_path / "new") as writer:
+        for k in range(len(case)):
+            part = case.read(k)
+            writer.add(k, part.moved(part.points + 1e-9 * rng.normal(size=part.points.shape)))
+    places = {}
+    for k in range(2):
+        part = io.read(tmp_path / "new" / f"processor{k}")
+        for node, place in zip(io.global_nodes(part).tolist(), part.points.tolist(), strict=True):
+            assert places.setdefault(node, place) == place
+    assert len(places) == 36
+    assert not (tmp_path / "new" / "constant" / "polyMesh").exists()
+    with contextlib.suppress(KeyError), case.writing(tmp_path / "none"):
+        raise KeyError
+    assert not (tmp_path / "none").exists()
+
+
+def test_what_a_decomposed_case_lacks(divided, tmp_path):
+    with pytest.raises(ValueError, match="was not read from an OpenFOAM case"):
+        io.global_nodes(jm.Mesh(np.zeros((3, 2))))
+    with pytest.raises(ValueError, match="there is no pointProcAddressing"):
+        io.global_nodes(io.read(divided))
+    with pytest.raises(ValueError, match="not decomposed, there is no folder processor0"):
+        io.Decomposed(tmp_path)
+    shutil.rmtree(divided / "constant")
+    with pytest.raises(ValueError, match="It is decomposed: take one of its 2 folders"):
+        io.read(divided)
+    (divided / "processor1" / "constant" / "polyMesh" / "pointProcAddressing").unlink()
+    with pytest.raises(ValueError, match=r"there is no pointProcAddressing.* Run reconstructParMesh -constant"):
+        io.Decomposed(divided).surface()
+    (divided / "processor1").rename(divided / "processor2")
+    with pytest.raises(ValueError, match="processor1 is missing among 2"):
+        io.Decomposed(divided)
+
+
+def test_processes_agree_and_fail_together():
+    """One process; of several, `test_mpi.py` and the run below."""
+    agree, ids = Agreement(Alone()), np.array([7, 3])
+    np.testing.assert_array_equal(agree(ids, np.ones((2, 3))), np.ones((2, 3)))
+    np.testing.assert_array_equal(agree(np.array([9, 3]), np.full((2, 3), 2.0))[:, 0], [2, 1])
+    assert agree(np.zeros(0, int), np.zeros((0, 3))).shape == (0, 3)
+    with pytest.raises(ZeroDivisionError):
+        together(Alone(), lambda: 1 / 0)
+
+
+HEAD = "FoamFile {{ version 2.0; format ascii; class dictionary; object {}; }}\n"
+CORNERS = "(0 0 0)(2 0 0)(2 1.2 0)(0 1 0)(0 0 1)(2 0 1)(2 1.2 1)(0 1 1)"
+PAIR = "front {type cyclic; neighbourPatch back; faces ((4 5 6 7));} back {type cyclic; neighbourPatch front; faces ((0 3 2 1));}"
+ENDS = "floor {type wall; faces ((0 1 5 4));} roof {type wall; faces ((3 7 6 2));} sides {type patch; faces ((0 4 7 3)(2 6 5 1));}"
+CASES = {
+    "cyclic": (PAIR, (8, 6, 4), "simple; simpleCoeffs { n (2 1 2); delta 0.001; }", 4, "ascii", []),
+    "symmetry": (
+        "front {type symmetryPlane; faces ((4 5 6 7));} back {type symmetryPlane; faces ((0 3 2 1));}",
+        (8, 6, 4),
+        "simple; simpleCoeffs { n (1 2 1); delta 0.001; }",
+        2,
+        "binary",
+        ["--symmetry", "front", "back"],
+    ),
+    "empty": (
+        "front {type empty; faces ((4 5 6 7)(0 3 2 1));}",
+        (12, 6, 1),
+        "simple; simpleCoeffs { n (2 2 1); delta 0.001; }",
+        4,
+        "ascii; writeCompression on",
+        [],
+    ),
+}
+"""Patches in front and behind, cells, how it is decomposed, in how many parts, how it is written, more flags."""
+
+
+def made_by_openfoam(case, name):
+    patches, shape, way, count, form, _ = CASES[name]
+    foam.write_case(case, *lattice((1, 1, 1)), box(lattice((1, 1, 1))[0]))
+    shutil.rmtree(case / "constant" / "polyMesh")
+    cells = " ".join(map(str, shape))
+    mesh = f"vertices ({CORNERS}); blocks (hex (0 1 2 3 4 5 6 7) ({cells}) simpleGrading (1 2 1)); edges ();"
+    mesh += f" boundary ({ENDS} {patches});"
+    (case / "system" / "blockMeshDict").write_text(HEAD.format("blockMeshDict") + mesh)
+    way = f"numberOfSubdomains {count}; method {way}"
+    (case / "system" / "decomposeParDict").write_text(HEAD.format("decomposeParDict") + way)
+    with (case / "system" / "controlDict").open("a") as file:
+        file.write(f"writeFormat {form}; writePrecision 17;\n")
+    foam.run(case, "blockMesh")
+    foam.run(case, "decomposePar")
+    return count
+
+
+def move(case, new, *flags, more=(), run=main):
+    name = ["--moving", "floor", "--fixed", "roof", "--free", "sides", *more, *flags]
+    return run(["deform", str(case), str(new), *name])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*the case is decomposed")
+@pytest.mark.parametrize("name", CASES)
+def test_parts_move_as_the_whole_case(tmp_path, monkeypatch, capsys, name):
+    foam.need_openfoam()
+    case, whole, parts = (tmp_path / each for each in ("case", "whole", "parts"))
+    count, more = made_by_openfoam(case, name), CASES[name][-1]
+    shift = [*("--translate", "0.02", "-0.05"), *([] if name == "empty" else ["0"])]
+    assert move(case, whole, *shift, more=more) == 0
+    capsys.readouterr()
+    assert move(case, parts, *shift, "--decomposed", more=more) == 0
+    assert f"in {count} parts" in capsys.readouterr().out
+    expected, seen = io.read(whole).source.content.points, {}
+    for k in range(count):
+        content = io.read(parts / f"processor{k}").source.content
+        np.testing.assert_allclose(content.points, expected[content.point_ids], rtol=0, atol=1e-12)
+        for node, place in zip(content.point_ids.tolist(), content.points.tolist(), strict=True):
+            assert seen.setdefault(node, place) == place  # bit for bit
+    assert len(seen) == len(expected)
+    foam.run(parts, "reconstructParMesh", "-constant", "-fullMatch", "-mergeTol", "1e-9")
+    again = io.read(parts).source.content.points
+    assert len(again) == len(expected)
+    assert KDTree(expected).query(again)[0].max() < 1e-12
+    assert foam.verdict(parts, "-constant") == foam.verdict(whole, "-constant") == foam.verdict(case, "-constant")
+    far = ["--translate", "0", "1.05", *([] if name == "empty" else ["0"])]
+    counts = []
+    for flags in ([], ["--decomposed"]):
+        assert move(case, tmp_path / "bad", *far, *flags, "--no-dry-run", more=more) == 1
+        said = capsys.readouterr().err
+        assert "is not written" in said
+        counts.append(re.findall(r"(\d+) of (\d+) cells are inverted", said))
+    assert counts[0] == counts[1] != []
+    assert re.search(r"the worst is processor\d cell \d+ near", said)
+    assert not (tmp_path / "bad").exists()
+
+
+@pytest.mark.slow
+def test_processes_of_an_mpi_run_write_the_same_case(tmp_path):
+    foam.need_openfoam()
+    pytest.importorskip("mpi4py")
+    mpiexec = pathlib.Path(sys.executable).with_name("mpiexec")
+    if not mpiexec.exists():
+        pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
+    made_by_openfoam(tmp_path / "case", "cyclic")
+    shift = ["--translate", "0.02", "-0.05", "0", "--decomposed"]
+    assert move(tmp_path / "case", tmp_path / "one", *shift) == 0
+
+    def run(words):
+        command = [str(mpiexec), "-n", "3", sys.executable, "-m", "jaxmorph", *words]
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+        print(done.stdout, done.stderr)
+        assert done.stdout.count("quality of") == 1  # one speaks for all
+        return done.returncode
+
+    assert move(tmp_path / "case", tmp_path / "three", *shift, run=run) == 0
+    one, three = (foam.tree(tmp_path / each) for each in ("one", "three"))
+    assert one.keys() == three.keys()
+    for k in range(4):
+        first, second = (io.read(tmp_path / each / f"processor{k}").points for each in ("one", "three"))
+        np.testing.assert_allclose(first, second, rtol=0, atol=1e-14)
