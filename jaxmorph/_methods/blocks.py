@@ -8,6 +8,12 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from .base import BLOCK, AbstractField, AbstractMethod, AbstractRows
 
+WIDER = 256
+"""Factor of the size of blocks where the platform is no CPU: a GPU wants millions of elements at once, and few launches."""
+
+FEW = 64
+"""Blocks that are few enough for any platform. Two programs are traced for more."""
+
 
 def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
     """Evaluates the field at every point, block by block, each block recomputed instead of stored for derivatives."""
@@ -45,8 +51,12 @@ def carry_points(
 def _mapped(function: Callable[..., PyTree], rows: tuple) -> PyTree:
     """Applies a function of one point's rows to all, in blocks, and keeps nothing of it for the derivatives."""
     place = jax.checkpoint(jax.vmap(function))
+    return by_platform(lambda rows, block: _placed(place, rows, block), rows, BLOCK)
+
+
+def _placed(place: Callable, rows: tuple, block: int) -> PyTree:
     n = len(rows[0])
-    block = min(BLOCK, n)
+    block = min(block, n)
     # the last block begins within the one before, so that all have one shape
     starts = jnp.minimum(jnp.arange(0, n, block), n - block)
 
@@ -63,8 +73,22 @@ def _mapped(function: Callable[..., PyTree], rows: tuple) -> PyTree:
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
     """Applies a function to blocks of `block` rows, and joins the results, which have as many rows as the blocks.
 
-    Each block adds its rows to one array of zeros, in place; the last block may be shorter. Nothing is padded.
+    Each block adds its rows to one array of zeros, in place; the last block may be shorter. Nothing is padded. Blocks are larger
+    on a platform that is no CPU.
     """
+    return by_platform(lambda rows, block: _joined(function, rows, block), rows, block)
+
+
+def by_platform(function: Callable[[PyTree, int], PyTree], rows: PyTree, block: int) -> PyTree:
+    """Calls `function(rows, block)` with the size of blocks that suits the platform the program is compiled for."""
+    if len(jax.tree.leaves(rows)[0]) <= FEW * block:
+        return function(rows, block)
+    return jax.lax.platform_dependent(
+        rows, cpu=lambda rows: function(rows, block), default=lambda rows: function(rows, WIDER * block)
+    )
+
+
+def _joined(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
     n = len(jax.tree.leaves(rows)[0])
     full = (n - 1) // block * block
     last = function(jax.tree.map(lambda leaf: leaf[full:], rows))
