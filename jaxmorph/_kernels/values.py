@@ -1,5 +1,6 @@
-"""Gives what JAX leaves to its callers: roots with a finite derivative at zero, and one formula for NumPy and for JAX."""
+"""Gives what JAX leaves to its callers: safe derivatives of roots and maxima, and one formula for NumPy and for JAX."""
 
+import functools
 from typing import Any
 
 import jax
@@ -51,6 +52,33 @@ def root(squared: Float[Either, "*shape"]) -> Float[Either, "*shape"]:
 def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
     """Computes Euclidean lengths; their derivative at zero is zero."""
     return root(namespace(vectors).sum(vectors**2, axis=-1))
+
+
+def largest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
+    """Takes the largest value along an axis; its derivative is that of the largest, or the mean of those of equal ones."""
+    return np.max(values, axis=axis) if namespace(values) is np else _largest(values, axis)
+
+
+def smallest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
+    """Takes the smallest value along an axis, with the derivative of `largest`."""
+    return -largest(-values, axis)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _largest(values, axis):
+    return jnp.max(values, axis=axis)
+
+
+@_largest.defjvp
+def _largest_jvp(axis, primals, tangents):
+    # JAX's own rule compares the values with their maximum; where XLA computes the values anew, the last bit may differ, none is
+    # equal, and the derivative is zero
+    (values,), (tangent,) = primals, tangents
+    top, index = _largest(values, axis), jnp.argmax(values, axis=axis, keepdims=True)
+    rows = jax.lax.broadcasted_iota(index.dtype, values.shape, axis % values.ndim)
+    chosen = (rows == index) | (values == jnp.expand_dims(top, axis))
+    share = jnp.where(chosen, tangent, 0) / jnp.sum(chosen, axis=axis, keepdims=True).astype(tangent.dtype)
+    return top, jnp.sum(share, axis=axis)
 
 
 def is_known(*values: Any) -> bool:

@@ -19,6 +19,7 @@ from .._host.graded import Graded
 from .._host.ordering import far_to_near
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
 from .._kernels.compile import compiled
+from .._kernels.values import largest
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import AbstractBasis, ThinPlateSpline
 from .blocks import map_rows
@@ -166,7 +167,7 @@ class RBF(AbstractMethod):
         centre = points.mean(axis=0)
         extent = jnp.abs(points - centre[None]).max()
         if self.ridge:  # its effect depends on the scale, which must then not depend on the axes
-            extent = jnp.sqrt(jnp.sum((points - centre[None]) ** 2, axis=1).max())
+            extent = jnp.sqrt(largest(jnp.sum((points - centre[None]) ** 2, axis=1)))
         scale = 1 / jnp.where(extent > 0, extent, 1)
         if self._below_min_degree:
             scale = jnp.ones_like(scale)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from jaxtyping import Bool, Float, Shaped
 
 from .._host.topology import DIMENSION, FACES
-from .._kernels.values import Either, namespace
+from .._kernels.values import Either, largest, namespace
 from . import measures
 from .blocks import in_blocks
 from .centres import centre_of_mass
@@ -14,8 +14,7 @@ from .vector import Vector, corners
 
 
 def largest_inner(degrees: Float[Either, "f k"], is_inner: Bool[Either, "f k"]) -> Float[Either, " k"]:
-    xp = namespace(degrees)
-    return xp.max(xp.where(is_inner, degrees, 0), axis=0)
+    return largest(namespace(degrees).where(is_inner, degrees, 0))
 
 
 def non_orthogonality(
@@ -23,11 +22,11 @@ def non_orthogonality(
     cells: dict[str, Shaped[Either, "c k"]],
     signs: dict[str, Either],
     neighbour: Either,
-    largest: Callable = largest_inner,
+    maximum: Callable = largest_inner,
 ) -> Either:
     """Computes the largest angle over the inner faces of each cell, 0 for a cell without any.
 
-    `largest` may be a smooth stand-in. Centres are kept relative to the first corner of their cell, so that their
+    `maximum` may be a smooth stand-in. Centres are kept relative to the first corner of their cell, so that their
     differences do not lose digits.
     """
     xp = namespace(points)
@@ -38,7 +37,7 @@ def non_orthogonality(
         k, f = ids.shape[1], len(FACES[kind])
         if f:
             behind = neighbour[used : used + f * k].reshape(k, f).T
-            angles_of_block = functools.partial(_angles, kind, points, (origins, centres), largest)
+            angles_of_block = functools.partial(_angles, kind, points, (origins, centres), maximum)
             angles.append(in_blocks(xp, angles_of_block, ids, signs[kind], behind, xp.arange(first, first + k)))
         else:
             angles.append(xp.zeros(k, points.dtype))
@@ -53,7 +52,7 @@ def _centres(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]
 
 
 def _angles(
-    kind: str, points: Either, places: tuple[Vector, Vector], largest: Callable, ids, sign, behind, here
+    kind: str, points: Either, places: tuple[Vector, Vector], maximum: Callable, ids, sign, behind, here
 ) -> Either:
     origins, centres = places
     relative, size = measures.relative_corners(corners(points, ids.T))
@@ -62,7 +61,7 @@ def _angles(
     between = (_at(origins, other) - _at(origins, here)) + (_at(centres, other) - _at(centres, here))
     areas = measures.face_areas(kind, measures.scaled(relative, size)) * sign[None]
     degrees = measures.non_orthogonality(areas, between * (1 / size)[None], DIMENSION[kind] < len(areas))
-    return largest(degrees, behind >= 0)
+    return maximum(degrees, behind >= 0)
 
 
 def _at(a: Vector, ids: Either) -> Vector:

@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real, Shaped
 from .._host.adjacency import handedness, neighbours
 from .._host.topology import DIMENSION
 from .._kernels.compile import compiled
-from .._kernels.values import Either, as_jax, constant, is_known, namespace, on_host
+from .._kernels.values import Either, as_jax, constant, is_known, namespace, on_host, smallest
 from .._mesh.mesh import Mesh
 from . import measures
 from .blocks import in_blocks
@@ -165,7 +165,7 @@ def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"
 def _least(jacobians: Float[Either, "s k"], sign: Either, judged: Bool[Either, "s k"]) -> Float[Either, " k"]:
     """Computes the smallest Jacobian, in the cell's own handedness, among the corners that are judged."""
     xp = namespace(jacobians)
-    return xp.min(xp.where(judged, sign[None] * jacobians, xp.inf), axis=0)
+    return smallest(xp.where(judged, sign[None] * jacobians, xp.inf))
 
 
 def _columns(
@@ -179,7 +179,7 @@ def _columns(
     rows = {kind: ids.T for kind, ids in zip(kinds, cells, strict=True)}
     if standards is None:
         volumes = {kind: in_blocks(xp, functools.partial(_volume, kind, points), ids) for kind, ids in rows.items()}
-        by_kind: dict[str, Any] = _enclosed_signs(volumes, links)
+        by_kind: dict[str, Any] = _enclosed_signs(volumes, links, points.shape[1])
         signs = by_kind
     else:
         by_kind = dict(zip(kinds, standards, strict=True))
@@ -246,8 +246,11 @@ def _shape(kind: str, x: list[Vector]) -> dict[str, Either]:
     }
 
 
-def _enclosed_signs(volumes: dict[str, Either], links: Links) -> dict[str, Either]:
-    """Takes the sign of each cell from the volume that its part of the mesh encloses, which no inner node can change."""
+def _enclosed_signs(volumes: dict[str, Either], links: Links, d: int) -> dict[str, Either]:
+    """Takes the sign of each cell from the volume that its part of the mesh encloses, which no inner node can change.
+
+    Cells of less than d dimensions are measured without a sign.
+    """
     xp = namespace(next(iter(volumes.values())))
     volume = xp.concatenate(list(volumes.values()))
     if links.sign is None:
@@ -259,7 +262,8 @@ def _enclosed_signs(volumes: dict[str, Either], links: Links) -> dict[str, Eithe
         enclosed = jax.ops.segment_sum(links.sign * volume, links.part, num_segments=len(volume))
         signs = links.sign * jnp.where(enclosed < 0, -1, 1)[links.part]
     ends = np.cumsum([len(part) for part in volumes.values()])[:-1]
-    return dict(zip(volumes, xp.split(signs.astype(np.int8), ends), strict=True))
+    parts = zip(volumes, xp.split(signs.astype(np.int8), ends), strict=True)
+    return {kind: part if DIMENSION[kind] == d else xp.ones_like(part) for kind, part in parts}
 
 
 def _judge(volume: Either, jacobians: Either, standard: Standard) -> dict[str, Either]:
@@ -270,7 +274,7 @@ def _judge(volume: Either, jacobians: Either, standard: Standard) -> dict[str, E
     jacobian_ratio = xp.where(standard.is_degenerate, 1, least) / standard.jacobian
     return {
         "volume": volume,
-        "jacobian": xp.min(standard.sign[None] * jacobians, axis=0),
+        "jacobian": smallest(standard.sign[None] * jacobians),
         "volume_ratio": volume_ratio,
         "jacobian_ratio": jacobian_ratio,
         "is_inverted": ~((volume_ratio > 0) & (jacobian_ratio > 0)),
@@ -283,7 +287,7 @@ def _judge_alone(volume: Either, jacobians: Either, noise: Either, sign: Either)
     xp, turned = namespace(volume), sign[None] * jacobians
     return {
         "volume": volume,
-        "jacobian": xp.min(turned, axis=0),
+        "jacobian": smallest(turned),
         "volume_ratio": xp.ones_like(volume),
         "jacobian_ratio": xp.ones_like(volume),
         "is_inverted": ~xp.all(turned >= -noise, axis=0),

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.topology import DIMENSION
-from .._kernels.values import Either, is_known, on_host
+from .._kernels.values import Either, is_known, largest, on_host, smallest
 
 MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
@@ -83,11 +83,11 @@ class QualityReport(eqx.Module):
 
     def max(self, name: str) -> Float[Array, "..."]:
         """Returns the largest value of the measure called `name`."""
-        return self._over_cells(lambda xp, values: xp.max(values, axis=-1), getattr(self, name))
+        return self._over_cells(lambda xp, values: largest(values, axis=-1), getattr(self, name))
 
     def min(self, name: str) -> Float[Array, "..."]:
         """Returns the smallest value of the measure called `name`."""
-        return self._over_cells(lambda xp, values: xp.min(values, axis=-1), getattr(self, name))
+        return self._over_cells(lambda xp, values: smallest(values, axis=-1), getattr(self, name))
 
     @property
     def mean_skewness(self) -> Float[Array, "..."]:
@@ -204,6 +204,9 @@ class QualityReport(eqx.Module):
 
 
 def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:
-    weight = xp.abs(volume)
+    """Averages by volume; an infinite value makes the mean infinite, without a derivative, unless its cell has no volume."""
+    weight, infinite = xp.abs(volume), xp.isinf(values)
     total = xp.sum(weight, axis=-1)
-    return xp.sum(xp.where(weight > 0, values * weight, 0), axis=-1) / xp.where(total > 0, total, 1)
+    # a product with an infinite value, or with one that does not count, would have a derivative by the volume
+    mean = xp.sum(xp.where(infinite | (weight == 0), 0, values) * weight, axis=-1) / xp.where(total == 0, 1, total)
+    return xp.where(xp.any(infinite & (weight > 0), axis=-1), xp.inf, mean)

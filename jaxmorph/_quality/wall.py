@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from .._host.products import cross
 from .._host.wall import Lines, areas, first_lines
 from .._kernels.compile import compiled
-from .._kernels.values import Either, namespace, norm, on_host
+from .._kernels.values import Either, largest, namespace, norm, on_host, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
 
@@ -36,15 +36,15 @@ class WallQuality(eqx.Module):
 
     @property
     def max_angle(self) -> Float[Array, ""]:
-        return jnp.max(self.angle, axis=-1)
+        return largest(self.angle, axis=-1)
 
     @property
     def min_height(self) -> Float[Array, ""]:
-        return jnp.min(self.height, axis=-1)
+        return smallest(self.height, axis=-1)
 
     @property
     def max_height(self) -> Float[Array, ""]:
-        return jnp.max(self.height, axis=-1)
+        return largest(self.height, axis=-1)
 
     def __str__(self) -> str:
         """Says both measures in one line, on the host."""

@@ -6,6 +6,7 @@ triangles (k, 3) or quads (k, 4), outward from what they enclose.
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -180,7 +181,7 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
     near = x[jnp.asarray(loop)[order]]
     centre = near[around]
     arms = near - centre[None, :]
-    size = jnp.sqrt(jnp.max(jnp.sum(arms**2, axis=1)))
+    size = jax.lax.stop_gradient(jnp.sqrt(jnp.max(jnp.sum(arms**2, axis=1))))  # the result does not depend on it
     arms = arms / size
     # |p|^2 = 2 p . c + e: linear least squares for the centre c
     system = jnp.concatenate([2 * arms, jnp.ones((len(arms), 1), arms.dtype)], axis=1)
