@@ -12,6 +12,7 @@ has by default; they read, judge and write no mesh.
 """
 
 import argparse
+import importlib
 import os
 import pathlib
 import shutil
@@ -19,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from typing import Any
 
 import numpy as np
 from _measure import about, table
@@ -26,7 +28,7 @@ from files import HEADER, box, write_foam
 
 HEIGHT = 0.1
 
-Case = tuple[str, str, list[str], np.ndarray, np.ndarray, np.ndarray]
+Case = tuple[str, str, list[str], Any, Any, Any]
 """Source, target, names of what moves and stays, points, and ids of what moves and stays."""
 
 SOLVER = """dynamicFvMesh dynamicMotionSolverFvMesh;
@@ -104,9 +106,7 @@ def peer(name: str, folder: str, count: str) -> None:
 
         moved = points + RBFInterpolator(sources, values, kernel="thin_plate_spline", degree=1)(points)
     else:
-        from pygem import RBF
-
-        moved = RBF(sources, sources + values, func="thin_plate_spline")(points)
+        moved = importlib.import_module("pygem").RBF(sources, sources + values, func="thin_plate_spline")(points)
     np.save(f"{folder}/moved.npy", moved)
 
 
@@ -152,13 +152,13 @@ def box_case(folder: pathlib.Path, kind: str, side: int) -> Case:
         source, target = "box.su2", "moved.su2"
     else:
         case = folder / "case"
-        write_foam(case, side, mesh.points)
+        write_foam(case, side, np.asarray(mesh.points))
         faces = (side - 1) ** 2
         start = 3 * faces * (side - 2)
         entry = "2\n(\n walls {{ type wall; nFaces {}; startFace {}; }}\n bottom {{ type wall; nFaces {}; startFace {}; }}\n)\n"
         text = entry.format(5 * faces, start, faces, start + 5 * faces)
         (case / "constant/polyMesh/boundary").write_text(HEADER.format("polyBoundaryMesh", "boundary") + text)
-        laplacian(case, mesh.points, side)
+        laplacian(case, np.asarray(mesh.points), side)
         source, target = "case", "moved"
     return source, target, ["bottom", "walls"], mesh.points, bottom, others
 
@@ -168,7 +168,14 @@ def airfoil_case(folder: pathlib.Path) -> Case:
 
     mesh = cases.naca0015()
     io.write(folder / "airfoil.su2", mesh)
-    return "airfoil.su2", "moved.su2", ["airfoil", "farfield"], mesh.points, mesh.patch("airfoil"), mesh.patch("farfield")
+    return (
+        "airfoil.su2",
+        "moved.su2",
+        ["airfoil", "farfield"],
+        mesh.points,
+        mesh.patch("airfoil"),
+        mesh.patch("farfield"),
+    )
 
 
 def run(kind: str, side: int, folder: pathlib.Path) -> list[list[str]]:
