@@ -7,6 +7,8 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import cases, shapes
+from jaxmorph._host.graph import graph_of
+from jaxmorph._methods import delaunay
 
 METHODS = {
     "default": lambda: None,
@@ -125,6 +127,16 @@ def test_a_half_in_a_file(mesh, tmp_path):
     nodes, u = np.arange(50), displacement(half, mesh)
     first, second = (np.asarray(jm.deform(each.attach(mesh.points[nodes], nodes), u)) for each in (half, again))
     np.testing.assert_array_equal(first, second)
+
+
+def test_the_graph_is_built_once_and_is_not_in_the_file(mesh, monkeypatch):
+    half = jm.prepare_surface(mesh, "airfoil", "farfield", method=jm.DelaunayGraph())
+    bytes_before, built = len(pickle.dumps(half)), []
+    monkeypatch.setattr(delaunay, "graph_of", lambda surface: built.append(surface) or graph_of(surface))
+    for nodes in pieces_of(mesh):
+        half.attach(np.asarray(mesh.points)[nodes], nodes)
+    assert len(built) == 1
+    assert len(pickle.dumps(half)) == bytes_before
 
 
 def test_what_a_half_refuses(mesh):

@@ -39,27 +39,31 @@ class Location:
     outside: int = 0
 
 
-def locate(
-    surface: np.ndarray, points: np.ndarray, wanted: np.ndarray, near: tuple[np.ndarray, np.ndarray] | None = None
-) -> Location:
-    """Finds the surface nodes whose simplex holds each of the `wanted` points.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Graph:
+    """The Delaunay graph of a surface, in which any number of points can be located. `graph_of` makes it.
 
-    Coordinates in single precision are taken for exact numbers, except for points on the hull.
-
-    **Arguments:**
-
-    - `surface`: the surface nodes (b, d).
-    - `points`: all points (n, d).
-    - `wanted`: ids (w,) of the points to locate.
-    - `near`: ids of points near a wall, and the surface node nearest to each. Location is then faster.
-
-    **Raises:** `MeshError` for points outside of the surface's convex hull, with their count, the worst one and its distance.
-    `ValueError` for a surface without extent in some direction.
+    - `unit` (b, d): the surface's nodes from `centre` on, over `size`; `unique` are the distinct ones, `nodes` their places.
+    - `delaunay`: the simplices between these.
+    - `flat`: the height below which a simplex holds no point; `slack`: round-off of the coordinates.
     """
+
+    centre: np.ndarray
+    size: float
+    unit: np.ndarray
+    unique: np.ndarray
+    nodes: np.ndarray
+    delaunay: Delaunay
+    flat: float
+    slack: float
+
+
+def graph_of(surface: np.ndarray) -> Graph:
+    """Builds the Delaunay graph of a surface (b, d). Raises `ValueError` for one without extent in some direction."""
     dimension, slack = surface.shape[1], roundoff(surface)
-    surface, points = surface.astype(np.float64, copy=False), points.astype(np.float64, copy=False)
+    surface = surface.astype(np.float64, copy=False)
     centre, size = surface.min(axis=0), np.ptp(surface, axis=0).max() or 1.0
-    unit, targets = (surface - centre) / size, (points[wanted] - centre) / size
+    unit = (surface - centre) / size
     unique = _without_coincident(unit, roundoff(surface) / size)
     nodes = unit[unique]
     if len(nodes) <= dimension:
@@ -67,10 +71,36 @@ def locate(
             f"a Delaunay graph in {dimension}-D needs {dimension + 1} distinct surface nodes, got {len(nodes)}."
         )
     flat = FLAT * roundoff(surface) / size
-    graph = _graph(nodes, flat)
+    return Graph(centre, size, unit, unique, nodes, _graph(nodes, flat), flat, slack)
+
+
+def locate(
+    surface: np.ndarray | Graph,
+    points: np.ndarray,
+    wanted: np.ndarray,
+    near: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Location:
+    """Finds the surface nodes whose simplex holds each of the `wanted` points.
+
+    Coordinates in single precision are taken for exact numbers, except for points on the hull.
+
+    **Arguments:**
+
+    - `surface`: the surface nodes (b, d), or their graph.
+    - `points`: all points (n, d).
+    - `wanted`: ids (w,) of the points to locate.
+    - `near`: ids of points near a wall, and the surface node nearest to each. Location is then faster.
+
+    **Raises:** `MeshError` for points outside of the surface's convex hull, with their count, the worst one and its distance.
+    `ValueError` for a surface without extent in some direction.
+    """
+    made = surface if isinstance(surface, Graph) else graph_of(surface)
+    graph, nodes, flat, size, slack = made.delaunay, made.nodes, made.flat, made.size, made.slack
+    points = points.astype(np.float64, copy=False)
+    targets = (points[wanted] - made.centre) / size
     order = morton_order(targets)
     if near is not None:
-        order = _inwards(order, *_among(wanted, *near, len(points)), targets, unit)
+        order = _inwards(order, *_among(wanted, *near, len(points)), targets, made.unit)
     simplex = np.empty(len(targets), dtype=np.int64)
     simplex[order] = graph.find_simplex(targets[order])
     smallest = smallest_weight(nodes, graph.simplices, simplex, targets, flat)
@@ -83,7 +113,7 @@ def locate(
         simplex[still], beyond = _search(graph, nodes, targets[still], simplex[still], flat)
         _check_inside(points, wanted[still], np.where(beyond > flat + JITTER, beyond, 0) * size - slack)
         outside = int((beyond > 0).sum())
-    return Location(unique[graph.simplices].astype(np.int32)[simplex], len(poor), outside)
+    return Location(made.unique[graph.simplices[simplex]].astype(np.int32), len(poor), outside)
 
 
 class _Graph(Delaunay):

@@ -1,9 +1,24 @@
 """Nearest nodes: which nodes of which wall lie nearest to a point."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from scipy.spatial import KDTree
 
 from .graph import morton_order
+
+Once = Callable[[Any, Callable[[], Any]], Any]
+
+
+def at_once(key: Any, make: Callable[[], Any]) -> Any:
+    """Makes a thing and keeps nothing."""
+    return make()
+
+
+def digest(values: np.ndarray) -> tuple[int, int]:
+    """Names an array by its length and a hash of its bytes: a key to keep by what was made of it."""
+    return len(values), hash(values.tobytes())
 
 
 def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.ndarray:
@@ -12,13 +27,15 @@ def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.nd
 
 
 def near_walls(
-    surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, count: int
+    surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, count: int, once: Once = at_once
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the points that lie near a wall, and the ids (k, count + 1) of the surface nodes that matter to them.
 
     `reach` (b,) is how far a node's wall reaches into the volume. A row holds the `count` nearest nodes of the nearest
     wall, nearest first. Its last entry is the nearest node of any other wall within eight times the reach, or the first
     entry again. A point belongs to the wall of its nearest node alone; a point nearer to another wall is left out.
+
+    `once(key, make)` keeps what depends on the surface and its walls alone, for other points.
     """
     # One search gives each point its nearest node within reach. Its `count` nearest nodes are then among that node's
     # 2 count neighbours on the wall, which are found once a node instead of once a point. At last each wall's points are
@@ -26,10 +43,10 @@ def near_walls(
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
     order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
-    distance, first = _nearest_within(surface, reach, points[order])
+    distance, first = _nearest_within(surface, reach, points[order], once)
     hit = np.flatnonzero(distance < np.inf)
     near, first, distance = order[hit], first[hit], distance[hit]
-    around = _around(surface, wall, 2 * count)
+    around = once(("around", digest(wall), count), lambda: _around(surface, wall, 2 * count))
     rows = np.empty((len(near), count + 1), dtype=np.int32)
     for start in range(0, len(near), 65536):
         part = slice(start, start + 65536)
@@ -43,14 +60,17 @@ def near_walls(
         here, others = np.flatnonzero(wall[first] == label), np.flatnonzero(wall != label)
         if others.size:
             bound = 8 * reach[wall == label].max()
-            apart, other = map(np.asarray, _tree(surface[others]).query(points[near[here]], distance_upper_bound=bound))
+            tree = _kept_tree(surface, others, once)
+            apart, other = map(np.asarray, tree.query(points[near[here]], distance_upper_bound=bound))
             close = np.flatnonzero(other < len(others))
             rows[here[close], count] = others[other[close]]
             is_nearest[here[close]] = distance[here[close]] <= apart[close]
     return near[is_nearest], rows[is_nearest]
 
 
-def _nearest_within(surface: np.ndarray, reach: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _nearest_within(
+    surface: np.ndarray, reach: np.ndarray, points: np.ndarray, once: Once
+) -> tuple[np.ndarray, np.ndarray]:
     """Finds the nearest surface node within whose reach a point lies, and its distance, infinite where there is none.
 
     Nodes of about the same reach are searched together: a bound that is far too large costs ten times as much.
@@ -60,13 +80,16 @@ def _nearest_within(surface: np.ndarray, reach: np.ndarray, points: np.ndarray) 
     size = np.frexp(reach[reaching])[1]
     for exponent in np.unique(size):
         members = reaching[size == exponent]
-        apart, nearest = map(
-            np.asarray, _tree(surface[members]).query(points, distance_upper_bound=reach[members].max())
-        )
+        tree = _kept_tree(surface, members, once)
+        apart, nearest = map(np.asarray, tree.query(points, distance_upper_bound=reach[members].max()))
         node = members[np.minimum(nearest, len(members) - 1)]
         closer = (apart < distance) & (apart < reach[node])
         distance[closer], first[closer] = apart[closer], node[closer]
     return distance, first
+
+
+def _kept_tree(surface: np.ndarray, rows: np.ndarray, once: Once) -> KDTree:
+    return once(("tree", digest(rows)), lambda: _tree(surface[rows]))
 
 
 def _tree(points: np.ndarray) -> KDTree:

@@ -2,9 +2,8 @@
 
 import abc
 import dataclasses
-import functools
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -16,6 +15,8 @@ from scipy.spatial import KDTree
 from .._host.reduction import AbstractReduction, drop_close, drop_near
 from .._host.skin import chords
 from .._host.walls import walls
+
+T = TypeVar("T")
 
 BLOCK = 512
 """Points evaluated together: memory, also for derivatives, is that of one block, whatever the size of the mesh."""
@@ -62,19 +63,29 @@ class Surface:
     is_open: bool | None = None
     cells: Cells | None = None
     near: tuple[np.ndarray, np.ndarray] | None = None
+    kept: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
 
-    @functools.cached_property
+    @property
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Finds each row's wall (b,), two ends of each wall (w, 2), and its mean chord (w,) relative to their distance."""
+        return self.once("walls", self._walls)
+
+    def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         wall = walls(self.points, self.moving, self.faces)
         return wall, *chords(self.points, wall, self.faces)
 
+    def once(self, key: Any, make: Callable[[], T]) -> T:
+        """Makes what the surface alone decides, whatever the points, once for it and all that are `altered` from it.
+
+        `key` says what it is, with all that it depends on beside the surface.
+        """
+        if key not in self.kept:
+            self.kept[key] = make()
+        return self.kept[key]
+
     def altered(self, **fields: Any) -> "Surface":
-        """Returns the surface with other `nodes` or `matched` rows. Its walls are found once."""
-        other = dataclasses.replace(self, **fields)
-        if "walls" in self.__dict__:
-            other.__dict__["walls"] = self.walls
-        return other
+        """Returns the surface with other `nodes` or `matched` rows. What was made `once` goes with it."""
+        return dataclasses.replace(self, **fields)
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
         """Chooses rows among the moving nodes, then among the fixed ones, each with its mirror images; no two of them too close."""

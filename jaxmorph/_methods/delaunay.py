@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.graph import locate
+from .._host.graph import graph_of, locate
 from .._host.products import determinant
 from .._kernels.values import as_jax
 from .base import AbstractMethod, Located, Surface
@@ -27,7 +27,8 @@ class DelaunayGraph(AbstractMethod):
         inside = np.flatnonzero(rows == len(surface.points))
         repaired = outside = 0
         if inside.size:
-            location = locate(surface.points, points, inside, surface.near)
+            graph = surface.once("graph", lambda: graph_of(surface.points))
+            location = locate(graph, points, inside, surface.near)
             vertices[inside], repaired, outside = location.vertices, location.repaired, location.outside
         return Located(*as_jax((np.int32(repaired), np.int32(outside)))), vertices
 

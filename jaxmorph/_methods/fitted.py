@@ -101,12 +101,17 @@ class FittedRBF(AbstractMethod):
         is_open = surface.is_open
         if is_open is None:
             is_open = has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points)
+        key = ("fitted", id(self), bool(is_open))
+        return surface.once(key, lambda: (self, self._ids(surface, is_open)))[
+            1
+        ], None  # `self` kept: its id stays its own
+
+    def _ids(self, surface: Surface, is_open: bool) -> "WallIds":
         if is_open:
-            sources = self._denser.chosen(surface)
-            return self._sources_alone(surface, sources), None
+            return self._sources_alone(surface, self._denser.chosen(surface))
         sources = self.rbf.chosen(surface)
         is_moving = sources < surface.moving
-        return self._wall(surface, sources[is_moving], sources[~is_moving]), None
+        return self._wall(surface, sources[is_moving], sources[~is_moving])
 
     @property
     def _denser(self) -> RBF:

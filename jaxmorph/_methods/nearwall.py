@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.neighbours import near_walls, nearest_of
+from .._host.neighbours import digest, near_walls, nearest_of
 from .._kernels.values import Either, as_jax, is_known, namespace, norm, root
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
@@ -73,12 +73,12 @@ class NearWall(AbstractMethod):
         return self.correction.linear
 
     def connect(self, surface: Surface, points):
-        extent = self._extent(surface)
+        extent = surface.once(("extent", digest(surface.matched)), lambda: self._extent(surface))
         width = self._width(jax.tree.map(np.asarray, extent), np.asarray(surface.points))
         wall = np.asarray(extent.wall)
         row_of_point = surface.rows(len(points))
         inside = np.flatnonzero(row_of_point == len(surface.points))
-        near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1)
+        near, rows = near_walls(surface.points, wall, 1.25 * width, points[inside], NEIGHBOURS + 1, surface.once)
         surface = surface.altered(near=(inside[near], rows[:, 0]))
         correction, correction_at_points = self.correction.connect(surface, points)
         nodes = np.repeat(row_of_point[:, None], NEIGHBOURS + 2, axis=1)  # a node of the surface: itself

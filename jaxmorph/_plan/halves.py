@@ -43,6 +43,10 @@ class SurfaceHalf:
     faces: Mapping[str, np.ndarray] | None
     is_open: bool
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leaves out what `attach` keeps for the next piece: it is made again where it is needed."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
     def __repr__(self) -> str:
         return f"SurfaceHalf({self.plan})"
 
