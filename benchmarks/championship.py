@@ -1,7 +1,11 @@
 """Every method on every case: quality after a motion, how far it goes, what it costs, and whether its derivative is right.
 
 python -m benchmarks.championship [--points 2000] [--case C-grid ...] [--method default ...] [--json championship.json]
-                                  [--entry NAME=FOLDER ...] [--write FOLDER]
+                                  [--entry NAME=FOLDER ...] [--write FOLDER] [--peers]
+
+`--peers` adds others to the same table: SciPy's `RBFInterpolator` with every node of the surface as a source, and OpenFOAM's
+`displacementLaplacian` and `displacementSBRStress` where `moveDynamicMesh` is installed. They have no rows where nodes slide in
+planes. `move` of OpenFOAM is the CPU time of the whole program, files included.
 
 `--write FOLDER` writes, for another tool, each case and motion as CASE/MOTION.npz: `points` (n, d), `moving` (m,) and `fixed` (f,)
 node ids, `u` (m, d), and `cells_TYPE` (k, corners). `--entry NAME=FOLDER` reads that tool's CASE/MOTION.npz, each with `points`
@@ -27,10 +31,12 @@ from typing import Any
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
 
+import _openfoam
 import jax
 import numpy as np
 from _arena import METHODS, Case, all_cases
 from _measure import about
+from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
 from jaxmorph._advice.overshoot import overshoot
@@ -124,6 +130,12 @@ def write(folder: pathlib.Path, case: Case) -> None:
         np.savez(file, points=case.mesh.points, u=make(case.wall, 1.0), **arrays)
 
 
+def missed(case: Case, points: np.ndarray, u: np.ndarray) -> str | None:
+    """Says that the wall is not where it belongs, if it is not."""
+    miss = np.abs(points[case.mesh.patch(case.moving)] - case.wall - u).max() / np.abs(u).max()
+    return f"the wall misses its motion by {miss:.2g} of it" if not miss <= 1e-6 else None
+
+
 def entered(name: str, folder: pathlib.Path, case: Case) -> list[dict]:
     """Judges another tool's moved points."""
     rows = []
@@ -132,10 +144,35 @@ def entered(name: str, folder: pathlib.Path, case: Case) -> list[dict]:
         if file.exists():
             with np.load(file) as data:
                 points = data["points"]
-            u = make(case.wall, 1.0)
-            miss = np.abs(points[case.mesh.patch(case.moving)] - case.wall - u).max() / np.abs(u).max()
-            error = f"the wall misses its motion by {miss:.2g} of it" if not miss <= 1e-6 else None
+            error = missed(case, points, make(case.wall, 1.0))
             rows.append(row(case, motion, name, {} if error else quality(case, points), error))
+    return rows
+
+
+def of_peers(case: Case) -> list[dict]:
+    """Runs the peers that are installed on all motions of a case without symmetry planes."""
+    if case.symmetry:
+        return []
+    rows, points = [], np.asarray(case.mesh.points)
+    moving, fixed = case.mesh.patch(case.moving), case.mesh.patch(*case.fixed)
+    nodes = np.concatenate([moving, fixed[~np.isin(fixed, moving)]])
+    for motion, make in case.motions.items():
+        u = np.zeros((len(nodes), points.shape[1]))
+        u[: len(moving)] = make(case.wall, 1.0)
+        began = time.process_time()
+        field = RBFInterpolator(points[nodes], u, kernel="thin_plate_spline", degree=1)
+        middle = time.process_time()
+        moved = points + field(points)
+        numbers = {"setup": middle - began, "move": time.process_time() - middle}
+        moved[nodes] = points[nodes] + u  # as far as the solve is exact they are there
+        rows.append(row(case, motion, "SciPy RBF", quality(case, moved) | numbers))
+    if _openfoam.is_there():
+        for name, motion, u, moved, seconds in _openfoam.moved(case, list(_openfoam.METHODS)):
+            if isinstance(moved, Exception):
+                rows.append(row(case, motion, name, {}, str(moved)))
+                continue
+            error = missed(case, moved, u)
+            rows.append(row(case, motion, name, {} if error else quality(case, moved) | {"move": seconds}, error))
     return rows
 
 
@@ -167,6 +204,7 @@ def main() -> None:
     parser.add_argument("--entry", nargs="+", default=[])
     parser.add_argument("--write", type=pathlib.Path)
     parser.add_argument("--json", type=pathlib.Path)
+    parser.add_argument("--peers", action="store_true")
     asked = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore")
@@ -183,6 +221,7 @@ def main() -> None:
         groups += [
             entered(name, pathlib.Path(folder), case) for name, _, folder in (e.partition("=") for e in asked.entry)
         ]
+        groups += [of_peers(case)] if asked.peers else []
         for each in (each for group in groups for each in group):
             rows.append(each)
             keys = ("inverted", "max_skewness", "min_jacobian", "angle", "min_height", "behind", "limit", "move")
