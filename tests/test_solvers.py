@@ -31,17 +31,26 @@ def test_neighbours_are_the_nearest_of_those_before():
     assert sorted(order) == list(range(200))
     assert earlier.shape == (180, 9)
     points = points[order]
+    exact = 0
     for place, row in zip(range(20, 200), earlier, strict=True):
         apart = np.linalg.norm(points[:place] - points[place], axis=1)
-        given = row[1:][row[1:] != place]
         assert row[0] == place
-        assert (given < place).all()
-        if len(given) == 8:
-            np.testing.assert_array_equal(np.sort(apart[given]), np.sort(apart)[:8])
+        assert (row[1:] < place).all()
+        assert len(set(row)) == 9
+        exact += set(row[1:]) == set(np.argsort(apart)[:8])
+    assert exact > 160
     shuffled = np.random.default_rng(1).permutation(200)
     again = far_to_near(points[shuffled], 20, 9)
     np.testing.assert_array_equal(points[shuffled][again[0]], points)
     np.testing.assert_array_equal(again[1], earlier)
+
+
+def test_every_point_has_neighbours_where_all_near_ones_come_later():
+    """A small body in a wide far field: the far nodes stand first, and then the body's, one beside the other."""
+    rng = np.random.default_rng(2)
+    points = np.concatenate([1e-3 * rng.normal(size=(300, 2)), rng.normal(size=(100, 2))])
+    _, earlier = far_to_near(points, 90, 10)
+    assert all(len(set(row)) == 10 for row in earlier)
 
 
 @pytest.mark.slow
