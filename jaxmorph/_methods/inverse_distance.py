@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._kernels.values import is_known, largest, norm
+from .._kernels.values import is_known, largest, norm, root
 from .base import AbstractField, AbstractMethod, Surface
 from .system import block_size, squared_distances
 
@@ -70,7 +70,8 @@ class InverseDistance(AbstractMethod):
         faces, moving = ids
         count = jnp.arange(len(surface)) < moving
         middle = jnp.sum(jnp.where(count[:, None], surface, 0), axis=0) / moving
-        extent = jnp.sqrt(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
+        extent = root(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
+        extent = jnp.where(extent > 0, extent, 1)  # of one place: any length will do
         return _areas(faces, surface) if faces else jnp.ones(len(surface), surface.dtype), extent
 
     def field(self, ids, factors, surface, u):

@@ -1,0 +1,203 @@
+"""Laws on generated point sets: each holds, or a `ValueError` says what to change; never another exception, never NaN.
+
+JAXMORPH_FUZZ sets how many, a hundredth of it for each law and method; JAXMORPH_FUZZ_SEED another series of them.
+"""
+
+import dataclasses
+import os
+import warnings
+
+import hypothesis
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import strategies
+
+import jaxmorph as jm
+
+COUNT, SEED = int(os.environ.get("JAXMORPH_FUZZ", "200")) // 100, int(os.environ.get("JAXMORPH_FUZZ_SEED", "0"))
+SIZES = (1, 2, 3, 4, 6, 17, 60)
+"""Numbers of points: few, since each compiles anew."""
+
+pytestmark = pytest.mark.slow
+
+
+@dataclasses.dataclass(frozen=True)
+class Cloud:
+    """Points, the ids of those that move and of those that stay, their displacements, and how large the set is."""
+
+    points: np.ndarray
+    moving: np.ndarray
+    fixed: np.ndarray
+    u: np.ndarray
+    size: float
+
+    @property
+    def round_off(self) -> float:
+        """What rounding makes of coordinates: a length."""
+        return 1e-16 * max(np.abs(self.points).max(), np.abs(self.points[self.moving] + self.u).max())
+
+
+SHAPES = {
+    "scattered": lambda x: x,
+    "flat": lambda x: x * (np.arange(x.shape[1]) > 0),
+    "collinear": lambda x: x[:, :1] * np.arange(1.0, x.shape[1] + 1),
+    "cospherical": lambda x: x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-3),
+    "lattice": lambda x: np.round(2 * x) / 2,
+    "duplicate": lambda x: np.concatenate([x[: (len(x) + 1) // 2]] * 2)[: len(x)],
+    "almost duplicate": lambda x: np.concatenate([x[: (len(x) + 1) // 2], x[: len(x) // 2] * (1 + 1e-15)]),
+    "stretched": lambda x: x * 1e-7 ** np.arange(x.shape[1]),
+    "one place": lambda x: 0 * x,
+}
+
+
+@strategies.composite
+def clouds(draw, sizes=SIZES):
+    n, d = draw(strategies.sampled_from(sizes)), draw(strategies.sampled_from((2, 3)))
+    rng = np.random.default_rng(draw(strategies.integers(0, 2**16)))
+    scale = draw(strategies.sampled_from((1.0, 1e-12, 1e-3, 1e6, 1e12)))
+    offset = draw(strategies.sampled_from((0.0, 1.0, 1e4)))
+    shape = SHAPES[draw(strategies.sampled_from(sorted(SHAPES)))]
+    points = scale * (shape(rng.uniform(-1, 1, (n, d))) + offset)
+    order = rng.permutation(n)
+    count = {"one": 1, "half": (n + 1) // 2, "all": n}[draw(strategies.sampled_from(("one", "half", "all")))]
+    rest = {"none": 0, "some": (n - count) // 2, "all": n - count}[
+        draw(strategies.sampled_from(("none", "some", "all")))
+    ]
+    u = scale * draw(strategies.sampled_from((1e-3, 0.1, 10.0))) * rng.normal(size=(count, d))
+    return Cloud(points, order[:count], order[count : count + rest], u, scale)
+
+
+METHODS = {
+    "default": lambda size: None,
+    "published": lambda size: jm.SurfaceReconstruction.published(),
+    "delaunay": lambda size: jm.DelaunayGraph(),
+    "full": lambda size: jm.RBF.classic(jm.ThinPlateSpline()),
+    "near-wall": lambda size: jm.NearWall(),
+    "multiscale": lambda size: jm.Multiscale(),
+    "inverse-distance": lambda size: jm.InverseDistance(),
+    "compact": lambda size: jm.CompactRBF(2 * size),
+    "reduced": lambda size: jm.RBF(reduction=jm.KDTree(2), fixed_reduction=jm.KDTree(2)),
+}
+INEXACT = ("full", "reduced")
+"""Methods that miss the wall by what their sources leave, or by the rounding of their solve."""
+
+
+def told(error: ValueError) -> None:
+    """Checks that an error is a sentence for people."""
+    assert len(str(error)) > 30, repr(error)
+    assert type(error).__module__.startswith(("builtins", "jaxmorph")), repr(error)
+
+
+def check_laws(cloud: Cloud, name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of what rounding costs
+        try:
+            plan = jm.prepare(cloud.points, cloud.moving, cloud.fixed, method=METHODS[name](cloud.size))
+        except ValueError as error:
+            return told(error)
+        moved, still = (np.asarray(jm.deform(plan, u)) for u in (cloud.u, 0 * cloud.u))
+    hypothesis.event("laws hold, no refusal")
+    assert np.isfinite(moved).all()
+    np.testing.assert_array_equal(still, cloud.points)
+    if name not in INEXACT:
+        np.testing.assert_array_equal(moved[cloud.moving], cloud.points[cloud.moving] + cloud.u)
+        np.testing.assert_array_equal(moved[cloud.fixed], cloud.points[cloud.fixed])
+    if not plan.is_linear:
+        return None
+    pushed, largest = moved - cloud.points, np.abs(cloud.u).max()
+    reach = max(np.abs(pushed).max(), largest)  # a solve may overshoot
+    twice = np.asarray(jm.deform(plan, 2 * cloud.u)) - cloud.points
+    np.testing.assert_allclose(twice, 2 * pushed, rtol=0, atol=1e-12 * reach + 20 * cloud.round_off)
+    w = np.random.default_rng(0).normal(size=moved.shape)
+    pulled = np.asarray(jm.pullback(plan, cloud.u, w))
+    assert np.isfinite(pulled).all()
+    rounded = cloud.round_off * np.abs(w).sum() + 1e-9 * (
+        np.abs(w).sum() * reach + np.vdot(np.abs(pulled), np.abs(cloud.u))
+    )
+    assert abs(np.vdot(pushed, w) - np.vdot(cloud.u, pulled)) <= 20 * rounded
+    return None
+
+
+def examples(count):
+    return hypothesis.settings(
+        max_examples=max(count, 2),
+        derandomize=SEED == 0,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(hypothesis.HealthCheck),
+    )
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_maps_of_any_points(name):
+    @examples(COUNT)
+    @hypothesis.given(clouds())
+    def law(cloud):
+        check_laws(cloud, name)
+
+    (hypothesis.seed(SEED)(law) if SEED else law)()
+
+
+@examples(COUNT)
+@hypothesis.given(clouds(), strategies.sampled_from(("default", "delaunay", "near-wall", "full")))
+def test_a_boundary_that_moves_as_one_takes_the_rest_along(cloud, name):
+    """By less than the boundary's size, or the rounding of coordinates, allows."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            plan = jm.prepare(cloud.points, cloud.moving, method=METHODS[name](cloud.size))
+            shift = np.broadcast_to(cloud.u[:1], cloud.u.shape)
+            moved = np.asarray(jm.deform(plan, shift))
+    except ValueError as error:
+        return told(error)
+    step = np.abs(cloud.u[0]).max()
+    np.testing.assert_allclose(moved, cloud.points + cloud.u[:1], rtol=0, atol=1e-9 * step + 20 * cloud.round_off)
+    return None
+
+
+@examples(2)
+@hypothesis.given(clouds(sizes=(10_000,)), strategies.sampled_from(("default", "inverse-distance")))
+def test_many_points(cloud, name):
+    check_laws(cloud, name)
+
+
+@examples(COUNT)
+@hypothesis.given(clouds(), strategies.integers(0, 2**16))
+def test_boxes_around_any_points(cloud, seed):
+    """A lattice that does not move leaves every point where it is; one that moves as one takes all in it along."""
+    counts = np.random.default_rng(seed).integers(2, 5, cloud.points.shape[1])
+    try:
+        box = jm.shapes.FreeForm.around(cloud.points, counts.tolist())
+        shift = jnp.broadcast_to(jnp.asarray(cloud.u[0]), box.neutral().shape)
+        still, moved = np.asarray(box(cloud.points, box.neutral())), np.asarray(box(cloud.points, shift))
+    except ValueError as error:
+        return told(error)
+    np.testing.assert_array_equal(still, cloud.points)
+    np.testing.assert_allclose(moved, cloud.points + cloud.u[:1], rtol=0, atol=20 * cloud.round_off)
+    return None
+
+
+@examples(COUNT)
+@hypothesis.given(clouds(sizes=(3, 4, 6)), strategies.booleans())
+def test_cells_of_any_points(cloud, flipped):
+    """Measures are never NaN; a mesh that has not moved has no inverted cell; the ratios of its own are one."""
+    n, d = cloud.points.shape
+    corners = np.arange(d + 1)[None] if n > d else None
+    if corners is None:
+        return
+    mesh = jm.Mesh(cloud.points, {"triangle" if d == 2 else "tetra": corners[:, ::-1] if flipped else corners})
+    for report in (jm.quality(mesh), jm.quality(mesh, cloud.points)):
+        assert int(report.inverted) == 0
+        for name in (
+            "skewness",
+            "aspect_ratio",
+            "non_orthogonality",
+            "volume",
+            "jacobian",
+            "volume_ratio",
+            "jacobian_ratio",
+        ):
+            assert not np.isnan(getattr(report, name)).any(), name
+    np.testing.assert_array_equal(report.volume_ratio, 1)
+    np.testing.assert_array_equal(report.jacobian_ratio, 1)
