@@ -94,6 +94,18 @@ def test_an_infeasible_motion_is_reported_with_the_fraction_reached(mesh):
 
 
 @pytest.mark.slow
+def test_a_radius_below_the_motion_is_told(mesh):
+    base = mesh.points[mesh.patch("airfoil")]
+    for method, reach in ((jm.CompactRBF(0.3), 0.3), (jm.CompactRBF(), None), (jm.DelaunayGraph(), np.inf)):
+        plan = jm.prepare(mesh, "airfoil", "farfield", method=method)
+        assert plan.reach > 0 if reach is None else plan.reach == pytest.approx(reach)
+        for share in (0.9, 1.1):
+            u = np.full_like(base, [0.0, share * (plan.reach if np.isfinite(plan.reach) else 1.0)])
+            told = any("radius" in sentence for sentence in jm.inspect(plan, u).advice)
+            assert told == (share > 1 and np.isfinite(plan.reach))
+
+
+@pytest.mark.slow
 def test_a_mesh_that_steps_tangle_is_improved_when_asked():
     """A store that leaves a wing for the far side: improved, it gets farther, and all that the result says is true."""
     mesh = cases.bodies({"wing": (-2.0, 2.0, 1.0, 1.5), "store": (-0.5, 0.5, 0.0, 0.5)})

@@ -1,6 +1,7 @@
 """Checks of a surface displacement before the mesh is moved."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -57,6 +58,8 @@ class Inspection:
     - `gap_left`: the share of its gap to another wall that is left to the node that loses most of it. It is 1 and more if no
       gap becomes smaller, as of walls that slide along each other; None without a mesh, and of one wall alone.
     - `gap_node`: that node.
+    - `largest`: the largest displacement of a moving node.
+    - `reach`: how far from the surface a field of compact support reaches, `CompactRBF`; infinity for other methods.
     """
 
     offset: float
@@ -75,6 +78,8 @@ class Inspection:
     ended_at: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
     gap_left: float | None = None
     gap_node: int | None = None
+    largest: float = 0.0
+    reach: float = math.inf
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -106,7 +111,16 @@ class Inspection:
     @property
     def advice(self) -> tuple[str, ...]:
         """One sentence for another method, or for more steps, that may do better."""
-        return (*self._narrow, *self._steep)
+        return (*self._narrow, *self._short, *self._steep)
+
+    @property
+    def _short(self) -> tuple[str, ...]:
+        if self.reach >= self.largest:
+            return ()
+        return (
+            f"the field ends {self.reach:.2g} from the surface, which moves by {self.largest:.2g}: cells fold between. Take a "
+            "radius of several times the motion, `jm.CompactRBF(radius)`, or a method without one.",
+        )
 
     @property
     def _narrow(self) -> tuple[str, ...]:
@@ -234,6 +248,8 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
         put_back_by=float(changed.max()) if len(back) else 0.0,
         ended=nodes[rows],
         ended_at=places[rows],
+        largest=float(np.linalg.norm(given, axis=1).max()),
+        reach=plan.reach,
     )
 
 

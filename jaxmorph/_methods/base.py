@@ -239,6 +239,10 @@ class AbstractMethod(eqx.Module):
         """Returns the surface's rows that are the field's sources, its control points, on the host; none by default."""
         return np.zeros(0, dtype=np.int32)
 
+    def reach(self, ids: PyTree) -> float:
+        """Returns how far from the surface the field reaches, on the host; infinity by default."""
+        return float("inf")
+
     def offset(
         self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], u: Float[Array, "b d"]
     ) -> Float[Array, "b d"]:

@@ -56,6 +56,9 @@ class CompactRBF(AbstractMethod):
         reach = Reach(*as_jax(padded(*near, len(points))))
         return CompactIds(*as_jax((pairs, radius))), reach
 
+    def reach(self, ids: CompactIds) -> float:
+        return float(ids.radius)
+
     def fit(self, ids: CompactIds, surface, points):
         radius = ids.radius if self.radius is None else self.radius
         i, j = ids.pairs.T

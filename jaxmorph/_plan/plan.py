@@ -146,6 +146,11 @@ class Plan(eqx.Module):
         return self.surface.nodes
 
     @property
+    def reach(self) -> float:
+        """Distance from the surface that the method's field reaches, on the host; infinity where it has no radius."""
+        return self.method.reach(self.surface.ids)
+
+    @property
     def sources(self) -> Int[np.ndarray, " s"]:
         """Node ids of the coarse field's sources, on the host: moving ones first, without images.
 
