@@ -1,0 +1,106 @@
+"""Derivatives of whole maps by component: symmetry planes, coincident nodes, Hessians, shards, and float32."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, few, motion, whole_and_part
+from richardson import jacobian
+
+import jaxmorph as jm
+
+pytestmark = pytest.mark.slow
+
+
+def operator(plan):
+    """(n d, m d): the linear map by its columns, each a displaced mesh of its own."""
+    m, d = plan.n_moving, plan.points.shape[1]
+    moved = jax.jit(jax.vmap(lambda u: jm.deform(plan, u) - plan.points))(np.eye(m * d).reshape(-1, m, d))
+    return np.asarray(moved).reshape(m * d, -1).T
+
+
+def check_operator(plan, rows=slice(None, None, 7)):
+    """Forward mode, reverse mode and `pullback` give the operator, to 1e-8 in each component."""
+    a, u = operator(plan), jnp.zeros((plan.n_moving, plan.points.shape[1]))
+    forward = jax.jit(jax.jacfwd(lambda u: jm.deform(plan, u)))(u)
+    np.testing.assert_allclose(forward.reshape(a.shape), a, rtol=0, atol=1e-8)
+    picked = np.eye(len(a))[rows].reshape(-1, *plan.points.shape)
+    reverse = jax.jit(jax.vmap(lambda w: jm.pullback(plan, u, w)))(picked)
+    np.testing.assert_allclose(reverse.reshape(len(picked), -1), a[rows], rtol=0, atol=1e-8)
+    return a
+
+
+def check_base(plan, u, places):
+    """The gradient by base points: finite everywhere, and that of differences in the components (node, axis) of `places`."""
+    w = np.random.default_rng(5).normal(size=plan.points.shape)
+    points = np.asarray(plan.points)
+    objective = jax.jit(lambda points: jnp.sum(w * jm.deform(jm.refit(plan, points), u)))
+    found = np.asarray(jax.jit(jax.grad(objective))(points))
+    assert np.isfinite(found).all()
+    nodes, axes = np.array(places).T
+    expected = jacobian(lambda x: objective(jnp.asarray(points).at[nodes, axes].set(x)), points[nodes, axes], 1e-4)
+    np.testing.assert_allclose(found[nodes, axes], expected, rtol=1e-6, atol=1e-6 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("planes", [3])
+def test_symmetry_planes(planes):
+    part, role, *_ = whole_and_part(3, planes)
+    moving, fixed, inner = (np.flatnonzero(role == k) for k in (1, 2, 0))
+    symmetry = [jm.Plane(np.eye(3)[axis], np.zeros(3)) for axis in range(planes)]
+    method = jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3))
+    plan = jm.prepare(part, moving, fixed, method=method, symmetry=symmetry)
+    a = check_operator(plan).reshape(*part.shape, len(moving), 3)
+    for axis in range(planes):
+        on = part[:, axis] == 0
+        assert (a[on, axis] == 0).all()  # what stays in a plane
+        assert (a[:, :, on[moving], axis] == 0).all()  # and what leads off it
+    off = inner[(part[inner, :planes] != 0).all(axis=1)][::25]
+    held = moving[(part[moving, :planes] != 0).all(axis=1)][:2]
+    check_base(plan, motion(part)[moving], [(node, axis) for node in (*off[:3], *held) for axis in range(3)])
+
+
+@pytest.mark.parametrize("dimension", [2])
+def test_coincident_nodes(dimension):
+    """A wall node in two copies that move apart, and an inner node on the wall."""
+    mesh = body(dimension)
+    twice, on_wall = mesh.points[mesh.moving[:1]], mesh.points[mesh.moving[5:6]]
+    points, n = np.concatenate([mesh.points, twice, on_wall]), len(mesh.points)
+    plan = jm.prepare(points, np.append(mesh.moving, n), mesh.fixed)
+    a = check_operator(plan).reshape(*points.shape, -1, dimension)
+    for copy, row in ((mesh.moving[0], 0), (n, len(mesh.moving))):
+        np.testing.assert_array_equal(a[copy, :, row], np.eye(dimension))
+    u = motion(points)[np.append(mesh.moving, n)]
+    check_base(plan, u, [(node, axis) for node in mesh.inner[::40] for axis in range(dimension)])
+
+
+@pytest.mark.parametrize("laid", [False, True], ids=["whole", "shard"])
+def test_hessian_of_the_default(laid):
+    """Of a sum of sines, in full: the operator's transpose, the sines' second derivatives, the operator."""
+    mesh = body(2)
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
+    a, u = operator(plan), motion(mesh.points[mesh.moving])
+    w = np.random.default_rng(7).normal(size=mesh.points.shape)
+    used = jm.shard(plan, jax.devices()[:1]) if laid else plan
+    found = jax.jit(jax.hessian(lambda u: jnp.sum(w * jnp.sin(jm.deform(used, u)))))(u)
+    curvature = -(w * np.sin(np.asarray(jm.deform(plan, u)))).ravel()
+    expected = a.T @ (curvature[:, None] * a)
+    np.testing.assert_allclose(found.reshape(expected.shape), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("dimension", [2])
+def test_float32(dimension):
+    """The operator of float32 points is that of float64 as far as seven digits and the solve let it."""
+    mesh = body(dimension)
+    whole = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
+    single = jm.prepare(mesh.points.astype(np.float32), mesh.moving, mesh.fixed)
+    w = np.random.default_rng(7).normal(size=mesh.points.shape)
+    u = motion(mesh.points[mesh.moving])
+
+    def gradients(plan, dtype):
+        points, weights = plan.points, w.astype(dtype)
+        objective = lambda u, x: jnp.sum(weights * jnp.sin(jm.deform(jm.refit(plan, x), u)))  # noqa: E731
+        return jax.jit(jax.grad(objective, argnums=(0, 1)))(u.astype(dtype), points)
+
+    for found, expected in zip(gradients(single, np.float32), gradients(whole, np.float64), strict=True):
+        assert found.dtype == np.float32
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
