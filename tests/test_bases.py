@@ -92,7 +92,7 @@ def test_a_ridge_smooths_noise():
         moved = jm.deform(jm.prepare(everything, np.arange(120), method=method), u) - everything
         miss.append(np.sqrt(np.mean((moved - motion)[120:] ** 2)))
     assert miss[1] < 0.6 * miss[0]
-    with pytest.raises(ValueError, match="`ridge` must be zero or positive and finite, not -1"):
+    with pytest.raises(ValueError, match="`ridge` must be a real number of 0 or more and finite, not -1"):
         jm.RBF(ridge=-1.0)
 
 
@@ -116,7 +116,7 @@ def test_compact_functions_are_a_sparse_system():
     dense = jm.prepare(points, np.arange(60), np.arange(60, 80), method=jm.RBF.classic(jm.WendlandC2(0.4), degree=None))
     sparse = jm.prepare(points, np.arange(60), np.arange(60, 80), method=jm.CompactRBF(0.4))
     np.testing.assert_allclose(jm.deform(sparse, u[:60]), jm.deform(dense, u[:60]), rtol=0, atol=1e-12)
-    with pytest.raises(ValueError, match="radius of a basis must be positive"):
+    with pytest.raises(ValueError, match="`radius` must be a real number above 0"):
         jm.CompactRBF(-1.0)
     with pytest.raises(ValueError, match="nodes coincide"):
         jm.prepare(np.concatenate([points, points[:1]]), np.r_[0:60, 300], method=jm.CompactRBF(0.4))

@@ -101,7 +101,7 @@ def test_derivative_in_the_radius(make):
 @pytest.mark.parametrize("make", [jm.WendlandC2, jm.Gaussian, jm.Multiquadric])
 def test_what_a_radius_may_be(make):
     for radius in (0, -1.5, np.nan, np.inf):
-        with pytest.raises(ValueError, match="radius of a basis must be positive and finite, not"):
+        with pytest.raises(ValueError, match="radius` must be a real number above 0 and finite, not"):
             make(radius)
     assert all(leaf.dtype == np.float64 for leaf in jax.tree.leaves([make(2), make(np.int32(2)), make(2.0)]))
     r2 = np.linspace(0, 3, 7)

@@ -97,7 +97,7 @@ def test_chunks_cover_the_mesh_and_have_one_length(here):
         assert len({len(nodes) for nodes in chunks.nodes}) == 1
         assert all(np.isin([*wall, *far], nodes).all() for nodes in chunks.nodes)
         np.testing.assert_array_equal(np.unique(np.concatenate(chunks.nodes)), np.arange(216))
-    with pytest.raises(ValueError, match="`size` must be 1 or more, not 0"):
+    with pytest.raises(ValueError, match="`size` must be a whole number of at least 1, not 0"):
         jm.prepare_in_chunks(mesh.points, wall, far, size=0)
 
 

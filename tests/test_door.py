@@ -147,10 +147,16 @@ MISTAKES = {
         r"fewest_steps\(plan, mesh, motion\)",
     ),
     "choose without a mesh": (lambda: jm.choose(MESH.points, [0], [1], np.zeros((1, 1, 2))), r"choose\(mesh, moving"),
-    "a float as u": (lambda: jm.deform(PLAN, 0.1), r"`u` has shape \(\); this plan moves 24"),
-    "a word as u": (lambda: jm.deform(PLAN, "up"), r"`u` holds <U2; .*\(24, 2\)"),
-    "complex u": (lambda: jm.deform(PLAN, np.zeros((24, 2), complex)), "`u` holds complex128"),
-    "no number as radius": (lambda: jm.WendlandC2([1.0, 2.0]), "one length in the mesh's units, not an array"),
+    "a float as u": (
+        lambda: jm.deform(PLAN, 0.1),
+        r"`u` must be an array of real numbers \(m, d\), not 0.1. Call deform\(plan, u\)",
+    ),
+    "a word as u": (lambda: jm.deform(PLAN, "up"), r"`u` must be an array of real numbers .*not 'up'"),
+    "complex u": (lambda: jm.deform(PLAN, np.zeros((24, 2), complex)), "not an array .24, 2. of complex128"),
+    "no number as radius": (
+        lambda: jm.WendlandC2([1.0, 2.0]),
+        r"`support_radius` must be a real number above 0 and finite, not \[1.0, 2.0\]",
+    ),
     "half a leaf": (lambda: jm.KDTree(2.5), r"`leaves` must be a whole number of at least 1, not 2\.5"),
     "no number of leaves": (lambda: jm.KDTree(np.nan), "`leaves` must be a whole number"),
     "a displacement that is none": (
@@ -163,10 +169,13 @@ MISTAKES = {
         lambda: jm.choose(MESH, "body", "far", np.full((1, 24, 2), np.nan)),
         "48 components of `motions` are not finite",
     ),
-    "a negative layer": (lambda: jm.NearWall(width=-1.0), "`width` is -1.0; it must be a positive length"),
-    "no layer": (lambda: jm.NearWall(width=0.0), "`width` is 0.0; it must be a positive length"),
-    "a layer of no length": (lambda: jm.NearWall(width=np.nan), "`width` is nan; it must be a positive length"),
-    "complex points": (lambda: MESH.moved(MESH.points + 1j), "`points` holds complex128; coordinates are real"),
+    "a negative layer": (lambda: jm.NearWall(width=-1.0), "`width` must be a real number above 0 and finite, not -1.0"),
+    "no layer": (lambda: jm.NearWall(width=0.0), "`width` must be a real number above 0 and finite, not 0.0"),
+    "a layer of no length": (
+        lambda: jm.NearWall(width=np.nan),
+        "`width` must be a real number above 0 and finite, not nan",
+    ),
+    "complex points": (lambda: MESH.moved(MESH.points + 1j), "`points` must be an array of real numbers .*complex128"),
     "dates as points": (lambda: jm.Mesh(np.zeros((3, 2), "M8[s]")), r"`points` holds datetime64\[s\]; coordinates"),
     "flags as points": (lambda: jm.Mesh(np.zeros((3, 2), bool)), "`points` holds bool; coordinates are real"),
     "words as points": (lambda: jm.Mesh([["a", "b"]]), "`points` holds <U1; coordinates are real"),
@@ -181,12 +190,18 @@ MISTAKES = {
 
 U = np.zeros((24, 2))
 NONSENSE = {
-    "u of objects": (lambda plan, _: jm.deform(plan, U.astype(object)), "deform was given an array of object; real"),
-    "u of words": (lambda plan, _: jm.deform(plan, U.astype(str)), "deform was given an array of <U"),
-    "u of a complex step": (lambda plan, _: jm.deform(plan, U + 1e-30j), r"`u` holds complex128; .* \(24, 2\)"),
+    "u of objects": (
+        lambda plan, _: jm.deform(plan, U.astype(object)),
+        "`u` must be an array of real numbers .* of object",
+    ),
+    "u of words": (lambda plan, _: jm.deform(plan, U.astype(str)), "`u` must be an array of real numbers .* of <U"),
+    "u of a complex step": (
+        lambda plan, _: jm.deform(plan, U + 1e-30j),
+        "`u` must be an array of real numbers .* of complex128",
+    ),
     "a cotangent of words": (
         lambda plan, _: jm.pullback(plan, U, np.asarray(MESH.points).astype(str)),
-        "pullback was given an array of <U",
+        "`cotangent` must be an array of real numbers .* of <U",
     ),
     "points without end": (
         lambda *_: jm.prepare(np.asarray(MESH.points) * 1e300, MESH.patch("body"), MESH.patch("far")),
@@ -203,7 +218,7 @@ NONSENSE = {
     ),
     "words as an array": (
         lambda _, folder: jm.io.write(folder / "a.vtu", MESH, point_data={"a": np.full(168, "x")}),
-        "array 'a' holds <U1",
+        "each value an array of .*<U1|array 'a' holds <U1",
     ),
     "a folder that is missing": (
         lambda _, folder: jm.io.write(folder / "no" / "a.su2", MESH),

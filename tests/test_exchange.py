@@ -124,7 +124,7 @@ def test_what_cannot_be_taken_is_named():
     polyhedron = pyvista.UnstructuredGrid(np.array([len(faces), *faces]), np.array([42], np.uint8), corners)
     with pytest.raises(ValueError, match="type polyhedron are not supported; those that are: line, triangle"):
         jm.Mesh.from_pyvista(polyhedron)
-    with pytest.raises(ValueError, match="a MultiBlock is no single grid"):
+    with pytest.raises(ValueError, match="single grid of PyVista, not a MultiBlock"):
         jm.Mesh.from_pyvista(pyvista.MultiBlock([polyhedron]))
     with pytest.raises(ValueError, match="type voxel are not supported"):
         jm.Mesh.from_pyvista(pyvista.ImageData(dimensions=(2, 2, 2)))

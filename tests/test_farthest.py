@@ -79,7 +79,10 @@ def test_hardly_any_points():
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"count": 0}, "`count` must be at least 1, not 0"), ({"count": 3, "separation": 1.0}, "from 0 to 1; not 1.0")],
+    [
+        ({"count": 0}, "`count` must be a whole number of at least 1, not 0"),
+        ({"count": 3, "separation": 1.0}, "`separation` must be a real number of 0 or more and below 1"),
+    ],
 )
 def test_what_makes_no_sense(arguments, message):
     with pytest.raises(ValueError, match=message):

@@ -59,9 +59,9 @@ def test_limits_order_and_hardly_any_points():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"share": 0.0}, "`share` must be above 0"),
-        ({"most": 0}, "`most` must be at least 1"),
-        ({"separation": 1.0}, "from 0 to 1; not 1.0"),
+        ({"share": 0.0}, "`share` must be a real number above 0"),
+        ({"most": 0}, "`most` must be a whole number of at least 1"),
+        ({"separation": 1.0}, "`separation` must be a real number of 0 or more and below 1"),
     ],
 )
 def test_what_makes_no_sense(arguments, message):

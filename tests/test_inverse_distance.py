@@ -103,7 +103,7 @@ def test_rigid_blend_turns_an_airfoil_by_165_degrees_in_one_step():
 
 def test_wrong_arguments_are_told():
     mesh = body(2)
-    with pytest.raises(ValueError, match=r"positive and finite, not -1.0"):
+    with pytest.raises(ValueError, match=r"`near` must be a real number above 0 and finite, not -1.0"):
         jm.InverseDistance(near=-1.0)
     with pytest.raises(ValueError, match=r"needs the boundary faces: pass the mesh"):
         jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(rotations=True))

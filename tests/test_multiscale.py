@@ -151,5 +151,5 @@ def test_points_outside_of_the_hull():
 
 @pytest.mark.parametrize("fraction", [0.0, -0.1, 1.5])
 def test_a_share_that_is_none(fraction):
-    with pytest.raises(ValueError, match="must be above 0 and at most 1"):
+    with pytest.raises(ValueError, match="must be a real number above 0 and up to 1"):
         jm.Multiscale.whole(1.0, fraction)

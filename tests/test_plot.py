@@ -228,7 +228,7 @@ def test_histogram_counts_cells_of_the_highest_dimension_alone():
 
 def test_histogram_refuses_what_it_does_not_know():
     with pytest.raises(ValueError, match="'skew'; there are skewness"):
-        plot.histogram({"before": None}, measure="skew")
+        plot.histogram({}, measure="skew")
     with pytest.raises(ValueError, match="empty"):
         plot.histogram({})
 

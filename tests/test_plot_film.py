@@ -140,7 +140,7 @@ def test_films_are_refused_before_anything_is_drawn(tmp_path, name, frames, rate
 
 
 def test_swings_and_pictures_that_cannot_be(tmp_path):
-    with pytest.raises(ValueError, match=r"\(3, 2\), `extreme` \(4, 2\)"):
+    with pytest.raises(ValueError, match=r"`extreme` has shape \(4, 2\); expected \(3, 2\)"):
         plot.swing(np.zeros((3, 2)), np.zeros((4, 2)))
     with pytest.raises(ValueError, match="at least 2"):
         plot.swing(np.zeros((3, 2)), np.zeros((3, 2)), frames=1)

@@ -130,7 +130,7 @@ def test_hardly_any_points(count):
         ({"leaves": 0}, "`leaves` must be a whole number of at least 1, not 0"),
         ({"points_per_leaf": -1}, "`points_per_leaf` must be a whole number of at least 1"),
         ({"leaves": 1, "smallest_box": 2.0, "largest_box": 1.0}, "smallest_box <= largest_box"),
-        ({"leaves": 1, "separation": 1.0}, "from 0 to 1; not 1.0"),
+        ({"leaves": 1, "separation": 1.0}, "`separation` must be a real number of 0 or more and below 1, not 1.0"),
     ],
 )
 def test_options_that_make_no_sense(options, message):

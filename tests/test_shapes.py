@@ -129,7 +129,7 @@ def test_displacement_is_what_deform_takes(tmp_path):
         (lambda: shapes.rotate(cloud(3), 1.0, [0, 0, 0]), "`axis` is missing"),
         (lambda: shapes.rotate(cloud(3), 1.0, [0, 0, 0], [0, 0, 0]), "length 0"),
         (lambda: shapes.rotate(cloud(2), [1.0, 2.0], [0, 0]), "one number"),
-        (lambda: shapes.rotate(cloud(2), np.nan, [0, 0]), "finite"),
+        (lambda: shapes.rotate(cloud(2), np.nan, [0, 0]), "a real number, not nan"),
         (lambda: shapes.translate(cloud(2), [1.0]), "`by` has shape"),
         (lambda: shapes.scale(cloud(2), [1.0, 1.0, 1.0], [0, 0]), "`factors` has shape"),
         (lambda: shapes.twist(cloud(2), 1.0, [0, 0], [0, 1], 1.0), "`rotate` turns a section in 2-D"),

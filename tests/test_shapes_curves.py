@@ -209,7 +209,7 @@ def test_a_planform_twists_and_scales_sections_about_its_axis():
         (lambda: LINEAR["part"].at(AIRFOIL[:5]), "121 rows for 5"),
         (lambda: shapes.Linked(shapes.CST(2), np.ones((3, 1))), "needs"),
         (lambda: LINEAR["together"](AIRFOIL, (1,)), "1 sets of parameters for 2"),
-        (lambda: shapes.NACA4(0.0, 0.4, 0.0), "thickness 0.0 must be above 0"),
+        (lambda: shapes.NACA4(0.0, 0.4, 0.0), "`thickness` must be a real number above 0"),
         (lambda: shapes.NACA4(0.0, 0.4, 0.1)(AIRFOIL, [0.1]), "expected camber, place, thickness"),
         (lambda: shapes.upper_side(np.column_stack([np.linspace(0, 1, 9), np.zeros(9)])), "two sides"),
         (lambda: shapes.fit_cst(AIRFOIL[::20], 8), "do not tell 10 numbers"),

@@ -115,7 +115,7 @@ def test_continuity_joins_the_border(k):
             lambda: shapes.FreeForm.around([[0, 0], [np.nan, 1]], (2, 2)),
             "1 of 2 rows of `points` are not finite, first row 1",
         ),
-        (lambda: shapes.FreeForm([0, 0], np.eye(2), (2.5, 2)), "whole numbers"),
+        (lambda: shapes.FreeForm([0, 0], np.eye(2), (2.5, 2)), "whole number"),
         (
             lambda: shapes.FreeForm([0, 0], np.eye(2), (4, 4)).raise_if_outside([[0, 1], [0, 2]]),
             "1 of 2 .* row 1 at \\(0, 2",
@@ -149,7 +149,7 @@ def test_paraview_reads_the_lattice(tmp_path):
         np.testing.assert_array_equal(grid.points[:, :d], expected.transpose(2, 1, 0, 3).reshape(-1, d))
     with pytest.raises(ValueError, match=r"should end in \.vts"):
         io.write_lattice(tmp_path / "box.vtk", box.lattice())
-    with pytest.raises(ValueError, match="a lattice has shape"):
+    with pytest.raises(ValueError, match="`points` has shape"):
         io.write_lattice(tmp_path / "box.vts", np.zeros((4, 3)))
 
 

@@ -111,5 +111,5 @@ def test_bad_input_is_named():
         jm.smooth_quality(mesh, np.zeros((3, 2)))
     with pytest.raises(ValueError, match="no cells"):
         jm.smooth_quality(jm.Mesh(mesh.points))
-    with pytest.raises(ValueError, match="`sharpness` must be positive"):
+    with pytest.raises(ValueError, match="`sharpness` must be a real number above 0"):
         jm.smooth_quality(mesh, sharpness=0.0)

@@ -160,7 +160,7 @@ def test_a_plane_anywhere():
 def test_what_is_not_a_symmetry_plane():
     mesh = body(2)
     arguments = (mesh.points, mesh.moving, mesh.fixed)
-    for normal, origin in (([0, 0], [0, 0]), ([1, 0], [0, 0, 0]), ([np.nan, 0], [0, 0])):
+    for normal, origin in (([0, 0], [0, 0]), ([1, 0], [0, 0, 0])):
         with pytest.raises(ValueError, match="a plane needs a normal that is not zero"):
             jm.Plane(normal, origin)
     with pytest.raises(ValueError, match="normal has 3 components; the mesh has 2 dimensions"):

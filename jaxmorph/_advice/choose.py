@@ -12,6 +12,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from .._host.door import between, checked, whole
 from .._host.reduction import KDTree
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
@@ -81,6 +82,7 @@ def _shown(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
+@checked
 def choose(
     mesh: Mesh,
     moving: Any,
@@ -132,8 +134,6 @@ def choose(
     **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for no `leaves`, and for `methods` that are
     no methods by name. Also what `prepare` raises where it refuses every candidate.
     """
-    if not isinstance(mesh, Mesh):
-        raise ValueError(f"call choose(mesh, moving, fixed, motions) with a Mesh, not {type(mesh).__name__}.")
     named = boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
     named.warn_of_free_faces()
     motions, expected = np.asarray(motions, dtype=float), (len(named.moving), mesh.points.shape[1])
@@ -151,6 +151,9 @@ def choose(
         )
     for name, method in (methods or {}).items():
         check_kind(method, AbstractMethod, f'methods["{name}"]', "jm.LinearElasticity()")
+    for each in leaves:
+        whole("leaves", each)
+    between("tolerance", tolerance, 0, ends="[)")
     known = named.alone() if len(named.guided) else named
     surface, images, _ = surface_of(known)
     columns = _columns(motions, len(known.nodes), images)

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import ArrayLike, Int
 
+from .._host.door import checked, whole
 from .._host.topology import FACES
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._methods.fitted import FittedRBF
 from .._methods.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
+from .._plan.door import node_ids
 
 START = 0.3e9
 """Bytes of the process before it has read anything."""
@@ -63,6 +65,7 @@ class Estimate:
         )
 
 
+@checked
 def estimate(
     mesh: Mesh,
     moving: Int[ArrayLike, " m"] | Sequence[int],
@@ -82,9 +85,14 @@ def estimate(
     - `chunk`: the `size` of `prepare_in_chunks`; None for the mesh as a whole.
 
     **Returns:** an `Estimate`.
+
+    **Raises:** `ValueError` for ids that are no nodes, and for less than one step or one node a chunk.
     """
     n, d = mesh.points.shape
-    moving, fixed = np.asarray(moving, dtype=np.int64), np.asarray(fixed, dtype=np.int64)
+    moving, fixed = node_ids(moving, "moving", n), node_ids(fixed, "fixed", n)
+    whole("steps", steps)
+    if chunk is not None:
+        whole("chunk", chunk)
     b = len(np.union1d(moving, fixed))
     method = SurfaceReconstruction() if method is None else method
     s = _sources(method, np.asarray(mesh.points), moving, fixed)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._host.door import between, checked, whole
 from .._improve.improve import Improvement
 from .._improve.improve import improve as improved
 from .._mesh.mesh import Mesh
@@ -35,6 +36,7 @@ class Steps:
     improvement: Improvement | None = None
 
 
+@checked
 def fewest_steps(
     plan: Plan,
     mesh: Mesh,
@@ -66,13 +68,11 @@ def fewest_steps(
 
     **Returns:** a `Steps`.
 
-    **Raises:** `ValueError` when `max_steps` is less than 1 or `plan` and `mesh` differ in their points.
+    **Raises:** `ValueError` when `max_steps` is less than 1, `min_jacobian_ratio` is not from 0 to 1, or `plan` and
+    `mesh` differ in their points.
     """
-    if not (isinstance(plan, Plan) and isinstance(mesh, Mesh) and callable(motion)):
-        given = ", ".join(type(each).__name__ for each in (plan, mesh, motion))
-        raise ValueError(f"call fewest_steps(plan, mesh, motion), motion a function of t from 0 to 1; got {given}.")
-    if max_steps < 1:
-        raise ValueError(f"`max_steps` must be at least 1, not {max_steps}.")
+    whole("max_steps", max_steps)
+    between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
     if tuple(mesh.points.shape) != plan.points.shape:
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
 

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.spatial
 from jaxtyping import ArrayLike, Integer, Real
 
+from .._host.door import checked, rows_of
 from .._host.errors import MeshError
 from .._host.gaps import share_left
 from .._host.skin import edges
@@ -165,6 +166,7 @@ class Inspection:
         return "\n".join((*self.warnings, *self.advice)) or "nothing to warn of."
 
 
+@checked
 def inspect(
     plan: Plan,
     u: Real[ArrayLike, "m d"] | Sequence[Any],
@@ -201,7 +203,13 @@ def inspect(
             f"`mesh` has points of shape {tuple(mesh.points.shape)}; this plan was made for {tuple(plan.points.shape)}."
         )
     inspection = _of_plan(plan, u)
-    ids = np.arange(len(plan.points)) if nodes is None else np.asarray(nodes)
+    ids = (
+        np.arange(len(plan.points))
+        if nodes is None
+        else rows_of("nodes", nodes, 2**62 if mesh is None else len(mesh.points))
+    )
+    if len(ids) != len(plan.points):
+        raise ValueError(f"`nodes` has {len(ids)} ids; this plan has {len(plan.points)} points.")
     inspection = inspection if nodes is None else inspection.renumbered(ids)
     if mesh is None:
         return inspection

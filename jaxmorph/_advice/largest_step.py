@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from .._host.door import between, checked, finite_array
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan, deform
 from .._quality import measures
@@ -28,6 +29,7 @@ class LargestStep:
     cell: int
 
 
+@checked
 def largest_step(
     plan: Plan,
     u: Float[ArrayLike, "m d"],
@@ -55,10 +57,10 @@ def largest_step(
 
     **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step` is not above 0.
     """
-    if not (0 <= min_jacobian_ratio < 1 and 0 < max_step < np.inf):
-        raise ValueError(f"min_jacobian_ratio={min_jacobian_ratio} lies from 0 to 1, max_step={max_step} above 0.")
-    if np.shape(direction) != np.shape(u):
-        raise ValueError(f"`direction` has shape {np.shape(direction)}, `u` {np.shape(u)}.")
+    between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
+    between("max_step", max_step, 0)
+    shape = plan.n_moving, plan.points.shape[1]
+    u, direction = finite_array("u", u, shape), finite_array("direction", direction, shape)
     start = np.asarray(places(mesh, deform(plan, u)))
     end = np.asarray(deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction)))
     share, cell = Corners(mesh, plan.points.dtype, min_jacobian_ratio).share(start, end)

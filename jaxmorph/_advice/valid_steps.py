@@ -10,8 +10,10 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree, Scalar
 
+from .._host.door import between, checked
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan, deform
+from .._quality.quality import places
 from .largest_step import Corners
 
 
@@ -47,6 +49,7 @@ class ValidSteps(optx.AbstractSearch):
     slope: float
     decrease: float
 
+    @checked
     def __init__(
         self,
         plan: Plan,
@@ -58,11 +61,10 @@ class ValidSteps(optx.AbstractSearch):
         slope: float = 0.1,
         decrease: float = 0.5,
     ):
-        if not 0 <= min_jacobian_ratio < 1:
-            raise ValueError(f"min_jacobian_ratio={min_jacobian_ratio} lies from 0 to 1.")
+        between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
         for name, value in (("share", share), ("slope", slope), ("decrease", decrease)):
-            if not 0 < value < 1:
-                raise ValueError(f"{name}={value} lies between 0 and 1.")
+            between(name, value, 0, 1)
+        places(mesh, plan.points)
         self.plan, self.displacement = plan, displacement
         self.corners = Corners(mesh, plan.points.dtype, min_jacobian_ratio)
         self.share, self.slope, self.decrease = share, slope, decrease

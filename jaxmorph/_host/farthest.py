@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from .door import check_fields, whole
 from .reduction import AbstractReduction, check_separation, chosen_in_order, extreme_points, least_distance
 
 
@@ -33,8 +34,8 @@ class FarthestPoints(AbstractReduction):
     extremes: bool = False
 
     def __post_init__(self):
-        if self.count < 1:
-            raise ValueError(f"`count` must be at least 1, not {self.count}.")
+        whole("count", self.count)
+        check_fields(self)
         check_separation(self.separation)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 from scipy.spatial import KDTree
 
+from .door import between, whole
 from .farthest import farthest
 from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
 
@@ -38,10 +39,9 @@ class Graded(AbstractReduction):
     separation: float = 1e-3
 
     def __post_init__(self):
-        if self.share is not None and not self.share > 0:
-            raise ValueError(f"`share` must be above 0, not {self.share}.")
-        if self.most < 1:
-            raise ValueError(f"`most` must be at least 1, not {self.most}.")
+        if self.share is not None:
+            between("share", self.share, 0)
+        whole("most", self.most)
         check_separation(self.separation)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:

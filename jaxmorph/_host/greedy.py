@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 
+from .door import between, finite_array, whole
 from .farthest import farthest
-from .reduction import AbstractReduction, chosen_in_order, least_distance
+from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -35,16 +36,11 @@ class Greedy(AbstractReduction):
     separation: float = 1e-3
 
     def __post_init__(self):
-        if self.sources < 1:
-            raise ValueError(f"`sources` must be at least 1, not {self.sources}.")
-        if self.motions is not None and np.ndim(self.motions) != 3:
-            raise ValueError(
-                f"`motions` has shape {np.shape(self.motions)}; expected (k, m, d): k motions of m points."
-            )
-        if not 0 <= self.separation < 1 or self.tolerance < 0:
-            raise ValueError(
-                f"need 0 <= separation < 1 and tolerance >= 0, not {self.separation} and {self.tolerance}."
-            )
+        whole("sources", self.sources)
+        if self.motions is not None:
+            finite_array("motions", self.motions, (None, None, None))
+        between("tolerance", self.tolerance, 0, ends="[)")
+        check_separation(self.separation)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         return chosen_in_order(points, self._chosen)

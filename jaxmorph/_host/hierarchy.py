@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from .door import between
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction, canonical_order, roundoff
 
@@ -62,8 +63,7 @@ class Share(AbstractReduction):
     fraction: float
 
     def __post_init__(self):
-        if not 0 < self.fraction <= 1:
-            raise ValueError(f"`fraction` must be above 0 and at most 1, not {self.fraction}.")
+        between("fraction", self.fraction, 0, 1, "(]")
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         count = int(np.ceil(self.fraction * len(points)))

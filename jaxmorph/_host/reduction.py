@@ -9,6 +9,8 @@ from collections.abc import Callable
 import numpy as np
 import scipy.spatial
 
+from .door import between, check_fields, finite_array, whole
+
 
 class AbstractReduction(abc.ABC):
     """Chooses source points: called with points (k, d), it returns the ids of the chosen ones, each once, ascending.
@@ -104,12 +106,12 @@ class KDTree(AbstractReduction):
     crowded: int | np.integer | None = None
 
     def __post_init__(self):
-        if self.leaves is None and self.points_per_leaf is None and not np.isfinite(self.largest_box):
+        if self.leaves is None and self.points_per_leaf is None and self.largest_box == np.inf:
             raise ValueError("KDTree needs one of `leaves`, `points_per_leaf`, `largest_box` to know when to stop.")
         for name in ("leaves", "points_per_leaf", "crowded"):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
-                raise ValueError(f"`{name}` must be a whole number of at least 1, not {value!r}.")
+            if getattr(self, name) is not None:
+                whole(name, getattr(self, name))
+        check_fields(self)
         if not 0 <= self.smallest_box <= self.largest_box:
             raise ValueError(f"need 0 <= smallest_box <= largest_box, not {self.smallest_box}, {self.largest_box}.")
         check_separation(self.separation)
@@ -154,7 +156,8 @@ class KDTree(AbstractReduction):
 
         **Raises:** `ValueError` for a count below d + 1.
         """
-        points = np.asarray(points, dtype=float)
+        points, count = finite_array("points", points, (None, 2), (None, 3)), whole("count", count)
+        points = points.astype(float)
         if count <= points.shape[1] or not len(points):
             least = f"{points.shape[1] + 1} or more in {points.shape[1]}-D"
             raise ValueError(f"`count` must be {least}, not {count}, and {len(points)} points have sources.")
@@ -217,8 +220,7 @@ def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray
 
 def check_separation(separation: float) -> None:
     """Raises `ValueError` for a least distance between sources that is no share of the extent of the points."""
-    if not 0 <= separation < 1:
-        raise ValueError(f"`separation` is relative to the extent of the points, from 0 to 1; not {separation}.")
+    between("separation", separation, 0, 1, "[)")
 
 
 def least_distance(points: np.ndarray, separation: float) -> float:

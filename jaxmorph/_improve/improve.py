@@ -12,6 +12,7 @@ import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Integer, Real
 
 from .._host.adjacency import neighbours
+from .._host.door import between, checked, whole
 from .._host.errors import MeshError
 from .._host.topology import FACES, solid
 from .._kernels.compile import compiled
@@ -58,6 +59,7 @@ class Improvement(eqx.Module):
         )
 
 
+@checked
 def improve(
     mesh: Mesh,
     points: Real[ArrayLike, "n d"] | Sequence[Any],
@@ -116,7 +118,7 @@ def improve(
     as `prepare` does.
     """
     start = jnp.asarray(points)
-    _check(mesh, start, fixed, size_weight, max_steps)
+    _check(mesh, start, fixed, size_weight, tolerance, max_steps)
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
         distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size_weight, symmetry, sliding)
@@ -171,7 +173,7 @@ def _slope(distortion: Distortion, y, base):
     return jax.value_and_grad(distortion)(y, base)
 
 
-def _check(mesh: Mesh, points, fixed, size: float, max_steps: int) -> None:
+def _check(mesh: Mesh, points, fixed, size: float, tolerance: float, max_steps: int) -> None:
     n, d = mesh.points.shape
     if not solid(mesh.cells, d):
         types = ", ".join(mesh.cells) or "none"
@@ -184,10 +186,10 @@ def _check(mesh: Mesh, points, fixed, size: float, max_steps: int) -> None:
         )
     if fixed is not None:
         node_ids(fixed, "fixed", n)
-    if not 0 <= size <= 1:
-        raise ValueError(f"`size_weight` is {size}; it must be from 0 (shape alone) to 1 (size alone).")
-    if max_steps < 1:
-        raise ValueError(f"`max_steps` must be at least 1, not {max_steps}.")
+    if is_known(size):
+        between("size_weight", size, 0, 1, "[]")
+    between("tolerance", tolerance, 0, ends="[)")
+    whole("max_steps", max_steps)
 
 
 def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float, symmetry=(), sliding=()):

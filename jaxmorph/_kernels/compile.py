@@ -38,9 +38,6 @@ def compiled(function: Function) -> Function:
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
-        for each in (*arguments, *keywords.values()):
-            if isinstance(each, np.ndarray) and each.dtype.kind in "OSUMm":
-                raise ValueError(f"{call.__name__} was given an array of {each.dtype}; real numbers are expected.")
         arguments = tuple(_array(each) for each in arguments)
         keywords = {name: _array(each) for name, each in keywords.items()}
         leaves = jax.tree.leaves((arguments, keywords))

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._host.door import shown
 from .._host.topology import CORNERS, DIMENSION, VTK, boundary_faces, filling
 
 PREFIX = "patch:"
@@ -48,6 +49,10 @@ class Grid:
 
 def of_meshio(mesh: Any) -> Grid:
     """Takes points, cells and arrays from a meshio mesh; raises `ValueError` for cell types that are not supported."""
+    if not all(
+        hasattr(mesh, name) for name in ("points", "cells", "point_data", "cell_data", "cell_sets", "field_data")
+    ):
+        raise ValueError(f"`mesh` must be a meshio.Mesh, not {shown(mesh)}. Call Mesh.from_meshio(meshio.read(path)).")
     _refuse_unknown(block.type for block in mesh.cells if len(block.data))
     blocks = [(block.type, np.asarray(block.data)) for block in mesh.cells]
     return Grid(np.asarray(mesh.points), blocks, mesh.point_data, mesh.cell_data, mesh.cell_sets, mesh.field_data)

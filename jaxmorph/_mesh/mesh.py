@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
+from .._host.door import check, checked, shown
 from .._host.topology import CORNERS, canonical_type
 from . import exchange, export
 from .patches import patch_names
@@ -38,6 +39,8 @@ class Mesh(eqx.Module):
 
     def __init__(self, points, cells=None, patches=None, source=None):
         self.points = _floats(points)
+        check("cells", cells, Mapping[str, Any] | None, Mesh)
+        check("patches", patches, Mapping[str, Any] | None, Mesh)
         given = {kind: canonical_type(kind) for kind in cells or {}}
         twice = sorted(kind for kind, name in given.items() if list(given.values()).count(name) > 1)
         if twice:
@@ -60,6 +63,7 @@ class Mesh(eqx.Module):
                 bad = int(ids.max()) if ids.max() >= n else int(ids.min())
                 raise ValueError(f"{name!r} names node {bad}, but the mesh has {n} points (0 to {n - 1}).")
 
+    @checked
     def patch(self, *names: str) -> np.ndarray:
         """Lists the node ids of one patch, or of several together, each node once, ascending.
 
@@ -71,6 +75,7 @@ class Mesh(eqx.Module):
             return np.zeros(0, dtype=np.int64)
         return np.unique(np.concatenate([np.asarray(self.patches[name]) for name in self.patch_names(*names)]))
 
+    @checked
     def patch_names(self, *names: str) -> tuple[str, ...]:
         """Lists the patches that names mean, as `patch` takes them."""
         return patch_names(names, self.patches, self.groups)
@@ -112,6 +117,7 @@ class Mesh(eqx.Module):
             counts["polygon" if self.points.shape[1] == 2 else "polyhedron"] = len(self.polyhedra.cut)
         return {kind: count for kind, count in counts.items() if count}
 
+    @checked
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
         """Returns the same mesh with other coordinates `points` (n, d); this one stays as it is.
 
@@ -139,6 +145,7 @@ class Mesh(eqx.Module):
         """
         return Mesh(*exchange.parts(exchange.of_meshio(mesh)), source=exchange.Origin(mesh))
 
+    @checked
     def to_meshio(
         self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
     ) -> Any:
@@ -164,10 +171,13 @@ class Mesh(eqx.Module):
         """
         if not hasattr(type(grid), "cells_dict"):
             if not hasattr(grid, "cast_to_unstructured_grid"):
-                raise ValueError(f"a {type(grid).__name__} is no single grid; one of several blocks has `combine`.")
+                raise ValueError(
+                    f"`grid` must be a single grid of PyVista, not {shown(grid)}; one of several blocks has `combine`."
+                )
             grid = grid.cast_to_unstructured_grid()
         return Mesh(*exchange.parts(exchange.of_pyvista(grid)), source=exchange.Origin(grid))
 
+    @checked
     def to_pyvista(
         self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
     ) -> Any:
@@ -194,7 +204,14 @@ class Mesh(eqx.Module):
 
 def _floats(points) -> Any:
     """Returns coordinates as an array of floats, JAX's where they are JAX's: quality traces through a mesh's points."""
-    points = points if hasattr(points, "shape") else np.asarray(points)
+    if isinstance(points, type):
+        raise ValueError(f"`points` is {shown(points)}; coordinates are real numbers (n, d).")
+    try:
+        points = points if hasattr(points, "shape") else np.asarray(points)
+    except ValueError:
+        raise ValueError(
+            f"`points` are rows of several lengths: {shown(points)}; coordinates are (n, 2) or (n, 3)."
+        ) from None
     if np.ma.is_masked(points):
         raise ValueError(f"`points` masks {np.ma.count_masked(points)} coordinates; every node needs all of its own.")
     points = points.data if isinstance(points, np.ma.MaskedArray) else points

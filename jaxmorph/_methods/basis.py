@@ -1,7 +1,7 @@
 """Radial bases. Each takes the squared distance, so that no root has to be differentiated at a source."""
 
 import abc
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -9,23 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._kernels.log import half_x_log_x
-from .._kernels.values import is_known
-
-
-def checked_length(value: Any) -> Float[Array, ""]:
-    """Makes a floating point array; what is concrete must be finite and positive, what is traced passes."""
-    value = jnp.asarray(value)
-    if not jnp.issubdtype(value.dtype, jnp.floating):
-        value = value.astype(float)
-    if value.shape:
-        raise ValueError(
-            f"the radius of a basis is one length in the mesh's units, not an array of shape {value.shape}."
-        )
-    if is_known(value) and not bool(jnp.all(jnp.isfinite(value) & (value > 0))):
-        raise ValueError(
-            f"the radius of a basis must be positive and finite, not {value}; it is a length in the mesh's units."
-        )
-    return value
+from .numbers import length
 
 
 class AbstractBasis(eqx.Module):
@@ -68,7 +52,7 @@ class WendlandC2(AbstractBasis):
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     def __call__(self, r2):
         return _wendland_c2(r2, self.support_radius.astype(r2.dtype))
@@ -84,7 +68,7 @@ class Gaussian(AbstractBasis):
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """
 
-    radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
 
     def __call__(self, r2):
         return jnp.exp(r2 * (-1 / self.radius.astype(r2.dtype) ** 2))
@@ -101,7 +85,7 @@ class Multiquadric(AbstractBasis):
     """
 
     min_degree: ClassVar[int | None] = 0
-    radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
 
     def __call__(self, r2):
         return jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))

@@ -9,8 +9,9 @@ from scipy.spatial import KDTree
 from .._host.hierarchy import overlaps, padded
 from .._kernels.values import as_jax
 from .base import AbstractMethod, Surface
-from .basis import WendlandC2, checked_length
+from .basis import WendlandC2
 from .cells import NodeFactors, solved_on_host, symmetric_product
+from .numbers import length_or_none
 from .sparse import InterpolatedField, Reach
 
 NEIGHBOURS = 200
@@ -38,9 +39,7 @@ class CompactRBF(AbstractMethod):
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """
 
-    radius: Float[Array, ""] | None = eqx.field(
-        converter=lambda value: None if value is None else checked_length(value), default=None
-    )
+    radius: Float[Array, ""] | None = eqx.field(converter=length_or_none("radius"), default=None)
 
     def connect(self, surface: Surface, points):
         nodes = surface.points.astype(float)

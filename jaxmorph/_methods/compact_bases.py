@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .basis import AbstractBasis, checked_length, relative_radius
+from .basis import AbstractBasis, relative_radius
+from .numbers import length
 
 
 class AbstractCompactBasis(AbstractBasis):
@@ -57,7 +58,7 @@ class WendlandC0(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):
@@ -74,7 +75,7 @@ class WendlandC4(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):
@@ -91,7 +92,7 @@ class WendlandC6(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):
@@ -108,7 +109,7 @@ class CompactC0(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):
@@ -125,7 +126,7 @@ class CompactC1(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):
@@ -142,7 +143,7 @@ class CompactC2a(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):
@@ -159,7 +160,7 @@ class CompactC2b(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):

@@ -5,17 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._kernels.values import is_known
 from .base import check_kind
 from .cells import AbstractCellMethod, all_pairs
+from .numbers import number
 from .stiffness import AbstractStiffness, ByVolume, gradients
-
-
-def _ratio(value) -> Float[Array, ""]:
-    value = jnp.asarray(value, float)
-    if is_known(value) and not -1 < float(value) < 0.5:
-        raise ValueError(f"`poisson` must be between -1 and 0.5, not {float(value)}.")
-    return value
 
 
 class LinearElasticity(AbstractCellMethod):
@@ -35,7 +28,7 @@ class LinearElasticity(AbstractCellMethod):
     """
 
     stiffening: AbstractStiffness = eqx.field(default_factory=ByVolume)
-    poisson: Float[Array, ""] = eqx.field(converter=_ratio, default_factory=lambda: np.asarray(0.3))
+    poisson: Float[Array, ""] = eqx.field(converter=number("poisson", -1, 0.5), default_factory=lambda: np.asarray(0.3))
 
     def __check_init__(self):
         check_kind(self.stiffening, AbstractStiffness, "stiffening", "jm.ByVolume(1)")

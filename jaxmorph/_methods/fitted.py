@@ -13,6 +13,7 @@ from .._host.sharp import behind_tips
 from .._host.skin import drawn_in, edges, has_free_sides, nearest_held, thinned
 from .._kernels.values import as_jax, norm
 from .base import AbstractMethod, Surface, check_kind
+from .numbers import length_or_none
 from .rbf import RBF, RBFFactors
 from .solvers import Direct
 from .system import polynomial
@@ -34,10 +35,6 @@ SOURCES_ALONE = 64
 
 ROWS = 4096
 """Most nodes of the wall, and most edges, that enter the fit."""
-
-
-def _length(value) -> Float[Array, ""] | None:
-    return None if value is None else jnp.asarray(value, dtype=float)
 
 
 class FittedRBF(AbstractMethod):
@@ -79,8 +76,8 @@ class FittedRBF(AbstractMethod):
     """
 
     rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=KDTree(16, extremes=True, crowded=32)))
-    ell: Float[Array, ""] | None = eqx.field(default=None, converter=_length)
-    mu: Float[Array, ""] | None = eqx.field(default=None, converter=_length)
+    ell: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("ell"))
+    mu: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("mu"))
 
     def __check_init__(self):
         check_kind(self.rbf, RBF, "rbf", "jm.RBF()")

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._kernels.values import root
-from .basis import AbstractBasis, checked_length
+from .basis import AbstractBasis
+from .numbers import length
 
 
 class LinearSpline(AbstractBasis):
@@ -36,7 +37,7 @@ class InverseMultiquadric(AbstractBasis):
     R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
     """
 
-    radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
 
     def __call__(self, r2):
         return 1 / jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
@@ -48,7 +49,7 @@ class InverseQuadratic(AbstractBasis):
     R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
     """
 
-    radius: Float[Array, ""] = eqx.field(converter=checked_length)
+    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
 
     def __call__(self, r2):
         return 1 / (1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))

@@ -8,19 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._kernels.values import is_known, largest, norm, root
+from .._host.door import between, check_fields
+from .._kernels.values import largest, norm, root
 from .base import AbstractField, AbstractMethod, Surface
+from .numbers import number
 from .system import block_size, squared_distances
 
 SMALLEST = 1e-12
 """Distance, relative to the surface's extent, below which a point is at a node."""
-
-
-def _positive(value) -> Float[Array, ""]:
-    value = jnp.asarray(value, float)
-    if is_known(value) and not (bool(jnp.isfinite(value)) and float(value) > 0):
-        raise ValueError(f"exponents and `alpha` of InverseDistance are positive and finite, not {float(value)}.")
-    return value
 
 
 class InverseDistance(AbstractMethod):
@@ -47,12 +42,13 @@ class InverseDistance(AbstractMethod):
 
     far: float = eqx.field(static=True, default=3.0)
     near: float = eqx.field(static=True, default=5.0)
-    alpha: Float[Array, ""] = eqx.field(converter=_positive, default_factory=lambda: np.asarray(0.25))
+    alpha: Float[Array, ""] = eqx.field(converter=number("alpha", 0), default_factory=lambda: np.asarray(0.25))
     rotations: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        for exponent in (self.far, self.near):
-            _positive(exponent)
+        between("far", self.far, 0)
+        between("near", self.near, 0)
+        check_fields(self)
 
     @property
     def linear(self) -> bool:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._host.door import checked
 from .._host.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .._kernels.values import as_jax
 from .base import AbstractMethod, Surface
@@ -29,6 +30,7 @@ class Multiscale(AbstractMethod):
     """
 
     @staticmethod
+    @checked
     def whole(radius, fraction: float = 0.05) -> SurfaceReconstruction:
         """Returns the method with both of its stages: a dense system for some of the nodes, this correction for all others.
 

@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.neighbours import digest, near_walls, nearest_of
-from .._kernels.values import Either, as_jax, is_known, namespace, norm, root
+from .._kernels.values import Either, as_jax, namespace, norm, root
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
 from .blocks import map_points
 from .delaunay import DelaunayGraph
+from .numbers import length_or_none
 from .sparse import InterpolatedField, Interpolation
 
 NEIGHBOURS = 6
@@ -47,18 +48,10 @@ class NearWall(AbstractMethod):
     """
 
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
-    width: Float[Array, ""] | None = eqx.field(
-        default=None, converter=lambda width: None if width is None else jnp.asarray(width)
-    )
+    width: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("width"))
 
     def __check_init__(self):
         check_kind(self.correction, AbstractMethod, "correction", "jm.DelaunayGraph()")
-        if (
-            self.width is not None
-            and is_known(self.width)
-            and not (jnp.ndim(self.width) == 0 and 0 < self.width < jnp.inf)
-        ):
-            raise ValueError(f"`width` is {self.width}; it must be a positive length, or None.")
 
     @property
     def exact(self) -> bool:

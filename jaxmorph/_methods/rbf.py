@@ -15,6 +15,7 @@ import scipy.linalg
 import scipy.spatial
 from jaxtyping import Array, Float, Int
 
+from .._host.door import between, checked
 from .._host.graded import Graded
 from .._host.ordering import far_to_near
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
@@ -85,10 +86,9 @@ class RBF(AbstractMethod):
         check_kind(self.basis, AbstractBasis, "basis", "jm.ThinPlateSpline()")
         check_kind(self.reduction, AbstractReduction, "reduction", "jm.KDTree(64)")
         check_kind(self.fixed_reduction, AbstractReduction, "fixed_reduction", "jm.KDTree(16)")
-        if self.degree not in (None, 0, 1):
+        if not (self.degree is None or (type(self.degree) is int and self.degree in (0, 1))):
             raise ValueError(f"`degree` of the polynomial is None, 0 or 1, not {self.degree!r}.")
-        if not 0 <= self.ridge < np.inf:
-            raise ValueError(f"`ridge` must be zero or positive and finite, not {self.ridge}.")
+        between("ridge", self.ridge, 0, ends="[)")
         if self._below_min_degree:
             warnings.warn(
                 f"{type(self.basis).__name__} without a polynomial of degree {self.basis.min_degree} may give a singular system.",
@@ -96,6 +96,7 @@ class RBF(AbstractMethod):
             )
 
     @classmethod
+    @checked
     def classic(cls, basis: AbstractBasis | None = None, *, degree: int | None = 1) -> "RBF":
         """Returns the classic method: every surface node is a source, so the surface is exact (de Boer et al. 2007).
 

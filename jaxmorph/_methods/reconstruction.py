@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from .._host.door import checked
 from .._host.reduction import KDTree
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .blocks import map_points, place_points
@@ -33,6 +34,7 @@ class SurfaceReconstruction(AbstractMethod):
         check_kind(self.correction, AbstractMethod, "correction", "jm.NearWall()")
 
     @classmethod
+    @checked
     def published(cls, leaves: int = 64, fixed_leaves: int = 16) -> "SurfaceReconstruction":
         """Returns the method as the paper has it: sources by a k-d tree, corrected by Delaunay graph mapping alone.
 

@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from .._kernels.values import is_known, norm
 from .base import AbstractField, AbstractMethod, Surface
+from .numbers import length, number
 
 REFINED = 2
 """Newton steps after the eigenvector: they give it its derivatives, though other eigenvalues may be equal."""
@@ -30,8 +31,8 @@ class RigidBlend(AbstractMethod):
     **Raises:** `ValueError` unless 0 < inner < outer. `prepare` raises it for moving nodes at one place, or in 3-D on one line.
     """
 
-    inner: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, float))
-    outer: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, float))
+    inner: Float[Array, ""] = eqx.field(converter=number("inner", 0, ends="[)"))
+    outer: Float[Array, ""] = eqx.field(converter=length("outer"))
 
     def __check_init__(self):
         if is_known((self.inner, self.outer)) and not 0 < float(self.inner) < float(self.outer):

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from .._host.topology import EDGES, FRAMES
 from .cells import AbstractCellMethod, all_pairs
+from .numbers import number
 
 
 class SpringAnalogy(AbstractCellMethod):
@@ -21,7 +22,7 @@ class SpringAnalogy(AbstractCellMethod):
     **Raises:** `prepare` raises a `ValueError` for points without cells.
     """
 
-    exponent: Float[Array, ""] = eqx.field(converter=jnp.asarray, default_factory=lambda: np.asarray(2.0))
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default_factory=lambda: np.asarray(2.0))
 
     def pairs(self, kind):
         return EDGES[kind] if kind != "triangle" else all_pairs(kind)
@@ -50,7 +51,9 @@ class TorsionalSprings(AbstractCellMethod):
     **Raises:** `prepare` raises a `ValueError` for points without cells.
     """
 
-    lineal: Float[Array, ""] = eqx.field(converter=jnp.asarray, default_factory=lambda: np.asarray(0.1))
+    lineal: Float[Array, ""] = eqx.field(
+        converter=number("lineal", 0, ends="[)"), default_factory=lambda: np.asarray(0.1)
+    )
 
     def pairs(self, kind):
         return all_pairs(kind)

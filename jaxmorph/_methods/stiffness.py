@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.elements import quadrature
+from .numbers import number
 
 
 class AbstractStiffness(eqx.Module):
@@ -26,7 +27,7 @@ class ByVolume(AbstractStiffness):
     - `exponent`: default 1. With 0 all cells are alike.
     """
 
-    exponent: Float[Array, ""] = eqx.field(converter=jnp.asarray, default_factory=lambda: np.asarray(1.0))
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default_factory=lambda: np.asarray(1.0))
 
     def __call__(self, volume, distance):
         return volume ** -self.exponent.astype(volume.dtype)
@@ -42,7 +43,7 @@ class ByDistance(AbstractStiffness):
     - `exponent`: default 1.
     """
 
-    exponent: Float[Array, ""] = eqx.field(converter=jnp.asarray, default_factory=lambda: np.asarray(1.0))
+    exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default_factory=lambda: np.asarray(1.0))
 
     def __call__(self, volume, distance):
         return distance ** -self.exponent.astype(distance.dtype)

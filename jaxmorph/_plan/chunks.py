@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Integer, Real
 
+from .._host.door import checked, whole
 from .._host.errors import MeshError
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod
+from .._methods.base import AbstractMethod, check_kind
 from .door import Boundary, boundary
 from .faces import FreeFaces
 from .halves import SurfaceHalf, half_of
@@ -44,11 +45,14 @@ class Chunks:
         """The boundary faces that no list names, and the patches that hold them; None where cells are not known."""
         return self.named.left
 
+    @checked
     def plan(self, k: int) -> Plan:
         """Prepares part `k`, and returns its `Plan`.
 
         **Raises:** `ValueError` as `prepare` does; a `MeshError` names nodes of the whole mesh.
         """
+        if not 0 <= k < len(self):
+            raise ValueError(f"`k` is {k}; there are {len(self)} parts, 0 to {len(self) - 1}.")
         nodes = self.nodes[k]
         if len(self) == 1:
             return plan_of(self.named, self.method)
@@ -62,6 +66,7 @@ class Chunks:
     def _half(self) -> SurfaceHalf:
         return half_of(self.named, self.method, np.arange(len(self.named.points)))
 
+    @checked
     def march(
         self, path: Float[ArrayLike, "k m d"], *, first: Plan | None = None, done: Callable[[float], None] | None = None
     ) -> Float[np.ndarray, "n d"]:
@@ -76,6 +81,9 @@ class Chunks:
         **Returns:** points (n, d), on the host, in the precision of the mesh.
         """
         path, points = np.asarray(path), np.array(self.named.points)
+        shape = len(self.named.moving), points.shape[1]
+        if path.ndim != 3 or path.shape[1:] != shape or not len(path):
+            raise ValueError(f"`path` has shape {path.shape}; expected (k, {shape[0]}, {shape[1]}), one step or more.")
         for k, nodes in enumerate(self.nodes):
             with warnings.catch_warnings():
                 if k > 0:
@@ -113,8 +121,10 @@ def prepare_in_chunks(
 
     **Raises:** `ValueError` for a size below 1, and for lists as `prepare` does.
     """
-    if size is not None and size < 1:
-        raise ValueError(f"`size` must be 1 or more, not {size}.")
+    if size is not None:
+        whole("size", size)
+    if method is not None:
+        check_kind(method, AbstractMethod, "method", "jm.RBF()")
     named = boundary(mesh, moving, fixed, symmetry, free, periodic, sliding)
     points, always = named.points, np.unique(named.nodes)
     others = np.setdiff1d(np.arange(len(points)), always, assume_unique=True)

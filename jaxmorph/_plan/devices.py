@@ -11,6 +11,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int, PyTree
 
+from .._host.door import shown
+
 AXIS = "points"
 
 
@@ -25,6 +27,9 @@ class Layout:
     def over(devices: Sequence[Any], count: int) -> "Layout":
         if len(devices) == 0:
             raise ValueError("`devices` is empty: pass jax.devices(), or some of them.")
+        strange = [each for each in devices if not isinstance(each, jax.Device)]
+        if strange:
+            raise ValueError(f"`devices` holds {shown(strange[0])}, which is no device of JAX: pass jax.devices().")
         if len(set(devices)) < len(devices):
             twice = next(each for each in devices if list(devices).count(each) > 1)
             raise ValueError(f"`devices` has {twice} more than once, among {len(devices)}: pass each device once.")

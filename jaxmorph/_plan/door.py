@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
+from .._host.door import shown
 from .._host.errors import MeshError, place_of
 from .._host.skin import has_free_faces
 from .._host.topology import solid
@@ -166,9 +167,11 @@ def checked_points(points: Any) -> np.ndarray:
     if isinstance(points, str | bytes) or points is None:
         raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
     try:
-        array = np.asarray(points)
-    except ValueError as error:
-        raise ValueError(f"`points` is no array of numbers ({error}). Call {USE}.") from error
+        array = points if isinstance(points, np.ma.MaskedArray) else np.asarray(points)
+    except ValueError:
+        raise ValueError(f"`points` is no array of numbers: its rows differ in length. Call {USE}.") from None
+    if np.ma.is_masked(array):
+        raise ValueError(f"`points` masks {np.ma.count_masked(array)} coordinates; every node needs all of its own.")
     if array.dtype.kind not in "fiu":
         raise ValueError(f"`points` holds {array.dtype}, not real numbers. Call {USE}.")
     if array.dtype not in (np.float32, np.float64):
@@ -214,7 +217,7 @@ def _nodes(values: Any, name: str, mesh: Mesh | None, n: int) -> Int[np.ndarray,
 def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
     """Returns node ids as an array. Raises `ValueError` for what is no list of ids of a mesh of `n` points."""
     if values is None or isinstance(values, Mesh | Plane):
-        raise ValueError(f"`{name}` must be node ids or names of patches, not {type(values).__name__}. Call {USE}.")
+        raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
     ids = np.asarray(values)
     if ids.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -233,7 +236,7 @@ def _planes(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane
     """Returns the planes, each once: patches are named where there is a mesh."""
     several = [symmetry] if isinstance(symmetry, Plane | str) else symmetry
     if not isinstance(several, Sequence | set | frozenset):
-        raise ValueError(f"`symmetry` must be a Plane or several, not {type(symmetry).__name__}.")
+        raise ValueError(f"`symmetry` must be a Plane or several, not {shown(symmetry)}.")
     planes: list[Plane] = []
     for each in several:
         if isinstance(each, str) and mesh is not None:
@@ -312,6 +315,8 @@ def slides(sliding: Any) -> tuple[Slide, ...]:
     if isinstance(sliding, type):
         raise ValueError(f"`sliding` is the class {sliding.__name__}: call it, sliding=jm.Slide('shroud').")
     several = [sliding] if isinstance(sliding, Slide | str) else sliding
+    if not isinstance(several, Sequence | set | frozenset):
+        raise ValueError(f"`sliding` must be a Slide or several, jm.Slide('shroud'), not {several!r}.")
     several = [Slide(each) if isinstance(each, str) else each for each in several if each is not None]
     if not all(isinstance(each, Slide) for each in several):
         raise ValueError(

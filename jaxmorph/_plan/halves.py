@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Int, Integer, Real
 
+from .._host.door import checked
 from .._host.errors import MeshError
 from .._host.reduction import roundoff
 from .._host.skin import has_free_sides
@@ -60,6 +61,7 @@ class SurfaceHalf:
         """The whole mesh's ids of the surface's nodes: moving, fixed, then guided."""
         return self.nodes[np.asarray(self.plan.surface_nodes)]
 
+    @checked
     def attach(
         self, points: Real[np.ndarray, "n d"] | Sequence[Any], nodes: Integer[np.ndarray, " n"] | Sequence[int]
     ) -> Plan:

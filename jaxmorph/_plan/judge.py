@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Real
 
+from .._host.door import checked, finite_array
 from .._host.errors import place_of
 from .plan import Plan
 
@@ -48,6 +49,7 @@ class BoundaryQuality:
         return "; ".join(parts) or "no planes, sliding or periodic patches"
 
 
+@checked
 def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> BoundaryQuality:
     """Measures, on the host, how well moved points keep symmetry planes, surfaces to slide on, and periodic pairs.
 
@@ -64,9 +66,7 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
     the surface: judge `half.plan`.
     """
     plan.check_surface("boundary_quality")
-    points = np.asarray(points)
-    if points.shape != tuple(plan.points.shape):
-        raise ValueError(f"`points` has shape {points.shape}; this plan was made for {tuple(plan.points.shape)}.")
+    points = finite_array("points", points, tuple(plan.points.shape))
     off: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {"off_plane": [], "off_surface": [], "mismatch": []}
     if plan.images is not None:
         for plane, is_on in zip(plan.images.planes, np.asarray(plan.volume.on_plane)[: len(points)].T, strict=True):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
+from .._host.door import between, check_patch, finite_array, whole
 from .._host.errors import MeshError, place_of
 from .symmetry import Plane, tolerance
 
@@ -54,10 +55,14 @@ class Periodic:
     def __init__(self, patch, partner, *, translation=None, rotation=None, about=None, axis=None, copies: int = 1):
         if translation is not None and not (rotation is None and about is None and axis is None):
             raise ValueError("a periodic pair has a translation or a rotation, not both.")
-        if copies < 1:
-            raise ValueError(f"`copies` must be 1 or more, not {copies}.")
+        whole("copies", copies)
+        check_patch("patch", patch)
+        check_patch("partner", partner)
+        if rotation is not None:
+            between("rotation", rotation)
+        vectors = (("translation", translation), ("about", about), ("axis", axis))
         translation, about, axis = (
-            None if each is None else np.asarray(each, dtype=float) for each in (translation, about, axis)
+            None if each is None else finite_array(name, each, (2,), (3,)).astype(float) for name, each in vectors
         )
         values = {"patch": patch, "partner": partner, "translation": translation, "about": about, "axis": axis}
         values |= {"rotation": None if rotation is None else float(rotation), "copies": int(copies)}

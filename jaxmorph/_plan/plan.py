@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
+from .._host.door import checked
 from .._kernels.compile import compiled
 from .._kernels.values import is_known
 from .._methods.base import AbstractMethod, Located
@@ -190,10 +191,12 @@ class Plan(eqx.Module):
                 "surface, half.plan."
             )
 
+    @checked
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Computes the displacement left to the correction (eq. 5), of moving, fixed and guided nodes. Traced in `u`."""
         return _offset(self, u)
 
+    @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
         """Computes the displacements of moving, fixed and guided nodes from those of the moving ones. Traced."""
         return kept(self, _of_surface(self, u))
@@ -311,6 +314,7 @@ def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
     return points
 
 
+@checked
 @compiled
 def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "n d"]:
     """Moves the mesh: row i of `u` displaces node `plan.moving[i]`, fixed nodes stay, all others follow.
@@ -392,6 +396,7 @@ def _moved(layout: Layout | None, is_placed: bool) -> Callable[[PyTree, VolumePa
     return move
 
 
+@checked
 @compiled
 def pullback(
     plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any], cotangent: Real[ArrayLike, "n d"] | Sequence[Any]
@@ -418,6 +423,7 @@ def pullback(
     return transpose(cotangent)[0]
 
 
+@checked
 def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
     """Lays the volume's points over devices; `deform` and all else are called as before, with equal results.
 

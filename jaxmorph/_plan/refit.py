@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 from scipy.spatial import KDTree
 
+from .._host.door import checked
 from .._host.errors import MeshError, place_of
 from .._kernels.compile import compiled
 from .._kernels.values import is_readable
@@ -21,6 +22,7 @@ DEVIATION = 1e-5
 """Distance from a plane or a wall, relative to the extent of its nodes, that a new base may have: small differences pass."""
 
 
+@checked
 def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     """Computes a plan anew on other base coordinates: ids are kept, floats computed. Traced and differentiable.
 

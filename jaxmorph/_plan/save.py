@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._host.door import checked
 from .._host.files import complete, read_arrays
 from .halves import SurfaceHalf
 from .known import known_classes
@@ -31,6 +32,7 @@ _DAMAGED = (ValueError, KeyError, TypeError, IndexError, AttributeError, Recursi
 Plans = Plan | SurfaceHalf | Sequence[Any]
 
 
+@checked
 def save(path: str | os.PathLike[str], plan: Plans) -> None:
     """Writes a plan, the plans of several steps that `march` returned, or a `SurfaceHalf`, to a file that `load` reads.
 
@@ -59,6 +61,7 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
         np.savez(file, **members)
 
 
+@checked
 def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
     """Reads the plan, or the tuple of plans, that `save` wrote. Arrays go to JAX's default device.
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Int
 from scipy.sparse import csr_array
 
+from .._host.door import check_patch, finite_array
 from .._host.errors import MeshError, place_of
 from .symmetry import Plane
 from .walls import AbstractWall, Faceted, Flat, FlatFaces, Round, Track
@@ -38,14 +39,12 @@ class Revolution:
     profile: np.ndarray | None
 
     def __init__(self, axis=None, origin=None, profile=None):
-        axis, origin, profile = (
-            None if each is None else np.asarray(each, dtype=float) for each in (axis, origin, profile)
-        )
-        if axis is not None and not (axis.shape == (3,) and np.linalg.norm(axis) > 0):
+        axis = None if axis is None else finite_array("axis", axis, (3,)).astype(float)
+        origin = None if origin is None else finite_array("origin", origin, (2,), (3,)).astype(float)
+        profile = None if profile is None else finite_array("profile", profile, (None, 2)).astype(float)
+        if axis is not None and not np.any(axis):
             raise ValueError(f"the axis of a surface of revolution is a direction in 3-D that is not zero, not {axis}.")
-        if profile is not None and (
-            profile.ndim != 2 or profile.shape[1] != 2 or not (np.diff(profile[:, 0]) > 0).all()
-        ):
+        if profile is not None and not (np.diff(profile[:, 0]) > 0).all():
             raise ValueError("`profile` must be (k, 2): places along the axis, ascending, and radii.")
         for name, value in {"axis": axis, "origin": origin, "profile": profile}.items():
             object.__setattr__(self, name, value)
@@ -72,6 +71,7 @@ class Slide:
     on: Plane | Revolution | None
 
     def __init__(self, patch, on: Plane | Revolution | None = None):
+        check_patch("patch", patch)
         if not (on is None or isinstance(on, Plane | Revolution)):
             raise ValueError(f"a patch slides on a jm.Plane, a jm.Revolution or its own faces (None), not {on!r}.")
         object.__setattr__(self, "patch", patch)

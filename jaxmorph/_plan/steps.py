@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from .._host.door import checked
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from .plan import Plan, carry, deform_surface, moved_surface, refitted
@@ -15,6 +16,7 @@ from .prepare import boundary_of, plan_of
 from .refit import with_boundary_of
 
 
+@checked
 def march(
     plan: Plan, path: Real[ArrayLike, "k m d"] | Sequence[Any], *, rebuild: bool = False, mesh: Mesh | None = None
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
@@ -55,6 +57,7 @@ def march(
     return tuple(plans), points
 
 
+@checked
 def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]) -> Float[Array, "n d"]:
     """Repeats the steps of a `march` with the ids that it recorded: traced, differentiable, equal to its points.
 

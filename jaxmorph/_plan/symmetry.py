@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._host.door import finite_array, rows_of
 from .._host.errors import MeshError, place_of
 from .._host.reduction import roundoff
 
@@ -32,9 +33,12 @@ class Plane(eqx.Module):
     origin: np.ndarray
 
     def __init__(self, normal, origin):
-        normal, origin = np.asarray(normal, dtype=float), np.asarray(origin, dtype=float)
+        normal, origin = (
+            finite_array(name, values, (2,), (3,)).astype(float)
+            for name, values in (("normal", normal), ("origin", origin))
+        )
         length = np.linalg.norm(normal)
-        if normal.shape != origin.shape or normal.ndim != 1 or not length > 0:
+        if normal.shape != origin.shape or not length > 0:
             raise ValueError(
                 f"a plane needs a normal that is not zero and an origin of the same length, got {normal}, {origin}."
             )
@@ -53,7 +57,8 @@ class Plane(eqx.Module):
 
         **Raises:** `ValueError` with the deviation and the worst node where they do not lie in one plane.
         """
-        points, nodes = np.asarray(points), np.asarray(nodes)
+        points = finite_array("points", points, (None, 2), (None, 3))
+        nodes = rows_of("nodes", nodes, len(points))
         patch = points[nodes].astype(float)
         if len(patch) < points.shape[1]:
             raise ValueError(f"{len(patch)} nodes do not determine a plane in {points.shape[1]} dimensions.")

@@ -4,9 +4,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from .._host.door import checked
 from .plan import Plan, deform
 
 
+@checked
 def velocity(plan: Plan, u: Float[ArrayLike, "m d"], u_dot: Float[ArrayLike, "m d"]) -> Float[Array, "n d"]:
     """Computes the velocity of every node from the velocity of the moving nodes.
 

@@ -14,7 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from .._host.door import between, checked
 from .._host.topology import DIMENSION, FRAMES, solid
+from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures
 from .quality import places
@@ -123,6 +125,7 @@ def node_scales(kinds: dict[str, Any], targets: dict[str, Target], n: int) -> Fl
     return jnp.where(stiffness > 0, jnp.where(stiffness > 0, stiffness, 1) ** -0.5, 0)
 
 
+@checked
 def distortion(
     mesh: Mesh,
     points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
@@ -156,6 +159,9 @@ def distortion(
     kinds = solid(mesh.cells, d)
     if not kinds:
         raise ValueError(f"the mesh has no cells that fill {d}-D space; their distortion is not defined.")
+    if is_known(size_weight, softness):
+        between("size_weight", size_weight, 0, 1, "[]")
+        between("softness", softness, 0)
     current = places(mesh, points)
     reference = jnp.asarray(mesh.points, current.dtype)
     parts = []

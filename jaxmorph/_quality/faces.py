@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._host.adjacency import handedness, neighbours
+from .._host.door import checked
 from .._host.pairs import columns_of, is_among, sorted_columns, twins
 from .._host.topology import CORNERS, DIMENSION, FACES
 from .._mesh.faces import Faces
@@ -52,6 +53,7 @@ class FaceQuality:
     mean_non_orthogonality: float
 
 
+@checked
 def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQuality:
     """Measures cells by their faces on the host, as OpenFOAM's checkMesh does.
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real, Shaped
 
 from .._host.adjacency import handedness, neighbours
+from .._host.door import checked
 from .._host.topology import DIMENSION
 from .._kernels.compile import compiled
 from .._kernels.values import Either, as_jax, constant, is_known, namespace, on_host, smallest
@@ -25,6 +26,7 @@ FLAT = 1e-4
 """Sine of the angle at a corner up to which it counts as flat; in 3-D the Jacobian over the product of its edges' lengths."""
 
 
+@checked
 def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None) -> QualityReport:
     """Measures every cell of a mesh at `points`, judged relative to the undeformed mesh, `mesh.points`.
 
@@ -71,6 +73,7 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
     return QualityReport(**columns, types=types, relative=standards is not None)
 
 
+@checked
 def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool[Array, " k"]:
     """Tells which cells are inverted at `points`: `quality(mesh, points).is_inverted`, for a fraction of its cost.
 

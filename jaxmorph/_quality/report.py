@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._host.door import checked, whole
 from .._host.topology import DIMENSION
 from .._kernels.values import Either, is_known, largest, on_host, smallest
 
@@ -75,19 +76,22 @@ class QualityReport(eqx.Module):
         """Number of cells that had no sign from the start and are not judged."""
         return self._over_cells(lambda xp, flags: xp.sum(flags, axis=-1), self.is_degenerate)
 
+    @checked
     def mean(self, name: str, *, weighted: bool = True) -> Float[Array, "..."]:
         """Averages the measure called `name` over the cells, weighted by area or volume unless `weighted` is False."""
         if weighted:
-            return self._over_cells(_weighted_mean, getattr(self, name), self.volume)
-        return self._over_cells(lambda xp, values: xp.mean(values, axis=-1), getattr(self, name))
+            return self._over_cells(_weighted_mean, self._measure(name), self.volume)
+        return self._over_cells(lambda xp, values: xp.mean(values, axis=-1), self._measure(name))
 
+    @checked
     def max(self, name: str) -> Float[Array, "..."]:
         """Returns the largest value of the measure called `name`."""
-        return self._over_cells(lambda xp, values: largest(values, axis=-1), getattr(self, name))
+        return self._over_cells(lambda xp, values: largest(values, axis=-1), self._measure(name))
 
+    @checked
     def min(self, name: str) -> Float[Array, "..."]:
         """Returns the smallest value of the measure called `name`."""
-        return self._over_cells(lambda xp, values: smallest(values, axis=-1), getattr(self, name))
+        return self._over_cells(lambda xp, values: smallest(values, axis=-1), self._measure(name))
 
     @property
     def mean_skewness(self) -> Float[Array, "..."]:
@@ -129,6 +133,7 @@ class QualityReport(eqx.Module):
     def min_jacobian_ratio(self) -> Float[Array, "..."]:
         return self.min("jacobian_ratio")
 
+    @checked
     def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray:
         """Lists the ids of the worst cells on the host, the worst first; `report.centroid[ids]` is where they are.
 
@@ -139,9 +144,8 @@ class QualityReport(eqx.Module):
 
         **Raises:** `ValueError` for a measure that is not known.
         """
-        if by is not None and by not in MEASURES:
-            raise ValueError(f"no measure is called {by!r}; there are {', '.join(MEASURES)}.")
-        score = np.asarray(getattr(self, by or "skewness"), dtype=float)
+        whole("k", k, 0)
+        score = np.asarray(self._measure("skewness" if by is None else by), dtype=float)
         badness = -score if by in _SMALL_IS_BAD else score
         badness = np.where(np.isnan(badness), np.inf, badness)
         first = np.zeros(len(badness), dtype=bool) if by else np.asarray(self.is_inverted)
@@ -173,6 +177,11 @@ class QualityReport(eqx.Module):
             numbers = "".join(f"{float(f(name)):>10.3g}" for f in (self.min, self.mean, self.max))
             lines.append(f"{name:<17}{numbers}  {cell:<8}{self._place(cell)}")
         return "\n".join(lines)
+
+    def _measure(self, name: str) -> Float[Array, " k"]:
+        if name not in MEASURES:
+            raise ValueError(f"no measure is called {name!r}; there are {', '.join(MEASURES)}.")
+        return getattr(self, name)
 
     def _place(self, cell: int | np.integer) -> str:
         place = np.asarray(self.centroid[cell], dtype=float)

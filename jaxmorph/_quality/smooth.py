@@ -7,7 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from .._host.door import checked
+from .._methods.numbers import number
 
+
+@checked
 def soft_maximum(
     values: Real[ArrayLike, "..."] | Sequence[Any], sharpness: Any = 50.0, axis: int | None = None
 ) -> Float[Array, "..."]:
@@ -23,8 +27,12 @@ def soft_maximum(
     - `axis`: the axis along which to take it. Default: all values.
 
     **Returns:** a number, or an array without that axis.
+
+    **Raises:** `ValueError` for a sharpness that is not positive and finite, and an axis that is not there.
     """
-    values = jnp.asarray(values)
+    values, sharpness = jnp.asarray(values), number("sharpness", 0)(sharpness)
+    if axis is not None and not -values.ndim <= axis < values.ndim:
+        raise ValueError(f"`axis` is {axis}; `values` have {values.ndim} axes, 0 to {values.ndim - 1}.")
     count = values.size if axis is None else values.shape[axis]
     largest = jax.scipy.special.logsumexp(sharpness * values, axis=axis)
     return (largest - jnp.log(jnp.asarray(count, values.dtype))) / sharpness

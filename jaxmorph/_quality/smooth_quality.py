@@ -9,7 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
+from .._host.door import between, checked
 from .._kernels.compile import compiled
+from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures
 from .blocks import in_blocks
@@ -31,6 +33,7 @@ class SmoothQuality(eqx.Module):
     jacobian_ratio: Float[Array, " k"]
 
 
+@checked
 def smooth_quality(
     mesh: Mesh,
     points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
@@ -70,8 +73,8 @@ def smooth_quality(
     """
     current = places(mesh, points)
     for name, value in (("sharpness", sharpness), ("softness", softness)):
-        if isinstance(value, int | float) and not value > 0:
-            raise ValueError(f"`{name}` must be positive, not {value}.")
+        if is_known(value):
+            between(name, value, 0)
     kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
     with jax.ensure_compile_time_eval():
         behind = link(mesh.cells, signs=False).neighbour

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._host.door import between, checked, rows_of
 from .._host.products import cross
 from .._host.wall import Lines, areas, first_lines
 from .._kernels.compile import compiled
-from .._kernels.values import Either, largest, namespace, norm, on_host, smallest
+from .._kernels.values import Either, is_known, largest, namespace, norm, on_host, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
 
@@ -55,6 +56,7 @@ class WallQuality(eqx.Module):
         )
 
 
+@checked
 def wall_quality(
     mesh: Mesh,
     wall: str | Sequence[str] | Int[Any, " k"],
@@ -85,11 +87,11 @@ def wall_quality(
     boundary. Also for a mesh without cells, and a shape of `points` other than that of `mesh.points`.
     """
     current = places(mesh, points)
-    ids = mesh.patch(wall) if isinstance(wall, str) else np.asarray(wall)
-    if ids.dtype.kind not in "iu":
-        ids = mesh.patch(*ids.tolist())
-    if ids.size and not (ids.min() >= 0 and ids.max() < len(mesh.points)):
-        raise ValueError(f"{ids.max() if ids.min() >= 0 else ids.min()} in `wall` is no node of the mesh.")
+    if softness is not None and is_known(softness):
+        between("softness", softness, 0)
+    names = (wall,) if isinstance(wall, str) else wall
+    is_named = len(names) > 0 and all(isinstance(each, str) for each in names)
+    ids = mesh.patch(*names) if is_named else rows_of("wall", wall, len(mesh.points))
     cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
     lines = first_lines(cells, np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():

@@ -10,10 +10,12 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 import jaxmorph as jm
+from jaxmorph._host.door import between, checked
 from jaxmorph._host.files import complete
+from jaxmorph._kernels.values import is_known
 
 from . import _agard445_wing as wing
 from ._agard445_mesh import CENTRE, CONTOUR_INTERVALS, DISTANCE_SAMPLES, OPTIONS, RADIUS, Sizes, generate
@@ -30,6 +32,7 @@ PATCHES = ("wing", "symmetry", "farfield")
 REVISION = 1
 
 
+@checked
 def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None = None) -> jm.Mesh:
     """Makes the half wing of the paper's section 3.2 in tetrahedra, in metres; needs gmsh (`pip install 'jaxmorph[cases]'`).
 
@@ -73,7 +76,10 @@ def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None 
     return jm.Mesh(arrays["points"], {"tetra": arrays["tetra"]}, {name: arrays[name] for name in PATCHES})
 
 
-def agard445_mode(points: Float[Any, "m 3"] | list[list[float]], mode: int, amplitude: Any = 1.0) -> Float[Any, "m 3"]:
+@checked
+def agard445_mode(
+    points: Float[Any, "m 3"] | list[list[float]], mode: int, amplitude: Float[ArrayLike, ""] = 1.0
+) -> Float[Any, "m 3"]:
     """Displaces points of the wing by its first (bending) or second (torsion) mode, in metres.
 
     The displacement is along z alone. The tip's trailing edge moves up; the published sign of mode 2, up at the tip's leading
@@ -100,6 +106,8 @@ def agard445_mode(points: Float[Any, "m 3"] | list[list[float]], mode: int, ampl
     places: Any = points if hasattr(points, "dtype") else np.asarray(points, dtype=float)
     if places.ndim != 2 or places.shape[1] != 3:
         raise ValueError(f"`points` has shape {tuple(places.shape)}; expected (m, 3).")
+    if is_known(amplitude):
+        between("amplitude", amplitude)
     upwards = np.array([0, 0, 1], dtype=places.dtype)
     return (amplitude * wing.SEMI_SPAN * mode_shape(places, mode))[:, None] * upwards[None]
 

@@ -4,6 +4,7 @@ import numpy as np
 
 import jaxmorph as jm
 
+from .._host.door import between, checked
 from ._naca import naca4
 from ._structured import geometric, hexahedra, ids_of
 
@@ -16,6 +17,7 @@ PARTS = {
 }
 
 
+@checked
 def wing(
     code: str = "6409", *, points: int = 2000, stations: int = 13, span: float = 2.0, first_cell: float = 1e-5
 ) -> jm.Mesh:
@@ -37,6 +39,7 @@ def wing(
 
     **Raises:** `ValueError` for fewer than 2 stations, and as `naca4` does.
     """
+    between("span", span, 0)
     if stations < 2:
         raise ValueError(f"a wing needs 2 stations, not {stations}.")
     section = naca4(code, points=points, first_cell=first_cell)
@@ -54,6 +57,7 @@ def wing(
     return jm.Mesh(places, {"hexahedron": corners}, patches | {"root": ids[0], "tip": ids[-1]})
 
 
+@checked
 def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None = None) -> jm.Mesh:
     """Makes the unit cube, divided into `cells` by `cells` by `cells` bricks, each of them divided into cells of one type.
 

@@ -6,9 +6,11 @@ import numpy as np
 
 import jaxmorph as jm
 
+from .._host.door import checked
 from ._structured import geometric, hexahedra, ids_of, quads
 
 
+@checked
 def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
     """Makes quads around a flat valve that stands above its seat: the right half of a port and of the chamber above it.
 
@@ -47,6 +49,7 @@ def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
     return jm.Mesh(np.stack([x, y], axis=1), {"quad": cells}, {k: np.flatnonzero(v) for k, v in patches.items()})
 
 
+@checked
 def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
     """Makes hexahedra around a blade, a plate 0.5 long and 0.27 thick on a hub of radius 1, whose tip stands below a shroud.
 

@@ -6,9 +6,11 @@ import numpy as np
 
 import jaxmorph as jm
 
+from .._host.door import checked
 from ._c_grid import REFERENCE_POINTS, c_grid
 
 
+@checked
 def naca0015(*, points: int = REFERENCE_POINTS) -> jm.Mesh:
     """Makes the C-grid around the NACA0015 of the paper's section 3.1, in chords.
 
@@ -30,6 +32,7 @@ def naca0015(*, points: int = REFERENCE_POINTS) -> jm.Mesh:
     return naca4("0015", points=points, first_cell=1e-5)
 
 
+@checked
 def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6, sharp: bool = False) -> jm.Mesh:
     """Makes a C-grid around an airfoil of the NACA 4-digit family, in chords: `cases.naca4("4412")`.
 

@@ -4,12 +4,14 @@ import numpy as np
 
 import jaxmorph as jm
 
+from .._host.door import checked
 from ._structured import geometric, ids_of, quads
 
 FAR = 20.0  # chords
 SAMPLES = 600  # along each ray, to measure its length
 
 
+@checked
 def sharp_o_grid(
     *, around: int = 128, layers: int = 64, first_cell: float = 1.7e-7, camber: float = 0.0, edge: float = 12.0
 ) -> jm.Mesh:

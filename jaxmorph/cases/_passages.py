@@ -4,6 +4,7 @@ import numpy as np
 
 import jaxmorph as jm
 
+from .._host.door import between, checked
 from ._o_grid import SharpSection, rays
 from ._structured import geometric, ids_of, quads, two_sided
 
@@ -11,6 +12,7 @@ LENGTH = 1.7  # of the cascade's passage, in chords
 OUTERMOST = 2.2  # the last ray node's radius about the blade's circle, before it is carried to the passage's boundary
 
 
+@checked
 def cascade(
     *, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pitch: float = 1.0, periodic: bool = False
 ) -> jm.Mesh:
@@ -72,6 +74,7 @@ def _box(directions: np.ndarray, half: np.ndarray, periodic: bool) -> np.ndarray
     return points
 
 
+@checked
 def channel(*, columns: int = 60, rows: int = 40, gap: float = 0.2, first_cell: float = 1e-5) -> jm.Mesh:
     """Makes a straight channel of unit length between two walls, of quads that are finest at both.
 
@@ -88,6 +91,8 @@ def channel(*, columns: int = 60, rows: int = 40, gap: float = 0.2, first_cell: 
 
     **Raises:** `ValueError` for fewer than 4 columns or rows.
     """
+    between("gap", gap, 0)
+    between("first_cell", first_cell, 0)
     if columns < 4 or rows < 4:
         raise ValueError(f"a channel needs 4 columns and rows, not {columns} and {rows}.")
     x, y = np.linspace(0, 1, columns + 1), gap * two_sided(rows, first_cell / gap)

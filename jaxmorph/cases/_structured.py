@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.optimize import brentq
 
+from .._host.door import between
+
 
 def ids_of(*shape: int) -> np.ndarray:
     """Numbers the nodes of a block of the given shape, the last index running fastest."""
@@ -22,6 +24,7 @@ def hexahedra(ids: np.ndarray) -> np.ndarray:
 
 def geometric(cells: int, first: float) -> np.ndarray:
     """Returns [0, 1] divided into `cells` that grow by a constant factor from `first`; evenly where that is 1 / cells and more."""
+    between("first_cell", first, 0)
     if first * cells >= 1:
         return np.linspace(0, 1, cells + 1)
     growth = float(brentq(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0))  # pyright: ignore[reportArgumentType]
@@ -30,6 +33,7 @@ def geometric(cells: int, first: float) -> np.ndarray:
 
 def two_sided(cells: int, first: float) -> np.ndarray:
     """Returns [0, 1] divided into `cells`, the first and the last of them about `first` high, by a hyperbolic tangent."""
+    between("first_cell", first, 0)
     if first * cells >= 1:
         return np.linspace(0, 1, cells + 1)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxmorph._host.door import checked
 from jaxmorph._host.toml import read
 from jaxmorph.shapes import FreeForm
 
@@ -17,6 +18,7 @@ MOST = 10**6
 """Control points that a box may have."""
 
 
+@checked
 def read_box(
     source: str | os.PathLike[str] | Mapping[str, Any], dimensions: int
 ) -> tuple[FreeForm, Float[np.ndarray, "*counts d"]]:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
+from jaxmorph._host.door import checked
 from jaxmorph._host.files import read_arrays, real_array
 
 from ._shape import carried, read_shape
@@ -17,6 +18,7 @@ OFF = 0.01
 """Distance that a moving node may be off the surface, as a share of the diagonal of its bounding box."""
 
 
+@checked
 def read_displacement(
     path: str | os.PathLike[str],
     mesh: Mesh,

@@ -10,12 +10,14 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
+from jaxmorph._host.door import checked
 from jaxmorph._host.files import complete, output_path
 from jaxmorph.shapes import names
 
 ENDINGS = (".csv", ".json")
 
 
+@checked
 def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: PyTree) -> None:
     """Writes design variables by name, each with its value and its derivative.
 
@@ -50,6 +52,7 @@ def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: P
         partial.write_text(stream.getvalue(), encoding="utf-8")
 
 
+@checked
 def check_gradient_output(path: str | os.PathLike[str]) -> pathlib.Path:
     """Raises `ValueError` for a file that `write_gradient` cannot write, before any work; returns its path."""
     return output_path(path, *ENDINGS)

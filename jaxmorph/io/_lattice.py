@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from .._host.door import checked, finite_array
 from .._host.files import complete, output_path
 from .._mesh.exchange import imported
 
 
+@checked
 def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
     """Writes a lattice of control points as a structured grid in VTK's XML, which ParaView opens.
 
@@ -20,16 +22,15 @@ def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
 
     **Raises:** `ValueError` for another shape or another ending, `ImportError` without pyvista.
     """
-    path, points = check_lattice_output(file), np.asarray(points, float)
+    path, points = check_lattice_output(file), finite_array("points", points, (None, None, 2), (None, None, None, 3))
     d = points.shape[-1]
-    if d not in (2, 3) or points.ndim != d + 1:
-        raise ValueError(f"a lattice has shape (i, j, 2) or (i, j, k, 3), not {points.shape}.")
     full = np.zeros((*points.shape[:-1], *(1,) * (3 - d), 3))
     full[..., :d] = points.reshape(*full.shape[:-1], d)
     with complete(path) as partial:
         imported("pyvista", "plot").StructuredGrid(*np.moveaxis(full, -1, 0)).save(partial)
 
 
+@checked
 def check_lattice_output(file: str | os.PathLike[str]) -> pathlib.Path:
     """Raises `ValueError` or `ImportError` for a file that `write_lattice` cannot write, before any work; returns its path."""
     path = output_path(file, ".vts")

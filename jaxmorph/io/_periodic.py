@@ -2,9 +2,11 @@
 
 import jaxmorph as jm
 
+from .._host.door import checked
 from ._format import Source
 
 
+@checked
 def periodic(mesh: jm.Mesh) -> tuple[jm.Periodic, ...]:
     """Lists the periodic patches that a mesh's file names: `cyclic` ones of an OpenFOAM case, periodic interfaces of CGNS.
 

@@ -9,6 +9,7 @@ from jaxtyping import Shaped
 
 from jaxmorph import Mesh
 from jaxmorph._host import files
+from jaxmorph._host.door import checked
 from jaxmorph._host.topology import repeated_cells
 
 from ._format import FolderCodec, Format, Source
@@ -37,6 +38,7 @@ def format_of(path: pathlib.Path) -> Format:
     raise ValueError(f"{path}: unknown file ending {path.suffix!r}; known are {known}, and folders of OpenFOAM.")
 
 
+@checked
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
@@ -74,6 +76,7 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     return mesh
 
 
+@checked
 def write(
     path: str | os.PathLike[str],
     mesh: Mesh,
@@ -125,6 +128,7 @@ def write(
         chosen.codec().write(partial, mesh, *arrays)
 
 
+@checked
 def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
     """Checks a path as `write` does, before any work.
 

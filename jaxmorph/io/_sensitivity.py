@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
+from jaxmorph._host.door import checked, finite_array, rows_of
 from jaxmorph._host.files import complete, output_path, read_arrays, real_array
 
 from ._surface import read_table
@@ -20,6 +21,7 @@ ENDINGS = (".csv", ".npz")
 """Endings of the files that `write_sensitivity` writes."""
 
 
+@checked
 def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
     """Reads dJ/d(points) for every node of the mesh: what `pullback` takes.
 
@@ -75,6 +77,7 @@ def _arrays(path: pathlib.Path, n: int) -> tuple[np.ndarray, np.ndarray]:
     return ids, values
 
 
+@checked
 def write_sensitivity(
     path: str | os.PathLike[str], ids: Int[np.ndarray, " m"], values: Float[np.ndarray, "m d"]
 ) -> None:
@@ -86,24 +89,23 @@ def write_sensitivity(
     - `ids`: the nodes' ids, as `plan.moving`.
     - `values`: a row for each of them, as `pullback` gives.
 
-    **Raises:** `ValueError` for another ending.
+    **Raises:** `ValueError` for another ending, ids that are none, and values of another shape or that are not finite.
     """
-    path, values = check_sensitivity_output(path), np.asarray(values, dtype=float)
+    path, ids = check_sensitivity_output(path), rows_of("ids", ids, 2**62)
+    values = finite_array("values", values, (len(ids), 2), (len(ids), 3)).astype(float)
     if path.suffix.lower() == ".npz":
         stream = io.BytesIO()
-        np.savez_compressed(stream, ids=np.asarray(ids), sensitivity=values)
+        np.savez_compressed(stream, ids=ids, sensitivity=values)
         content = stream.getvalue()
     else:
         header = ",".join(["id", *(f"dJ_d{axis}" for axis in "xyz"[: values.shape[1]])])
-        rows = [
-            f"{node},{','.join(map(repr, row))}"
-            for node, row in zip(np.asarray(ids).tolist(), values.tolist(), strict=True)
-        ]
+        rows = [f"{node},{','.join(map(repr, row))}" for node, row in zip(ids.tolist(), values.tolist(), strict=True)]
         content = "\n".join([header, *rows, ""]).encode()
     with complete(path) as partial:
         partial.write_bytes(content)
 
 
+@checked
 def check_sensitivity_output(path: str | os.PathLike[str]) -> pathlib.Path:
     """Raises `ValueError` for a file that `write_sensitivity` cannot write, before any work; returns its path."""
     return output_path(path, *ENDINGS)

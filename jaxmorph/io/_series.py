@@ -10,9 +10,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from jaxmorph import Mesh, QualityReport
-from jaxmorph._host.files import complete
+from jaxmorph._host.door import checked
+from jaxmorph._host.files import complete, output_path
 
-from ._moved import cell_arrays
+from ._moved import cell_arrays, displacement_of
 
 NUMBERS = {
     "line": (2, 2),
@@ -43,14 +44,15 @@ class XDMFSeries:
     **Raises:** `ImportError` where h5py is missing, `ValueError` for another ending.
     """
 
+    @checked
     def __init__(self, path: str | os.PathLike[str], mesh: Mesh):
-        path = pathlib.Path(path)
-        if path.suffix != ".xdmf":
-            raise ValueError(f"{path}: .xdmf expected.")
+        path = output_path(path, ".xdmf")
         try:
             import h5py
         except ImportError as error:
             raise ImportError("XDMF files need h5py: pip install 'jaxmorph[io]'") from error
+        if not sum(map(len, mesh.cells.values())):
+            raise ValueError(f"{path}: `mesh` has no cells; XDMF files hold meshes.")
         self.path, self.arrays = path, path.with_suffix(".h5")
         self._mesh, self._grids = mesh, []
         self._stack = contextlib.ExitStack()
@@ -75,10 +77,11 @@ class XDMFSeries:
         with contextlib.suppress(_Nothing):
             self._stack.__exit__(_Nothing, _Nothing(), None)
 
+    @checked
     def add(self, time: float, moved: Mesh, report: QualityReport) -> None:
         """Adds the moved mesh at a time, with its displacement and the quality of each cell."""
         step = str(len(self._grids))
-        displacement = _in_3d(np.asarray(moved.points) - np.asarray(self._mesh.points))
+        displacement = _in_3d(displacement_of(self._mesh, moved))
         attributes = [self._attribute("displacement", f"{step}/displacement", displacement, "Node", "Vector")]
         for name, values in cell_arrays(report).items():
             attributes.append(self._attribute(name, f"{step}/{name}", values, "Cell", "Scalar"))
@@ -109,13 +112,17 @@ def _in_3d(values: np.ndarray) -> np.ndarray:
     return np.pad(values.astype(float), ((0, 0), (0, 3 - values.shape[1])))
 
 
+@checked
 def write_pvd(path: str | os.PathLike[str], files: Sequence[str | os.PathLike[str]], times: Sequence[float]) -> None:
     """Writes ParaView's collection of files (.pvd), each of `files` at one of `times`, named as they stand in its folder."""
+    path = output_path(path, ".pvd")
+    if len(files) != len(times):
+        raise ValueError(f"`times` has {len(times)} numbers for {len(files)} `files`.")
     rows = [
         f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(pathlib.Path(file).name)}/>'
         for file, time in zip(files, times, strict=True)
     ]
     head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
     text = "\n".join([*head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""])
-    with complete(pathlib.Path(path)) as partial:
+    with complete(path) as partial:
         partial.write_bytes(text.encode())

@@ -7,12 +7,14 @@ import re
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._host.door import checked
 from .text.sections import Section
 
 IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
 """Names that headers give to the column of node ids, which is the first one otherwise."""
 
 
+@checked
 def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
     """Reads node ids and d numbers for each, from lines `id, x, y[, z]`: SU2's surface files, or comma-separated values.
 

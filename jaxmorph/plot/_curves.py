@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
+from jaxmorph._host.door import checked, finite_array
 from jaxmorph._plan.prepare import boundary_of, plan_of
 from jaxmorph._quality.report import MEASURES
 
@@ -16,6 +17,7 @@ from ._sources import of_plan, radial_basis_functions
 from ._style import BLUE, DARK, GREEN, GREY, ORANGE
 
 
+@checked
 def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", ax: Axes | None = None) -> Axes:
     """Draws how many cells have which value of a measure, for several reports by name: `{"before": ..., "after": ...}`.
 
@@ -68,6 +70,7 @@ class SurfaceErrors:
     mean: Float[np.ndarray, " r"]
 
 
+@checked
 def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.AbstractReduction]) -> SurfaceErrors:
     """Measures, on the host, how far a plan's radial basis functions miss a displacement `u` (m, d) without a correction.
 
@@ -87,9 +90,7 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
     """
     rbf = radial_basis_functions(plan)
     points, m = np.asarray(plan.points), plan.n_moving
-    u = np.asarray(u, dtype=points.dtype)
-    if u.shape != (m, points.shape[1]):
-        raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {points.shape[1]} dimensions.")
+    u = finite_array("u", u, (m, points.shape[1])).astype(points.dtype)
     if not np.any(u):
         raise ValueError("`u` is zero: every reduction follows it.")
     if not len(reductions):
@@ -111,6 +112,7 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
     return SurfaceErrors(number, largest / size, mean / size)
 
 
+@checked
 def convergence(errors: Mapping[str, SurfaceErrors], *, ax: Axes | None = None) -> Axes:
     """Draws the error on the surface against the number of sources, for families of reductions by name: `{"k-d tree": ...}`.
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from jaxmorph._host.door import checked, finite_array, whole
 from jaxmorph._host.files import complete, output_path
 
 from ._plane import Axes, plt
@@ -18,6 +19,7 @@ from ._space import WINDOW, box, kept, set_view, view_of, whole_view
 Picture = UInt8[np.ndarray, "h w 3"]
 
 
+@checked
 def swing(points: Float[Any, "n d"], extreme: Float[Any, "n d"], *, frames: int = 24) -> Float[np.ndarray, "f n d"]:
     """Computes one period of a mode: nodes go to `extreme` and as far to the other side, in straight lines, as a sine of time.
 
@@ -33,19 +35,18 @@ def swing(points: Float[Any, "n d"], extreme: Float[Any, "n d"], *, frames: int 
 
     **Raises:** `ValueError` where the shapes differ, and for fewer than 2 frames.
     """
-    points, extreme = np.asarray(points), np.asarray(extreme)
-    if points.shape != extreme.shape or points.ndim != 2:
-        raise ValueError(f"`points` has shape {points.shape}, `extreme` {extreme.shape}; both should be (n, d).")
-    if frames < 2:
-        raise ValueError(f"a period has at least 2 frames, not {frames}.")
+    points = finite_array("points", points, (None, 2), (None, 3))
+    extreme = finite_array("extreme", extreme, points.shape)
+    whole("frames", frames, 2)
     phases = np.sin(2 * np.pi * np.arange(frames) / frames)
     return points + phases[:, None, None] * (extreme - points)
 
 
+@checked
 def animate(
     path: str | os.PathLike,
     draw: Callable[[Float[np.ndarray, "n d"]], Any],
-    frames: Sequence[Float[Any, "n d"]] | Float[Any, "f n d"],
+    frames: Float[Any, "f n d"] | Sequence[Float[Any, "n d"]],
     *,
     rate: float | int = 12,
 ) -> pathlib.Path:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, UInt32
 
 import jaxmorph as jm
+from jaxmorph._host.door import checked
 from jaxmorph._host.files import complete, output_path
 from jaxmorph._host.topology import CORNERS, VTK
 
@@ -36,6 +37,7 @@ FIELD_OF_VIEW = 30
 """Angle that the camera sees, in degrees."""
 
 
+@checked
 def page(
     path: str | os.PathLike,
     mesh: jm.Mesh,

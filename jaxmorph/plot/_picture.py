@@ -8,15 +8,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
+from jaxmorph._host.door import checked, rows_of
 from jaxmorph._host.files import complete, output_path
 
 from ._page import page
 from ._plane import ROOM, Window, mesh
 from ._space import before_after_3d
+from ._style import finite
 
 Reports = tuple[jm.QualityReport, jm.QualityReport]
 
 
+@checked
 def picture(
     path: str | os.PathLike[str],
     before: jm.Mesh,
@@ -37,7 +40,8 @@ def picture(
 
     **Raises:** `ValueError` for another ending.
     """
-    d = before.points.shape[1]
+    finite(points)
+    d, moving = before.points.shape[1], rows_of("moving", moving, len(before.points))
     path = output_path(path, *((".png",) if d == 2 else (".png", ".html")))
     if d == 2:
         content = _in_2d(before, np.asarray(points), moving, reports or _reports(before, points))

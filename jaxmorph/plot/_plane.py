@@ -8,7 +8,8 @@ from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 
-from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, check_values, colour_scale
+from .._host.door import checked, finite_array
+from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, check_values, colour_scale, finite
 
 try:
     import matplotlib.pyplot as plt
@@ -28,6 +29,7 @@ ROOM = 0.4
 FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
 
 
+@checked
 def mesh(
     mesh: jm.Mesh,
     points: Float[Any, "n 2"] | None = None,
@@ -78,6 +80,7 @@ def mesh(
     return ax
 
 
+@checked
 def before_after(
     mesh: jm.Mesh, points: Float[Any, "n 2"], *, window: Window | None = None, ax: Axes | None = None
 ) -> Axes:
@@ -101,6 +104,7 @@ def before_after(
     return ax
 
 
+@checked
 def graph(
     plan: jm.Plan,
     u: Float[Any, "m 2"] | None = None,
@@ -130,7 +134,7 @@ def graph(
     nodes = np.concatenate([moving, fixed])
     simplices = nodes[Delaunay(points[nodes]).simplices]
     if u is not None:
-        points = np.asarray(jm.deform(plan, u))
+        points = np.asarray(jm.deform(plan, finite_array("u", u, (plan.n_moving, 2))))
     ax = given_or_new(ax)
     show(ax, _round(points[moving], points) if window is None else window)
     if interior:
@@ -153,20 +157,23 @@ def _corners(mesh: jm.Mesh, points: Any) -> Float[np.ndarray, "k 4 2"]:
         raise ValueError(
             f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."
         )
-    points = np.asarray(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+    if not sum(map(len, mesh.cells.values())):
+        raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
+    points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
     ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.cells.items()]
     return points[np.concatenate(ids)]
 
 
 def flat(points: Any, other: str | None = None) -> Float[np.ndarray, "n 2"]:
     """Checks that points are 2-D; the `ValueError` for others names the `other` function, for 3-D."""
-    points = np.asarray(points, dtype=float)
+    points = finite(points)
     if points.ndim != 2 or points.shape[1] != 2:
         see = "" if other is None else f"; see `{other}`"
         raise ValueError(f"this is for points in 2-D, not of shape {points.shape}{see}.")
     return points
 
 
+@checked
 def whole(points: Float[Any, "n 2"]) -> Window:
     """Computes the window that shows all points.
 

@@ -9,11 +9,13 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 
+from .._host.door import checked
 from ._plane import Axes, Window, flat, given_or_new, show
 from ._space import add_legend, aim, new_plotter, pyvista
-from ._style import BLUE, DARK, GREEN, GREY, ORANGE
+from ._style import BLUE, DARK, GREEN, GREY, ORANGE, finite
 
 
+@checked
 def sources(
     surface: jm.Plan | Float[Any, "m 2"],
     reduction: jm.AbstractReduction | None = None,
@@ -59,6 +61,7 @@ def sources(
     return ax
 
 
+@checked
 def sources_3d(
     surface: jm.Plan | Float[Any, "m 3"],
     reduction: jm.AbstractReduction | None = None,
@@ -158,7 +161,7 @@ def of_plan(plan: jm.Plan, fixed: bool = True) -> tuple[list[tuple[np.ndarray, j
 def _checked(points: Any, dimension: int) -> np.ndarray:
     if dimension == 2:
         return flat(points, "plot.sources_3d")
-    points = np.asarray(points, dtype=float)
+    points = finite(points)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"this is for points in 3-D, not of shape {points.shape}; see `plot.sources`.")
     return points

@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
+from jaxmorph._host.door import checked
 from jaxmorph._host.topology import VTK
 
-from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, check_values, colour_scale
+from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, check_values, colour_scale, finite
 
 VIEWER = -1.0, -2.5, 1.8
 """The direction towards the viewer: x to the right, y away, z up."""
@@ -28,6 +29,7 @@ WINDOW = 1600, 900
 """Pixels of a picture."""
 
 
+@checked
 def surface(
     mesh: jm.Mesh,
     points: Float[Any, "n 3"] | None = None,
@@ -56,6 +58,7 @@ def surface(
     return _draw(outside(mesh, points, values, patch), limits, label, bar, plotter)
 
 
+@checked
 def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None) -> Any:
     """Draws the undeformed outside of a 3-D mesh, or of a patch, in orange, and the deformed one in blue (figure 7a of the paper).
 
@@ -83,6 +86,7 @@ def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | No
     return plotter
 
 
+@checked
 def cut(
     mesh: jm.Mesh,
     points: Float[Any, "n 3"] | None = None,
@@ -142,7 +146,7 @@ def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     """Turns the mesh into pyvista's."""
     if mesh.points.shape[1] != 3:
         raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
-    points = np.asarray(mesh.points if points is None else mesh.moved(np.asarray(points)).points, dtype=float)
+    points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
     grid = pyvista().UnstructuredGrid({VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
     if values is not None:
         check_values(values, grid.n_cells)

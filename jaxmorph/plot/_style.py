@@ -19,6 +19,14 @@ DISPLACEMENT = "YlGnBu"
 """For lengths of displacements: of another hue, ordered by lightness too."""
 
 
+def finite(points: Any) -> np.ndarray:
+    """Returns points as an array; raises `ValueError` for those that are not finite."""
+    array = np.asarray(points, dtype=float)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `points` are not finite.")
+    return array
+
+
 def check_values(values: Any, cells: int) -> None:
     """Raises `ValueError` unless there is one value for each cell."""
     if np.shape(values) != (cells,):

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._door import Numbers, positions
+from .._host.door import checked
+from ._door import Numbers, check_finite, positions
 from ._rigid import turn
 from ._shape import AbstractShape
 
@@ -41,6 +42,7 @@ class ReferenceAxis(AbstractShape):
     spanwise: Float[Array, " 3"]
     cubic: bool = eqx.field(static=True)
 
+    @checked
     def __init__(
         self,
         points: Numbers,
@@ -50,6 +52,7 @@ class ReferenceAxis(AbstractShape):
         cubic: bool = False,
     ):
         known, along, across = np.asarray(points, float), np.asarray(chordwise, float), np.asarray(spanwise, float)
+        check_finite(points=known, chordwise=along, spanwise=across)
         if along.shape != (3,) or across.shape != (3,) or not along.any() or not across.any():
             raise ValueError(f"`chordwise` is {along}, `spanwise` {across}; expected directions (3,).")
         along, across = along / np.linalg.norm(along), across / np.linalg.norm(across)

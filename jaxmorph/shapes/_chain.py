@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
+from .._host.door import check_fields, checked
 from .._kernels.values import is_known
 from ._door import Numbers, positions
 from ._shape import AbstractShape
@@ -26,6 +27,9 @@ class Function(AbstractShape):
 
     function: Callable[[Any, Any], Any]
     rest: PyTree
+
+    def __check_init__(self):
+        check_fields(self)
 
     def neutral(self) -> PyTree:
         """Returns the parameters that move nothing."""
@@ -53,6 +57,7 @@ class Chain(AbstractShape):
     names: tuple[str, ...] = eqx.field(static=True)
     shapes: tuple[AbstractShape, ...]
 
+    @checked
     def __init__(self, shapes: Mapping[str, AbstractShape]):
         if not shapes:
             raise ValueError("`Chain` needs one shape or more.")
@@ -89,6 +94,7 @@ class OnRows(AbstractShape):
     shape: AbstractShape
     rows: Int[Array, " k"]
 
+    @checked
     def __init__(self, shape: AbstractShape, rows: Any):
         rows = np.asarray(rows)
         if rows.ndim != 1 or rows.dtype.kind not in "iu" or (rows < 0).any() or len(np.unique(rows)) != len(rows):

@@ -6,6 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from .._host.door import check_fields
 from ._door import Numbers, positions
 from ._freeform import FreeForm
 from ._lattice import LatticeOperator
@@ -53,6 +54,9 @@ class Child(AbstractLinearShape):
 
     child: FreeForm
     parent: AbstractLinearShape
+
+    def __check_init__(self):
+        check_fields(self)
 
     def neutral(self) -> tuple[PyTree, PyTree]:
         """Makes the parameters that move nothing."""

@@ -10,7 +10,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
-from ._door import Numbers, positions
+from .._host.door import checked
+from ._door import Numbers, check_finite, positions
 from ._shape import AbstractLinearShape, AbstractOperator
 
 
@@ -42,8 +43,10 @@ class Linked(AbstractLinearShape):
     shape: AbstractLinearShape
     matrix: Float[Array, "p q"]
 
+    @checked
     def __init__(self, shape: AbstractLinearShape, matrix: Numbers):
         self.shape, self.matrix = shape, jnp.asarray(matrix, float)
+        check_finite(matrix=self.matrix)
         count = sum(leaf.size for leaf in jax.tree.leaves(shape.neutral()))
         if self.matrix.ndim != 2 or len(self.matrix) != count:
             raise ValueError(
@@ -80,6 +83,7 @@ class Together(AbstractLinearShape):
 
     shapes: tuple[AbstractLinearShape, ...]
 
+    @checked
     def __init__(self, *shapes: AbstractLinearShape):
         if not shapes:
             raise ValueError("`Together` needs one shape or more.")
@@ -118,6 +122,7 @@ class Part(AbstractLinearShape):
     shape: AbstractLinearShape
     kept: Bool[Array, " m"]
 
+    @checked
     def __init__(self, shape: AbstractLinearShape, kept: Any):
         kept = np.asarray(kept)
         if kept.ndim != 1 or kept.dtype != bool:

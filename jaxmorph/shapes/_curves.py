@@ -1,15 +1,14 @@
 """Shapes of a wall along one coordinate: bumps of Hicks and Henne, class and shape functions, a B-spline, given modes."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._host.door import checked
 from . import _bspline
 from ._combine import MatrixOperator
-from ._door import Numbers, known_positions, positions
+from ._door import Numbers, check_finite, known_positions, positions
 from ._section import Chord
 from ._shape import AbstractLinearShape, AbstractOperator
 
@@ -33,10 +32,12 @@ class HicksHenne(AbstractLinearShape):
     widths: Float[Array, " k"]
     chord: Chord
 
-    def __init__(self, centres: Numbers, widths: Any = 3.0, *, chord: Chord | None = None):
+    @checked
+    def __init__(self, centres: Numbers, widths: Numbers = 3.0, *, chord: Chord | None = None):
         known = np.asarray(centres, float)
         if known.ndim != 1 or not ((known > 0) & (known < 1)).all():
             raise ValueError(f"`centres` must be (k,) between 0 and 1, got {known}.")
+        check_finite(widths=widths)
         if np.shape(widths) not in ((), known.shape) or not (np.asarray(widths) > 0).all():
             raise ValueError(f"`widths` must be one number above 0, or {len(known)} of them.")
         bumps = np.column_stack([known, np.broadcast_to(np.asarray(widths, float), known.shape)])
@@ -77,6 +78,7 @@ class CST(AbstractLinearShape):
     exponents: tuple[float, float] = eqx.field(static=True)
     chord: Chord
 
+    @checked
     def __init__(self, order: int, exponents: tuple[float, float] = (0.5, 1.0), *, chord: Chord | None = None):
         if order < 1 or min(exponents) <= 0:
             raise ValueError(f"order {order} and exponents {exponents} must be 1 or more, and above 0.")
@@ -117,6 +119,7 @@ class BSplineCurve(AbstractLinearShape):
     count: int = eqx.field(static=True)
     degree: int = eqx.field(static=True)
 
+    @checked
     def __init__(self, points: Numbers, count: int, degree: int = 3):
         known = known_positions(points, "points")
         steps = np.linalg.norm(np.diff(known, axis=0), axis=1)
@@ -157,8 +160,10 @@ class Modes(AbstractLinearShape):
 
     fields: Float[Array, "k m d"]
 
-    def __init__(self, fields: Any):
+    @checked
+    def __init__(self, fields: Numbers):
         self.fields = jnp.asarray(fields, float)
+        check_finite(fields=self.fields)
         if self.fields.ndim != 3:
             raise ValueError(f"`fields` has shape {self.fields.shape}; expected (k, m, d).")
 

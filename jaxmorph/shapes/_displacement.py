@@ -8,16 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from .._host.door import checked, whole
 from .._plan.plan import Plan
 from .._plan.plan import pullback as to_nodes
 from .._plan.steps import replay
-from ._door import Numbers, positions
+from ._door import Numbers, check_parameters, positions
 from ._shape import AbstractLinearShape
 
 AnyShape = Callable[[Any, Any], Any]
 
 
-def displacement(shape: AnyShape, plan: Any, parameters: PyTree) -> Float[Array, "m d"]:
+@checked
+def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array, "m d"]:
     """Computes the displacement of a plan's moving nodes by a shape: the `u` of `deform(plan, u)`.
 
     **Arguments:**
@@ -33,6 +35,7 @@ def displacement(shape: AnyShape, plan: Any, parameters: PyTree) -> Float[Array,
     return moves(shape, plan.moving_points, parameters)
 
 
+@checked
 def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[Array, "k m d"]:
     """Computes the total displacements at the ends of equal steps of the parameters: the path of `march`.
 
@@ -50,18 +53,22 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     **Raises:** `ValueError` for no steps, for a plain function in more than one, and as `displacement` does.
     """
     x = positions(x)
-    if steps < 1:
-        raise ValueError(f"`steps` is {steps}; it must be 1 or more.")
+    whole("steps", steps)
+    check_parameters(parameters)
     if steps == 1:
         return moves(shape, x, parameters)[None]
     start = neutral(shape)
     if jax.tree.structure(start) != jax.tree.structure(parameters):
         raise ValueError(f"parameters for several steps must all be given: {jax.tree.structure(start)}.")
+    sizes = [[np.shape(leaf) for leaf in jax.tree.leaves(each)] for each in (parameters, start)]
+    if sizes[0] != sizes[1]:
+        raise ValueError(f"`parameters` have shapes {sizes[0]}; this shape takes {sizes[1]}.")
     shares = [(j + 1) / steps for j in range(steps)]
     at = [jax.tree.map(lambda a, b, share=share: a + share * (b - a), start, parameters) for share in shares]
     return jnp.stack([moves(shape, x, each) for each in at])
 
 
+@checked
 def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, cotangent: Numbers) -> PyTree:
     """Takes dJ/d(points) of all nodes to dJ/d(parameters) of the shape that moved the mesh.
 
@@ -76,6 +83,7 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
 
     **Raises:** `ValueError` for another number of nodes, and as `path` does.
     """
+    check_parameters(parameters)
     plans = (plan,) if isinstance(plan, Plan) else tuple(plan)
     if not plans or np.shape(cotangent) != plans[0].points.shape:
         expected = plans[0].points.shape if plans else "plans of a march"
@@ -106,6 +114,9 @@ def moves(shape: AnyShape, x: Float[Array, "m d"], parameters: PyTree) -> Float[
 
     **Raises:** `ValueError` where the shape returns another number of positions.
     """
+    check_parameters(parameters)
+    if isinstance(shape, AbstractLinearShape) and parameters is None:
+        raise ValueError("`parameters` is None; `shape.neutral()` gives those that move nothing.")
     if isinstance(shape, AbstractLinearShape):
         return shape.at(x)(parameters)
     moved = shape(x, parameters)

@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
+from .._host.door import shown
 from .._kernels.values import is_known
 
 Number = Real[ArrayLike, ""]
@@ -34,6 +36,20 @@ def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
     if len(bad):
         raise ValueError(f"{len(bad)} of {len(known)} rows of `{name}` are not finite, first row {bad[0]}.")
     return known
+
+
+def check_finite(**arrays: Any) -> None:
+    """Raises `ValueError` for the first array that can be read and is not finite."""
+    for name, values in arrays.items():
+        if values is not None and is_known(values) and not (finite := np.isfinite(np.asarray(values, float))).all():
+            raise ValueError(f"{(~finite).sum()} of {finite.size} numbers of `{name}` are not finite.")
+
+
+def check_parameters(parameters: Any) -> None:
+    """Raises `ValueError` for a leaf of parameters that holds no real numbers."""
+    for leaf in jax.tree.leaves(parameters):
+        if not hasattr(leaf, "dtype") and np.asarray(leaf).dtype.kind not in "fiub":
+            raise ValueError(f"`parameters` holds {shown(leaf)}; design variables are real numbers.")
 
 
 def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:

@@ -9,6 +9,7 @@ import optimistix
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
+from .._host.door import checked, whole
 from .._kernels.values import is_known
 from ._combine import Part, Together
 from ._curves import CST
@@ -47,6 +48,7 @@ class Fit(eqx.Module):
         return self.residual.max()
 
 
+@checked
 def fit(
     shape: Callable, points: Numbers, targets: Numbers, start: PyTree | None = None, *, max_steps: int = 100
 ) -> Fit:
@@ -67,6 +69,7 @@ def fit(
     **Raises:** `ValueError` for different shapes, values that are not finite, no `start` for a function, and parameters of which
     none moves a point.
     """
+    whole("max_steps", max_steps)
     points, targets = positions(points, "points"), positions(targets, "targets")
     for x, name in ((points, "points"), (targets, "targets")):
         if is_known(x):
@@ -94,6 +97,7 @@ def fit(
     return Fit(unravel(flat), residual, rank, len(flat))
 
 
+@checked
 def fit_cst(
     points: Numbers, order: int, exponents: tuple[float, float] = (0.5, 1.0), *, chord: Chord | None = None
 ) -> tuple[Together, Fit]:

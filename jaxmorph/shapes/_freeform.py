@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._host.door import between, checked, whole
 from .._kernels.values import is_known
 from . import _bspline
 from ._blocks import Blocks
 from ._combine import Linked
-from ._door import Numbers, known_positions, positions
+from ._door import Numbers, check_finite, known_positions, positions
 from ._lattice import LatticeOperator, Rows
 from ._links import link_matrix
 from ._shape import AbstractLinearShape
@@ -45,6 +46,7 @@ class FreeForm(AbstractLinearShape):
     degrees: tuple[int, ...] = eqx.field(static=True)
     continuity: int | None = eqx.field(static=True)
 
+    @checked
     def __init__(
         self,
         origin: Numbers,
@@ -55,6 +57,7 @@ class FreeForm(AbstractLinearShape):
         continuity: int | None = None,
     ):
         origin, axes = jnp.asarray(origin, float), jnp.asarray(axes, float)
+        check_finite(origin=origin, axes=axes)
         d = origin.size
         if origin.shape not in ((2,), (3,)) or axes.shape != (d, d):
             raise ValueError(f"`origin` has shape {origin.shape} and `axes` {axes.shape}; expected (d,) and (d, d).")
@@ -69,6 +72,7 @@ class FreeForm(AbstractLinearShape):
             )
 
     @staticmethod
+    @checked
     def around(
         points: Numbers,
         counts: Sequence[int],
@@ -95,6 +99,7 @@ class FreeForm(AbstractLinearShape):
         if not len(points):
             raise ValueError("`points` has no rows: there is nothing to put a box around.")
         low, high = points.min(axis=0), points.max(axis=0)
+        between("margin", margin, 0, ends="[)")
         space = margin * (high - low).max()
         return FreeForm(low - space, jnp.diag(high - low + 2 * space), counts, degree=degree, continuity=continuity)
 
@@ -156,6 +161,7 @@ class FreeForm(AbstractLinearShape):
         t = jnp.stack(jnp.meshgrid(*shares, indexing="ij"), axis=-1)
         return t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
 
+    @checked
     def linked(
         self,
         *,
@@ -185,6 +191,8 @@ class FreeForm(AbstractLinearShape):
             raise ValueError(f"{len(bad)} entries of `groups` are no control of {self.counts}, first {bad[0]}.")
         reflected = None
         if mirror is not None:
+            if whole("mirror", mirror, 0) >= d:
+                raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {d - 1}.")
             signs = np.where(np.asarray(self.axes)[mirror] != 0, -1, 1)
             if (signs < 0).sum() != 1:
                 raise ValueError(f"edge {mirror} of the box is along no axis: its controls cannot be mirrored.")
@@ -195,6 +203,7 @@ class FreeForm(AbstractLinearShape):
             raise ValueError("no control point is left free.")
         return Linked(self, matrix)
 
+    @checked
     def raise_if_outside(self, x: Numbers) -> None:
         """Raises where positions (m, d) that the box should hold are outside, and would stay.
 
@@ -209,6 +218,7 @@ class FreeForm(AbstractLinearShape):
                 "Try a larger box."
             )
 
+    @checked
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
         """Raises where the box would tear a wall: nodes outside of it stay while the border beside them moves past them.
 
@@ -219,7 +229,7 @@ class FreeForm(AbstractLinearShape):
 
         **Raises:** `ValueError` with the number of nodes that are nearer to the border than it moves there.
         """
-        x = np.asarray(positions(x))
+        x = known_positions(x)
         t = np.asarray(self.coordinates(jnp.asarray(x)))
         outside = ~np.asarray(self.holds(jnp.asarray(t)))
         border = np.asarray(self.origin) + np.clip(t, 0, 1) @ np.asarray(self.axes)

@@ -4,11 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._host.door import checked
 from .._kernels.values import is_known
 from ._door import Number, Numbers, axis_for, direction, number, positions, positive, vector
 from ._rigid import turn
 
 
+@checked
 def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Number) -> Float[Array, "m 3"]:
     """Twists positions about an axis: each section turns in proportion to its distance along the axis.
 
@@ -35,6 +37,7 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
     return x + turn(arm, number("angle", angle, x) * share[:, None], along)
 
 
+@checked
 def bend(
     x: Numbers, angle: Number, about: Numbers, along: Numbers, length: Number, axis: Numbers | None = None
 ) -> Float[Array, "m d"]:

@@ -11,12 +11,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._host.door import checked
 from .._host.topology import boundary_faces
 from .._kernels.values import is_known
+from .._mesh.mesh import Mesh
 from ._door import Numbers, positions, rows_of, vector
 
 
-def wall_loop(mesh: Any, patch: str) -> Int[np.ndarray, " k"]:
+def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
+    return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
+
+
+@checked
+def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
     """Finds the nodes of a closed wall in 2-D in order, counter-clockwise.
 
     **Arguments:**
@@ -29,7 +36,7 @@ def wall_loop(mesh: Any, patch: str) -> Int[np.ndarray, " k"]:
     **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or branches.
     """
     nodes = mesh.patch(patch)
-    segments = boundary_faces(mesh.cells, len(mesh.points), nodes).get("line", np.zeros((0, 2), int))
+    segments = boundary_faces(_cells(mesh), len(mesh.points), nodes).get("line", np.zeros((0, 2), int))
     ends, degree = np.unique(segments, return_counts=True)
     if len(segments) == 0 or (degree != 2).any():
         where = f", first node {ends[degree != 2][0]}" if len(segments) else ""
@@ -48,7 +55,8 @@ def wall_loop(mesh: Any, patch: str) -> Int[np.ndarray, " k"]:
     return ids if float(area(np.asarray(mesh.points), ids)) > 0 else ids[::-1].copy()
 
 
-def wall_faces(mesh: Any, patch: str) -> list[Int[np.ndarray, "k corners"]]:
+@checked
+def wall_faces(mesh: Mesh, patch: str) -> list[Int[np.ndarray, "k corners"]]:
     """Lists the faces of a wall in 3-D, triangles and quads, as the mesh's cells order them.
 
     **Arguments:**
@@ -60,13 +68,14 @@ def wall_faces(mesh: Any, patch: str) -> list[Int[np.ndarray, "k corners"]]:
 
     **Raises:** `ValueError` for a patch without faces.
     """
-    faces = boundary_faces(mesh.cells, len(mesh.points), mesh.patch(patch))
+    faces = boundary_faces(_cells(mesh), len(mesh.points), mesh.patch(patch))
     faces.pop("line", None)
     if not faces:
         raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
     return list(faces.values())
 
 
+@checked
 def area(x: Numbers, loop: Any) -> Float[Array, ""]:
     """Computes the area within a loop (2-D), positive where the loop runs counter-clockwise.
 
@@ -83,6 +92,7 @@ def area(x: Numbers, loop: Any) -> Float[Array, ""]:
     return 0.5 * jnp.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
+@checked
 def centroid(x: Numbers, loop: Any) -> Float[Array, " 2"]:
     """Computes the centre of the area within a loop (2-D).
 
@@ -100,6 +110,7 @@ def centroid(x: Numbers, loop: Any) -> Float[Array, " 2"]:
     return origin + jnp.sum((a + b) * twice[:, None], axis=0) / (3 * jnp.sum(twice))
 
 
+@checked
 def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array, ""]:
     """Computes the volume within faces (3-D), positive where they are outward.
 
@@ -121,6 +132,7 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
     return jnp.sum(a * jnp.cross(b, c)) / 6
 
 
+@checked
 def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
     """Computes the distance from nose to tail of an airfoil.
 
@@ -139,6 +151,7 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
     return jnp.linalg.norm(ends[1] - ends[0])
 
 
+@checked
 def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
     """Computes the curvature at each node of a loop (2-D): of the circle through it and its neighbours, positive where convex.
 
@@ -156,6 +169,7 @@ def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
     return 2 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / lengths
 
 
+@checked
 def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Float[Array, ""]:
     """Computes the radius of the nose: of the circle closest to the node farthest from the tail and `around` nodes on each side.
 
@@ -189,6 +203,7 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
     return size * jnp.sqrt(solution[0] ** 2 + solution[1] ** 2 + solution[2])
 
 
+@checked
 def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
     """Computes the angle in radians between the two sides at the trailing edge.
 

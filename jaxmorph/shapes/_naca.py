@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._host.door import between, checked
 from ._door import Numbers, positions
 from ._section import Chord
 from ._shape import AbstractShape
@@ -26,9 +27,11 @@ class NACA4(AbstractShape):
     given: Float[Array, " 3"]
     chord: Chord
 
+    @checked
     def __init__(self, camber: float, place: float, thickness: float, *, chord: Chord | None = None):
-        if not (thickness > 0 and 0 < place < 1):
-            raise ValueError(f"thickness {thickness} must be above 0, place {place} between 0 and 1.")
+        between("camber", camber)
+        between("place", place, 0, 1)
+        between("thickness", thickness, 0)
         self.given = jnp.asarray([camber, place, thickness], float)
         self.chord = Chord() if chord is None else chord
 

@@ -8,10 +8,14 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
+from .._host.door import checked
+from ._door import check_parameters
+
 LISTED = 12
 """Names in a message, at most."""
 
 
+@checked
 def names(parameters: PyTree) -> list[str]:
     """Names each number of parameters, in the order of `jax.flatten_util.ravel_pytree`.
 
@@ -23,9 +27,11 @@ def names(parameters: PyTree) -> list[str]:
 
     **Returns:** a name for each number.
     """
+    check_parameters(parameters)
     return [name for stem, leaf in _leaves(parameters) for name in _of_numbers(stem, np.shape(leaf))]
 
 
+@checked
 def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
     """Sets some parameters by name, on the host.
 
@@ -40,6 +46,7 @@ def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
     **Raises:** `ValueError` for names that are unknown or that several parameters share, counts that differ, and values
     that are not finite.
     """
+    check_parameters(parameters)
     stems, leaves = zip(*_leaves(parameters), strict=True) if jax.tree.leaves(parameters) else ((), ())
     values = [np.array(leaf, float) for leaf in leaves]
     places: dict[str, tuple[int, Any]] = {}

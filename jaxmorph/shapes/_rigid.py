@@ -6,9 +6,11 @@ Each adds an increment that is exactly zero at the neutral parameter: x comes ba
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._host.door import checked
 from ._door import Number, Numbers, axis_for, number, positions, vector
 
 
+@checked
 def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | None = None) -> Float[Array, "m d"]:
     """Rotates positions about a point in 2-D, about an axis through a point in 3-D.
 
@@ -29,6 +31,7 @@ def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | 
     return x + turn(x - vector("about", about, x)[None, :], angle, axis_for(axis, x))
 
 
+@checked
 def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
     """Translates positions.
 
@@ -45,6 +48,7 @@ def translate(x: Numbers, by: Numbers) -> Float[Array, "m d"]:
     return x + vector("by", by, x)[None, :]
 
 
+@checked
 def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array, "m d"]:
     """Scales positions about a point.
 

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ._door import Numbers, positions
+from .._host.door import checked
+from ._door import Numbers, check_finite, known_positions
 
 WINDOW = 14
 """Nodes around each one by which the two sides of an airfoil are told apart."""
@@ -26,12 +27,14 @@ class Chord(eqx.Module):
     tail: Float[Array, " d"]
     up: Float[Array, " d"]
 
+    @checked
     def __init__(self, nose: Numbers = (0.0, 0.0), tail: Numbers = (1.0, 0.0), up: Numbers | None = None):
         nose, tail = np.asarray(nose, float), np.asarray(tail, float)
         if nose.shape not in ((2,), (3,)) or nose.shape != tail.shape or (nose == tail).all():
             raise ValueError(f"a chord from {nose} to {tail}: expected two different points in 2-D or 3-D.")
         if up is None and len(nose) == 3:
             raise ValueError("`up` is missing: a chord in 3-D needs the direction across it.")
+        check_finite(nose=nose, tail=tail, up=up)
         along = (tail - nose) / np.linalg.norm(tail - nose)
         across = np.array([-along[1], along[0]]) if up is None else np.asarray(up, float)
         if across.shape != nose.shape or not np.linalg.norm(across) > 0:
@@ -53,17 +56,19 @@ class Chord(eqx.Module):
         return arm @ chord / (chord @ chord), arm @ self.up.astype(x.dtype)
 
     @staticmethod
+    @checked
     def along(points: Numbers) -> "Chord":
         """Finds the chord of an airfoil in 2-D: the tail has the largest x, the nose is the node farthest from the tail.
 
         Nodes of a blunt tail, which share the largest x, give their mean. `points` are positions (m, 2).
         """
-        known = np.asarray(positions(points, "points"))
+        known = known_positions(points, "points")
         last = known[:, 0].max()
         tail = known[known[:, 0] > last - 1e-9 * max(np.ptp(known[:, 0]), 1e-300)].mean(axis=0)
         return Chord(known[np.linalg.norm(known - tail, axis=1).argmax()], tail)
 
 
+@checked
 def upper_side(points: Numbers, chord: Chord | None = None) -> Bool[np.ndarray, " m"]:
     """Tells which nodes of an airfoil are above its mean line.
 
@@ -78,7 +83,7 @@ def upper_side(points: Numbers, chord: Chord | None = None) -> Bool[np.ndarray, 
 
     **Raises:** `ValueError` where all nodes would be on one side.
     """
-    x = positions(points, "points")
+    x = jnp.asarray(known_positions(points, "points"))
     t, height = (np.asarray(each) for each in (Chord.along(x) if chord is None else chord).coordinates(x))
     # in the angle along the chord, nodes are spread evenly where they crowd at nose and tail
     angle = np.arccos(np.clip(1 - 2 * t, -1, 1))

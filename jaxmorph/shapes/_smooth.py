@@ -13,7 +13,9 @@ from jaxtyping import Array, Float, Int
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from .._host.door import between, checked, rows_of
 from .._host.topology import boundary_faces
+from .._mesh.mesh import Mesh
 from ._door import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, AbstractOperator
 
@@ -63,14 +65,12 @@ class Smoother(AbstractLinearShape):
     dimension: int = eqx.field(static=True)
     factor: Factor = eqx.field(static=True)
 
+    @checked
     def __init__(self, points: Numbers, faces: Any, length: float, *, held: Any = ()):
         known = known_positions(points, "points").astype(float)
         pieces = _pieces(faces, known)
-        if not length >= 0:
-            raise ValueError(f"`length` is {length}; it must be 0 or more.")
-        held = np.asarray(held, int)
-        if held.size and (held.min() < 0 or held.max() >= len(known)):
-            raise ValueError(f"`held` names row {held.max()} of {len(known)} nodes.")
+        between("length", length, 0, ends="[)")
+        held = rows_of("held", held, len(known))
         masses, stiffness = _elements(known, pieces)
         if (masses <= 0).any():
             raise ValueError(f"{(masses <= 0).sum()} nodes are in no face, first row {int(np.argmin(masses))}.")
@@ -83,7 +83,8 @@ class Smoother(AbstractLinearShape):
         self.rows, self.columns, self.values = (jnp.asarray(part) for part in (matrix.row, matrix.col, matrix.data))
 
     @staticmethod
-    def on(mesh: Any, patch: str, length: float, *, held: Any = ()) -> "Smoother":
+    @checked
+    def on(mesh: Mesh, patch: str, length: float, *, held: Any = ()) -> "Smoother":
         """Makes the smoother of a mesh's patch; rows are those of `mesh.patch(patch)`.
 
         **Arguments:**
@@ -97,7 +98,7 @@ class Smoother(AbstractLinearShape):
         **Raises:** `ValueError` as the class does, and for a patch without faces.
         """
         nodes = mesh.patch(patch)
-        faces = boundary_faces(mesh.cells, len(mesh.points), nodes)
+        faces = boundary_faces({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, len(mesh.points), nodes)
         if not faces:
             raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
         own_rows = [np.searchsorted(nodes, ids) for ids in faces.values()]

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._host.door import checked
 from .._kernels.values import is_known
-from ._door import Numbers, known_positions, positions, rows_of
+from ._door import Numbers, check_finite, known_positions, positions, rows_of
 from ._measures import _triangles
 
 
@@ -27,6 +28,7 @@ class Stations(eqx.Module):
     faces: Int[Array, "s 2 d"]
 
     @staticmethod
+    @checked
     def on(x: Numbers, faces: Any, points: Numbers, direction: Numbers) -> "Stations":
         """Finds the first and the last face that each line meets.
 
@@ -40,6 +42,7 @@ class Stations(eqx.Module):
         **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
         """
         x, points = known_positions(x).astype(float), known_positions(points, "points").astype(float)
+        check_finite(direction=direction)
         known = np.asarray(direction, float)
         if x.shape[1] != points.shape[1] or known.shape not in (points.shape, points.shape[1:]):
             raise ValueError(
@@ -69,6 +72,7 @@ class Stations(eqx.Module):
         return Stations(jnp.asarray(points), jnp.asarray(lines), jnp.asarray(chosen))
 
 
+@checked
 def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
     """Computes the distance between the two faces that each line meets.
 

@@ -1,0 +1,37 @@
+"""Converters for the numbers of methods and bases, which are array leaves: what is concrete is checked, what is traced passes."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._host.door import between
+from .._kernels.values import is_known
+
+
+def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> Callable[[Any], Any]:
+    """Returns a converter to one floating point number in an interval, whose `ends` are as for `between`.
+
+    The converter raises `ValueError` for anything else.
+    """
+
+    def convert(value: Any) -> Float[Array, ""]:
+        if is_known(value):
+            between(name, value, low, high, ends)
+        value = jnp.asarray(value)
+        return value if jnp.issubdtype(value.dtype, jnp.floating) else value.astype(float)
+
+    return convert
+
+
+def length(name: str) -> Callable[[Any], Any]:
+    """Returns a converter to a length, which is positive and finite."""
+    return number(name, 0)
+
+
+def length_or_none(name: str) -> Callable[[Any], Any]:
+    """Returns a converter to a length that leaves None as it is."""
+    convert = length(name)
+    return lambda value: None if value is None else convert(value)
