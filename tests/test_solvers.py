@@ -130,3 +130,14 @@ def test_nonsense_at_the_door():
         jm.FittedRBF(jm.RBF(solver=jm.Iterative()))
     with pytest.raises(ValueError, match="`solver` must be"):
         jm.RBF(solver="cg")  # pyright: ignore[reportArgumentType]
+
+
+def test_single_precision_has_a_tolerance_that_it_can_reach():
+    mesh, moving = box(7)
+    points, wall = mesh.astype(np.float32), np.arange(len(moving))
+    u = (0.1 * np.sin(3 * mesh[wall][:, [1, 2, 0]])).astype(np.float32)
+    near = [
+        np.asarray(jm.deform(jm.prepare(points, wall, np.arange(len(wall), len(mesh) - 3), method=classic(solver)), u))
+        for solver in (jm.Iterative(dense=50), jm.Direct())
+    ]
+    np.testing.assert_allclose(near[0], near[1], atol=1e-4)

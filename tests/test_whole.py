@@ -12,7 +12,7 @@ from test_cgns import polyhedral
 from test_openfoam import PATCHES, mixed, split
 
 import jaxmorph as jm
-from jaxmorph import io
+from jaxmorph import cases, io
 from jaxmorph.cli import main
 
 HANGING = [[0, 1, 4, 7, 6], [1, 2, 5, 4], [4, 5, 8, 7], [2, 9, 10, 5], [5, 10, 8]]
@@ -187,3 +187,14 @@ def test_a_snapped_mesh_is_judged_as_checkmesh_does(tmp_path, capsys):
     found = [after["max_non_orthogonality"], after["mean_non_orthogonality"]]
     np.testing.assert_allclose(found, [*map(float, expected)], rtol=2e-5)
     assert (after["cells"], after["inverted"]) == (19314, 0)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_mesh_turned_inside_out_as_a_whole_is_inverted(turned):
+    """However it numbers its cells: no neighbour is left that could tell."""
+    mesh = cases.naca0015(points=300)
+    cells = {kind: np.asarray(ids)[:, ::-1] if turned else ids for kind, ids in mesh.cells.items() if kind == "quad"}
+    mesh = jm.Mesh(mesh.points, cells)
+    assert not jm.face_quality(mesh).is_inverted.any()
+    assert not jm.face_quality(mesh, np.array(mesh.points) @ [[0.8, 0.6], [-0.6, 0.8]]).is_inverted.any()
+    assert jm.face_quality(mesh, mesh.points * [1, -1]).is_inverted.all()

@@ -26,6 +26,7 @@ from .basis import AbstractBasis, ThinPlateSpline
 from .blocks import map_rows
 from .solvers import (
     LIMIT,
+    ROUNDINGS,
     TRIAL,
     AbstractSolver,
     Cardinals,
@@ -181,7 +182,8 @@ class RBF(AbstractMethod):
         first = len(sources) - len(ids.earlier)
         weights = local_weights(lambda r2: method._matrix(r2, stretch), places, ids.earlier, self.degree, self._sign)
         tolerance = (method._iterative(len(sources)) or Iterative()).tolerance.astype(weights.dtype)
-        rows = Cardinals(ids.earlier, weights, tolerance)
+        floor = ROUNDINGS * float(jnp.finfo(weights.dtype).eps)
+        rows = Cardinals(ids.earlier, weights, jnp.maximum(tolerance, floor))
         lu, pivots = method._factored(places[:first], stretch)
         return RBFFactors(sources, centre, scale, lu, pivots, rows)
 

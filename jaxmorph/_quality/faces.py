@@ -29,7 +29,7 @@ class FaceQuality:
     - `pyramid`: the smallest pyramid between a face and the cell's centre, over the mean of them. 1 for a regular cell, negative
       where a face is seen from behind. In 2-D a triangle.
     - `is_inverted`: the volume or a pyramid is negative beyond round-off, as checkMesh tests cells of finite volumes. NaN counts.
-      Cells numbered the other way round than their neighbours are turned first, as `quality(mesh)` does; not in a part of a mesh.
+      Cells that the mesh numbers the other way round are turned first, as `quality(mesh)` does; not in a part of a mesh.
     - `skewness`: the distance by which the line between the centres of two cells misses the centre of their face, over the
       face's reach in that direction. It has no upper bound. The reach is at least 0.2 of the line's length; at the boundary
       0.4 of the distance from the cell's centre to the plane of the face. Faces to other parts (`Mesh.between`) do not count.
@@ -88,9 +88,8 @@ def _measured(mesh: Mesh, sides: "_Sides", points: Float[np.ndarray, "n d"]) -> 
     corners = sides.corners(points)
     centre, area = _edges(corners) if points.shape[1] == 2 else _polygons(corners, sides.faces >= 0)
     middle, volume = _cell_centres(centre, area, sides)
-    # a part that is inverted as a whole has no neighbours to tell so
-    if mesh.polyhedra is None and mesh.between is None and (volume < 0).any():
-        turn = _turns(mesh, volume)
+    if mesh.polyhedra is None and mesh.between is None:
+        turn = _turns(mesh, sides, points, volume)
         area, volume = area * turn[sides.owner][:, None], volume * turn
     cosine = _cosines(sides, area, middle)
     inner = cosine[sides.behind >= 0]
@@ -187,13 +186,24 @@ def _pyramids(
     return np.where(sides.counted, least / np.maximum(mean, FLOOR), 1.0), is_wrong
 
 
-def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Finds the sign that makes cells positive: by their neighbours and by the volume that their part of the mesh encloses."""
+def _turns(
+    mesh: Mesh, sides: _Sides, points: Float[np.ndarray, "n d"], volume: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, " k"]:
+    """Finds the sign that makes cells positive where the mesh has them: by neighbours, and by the volume that they enclose.
+
+    A motion that turns a part of the mesh inside out leaves no neighbour to tell so.
+    """
+    if points is not mesh.points and not np.array_equal(points, np.asarray(mesh.points)):
+        corners = sides.corners(np.asarray(mesh.points, dtype=float))
+        centre, area = _edges(corners) if points.shape[1] == 2 else _polygons(corners, sides.faces >= 0)
+        volume = _cell_centres(centre, area, sides)[1]
+    turn = np.ones(len(volume))
+    if not (volume < 0).any():
+        return turn
     cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
     sign, part = handedness(cells, *neighbours(cells))
     sign, part, ids = np.asarray(sign), np.asarray(part), mesh.cell_ids
     enclosed = np.bincount(part, sign * volume[ids])
-    turn = np.ones(len(volume))
     turn[ids] = sign * np.where(enclosed < 0, -1, 1)[part]
     return turn
 
