@@ -55,16 +55,30 @@ def hill(points: np.ndarray) -> np.ndarray:
 
 
 def measured(command: list[str], folder: pathlib.Path, **environment: str) -> list[str]:
-    """Runs a command: CPU seconds, wall seconds and peak memory of the process, as words of a table."""
-    began = time.perf_counter()
+    """Runs a command: CPU seconds, wall seconds and peak memory of the process, as words of a table.
+
+    A small process starts it: the peak of a process begins with that of the one which started it.
+    """
+    starter = (
+        "import os, sys, time\n"
+        "began = time.perf_counter()\n"
+        "_, status, used = os.wait4(os.spawnvp(os.P_NOWAIT, sys.argv[1], sys.argv[1:]), 0)\n"
+        "said = status, used.ru_utime + used.ru_stime, time.perf_counter() - began, used.ru_maxrss\n"
+        "open('measured', 'w').write(' '.join(map(str, said)))\n"
+    )
     with (folder / "log").open("w") as log:
-        process = subprocess.Popen(command, cwd=folder, env=os.environ | environment, stdout=log, stderr=log)
-        _, status, used = os.wait4(process.pid, 0)
-    wall = time.perf_counter() - began
+        subprocess.run(
+            [sys.executable, "-S", "-c", starter, *command],
+            cwd=folder,
+            env=os.environ | environment,
+            stdout=log,
+            stderr=log,
+        )
+    status, cpu, wall, peak = map(float, (folder / "measured").read_text().split())
     if status:
         last = (folder / "log").read_text().strip().splitlines()[-1:]
         return ["-", "-", f"failed: {last[0] if last else status}"]
-    return [f"{used.ru_utime + used.ru_stime:.1f}", f"{wall:.1f}", f"{used.ru_maxrss / 1e6:.2f}"]
+    return [f"{cpu:.1f}", f"{wall:.1f}", f"{peak / 1e6:.2f}"]
 
 
 def stages(source: str, target: str, moving: str, fixed: str, motion: str) -> None:

@@ -60,7 +60,6 @@ from ._methods.nearwall import NearWall as NearWall
 from ._methods.rbf import RBF as RBF
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._methods.rigid import RigidBlend as RigidBlend
-from ._methods.solvers import AbstractSolver as AbstractSolver
 from ._methods.solvers import Direct as Direct
 from ._methods.solvers import Iterative as Iterative
 from ._methods.springs import SpringAnalogy as SpringAnalogy

@@ -35,6 +35,7 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
 def test_the_reference_names_all_that_is_public(name):
     page = (PAGES / "reference" / f"{name}.md").read_text()
     module = jm if name == "jaxmorph" else importlib.import_module(f"jaxmorph.{name}")
+    assert module.__all__ if hasattr(module, "__all__") else module  # names are loaded when they are first used
     public = {
         key: value
         for key, value in vars(module).items()

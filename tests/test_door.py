@@ -227,7 +227,7 @@ NONSENSE = {
     "no plans": (lambda *_: jm.replay((), np.zeros((0, 24, 2))), "`plans` is empty"),
     "methods without names": (
         lambda *_: jm.choose(MESH, "body", "far", np.ones((1, 24, 2)), methods=[jm.RBF()]),
-        r"`methods` is a dict of names and methods",
+        r"`methods` must be a dict",
     ),
     "no motions": (lambda *_: jm.choose(MESH, "body", "far", []), r"`motions` has shape \(0,\)"),
 }

@@ -145,11 +145,9 @@ def choose(
         raise ValueError(f"{(~np.isfinite(motions)).sum()} components of `motions` are not finite.")
     if not len(leaves):
         raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
-    if not isinstance(methods, Mapping | None):
-        raise ValueError(
-            f'`methods` is a dict of names and methods, {{"soft": jm.LinearElasticity()}}, not {methods!r}.'
-        )
     for name, method in (methods or {}).items():
+        if not isinstance(name, str):
+            raise ValueError(f"a name in `methods` is {name!r}; names are words, as in methods={{'soft': ...}}.")
         check_kind(method, AbstractMethod, f'methods["{name}"]', "jm.LinearElasticity()")
     for each in leaves:
         whole("leaves", each)

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.door import between, checked, whole
@@ -77,11 +78,15 @@ def fewest_steps(
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
 
     planes = () if plan.images is None else plan.images.planes
+    surface = np.unique(
+        np.concatenate([plan.moving, plan.fixed, plan.guided])
+    )  # it may be of no patch, inside of the mesh
+    held = Mesh(mesh.points, mesh.cells, {**mesh.patches, "surface of the plan": surface})
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
         path = jnp.stack([jnp.asarray(motion(fraction * (j + 1) / count)) for j in range(count)])
         plans, points = march(plan, path)
-        improvement = improved(mesh, points, symmetry=planes) if mend else None
+        improvement = improved(held, points, symmetry=planes) if mend else None
         points = points if improvement is None else improvement.points
         return Steps(count, fraction, points, quality(mesh, points), plans, path, improvement)
 

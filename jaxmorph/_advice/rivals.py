@@ -100,7 +100,7 @@ def judged(mesh: Mesh, plan: Plan | Exception, motions: np.ndarray) -> dict[str,
     """Measures the moved meshes and the CPU time of one `deform`, compiled before."""
     if isinstance(plan, Exception):
         nothing = dict.fromkeys(("inverted", "jacobian", "angle", "seconds"), math.nan)
-        return nothing | {"refused": str(plan)}
+        return nothing | {"refused": str(plan) or repr(plan)}
     moved = [deform(plan, jnp.asarray(u, plan.points.dtype)) for u in motions]
     jax.block_until_ready(moved)
     began = time.process_time()

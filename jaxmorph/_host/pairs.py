@@ -71,7 +71,7 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndar
 
 
 def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Marks (f,) the faces (f, c) whose nodes are those of one of `others` (k, e); -1 stands behind a last corner in both."""
+    """Marks (f,) the faces (f, c) whose nodes are those of one of `others` (k, e), each there once; -1 fills up."""
     width = max(faces.shape[1], others.shape[1])
     both = np.full((len(faces) + len(others), width), -1, np.int64)
     both[: len(faces), : faces.shape[1]], both[len(faces) :, : others.shape[1]] = faces, others

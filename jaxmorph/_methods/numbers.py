@@ -20,7 +20,7 @@ def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, en
     def convert(value: Any) -> Float[Array, ""]:
         if is_known(value):
             between(name, value, low, high, ends)
-        value = jnp.asarray(value)
+        value = jnp.asarray(float(value) if isinstance(value, int) else value)
         return value if jnp.issubdtype(value.dtype, jnp.floating) else value.astype(float)
 
     return convert

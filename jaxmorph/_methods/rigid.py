@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from .._kernels.values import is_known, norm
 from .base import AbstractField, AbstractMethod, Surface
-from .numbers import length, number
+from .numbers import length
 
 REFINED = 2
 """Newton steps after the eigenvector: they give it its derivatives, though other eigenvalues may be equal."""
@@ -31,7 +31,7 @@ class RigidBlend(AbstractMethod):
     **Raises:** `ValueError` unless 0 < inner < outer. `prepare` raises it for moving nodes at one place, or in 3-D on one line.
     """
 
-    inner: Float[Array, ""] = eqx.field(converter=number("inner", 0, ends="[)"))
+    inner: Float[Array, ""] = eqx.field(converter=length("inner"))
     outer: Float[Array, ""] = eqx.field(converter=length("outer"))
 
     def __check_init__(self):

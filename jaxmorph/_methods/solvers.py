@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._kernels.values import is_known
-from .blocks import map_rows
+from .._host.door import whole
+from .numbers import number
 from .system import polynomial, squared_distances
 
 LIMIT = 150
@@ -21,14 +21,12 @@ ROUNDS = 3
 TRIAL = 6
 """Products after which a plan's preparation judges the convergence."""
 
-MISSED = 1e3
-"""A field that misses its sources by more than so many tolerances is NaN."""
+MISSED, NOTICEABLE = 1e3, 1e-3
+"""A field that misses its sources by more than so many tolerances, or so much of the displacement, is NaN."""
 
 ROUNDINGS = 100
 """Units of rounding below which no tolerance goes: what single precision can reach."""
 
-LOCAL_BLOCK = 256
-"""Sources whose small systems are solved together."""
 
 GIVE = 1e-10
 """Leaves a polynomial undetermined where neighbours lie in one plane: the corner of a small system, relative to its kernel."""
@@ -48,13 +46,6 @@ class Direct(AbstractSolver):
     """
 
 
-def _tolerance(value) -> Float[Array, ""]:
-    value = jnp.asarray(value, dtype=float)
-    if is_known(value) and not 0 < float(value) < 1:
-        raise ValueError(f"`tolerance` must lie between 0 and 1, not {value}: 1e-10 is the default.")
-    return value
-
-
 class Iterative(AbstractSolver):
     """Solves by conjugate gradients, without the matrix: memory grows with s, time with s^2 for s sources.
 
@@ -64,12 +55,13 @@ class Iterative(AbstractSolver):
     function that is 1 at its place and 0 at the nearest of those before it. The first sources are solved densely.
 
     The system is symmetric, so derivatives take the same solve. Sources and neighbours are found at `prepare` and kept by
-    `refit`. Where no solve converges, `prepare` raises, and a field that misses its sources all the same is NaN.
+    `refit`. Where no solve converges, `prepare` raises. A field that all the same misses its sources by a thousand tolerances,
+    or by a thousandth of the displacement where that is less, is NaN.
 
     **Arguments:**
 
-    - `tolerance`: the largest distance by which the field misses its sources, relative to the largest displacement; also
-      the error in the norm of the basis. Default 1e-10; 1e-5 at least in single precision.
+    - `tolerance`: the distance by which the field misses its sources when a solve ends, relative to the largest displacement;
+      also the error in the norm of the basis. Default 1e-10; 1.2e-5 at least in single precision.
     - `neighbours`: sources in each function's small system. More of them take fewer products, and more time and memory
       to prepare. Default 50.
     - `dense`: the number of first sources that are solved densely. Default 1000.
@@ -77,15 +69,13 @@ class Iterative(AbstractSolver):
     **Raises:** `ValueError` for a tolerance that is not between 0 and 1, and for fewer than 8 neighbours or dense sources.
     """
 
-    tolerance: Float[Array, ""] = eqx.field(converter=_tolerance, default=1e-10)
+    tolerance: Float[Array, ""] = eqx.field(converter=number("tolerance", 0, 1), default=1e-10)
     neighbours: int = eqx.field(static=True, default=50)
     dense: int = eqx.field(static=True, default=1000)
 
     def __check_init__(self):
         for name in ("neighbours", "dense"):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < 8:
-                raise ValueError(f"`{name}` must be a whole number of at least 8, not {value!r}.")
+            whole(name, getattr(self, name), 8)
 
 
 class OrderedIds(eqx.Module):
@@ -128,7 +118,8 @@ def local_weights(
 
     if not len(earlier):
         return jnp.zeros(earlier.shape, sources.dtype)
-    return map_rows(jax.vmap(of_one), earlier, LOCAL_BLOCK)
+    # one by one: a batch of factorisations in a loop has come to a standstill in XLA's threads on the CPU
+    return jax.lax.map(of_one, earlier)
 
 
 def precondition(rows: Cardinals, solve_first: Callable, residual: Float[Array, "s k"]) -> Float[Array, "s k"]:
@@ -236,7 +227,8 @@ class ConjugateGradients:
 
         beta, rest, _ = jax.lax.while_loop(is_unfinished, once_more, (beta, rest, 0))
         solved = jnp.concatenate([beta, self.coefficients(rest)])
-        return jnp.where(missed(rest) <= MISSED * self.tolerance * size, solved, jnp.nan)
+        allowed = jnp.minimum(MISSED * self.tolerance, jnp.maximum(self.tolerance, NOTICEABLE))
+        return jnp.where(missed(rest) <= allowed * size, solved, jnp.nan)
 
 
 def _ratio(a, b):

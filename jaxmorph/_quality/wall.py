@@ -90,7 +90,7 @@ def wall_quality(
     if softness is not None and is_known(softness):
         between("softness", softness, 0)
     names = (wall,) if isinstance(wall, str) else wall
-    is_named = len(names) > 0 and all(isinstance(each, str) for each in names)
+    is_named = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(each, str) for each in names)
     ids = mesh.patch(*names) if is_named else rows_of("wall", wall, len(mesh.points))
     cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
     lines = first_lines(cells, np.asarray(mesh.points), ids)

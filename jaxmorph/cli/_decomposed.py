@@ -16,7 +16,7 @@ from ._motion import motion
 from ._output import Output
 from ._parts import Verdict, Verdicts, verdict
 from ._requests import Deform
-from ._trials import HINTS
+from ._trials import MORE
 
 STARTED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "PMIX_RANK", "PMI_RANK")
 """Variables that mpiexec leaves in the environment of the processes that it starts."""
@@ -67,7 +67,11 @@ def deform_parts(request: Deform, out: Output) -> int:
 
 def _complain(request: Deform, judged: Verdicts, out: Output) -> None:
     for k, sentence in enumerate(judged.faults):
-        hint = f" Try {HINTS.get(request.method.name, '--method default')}." if k + 1 == len(judged.faults) else ""
+        hint = (
+            f" Try {MORE if request.method.name == 'default' else '--method default'}."
+            if k + 1 == len(judged.faults)
+            else ""
+        )
         out.complain(sentence + hint)
 
 

@@ -227,7 +227,7 @@ class Patch:
     """An entry of `boundary`: its faces are those from `start`, `count` in number.
 
     `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`. `refers` is the cyclic patch of which a
-    `processorCyclic` one holds faces. Both are "" for a patch without.
+    `processorCyclic` one holds faces. Both are "" for a patch without. `part` is the processor on the other side, or -1.
     """
 
     name: str
@@ -237,6 +237,7 @@ class Patch:
     groups: tuple[str, ...] = ()
     neighbour: str = ""
     refers: str = ""
+    part: int = -1
 
     @property
     def is_between(self) -> bool:
@@ -307,6 +308,7 @@ def _patch(file: FoamFile, name: str, body: list[str]) -> Patch:
         type_, start, count = (entries[key][0] for key in ("type", "startFace", "nFaces"))
         neighbour, refers = (entries.get(key, [""])[0].strip('"') for key in ("neighbourPatch", "referPatch"))
         groups = tuple(word.strip('"') for word in groups)
-        return Patch(name.strip('"'), type_, int(start), int(count), groups, neighbour, refers)
+        part = int(entries.get("neighbProcNo", ["-1"])[0])
+        return Patch(name.strip('"'), type_, int(start), int(count), groups, neighbour, refers, part)
     except (KeyError, ValueError, IndexError) as error:
         raise file.error(f"patch {name[:80]} has no good type, nFaces and startFace ({error})") from error

@@ -90,6 +90,9 @@ class Decomposed:
         return f"Decomposed({str(self.path)!r}, {self.count} parts)"
 
     def folder(self, k: int) -> pathlib.Path:
+        """Returns the folder of part `k`. Raises `ValueError` for a part that is not there."""
+        if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < self.count:
+            raise ValueError(f"{self.path}: `k` is {k!r}; parts have the numbers 0 to {self.count - 1}.")
         return self.path / f"processor{k}"
 
     def read(self, k: int) -> Mesh:
@@ -101,11 +104,14 @@ class Decomposed:
 
     def side(self, k: int) -> Side:
         """Reads the outside of part `k`."""
-        mesh = self.read(k)
+        mesh, boundary = self.read(k), self._boundary(k)
+        lost = [each.part for each in boundary if each.part >= self.count]
+        if lost:
+            raise ValueError(f"{self.folder(k)}: it has faces to processor{max(lost)}, which is missing. {REMEDY}.")
         ids, outer = global_nodes(mesh), outer_faces(mesh)
         corners = {} if outer is None else outer.corners
-        boundary = [np.asarray(each).ravel() for each in (*corners.values(), *mesh.patches.values())]
-        rows = np.unique(np.concatenate([np.zeros(0, np.int64), *boundary]))
+        outside = [np.asarray(each).ravel() for each in (*corners.values(), *mesh.patches.values())]
+        rows = np.unique(np.concatenate([np.zeros(0, np.int64), *outside]))
         rows = rows[np.argsort(ids[rows])]
         return Side(
             ids[rows],
@@ -113,7 +119,7 @@ class Decomposed:
             {kind: ids[each] for kind, each in corners.items()},
             {name: ids[np.asarray(each)] for name, each in mesh.patches.items()},
             mesh.source.groups,
-            tuple((each.name, each.neighbour) for each in self._boundary(k) if each.type == "cyclic"),
+            tuple((each.name, each.neighbour) for each in boundary if each.type == "cyclic"),
             0 if mesh.between is None else len(mesh.between),
         )
 
@@ -183,8 +189,18 @@ class Decomposed:
 
             partial = ranks.bcast(together(ranks, begin))
             together(ranks, functools.partial(self._copy, partial) if ranks.rank == 0 else lambda: None)
-            yield Writer(self, partial, ranks, Agreement(ranks))
-            together(ranks, lambda: None)
+            writer = Writer(self, partial, ranks, Agreement(ranks), set())
+            yield writer
+            written = {k for each in ranks.allgather(writer.written) for k in each}
+
+            def end() -> None:
+                lacks = sorted({*range(len(self))} - written)
+                if lacks:
+                    raise ValueError(
+                        f"{path}: not written, {len(lacks)} of {len(self)} parts were not added, first part {lacks[0]}."
+                    )
+
+            together(ranks, end)
 
     def _copy(self, folder: pathlib.Path) -> None:
         """Copies what the parts share, without the undivided mesh."""
@@ -209,6 +225,7 @@ class Writer:
     folder: pathlib.Path
     ranks: Ranks
     agreement: Agreement
+    written: set[int]
 
     def add(self, k: int | None, moved: Mesh | None) -> None:
         """Writes part `k`, which is `moved`. A point that parts share gets the coordinates of the first one that has it.
@@ -221,7 +238,15 @@ class Writer:
         def shared() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             if moved is None:
                 return np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64)
-            content = moved.source.content
+            content = None if source_of(moved, NAME) is None else moved.source.content
+            if k is None:
+                raise ValueError("`k` is None; it is the number of the part that `moved` is.")
+            mesh = self.case.folder(k) / "constant" / "polyMesh"
+            if content is None or content.topology.resolve() != mesh.resolve():
+                raise ValueError(f"`moved` is not part {k} as `read({k})` gives it: write each part by its own number.")
+            if k in self.written:
+                raise ValueError(f"part {k} was written already.")
+            self.written.add(k)
             return content.shared, file_points(moved), content.point_ids[content.shared]
 
         rows, points, ids = together(self.ranks, shared)
