@@ -175,3 +175,23 @@ def test_advice_where_the_displacement_is_steep():
     assert 0.5 < steep.slope < 0.4 * np.pi + 0.4
     assert "choose" in steep.advice[0]
     assert jm.inspect(jm.prepare(mesh, "airfoil", "farfield", method=FOLLOWS), wave).advice == ()
+
+
+@pytest.mark.slow
+def test_improving_keeps_a_surface_inside_of_the_mesh_where_it_was_sent():
+    x, y = np.meshgrid(np.arange(9.0), np.arange(9.0))
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    corner = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
+    cells = np.stack([corner, corner + 1, corner + 10, corner + 9], axis=1)
+    rim = np.flatnonzero((points == 0).any(axis=1) | (points == 8).any(axis=1))
+    mesh = jm.Mesh(points, {"quad": cells}, {"rim": rim})
+    moving = np.array([39, 40, 41])
+    plan = jm.prepare(mesh, moving, "rim")
+
+    def turned(t):
+        c, s = np.cos(np.deg2rad(150) * t), np.sin(np.deg2rad(150) * t)
+        return (points[moving] - points[40]) @ np.array([[c, s], [-s, c]]) - (points[moving] - points[40])
+
+    steps = jm.fewest_steps(plan, mesh, turned, max_steps=2, improve=True)
+    wall = np.asarray(steps.points)[plan.moving]
+    np.testing.assert_allclose(wall, points[moving] + turned(steps.fraction), atol=1e-12)

@@ -118,6 +118,37 @@ def test_shared_points_are_written_with_equal_bits(divided, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+def test_a_writer_takes_each_part_by_its_number_and_once(divided, tmp_path):
+    case = io.Decomposed(divided)
+    parts = [case.read(0), case.read(1)]
+
+    def written(*pairs):
+        with case.writing(tmp_path / "new") as writer:
+            for k, part in pairs:
+                writer.add(k, part)
+
+    with pytest.raises(ValueError, match="1 of 2 parts were not added, first part 1"):
+        written((0, parts[0]))
+    with pytest.raises(ValueError, match="is not part 1"):
+        written((1, parts[0]))
+    with pytest.raises(ValueError, match="written already"):
+        written((0, parts[0]), (0, parts[0]))
+    with pytest.raises(ValueError, match="parts have the numbers 0 to 1"):
+        written((7, parts[0]))
+    with pytest.raises(ValueError, match=r"shares with other parts are 0\.3 away"):
+        written((0, parts[0]), (1, parts[1].moved(parts[1].points + np.array([0.3, 0, 0]))))
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_last_part_that_is_lost_is_told(divided):
+    boundary_file = divided / "processor0" / "constant" / "polyMesh" / "boundary"
+    text = boundary_file.read_text()
+    boundary_file.write_text(text.replace("type processor;", "type processor; myProcNo 0; neighbProcNo 2;"))
+    assert boundary_file.read_text() != text
+    with pytest.raises(ValueError, match="processor0: it has faces to processor2, which is missing"):
+        io.Decomposed(divided).surface()
+
+
 def test_what_a_decomposed_case_lacks(divided, tmp_path):
     with pytest.raises(ValueError, match="was not read from an OpenFOAM case"):
         io.global_nodes(jm.Mesh(np.zeros((3, 2))))

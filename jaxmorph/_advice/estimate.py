@@ -12,8 +12,9 @@ from .._host.topology import FACES
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._methods.fitted import FittedRBF
-from .._methods.rbf import RBF
+from .._methods.rbf import MANY, RBF
 from .._methods.reconstruction import SurfaceReconstruction
+from .._methods.solvers import Iterative
 from .._plan.door import node_ids
 
 START = 0.3e9
@@ -24,6 +25,9 @@ PAIR, POINT, CELL, SOURCES = 1.8e-9, {2: 5e-6, 3: 15e-6}, 8e-6, 1e-10
 
 FACE = 200
 """Bytes for each face of each cell while cells are judged: neighbours are found by sorting them."""
+
+PRODUCTS = 25
+"""Products with the kernel in a solve by iterations."""
 
 COMPILING = 2.0
 """Seconds that each stage takes on the smallest mesh."""
@@ -100,12 +104,14 @@ def estimate(
     parts = 1 if chunk is None else max(1, -(-(n - b) // chunk))
     size = np.dtype(mesh.points.dtype).itemsize / 8
     quality = FACE * sum(len(ids) * len(FACES[kind]) for kind, ids in mesh.cells.items())
-    memory = START + size * (500 * (n + planned) + 24 * s**2) + quality
-    solve = SOURCES * s**3
+    is_iterated = _is_iterated(method, s)
+    system, solve = (5000 * s, PRODUCTS * s**2 * PAIR) if is_iterated else (24 * s**2, SOURCES * s**3)
+    memory = START + size * (500 * (n + planned) + system) + quality
+    fit = solve / 4 if is_iterated else solve  # a few of its steps
     located = 0 if isinstance(method, RBF) else n + (parts - 1) * b  # points to be found in a graph or near a wall
     return Estimate(
         *(n, b, s, memory),
-        preparing=COMPILING + located * POINT[d] + parts * solve,
+        preparing=COMPILING + located * POINT[d] + parts * fit,
         deforming=COMPILING + steps * (n * s * PAIR + parts * solve),
         judging=COMPILING + 2 * CELL * sum(len(ids) for ids in mesh.cells.values()),
     )
@@ -120,6 +126,12 @@ def _sources(method: AbstractMethod, points: np.ndarray, moving: np.ndarray, fix
     fixed = np.setdiff1d(fixed, moving)
     on_wall = rbf.reduction.beside(points[moving], points[fixed])
     return len(on_wall) + (len(rbf.fixed_reduction.beside(points[fixed], points[moving][on_wall])) if len(fixed) else 0)
+
+
+def _is_iterated(method: AbstractMethod, count: int) -> bool:
+    """Tells whether the system is solved by iterations."""
+    rbf = method.coarse if isinstance(method, SurfaceReconstruction) else method
+    return isinstance(rbf, RBF) and (isinstance(rbf.solver, Iterative) or (rbf.solver is None and count > MANY))
 
 
 def _physical_memory() -> float:

@@ -23,6 +23,10 @@ from .file import Patch, load, patches
 REMEDY = "Run decomposePar, or leave --decomposed away"
 
 
+AGREE = 1e-5
+"""Distance between the places that parts give a shared point, relative to the coordinates: what single precision leaves."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Side:
     """The outside of one part of a mesh: what the whole mesh's surface is gathered from. All ids are the whole mesh's.
@@ -232,7 +236,8 @@ class Writer:
 
         The processes of an MPI run call it together, as often as each other: with None where one has no part left.
 
-        **Raises:** `ValueError` where cyclic patches do not match any more.
+        **Raises:** `ValueError` where cyclic patches do not match any more, for a mesh that is not part `k`, and one that does not
+        fit to the others.
         """
 
         def shared() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -251,7 +256,18 @@ class Writer:
 
         rows, points, ids = together(self.ranks, shared)
         points = np.array(points)
-        points[rows] = self.agreement(ids, points[rows])
+        agreed = self.agreement(ids, points[rows])
+
+        def check() -> None:
+            apart = np.abs(agreed - points[rows]).max(initial=0.0)
+            if apart > AGREE * np.abs(points).max(initial=0.0):
+                raise ValueError(
+                    f"part {k}: points that it shares with other parts are {apart:.3g} away from where these have them. "
+                    "Move all parts by plans of one `prepare_surface`."
+                )
+
+        together(self.ranks, check)
+        points[rows] = agreed
 
         def write() -> None:
             if moved is not None:
