@@ -89,22 +89,23 @@ def told(error: ValueError) -> None:
     assert type(error).__module__.startswith(("builtins", "jaxmorph")), repr(error)
 
 
-def check_laws(cloud: Cloud, name: str) -> None:
+def check_laws(cloud: Cloud, name: str) -> bool:
+    """Checks that the laws hold; False where `prepare` refused the points."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of what rounding costs
         try:
             plan = jm.prepare(cloud.points, cloud.moving, cloud.fixed, method=METHODS[name](cloud.size))
         except ValueError as error:
-            return told(error)
+            told(error)
+            return False
         moved, still = (np.asarray(jm.deform(plan, u)) for u in (cloud.u, 0 * cloud.u))
-    hypothesis.event("laws hold, no refusal")
     assert np.isfinite(moved).all()
     np.testing.assert_array_equal(still, cloud.points)
     if name not in INEXACT:
         np.testing.assert_array_equal(moved[cloud.moving], cloud.points[cloud.moving] + cloud.u)
         np.testing.assert_array_equal(moved[cloud.fixed], cloud.points[cloud.fixed])
     if not plan.is_linear:
-        return None
+        return True
     pushed, largest = moved - cloud.points, np.abs(cloud.u).max()
     reach = max(np.abs(pushed).max(), largest)  # a solve may overshoot
     twice = np.asarray(jm.deform(plan, 2 * cloud.u)) - cloud.points
@@ -116,7 +117,7 @@ def check_laws(cloud: Cloud, name: str) -> None:
         np.abs(w).sum() * reach + np.vdot(np.abs(pulled), np.abs(cloud.u))
     )
     assert abs(np.vdot(pushed, w) - np.vdot(cloud.u, pulled)) <= 20 * rounded
-    return None
+    return True
 
 
 def examples(count):
@@ -129,16 +130,26 @@ def examples(count):
     )
 
 
+def seeded(law):
+    """Makes another series repeatable."""
+    return hypothesis.seed(SEED)(law) if SEED else law
+
+
 @pytest.mark.parametrize("name", METHODS)
 def test_maps_of_any_points(name):
+    held = []
+
+    @seeded
     @examples(COUNT)
     @hypothesis.given(clouds())
     def law(cloud):
-        check_laws(cloud, name)
+        held.append(check_laws(cloud, name))
 
-    (hypothesis.seed(SEED)(law) if SEED else law)()
+    law()
+    assert any(held) or COUNT < 20, "all points were refused: no law was tried"
 
 
+@seeded
 @examples(COUNT)
 @hypothesis.given(clouds(), strategies.sampled_from(("default", "delaunay", "near-wall", "full")))
 def test_a_boundary_that_moves_as_one_takes_the_rest_along(cloud, name):
@@ -156,12 +167,14 @@ def test_a_boundary_that_moves_as_one_takes_the_rest_along(cloud, name):
     return None
 
 
+@seeded
 @examples(2)
 @hypothesis.given(clouds(sizes=(10_000,)), strategies.sampled_from(("default", "inverse-distance")))
 def test_many_points(cloud, name):
     check_laws(cloud, name)
 
 
+@seeded
 @examples(COUNT)
 @hypothesis.given(clouds(), strategies.integers(0, 2**16))
 def test_boxes_around_any_points(cloud, seed):
@@ -178,6 +191,7 @@ def test_boxes_around_any_points(cloud, seed):
     return None
 
 
+@seeded
 @examples(COUNT)
 @hypothesis.given(clouds(sizes=(3, 4, 6)), strategies.booleans())
 def test_cells_of_any_points(cloud, flipped):
