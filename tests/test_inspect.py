@@ -195,3 +195,13 @@ def test_improving_keeps_a_surface_inside_of_the_mesh_where_it_was_sent():
     steps = jm.fewest_steps(plan, mesh, turned, max_steps=2, improve=True)
     wall = np.asarray(steps.points)[plan.moving]
     np.testing.assert_allclose(wall, points[moving] + turned(steps.fraction), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(np.nan, "2 of 2 numbers of `motion.t.` are not finite"), (None, "`motion.t.` must be")]
+)
+def test_a_motion_that_is_none(value, words):
+    mesh = jm.Mesh(np.array([[0.0, 0], [1, 0], [0, 1]]), {"triangle": [[0, 1, 2]]})
+    plan = jm.prepare(mesh, [0], [1, 2], method=jm.InverseDistance())
+    with pytest.raises(ValueError, match=words):
+        jm.fewest_steps(plan, mesh, lambda t: None if value is None else np.full((1, 2), value))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.door import between, checked, whole
+from .._host.door import between, checked, finite_array, whole
 from .._improve.improve import Improvement
 from .._improve.improve import improve as improved
 from .._mesh.mesh import Mesh
@@ -70,7 +70,7 @@ def fewest_steps(
     **Returns:** a `Steps`.
 
     **Raises:** `ValueError` when `max_steps` is less than 1, `min_jacobian_ratio` is not from 0 to 1, or `plan` and
-    `mesh` differ in their points.
+    `mesh` differ in their points. Also for a `motion(t)` that is not (m, d) or not finite.
     """
     whole("max_steps", max_steps)
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
@@ -81,10 +81,12 @@ def fewest_steps(
     surface = np.unique(
         np.concatenate([plan.moving, plan.fixed, plan.guided])
     )  # it may be of no patch, inside of the mesh
+    expected = (plan.n_moving, plan.points.shape[1])
     held = Mesh(mesh.points, mesh.cells, {**mesh.patches, "surface of the plan": surface})
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
-        path = jnp.stack([jnp.asarray(motion(fraction * (j + 1) / count)) for j in range(count)])
+        parts = [motion(fraction * (j + 1) / count) for j in range(count)]
+        path = jnp.stack([jnp.asarray(finite_array("motion(t)", each, expected)) for each in parts])
         plans, points = march(plan, path)
         improvement = improved(held, points, symmetry=planes) if mend else None
         points = points if improvement is None else improvement.points

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import os
 import pathlib
+import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -22,6 +23,9 @@ from .file import Patch, load, patches
 
 REMEDY = "Run decomposePar, or leave --decomposed away"
 
+
+COLLATED = re.compile(r"s\d*(_\d+-\d+)?")
+"""The end of the names of folders that hold several parts, after `processor`."""
 
 AGREE = 1e-5
 """Distance between the places that parts give a shared point, relative to the coordinates: what single precision leaves."""
@@ -73,8 +77,10 @@ class Decomposed:
         if not self.path.is_dir():
             raise ValueError(f"{self.path}: no folder of an OpenFOAM case.")
         names = {folder.name.removeprefix("processor") for folder in self.path.glob("processor*") if folder.is_dir()}
-        if any(not name.isdecimal() for name in names) or any((self.path / "processors").glob("*")):
-            folders = ", ".join(sorted(f"processor{name}" for name in names))
+        collated = sorted(name for name in names if COLLATED.fullmatch(name))
+        names = {name for name in names if name.isdecimal()}
+        if collated:
+            folders = ", ".join(f"processor{name}" for name in collated)
             raise ValueError(
                 f"{self.path}: folders {folders}; collated files are not read: run decomposePar -fileHandler uncollated."
             )
