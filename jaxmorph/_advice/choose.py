@@ -33,7 +33,7 @@ from .rivals import WORTH, is_better, judged, others, tried
 
 COLUMNS = ("leaves", "sources", "radius", "fit", "error", "rounding", "inverted", "jacobian", "angle", "seconds")
 
-NOTICEABLE = 0.1
+FIT_NOTICEABLE = 0.1
 """Degrees by which a fitted field is closer to the angle, at least, to be taken in place of one that interpolates."""
 
 
@@ -262,7 +262,7 @@ def _best(rows: list[dict[str, Any]], radial: int, error: float) -> int:
 def _is_fit_better(plain: dict[str, Any], fitted: dict[str, Any]) -> bool:
     if fitted["inverted"] != plain["inverted"]:
         return fitted["inverted"] < plain["inverted"]
-    return fitted["angle"] < plain["angle"] - NOTICEABLE and fitted["jacobian"] >= WORTH * plain["jacobian"]
+    return fitted["angle"] < plain["angle"] - FIT_NOTICEABLE and fitted["jacobian"] >= WORTH * plain["jacobian"]
 
 
 def _best_of(rows: list[dict[str, Any]], usable: list[int], error: float) -> int:

@@ -78,11 +78,10 @@ def fewest_steps(
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
 
     planes = () if plan.images is None else plan.images.planes
-    surface = np.unique(
-        np.concatenate([plan.moving, plan.fixed, plan.guided])
-    )  # it may be of no patch, inside of the mesh
-    expected = (plan.n_moving, plan.points.shape[1])
-    held = Mesh(mesh.points, mesh.cells, {**mesh.patches, "surface of the plan": surface})
+    expected, held = (plan.n_moving, plan.points.shape[1]), mesh
+    if improve:  # the surface may be of no patch, inside of the mesh
+        surface = np.unique(np.concatenate([plan.moving, plan.fixed, plan.guided]))
+        held = Mesh(mesh.points, mesh.cells, {**mesh.patches, "surface of the plan": surface})
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
         parts = [motion(fraction * (j + 1) / count) for j in range(count)]

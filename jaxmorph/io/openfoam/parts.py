@@ -36,7 +36,7 @@ class Side:
     """The outside of one part of a mesh: what the whole mesh's surface is gathered from. All ids are the whole mesh's.
 
     - `nodes` (k,), `points` (k, d): ids, ascending, and coordinates of the nodes on boundary faces.
-    - `faces`: boundary faces (f, corners) by type. Faces to other parts are not among them; `between` is their number.
+    - `faces`: boundary faces (f, corners) by type. Faces to other parts are not among them.
     - `patches`: the nodes of each patch by name.
     - `groups`: the groups of patches by name.
     - `pairs`: pairs of cyclic patches.
@@ -48,7 +48,6 @@ class Side:
     patches: Mapping[str, np.ndarray]
     groups: Mapping[str, tuple[str, ...]]
     pairs: tuple[tuple[str, str], ...]
-    between: int
 
 
 class Decomposed:
@@ -130,7 +129,6 @@ class Decomposed:
             {name: ids[np.asarray(each)] for name, each in mesh.patches.items()},
             mesh.source.groups,
             tuple((each.name, each.neighbour) for each in boundary if each.type == "cyclic"),
-            0 if mesh.between is None else len(mesh.between),
         )
 
     def surface(self, sides: Sequence[Side] | None = None) -> Mesh:
