@@ -8,6 +8,7 @@ from cases import body
 
 import jaxmorph as jm
 from jaxmorph import cases as jm_cases
+from jaxmorph._host.reduction import roundoff
 
 
 def reference(points, leaves, local):
@@ -89,6 +90,34 @@ def test_boxes_are_split_until_small_enough():
     assert (np.ptp(boxes, axis=1).max(axis=1)[counts > 20] <= 0.5).all()  # only these are left whole
     assert len(members(jm.KDTree(13))[0]) == 13
     assert len(jm.KDTree(1000).boxes(points)) == 500  # one point each, then it ends
+
+
+def test_limits_on_leaves_at_equality():
+    """A box as long as `smallest_box` is whole; one as long as `largest_box`, or as full as `points_per_leaf`, is not split."""
+    points = np.stack([np.linspace(0, 1, 8), np.zeros(8)], axis=1)
+    for options, leaves in [
+        ({"smallest_box": 1.0}, 1),
+        ({"smallest_box": 0.999}, 2),
+        ({"largest_box": 1.0}, 1),
+        ({"largest_box": 0.999}, 2),
+        ({"points_per_leaf": 8}, 1),
+        ({"points_per_leaf": 4}, 2),
+    ]:
+        least = {"leaves": 2} if "smallest_box" in options else {}
+        assert len(jm.KDTree(**options, **least).boxes(points)) == leaves, options
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("size", [1.0, 1e-6, 1e8])
+def test_points_coincide_within_a_few_units_in_the_last_place(dtype, size):
+    """Half of 8 units of the largest coordinate is round-off, twice 8 units are not: with `AllPoints` and without separation."""
+    unit = np.finfo(dtype).eps
+    for units, distinct in [(4, 3), (16, 4)]:
+        points = (size * np.array([[1, 0], [1 - units * unit, 0], [0, 1], [0, 0]])).astype(dtype)
+        assert roundoff(points) == pytest.approx(8 * unit * size, rel=1e-6)
+        if dtype is np.float64:
+            assert len(jm.AllPoints()(points)) == distinct
+            assert len(jm.KDTree(8, separation=0.0)(points)) == distinct
 
 
 def test_separation():

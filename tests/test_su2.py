@@ -222,6 +222,15 @@ BAD = {
     "three coordinates": (PLAIN.replace("1.5 0.25 1", "1.5 0.25 1.5"), r"found \[1.5\] as index"),
     "one node more": (PLAIN.replace("5 1 2 4 1", "5 1 2 4 3 1"), "line 4: an element of type 5 has 3 nodes, found 6"),
     "one node more without index": (PLAIN.replace("3 0 1\n", "3 0 1 2\n"), "a.* element of type 3 has 2 nodes"),
+    "three numbers after coordinates": (
+        "NDIME= 2\nNELEM= 0\nNPOIN= 1\n0.0 0.0 0 0 0\nNMARK= 0\n",
+        "line 4: a point of 2 coordinates expected, found 5 numbers",
+    ),
+    "two numbers more on all elements": (
+        PLAIN.replace("9 0 1 4 3 0", "9 0 1 4 3 7 0").replace("4 1\n5 2 5 4 2", "4 7 1\n5 2 5 4 7 2"),
+        "line 3: an element of type 9 has 4 nodes, found 7",
+    ),
+    "more markers": (PLAIN.replace("NMARK= 2", "NMARK= 1"), "line 13: NMARK= 1, but 2 markers"),
     "fewer markers": (PLAIN.replace("NMARK= 2", "NMARK= 3"), "NMARK= 3, but 2 markers"),
     "cut before the markers": (PLAIN[: PLAIN.index("NMARK")], "no NMARK= in this file"),
     "bytes": ("\x00\x01\x02" * 100, "no NDIME="),
