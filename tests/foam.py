@@ -165,10 +165,15 @@ def run(case, *command):
     return done.stdout
 
 
-def verdict(case, *options):
-    """checkMesh's: the checks that fail, without their numbers, or that none does."""
+PARALLEL = ("mpirun.openmpi", "--allow-run-as-root", "--oversubscribe", "-n")
+"""How OpenFOAM's programs start in several processes."""
+
+
+def verdict(case, *options, processes=1):
+    """checkMesh's: the checks that fail, without their numbers, or that none does; of a decomposed case by its processes."""
     marks = ("Failed", "Mesh OK", "***")
-    said = [line.strip() for line in run(case, "checkMesh", *options).splitlines() if any(m in line for m in marks)]
+    check = ["checkMesh"] if processes == 1 else [*PARALLEL, str(processes), "checkMesh", "-parallel"]
+    said = [line.strip() for line in run(case, *check, *options).splitlines() if any(m in line for m in marks)]
     assert said
     return [line.split(",")[0] for line in said]
 

@@ -19,6 +19,8 @@ from jaxmorph._host.ranks import Agreement, Alone, together
 from jaxmorph._plan.door import boundary
 from jaxmorph._plan.faces import OuterFaces
 from jaxmorph.cli import main
+from jaxmorph.cli._decomposed import _say_warnings_of_all
+from jaxmorph.cli._output import Output
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -149,6 +151,13 @@ def test_a_last_part_that_is_lost_is_told(divided):
         io.Decomposed(divided).surface()
 
 
+def test_a_part_without_cells_is_named(divided):
+    boundary_file = divided / "processor1" / "constant" / "polyMesh" / "boundary"
+    boundary_file.write_text(re.sub(r"nFaces \d+", "nFaces 0", boundary_file.read_text()))
+    with pytest.raises(ValueError, match=r"processor1: this part has no cells.* decompose into fewer parts"):
+        io.Decomposed(divided).surface()
+
+
 def test_what_a_decomposed_case_lacks(divided, tmp_path):
     with pytest.raises(ValueError, match="was not read from an OpenFOAM case"):
         io.global_nodes(jm.Mesh(np.zeros((3, 2))))
@@ -225,6 +234,29 @@ def move(case, new, *flags, more=(), run=main):
     return run(["deform", str(case), str(new), *name])
 
 
+LIFT = ("--translate", "0.02", "-0.05", "0.1")
+
+
+@pytest.mark.filterwarnings("ignore:.*the case is decomposed")
+@pytest.mark.parametrize(
+    "flags",
+    [(), *(pytest.param(each, marks=pytest.mark.slow) for each in [("--steps", "3"), ("--dtype", "float32")])],
+    ids=str,
+)
+def test_parts_move_as_their_union(divided, tmp_path, capsys, flags):
+    assert move(divided, tmp_path / "whole", *LIFT, *flags) == 0
+    assert move(divided, tmp_path / "parts", *LIFT, *flags, "--decomposed") == 0
+    assert "in 2 parts" in capsys.readouterr().out
+    expected = io.read(tmp_path / "whole").points
+    for k in range(2):
+        part = io.read(tmp_path / "parts" / f"processor{k}")
+        atol = 1e-6 if "float32" in flags else 1e-12
+        np.testing.assert_allclose(part.points, expected[io.global_nodes(part)], rtol=0, atol=atol)
+        floor = part.patch("floor")
+        base = np.asarray(io.read(divided / f"processor{k}").points)
+        np.testing.assert_array_equal(part.points[floor], base[floor] + np.array(LIFT[1:], float))
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*the case is decomposed")
 @pytest.mark.parametrize("name", CASES)
@@ -244,6 +276,8 @@ def test_parts_move_as_the_whole_case(tmp_path, monkeypatch, capsys, name):
         for node, place in zip(content.point_ids.tolist(), content.points.tolist(), strict=True):
             assert seen.setdefault(node, place) == place  # bit for bit
     assert len(seen) == len(expected)
+    said = [foam.verdict(each, "-constant", processes=count) for each in (case, parts)]
+    assert said[0] == said[1] == ["Mesh OK."]
     foam.run(parts, "reconstructParMesh", "-constant", "-fullMatch", "-mergeTol", "1e-9")
     again = io.read(parts).source.content.points
     assert len(again) == len(expected)
@@ -262,27 +296,38 @@ def test_parts_move_as_the_whole_case(tmp_path, monkeypatch, capsys, name):
 
 
 @pytest.mark.slow
-def test_processes_of_an_mpi_run_write_the_same_case(tmp_path):
-    foam.need_openfoam()
+def test_processes_of_an_mpi_run_write_the_same_case(divided, tmp_path):
     pytest.importorskip("mpi4py")
     mpiexec = pathlib.Path(sys.executable).with_name("mpiexec")
     if not mpiexec.exists():
         pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
-    made_by_openfoam(tmp_path / "case", "cyclic")
-    shift = ["--translate", "0.02", "-0.05", "0", "--decomposed"]
-    assert move(tmp_path / "case", tmp_path / "one", *shift) == 0
+    assert move(divided, tmp_path / "one", *LIFT, "--decomposed") == 0
 
     def run(words):
-        command = [str(mpiexec), "-n", "3", sys.executable, "-m", "jaxmorph", *words]
+        command = [str(mpiexec), "-n", "2", sys.executable, "-m", "jaxmorph", *words]
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
         done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
         print(done.stdout, done.stderr)
         assert done.stdout.count("quality of") == 1  # one speaks for all
         return done.returncode
 
-    assert move(tmp_path / "case", tmp_path / "three", *shift, run=run) == 0
-    one, three = (foam.tree(tmp_path / each) for each in ("one", "three"))
-    assert one.keys() == three.keys()
-    for k in range(4):
-        first, second = (io.read(tmp_path / each / f"processor{k}").points for each in ("one", "three"))
+    assert move(divided, tmp_path / "two", *LIFT, "--decomposed", run=run) == 0
+    one, two = (foam.tree(tmp_path / each) for each in ("one", "two"))
+    assert one.keys() == two.keys()
+    for k in range(2):
+        first, second = (io.read(tmp_path / each / f"processor{k}").points for each in ("one", "two"))
         np.testing.assert_allclose(first, second, rtol=0, atol=1e-14)
+
+
+def test_one_process_says_the_warnings_of_all(capsys):
+    class Two(Alone):
+        size = 2
+
+        def gather(self, value):
+            return [value, ["warning: here", "warning: there"]]
+
+    out = Output("deform")
+    out.warn("here")
+    _say_warnings_of_all(out, Two())
+    assert out.facts["warnings"] == ["warning: here", "warning: there"]
+    assert capsys.readouterr().err.count("warning: ") == 2

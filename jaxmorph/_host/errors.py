@@ -1,5 +1,7 @@
-"""The error that names nodes."""
+"""The error that names nodes, and warnings that name the caller's line."""
 
+import sys
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,6 +26,18 @@ class MeshError(ValueError):
     def renumbered(self, ids: np.ndarray) -> "MeshError":
         """Returns the same error about a larger mesh, in which node k is node `ids[k]`."""
         return MeshError(self.message, np.asarray(ids)[self.nodes])
+
+
+INNER = {"jaxmorph", "jax", "equinox", "jaxtyping", "beartype", "contextlib", "functools"}
+"""Packages whose lines no user can mend."""
+
+
+def warn(message: str) -> None:
+    """Warns about the line of the user's script that called the library, however deep the call is."""
+    level, frame = 1, sys._getframe()
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in INNER:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, stacklevel=level)
 
 
 def place_of(point: np.ndarray) -> str:

@@ -4,7 +4,6 @@ The classic method on all nodes of the surface is that of de Boer, van der Schoo
 Rendall and Allen (Journal of Computational Physics 228, 2009) reduced its sources.
 """
 
-import warnings
 from typing import Any
 
 import equinox as eqx
@@ -16,6 +15,7 @@ import scipy.spatial
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.door import between, checked, shown
+from .._host.errors import warn
 from .._host.graded import Graded
 from .._host.ordering import far_to_near
 from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
@@ -92,9 +92,8 @@ class RBF(AbstractMethod):
             raise ValueError(f"`degree` of the polynomial is None, 0 or 1, not {self.degree!r}.")
         between("ridge", self.ridge, 0, ends="[)")
         if self._below_min_degree:
-            warnings.warn(
+            warn(
                 f"{type(self.basis).__name__} without a polynomial of degree {self.basis.min_degree} may give a singular system.",
-                stacklevel=3,
             )
 
     @classmethod
@@ -231,7 +230,7 @@ class RBF(AbstractMethod):
         message = _unusable(factors, how if np.isfinite(error) else "singular")
         if useless:
             raise ValueError(message)
-        warnings.warn(message, stacklevel=3)
+        warn(message)
 
     def field(self, ids, factors: "RBFFactors", surface, u):
         return self.through(factors, u[_rows(ids)].astype(factors.lu.dtype), u.dtype)

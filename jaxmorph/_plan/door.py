@@ -1,7 +1,6 @@
 """The door of `prepare`: what a caller names becomes checked points, node ids, planes, pairs and faces."""
 
 import dataclasses
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,7 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from .._host.door import shown
-from .._host.errors import MeshError, place_of
+from .._host.errors import MeshError, place_of, warn
 from .._host.skin import has_free_faces
 from .._host.topology import solid
 from .._mesh.mesh import Mesh
@@ -80,7 +79,7 @@ class Boundary:
     def warn_of_free_faces(self) -> None:
         """Warns about boundary faces that no list names."""
         if self.left:
-            warnings.warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.", stacklevel=4)
+            warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.")
 
     def part(self, nodes: np.ndarray) -> "Boundary":
         """Returns the same of the mesh's nodes `nodes` alone, ascending ids that hold the whole surface."""

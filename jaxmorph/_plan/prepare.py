@@ -1,7 +1,6 @@
 """Preparation: everything about a mesh that does not depend on the displacement, found once on the host."""
 
 import dataclasses
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 
+from .._host.errors import warn
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
@@ -74,10 +74,9 @@ def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
     guide = _guide_of(named, method)
     plan = _plan_of(dataclasses.replace(named, pairings=(), tracks=()), method, guide)
     if plan.points.dtype != named.points.dtype:
-        warnings.warn(
+        warn(
             "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
             'Call jax.config.update("jax_enable_x64", True) first.',
-            stacklevel=3,
         )
     return plan
 

@@ -42,6 +42,10 @@ def march(
     """
     if mesh is not None and tuple(mesh.points.shape) != plan.points.shape:
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
+    if mesh is not None and not rebuild:
+        raise ValueError(
+            "`mesh` is for `rebuild=True`; without it the ids of the plan are kept. Leave one of them away."
+        )
     if rebuild and mesh is None and plan.method.needs_cells:
         name = type(plan.method).__name__
         raise ValueError(

@@ -159,8 +159,9 @@ def distortion(
     kinds = solid(mesh.cells, d)
     if not kinds:
         raise ValueError(f"the mesh has no cells that fill {d}-D space; their distortion is not defined.")
-    if is_known(size_weight, softness):
+    if is_known(size_weight):
         between("size_weight", size_weight, 0, 1, "[]")
+    if is_known(softness):
         between("softness", softness, 0)
     current = places(mesh, points)
     reference = jnp.asarray(mesh.points, current.dtype)

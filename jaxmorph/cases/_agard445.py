@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -14,6 +13,7 @@ from jaxtyping import ArrayLike, Float
 
 import jaxmorph as jm
 from jaxmorph._host.door import between, checked
+from jaxmorph._host.errors import warn
 from jaxmorph._host.files import complete
 from jaxmorph._kernels.values import is_known
 
@@ -182,4 +182,4 @@ def _store(file: Path, arrays: dict[str, np.ndarray]) -> None:
         with complete(file) as partial, partial.open("wb") as stream:
             np.savez_compressed(stream, **content)
     except OSError as error:
-        warnings.warn(f"the mesh could not be kept in {file.parent} and will be made again: {error}.", stacklevel=3)
+        warn(f"the mesh could not be kept in {file.parent} and will be made again: {error}.")

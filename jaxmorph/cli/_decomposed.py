@@ -52,6 +52,7 @@ def deform_parts(request: Deform, out: Output) -> int:
                 writer.add(k, moved)
                 stage.done(min(1.0, (first + ranks.size) / len(case)))
             every = [each for some in ranks.allgather(verdicts) for each in some]
+            _say_warnings_of_all(out, ranks)
             judged = Verdicts(sorted(every, key=lambda each: each.part), request.gates)
             out.say(f"\n{judged.table}\n", **judged.facts)
             if judged.faults and not request.allow_inverted:
@@ -73,6 +74,14 @@ def _complain(request: Deform, judged: Verdicts, out: Output) -> None:
             else ""
         )
         out.complain(sentence + hint)
+
+
+def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
+    """Says the warnings that the silent processes of an MPI run have kept, once each."""
+    said = out.facts.get("warnings", [])
+    for warning in dict.fromkeys(each for some in ranks.gather(said) or () for each in some):
+        if warning not in said:
+            out.complain(warning, "warnings")
 
 
 def _ranks() -> Ranks:

@@ -11,12 +11,12 @@ import os
 import pathlib
 import re
 import shutil
-import warnings
 from collections.abc import Iterator
 
 import numpy as np
 
 from jaxmorph import Mesh, Periodic
+from jaxmorph._host.errors import warn
 from jaxmorph._host.files import complete
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
@@ -175,10 +175,9 @@ def _warn_of_parts(path: pathlib.Path, case: pathlib.Path | None) -> None:
     parts = [] if case is None else [each for each in case.glob("processor*") if each.is_dir()]
     if parts:
         fate = "keep the old points" if _is_time(path) else "are not copied"
-        warnings.warn(
+        warn(
             f"{path}: the case is decomposed, and its {len(parts)} folders processor* {fate}. "
             "Run decomposePar -force on the written mesh before a parallel run.",
-            stacklevel=4,
         )
 
 

@@ -113,7 +113,12 @@ class Decomposed:
 
     def side(self, k: int) -> Side:
         """Reads the outside of part `k`."""
-        mesh, boundary = self.read(k), self._boundary(k)
+        boundary = self._boundary(k)
+        if not any(each.count for each in boundary):
+            raise ValueError(
+                f"{self.folder(k)}: this part has no cells; empty parts are not moved: decompose into fewer parts, or by scotch."
+            )
+        mesh = self.read(k)
         lost = [each.part for each in boundary if each.part >= self.count]
         if lost:
             raise ValueError(f"{self.folder(k)}: it has faces to processor{max(lost)}, which is missing. {REMEDY}.")
