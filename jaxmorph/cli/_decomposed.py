@@ -78,9 +78,9 @@ def _complain(request: Deform, judged: Verdicts, out: Output) -> None:
 
 def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
     """Says the warnings that the silent processes of an MPI run have kept, once each."""
-    said = out.facts.get("warnings", [])
-    for warning in dict.fromkeys(each for some in ranks.gather(said) or () for each in some):
-        if warning not in said:
+    spoken = out.facts.get("warnings", [])
+    for warning in dict.fromkeys(each for some in ranks.gather(spoken) or () for each in some):
+        if warning not in spoken:
             out.complain(warning, "warnings")
 
 
