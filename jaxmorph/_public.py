@@ -55,6 +55,7 @@ from ._methods.global_bases import LinearSpline as LinearSpline
 from ._methods.inverse_distance import InverseDistance as InverseDistance
 from ._methods.laplacian import Biharmonic as Biharmonic
 from ._methods.laplacian import Laplacian as Laplacian
+from ._methods.local import LocalCorrection as LocalCorrection
 from ._methods.multiscale import Multiscale as Multiscale
 from ._methods.nearwall import NearWall as NearWall
 from ._methods.rbf import RBF as RBF

@@ -95,6 +95,14 @@ CASES = [
     Case("multiscale", lambda length: jm.SurfaceReconstruction(few(), jm.Multiscale()), turns=False),
     Case("multiscale-whole", lambda length: jm.Multiscale.whole(2 * length, 0.2), affine=False, translates=False),
     Case("multiscale-alone", lambda length: jm.Multiscale(), affine=False, translates=False, dimensions=(2,)),
+    Case("local", lambda length: jm.SurfaceReconstruction(few(), jm.LocalCorrection()), turns=False),
+    Case(
+        "local-alone",
+        lambda length: jm.LocalCorrection(2 * length),
+        affine=False,
+        translates=False,
+        dimensions=(2,),
+    ),
     Case("delaunay", lambda length: jm.DelaunayGraph()),
     Case(
         "delaunay-coarse",

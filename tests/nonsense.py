@@ -297,6 +297,7 @@ TABLE: dict[str, dict[str, Argument]] = {
         "sources": count(4),
         "motions": finite(np.zeros((1, M, 2))) - "none",
         "tolerance": number(0.1, negative=-1.0),
+        "group": RATIO,
         "separation": RATIO,
     },
     "jm.InverseDistance": {
@@ -340,6 +341,7 @@ TABLE: dict[str, dict[str, Argument]] = {
         "cell_data": mapping({}) - "none empty",
     },
     "jm.Multiquadric": {"radius": LENGTH},
+    "jm.LocalCorrection": {"radius": LENGTH - "none"},
     "jm.Multiscale": {},
     "jm.Multiscale.whole": {"radius": LENGTH, "fraction": positive(0.1, beyond=1.5)},
     "jm.NearWall": {"correction": one_of(jm.DelaunayGraph()), "width": LENGTH - "none"},

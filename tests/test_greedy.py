@@ -36,6 +36,14 @@ def test_motions_are_met_better_than_by_boxes(sphere, motions):
     assert missed(sphere, chosen, motions) < missed(sphere, boxes, motions) / 3
 
 
+def test_one_by_one_each_source_is_where_those_before_miss_most(sphere, motions):
+    before, after = (set(jm.Greedy(count, motions, group=0.0, separation=0.0)(sphere)) for count in (20, 21))
+    assert before < after
+    values, sources = np.concatenate(list(motions), axis=1), sorted(before)
+    spline = RBFInterpolator(sphere[sources], values[sources], kernel="thin_plate_spline", degree=1)
+    assert {int(np.abs(spline(sphere) - values).max(axis=1).argmax())} == after - before
+
+
 def test_it_ends_at_the_tolerance(sphere, motions):
     bound = 0.02 * np.abs(motions).max()
     chosen = jm.Greedy(400, motions, tolerance=0.02)(sphere)

@@ -23,6 +23,8 @@ class Greedy(AbstractReduction):
     - `motions`: displacements (k, m, d) of the m points, typical of the motions to come, such as modes. Default None.
     - `tolerance`: it ends early when the spline misses no motion by more than this, relative to the largest displacement;
       0 by default.
+    - `group`: how many sources join in one round, as a share of those before: 0 puts them one by one. A source of a group knows of
+      those before it in the group by their distance alone. Default 1/8.
     - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1.
       Default 1e-3.
 
@@ -33,6 +35,7 @@ class Greedy(AbstractReduction):
     motions: np.ndarray | None = None
     _: dataclasses.KW_ONLY
     tolerance: float = 0.0
+    group: float = 0.125
     separation: float = 1e-3
 
     def __post_init__(self):
@@ -40,6 +43,7 @@ class Greedy(AbstractReduction):
         if self.motions is not None:
             finite_array("motions", self.motions, (None, None, None))
         between("tolerance", self.tolerance, 0, ends="[)")
+        between("group", self.group, 0, 1, "[]")
         check_separation(self.separation)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
@@ -55,14 +59,16 @@ class Greedy(AbstractReduction):
                 f"`motions` has shape {motions.shape}, but there are {len(points)} points in {points.shape[1]} dimensions."
             )
         values = np.concatenate(list(motions[:, order]), axis=1)
-        return _by_error(points, values, self.sources, closest, self.tolerance)
+        return _by_error(points, values, self.sources, closest, self.tolerance, self.group)
 
     def closest(self, points: np.ndarray) -> float:
         return least_distance(points, self.separation)
 
 
-def _by_error(points: np.ndarray, values: np.ndarray, count: int, closest: float, tolerance: float) -> np.ndarray:
-    """Picks the points where the interpolation of `values` (m, k d) misses by most, an eighth more in each round."""
+def _by_error(
+    points: np.ndarray, values: np.ndarray, count: int, closest: float, tolerance: float, group: float
+) -> np.ndarray:
+    """Picks the points where the interpolation of `values` (m, k d) misses by most, a `group` in each round."""
     unit = (points - points.mean(axis=0)) / (np.ptp(points, axis=0).max() or 1.0)
     tail = np.concatenate([np.ones((len(unit), 1)), unit], axis=1)
     chosen = farthest(points, min(count, points.shape[1] + 1), closest)
@@ -75,7 +81,7 @@ def _by_error(points: np.ndarray, values: np.ndarray, count: int, closest: float
         if missed.max() <= tolerance * largest:
             break
         added = []
-        for _ in range(min(1 + len(chosen) // 8, count - len(chosen))):
+        for _ in range(min(1 + int(group * len(chosen)), count - len(chosen))):
             worst = int(missed.argmax())
             if missed[worst] <= tolerance * largest:
                 break

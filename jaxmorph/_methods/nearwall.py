@@ -66,8 +66,8 @@ class NearWall(AbstractMethod):
         return self.correction.linear
 
     def connect(self, surface: Surface, points):
-        extent = surface.once(("extent", digest(surface.matched)), lambda: self._extent(surface))
-        width = self._width(jax.tree.map(np.asarray, extent), np.asarray(surface.points))
+        extent = Extent.seen(surface)
+        width = layer_width(self.width, jax.tree.map(np.asarray, extent), np.asarray(surface.points))
         wall = np.asarray(extent.wall)
         row_of_point = surface.rows(len(points))
         inside = np.flatnonzero(row_of_point == len(surface.points))
@@ -83,7 +83,7 @@ class NearWall(AbstractMethod):
 
     def fit(self, ids, surface, points):
         correction, extent = ids
-        return self.correction.fit(correction, surface, points), self._width(extent, surface)
+        return self.correction.fit(correction, surface, points), layer_width(self.width, extent, surface)
 
     def carry(self, ids, factors, surface, points):
         return self.correction.carry(ids[0], factors[0], surface, points), factors[1]
@@ -108,31 +108,6 @@ class NearWall(AbstractMethod):
     def check(self, ids, factors, u):
         self.correction.check(ids[0], factors[0], u)
 
-    def _extent(self, surface: Surface) -> "Extent":
-        wall, ends, share = surface.walls
-        share = share.copy()
-        matched = np.arange(len(wall))
-        for label in np.unique(wall[surface.matched]):
-            here = np.flatnonzero(wall == label)
-            chosen = surface.matched[wall[surface.matched] == label]
-            matched[here] = nearest_of(surface.points[here], surface.points[chosen], chosen)
-            share[label] = 0
-        return Extent(*as_jax([*(each.astype(np.int32) for each in (wall, matched, ends)), share]))
-
-    def _width(self, extent: "Extent", surface: Float[Either, "b d"]) -> Float[Either, " b"]:
-        """Computes the width of the layer over each surface node, the same for all of one wall."""
-        xp = namespace(surface)
-        if self.width is not None:
-            return xp.full(len(surface), xp.asarray(self.width, surface.dtype))
-        gap = norm(surface - surface[extent.matched])
-        if xp is np:
-            widest = np.full(len(extent.ends), -np.inf)
-            np.maximum.at(widest, extent.wall, gap)
-        else:
-            widest = jax.ops.segment_max(gap, extent.wall, len(extent.ends))
-        span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
-        return xp.maximum(REACH * widest, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
-
 
 class Extent(eqx.Module):
     """Rows of the surface: each one's wall and nearest matched row of that wall, or itself; each wall's two ends and mean chord.
@@ -144,6 +119,38 @@ class Extent(eqx.Module):
     matched: Int[Array, " b"]
     ends: Int[Array, "w 2"]
     share: Float[Array, " w"]
+
+    @classmethod
+    def seen(cls, surface: Surface) -> "Extent":
+        """Finds them on the host, once for a surface and its matched rows."""
+        return surface.once(("extent", digest(surface.matched)), lambda: cls._searched(surface))
+
+    @classmethod
+    def _searched(cls, surface: Surface) -> "Extent":
+        wall, ends, share = surface.walls
+        share = share.copy()
+        matched = np.arange(len(wall))
+        for label in np.unique(wall[surface.matched]):
+            here = np.flatnonzero(wall == label)
+            chosen = surface.matched[wall[surface.matched] == label]
+            matched[here] = nearest_of(surface.points[here], surface.points[chosen], chosen)
+            share[label] = 0
+        return cls(*as_jax([*(each.astype(np.int32) for each in (wall, matched, ends)), share]))
+
+
+def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
+    """Computes the width of the layer over each surface node, the same for all of one wall: `width`, if it is given."""
+    xp = namespace(surface)
+    if width is not None:
+        return xp.full(len(surface), xp.asarray(width, surface.dtype))
+    gap = norm(surface - surface[extent.matched])
+    if xp is np:
+        widest = np.full(len(extent.ends), -np.inf)
+        np.maximum.at(widest, extent.wall, gap)
+    else:
+        widest = jax.ops.segment_max(gap, extent.wall, len(extent.ends))
+    span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
+    return xp.maximum(REACH * widest, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
 
 
 class WallRow(eqx.Module):

@@ -1,0 +1,108 @@
+"""What a reduced field misses on the surface, against the number of its sources, by the way in which they are chosen.
+
+    python benchmarks/sources.py [--points 39666] [--picture docs/sources.png]
+
+An airfoil is cambered, waved, raised in one place and has its flap turned; a wing bends, twists and waves. A row holds the
+largest miss at any node of the moving surface in any of the motions, then the mean one, relative to each motion's largest
+displacement. The field is a thin plate spline with a linear polynomial, 40 sources on the fixed boundary and no correction. The
+greedy choices by the motions are told of all of them.
+"""
+
+import argparse
+from collections.abc import Callable
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+from _measure import about, table
+from _walls import bump, camber, flap, up
+
+import jaxmorph as jm
+from jaxmorph import cases, plot
+
+COUNTS = (8, 16, 32, 64, 128)
+
+
+def airfoil(points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    mesh = cases.naca0015(points=points)
+    base = np.asarray(mesh.points)[mesh.patch("airfoil")]
+    waves = [up(base, 0.02 * np.sin(k * np.pi * base[:, 0]))[0] for k in (3, 6)]
+    motions = [camber(base, 0.05)[0], waves[0], bump(base, 0.03)[0], waves[1], flap(base, 10)[0]]
+    return base, np.asarray(mesh.points)[mesh.patch("farfield")], np.stack(motions)
+
+
+def wing(points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    mesh = cases.wing(points=max(300, points // 4), stations=13)
+    base = np.asarray(mesh.points)[mesh.patch("wing")]
+    share = np.abs(base[:, 1]) / np.abs(base[:, 1]).max()
+    heights = [
+        0.2 * share**2,
+        0.05 * np.sin(2 * np.pi * share),
+        0.1 * base[:, 0] * share,
+        0.05 * np.sin(5 * base[:, 0]),
+    ]
+    return base, np.asarray(mesh.points)[mesh.patch("farfield")], np.stack([up(base, height)[0] for height in heights])
+
+
+def families(motions: np.ndarray) -> dict[str, Callable[[int, np.ndarray], jm.AbstractReduction]]:
+    """Reductions by name, for a number of sources and the nodes of the wall."""
+    return {
+        "k-d tree": lambda count, base: jm.KDTree.with_sources(count, base),
+        "farthest": lambda count, base: jm.FarthestPoints(count, extremes=True),
+        "P-greedy": lambda count, base: jm.PGreedy(count),
+        "f-greedy": lambda count, base: jm.Greedy(count, motions, group=0.0),
+        "f-greedy, grouped": lambda count, base: jm.Greedy(count, motions),
+    }
+
+
+def errors(base: np.ndarray, fixed: np.ndarray, motions: np.ndarray) -> dict[str, plot.SurfaceErrors]:
+    """Measures, for each reduction, the largest miss in any motion and the mean one, against the sources on the wall."""
+    points, moving = np.concatenate([base, fixed]), np.arange(len(base))
+    still = np.arange(len(base), len(points))
+    plan = jm.prepare(
+        points, moving, still, method=jm.RBF(reduction=jm.KDTree(1), fixed_reduction=jm.FarthestPoints(40))
+    )
+    found = {}
+    for name, make in families(motions).items():
+        reductions = [make(count, base) for count in COUNTS if count < len(base)]
+        missed = [plot.surface_errors(plan, motion, reductions) for motion in motions]
+        largest, mean = (np.array([getattr(each, part) for each in missed]) for part in ("largest", "mean"))
+        found[name] = plot.SurfaceErrors(missed[0].sources - 40, largest.max(axis=0), mean.mean(axis=0))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--points", type=int, default=39_666)
+    parser.add_argument("--picture", help="file of a picture to draw")
+    asked = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    about(points=asked.points)
+    parts = {"airfoil": airfoil(asked.points), "wing": wing(asked.points)}
+    found = {name: errors(*part) for name, part in parts.items()}
+    for name, families_of in found.items():
+        for quantity in ("largest", "mean"):
+            print(f"\n{name}, {len(parts[name][0])} nodes, {quantity} error")
+            rows = [
+                [
+                    family,
+                    *(
+                        f"{count}: {error:.2g}"
+                        for count, error in zip(each.sources, getattr(each, quantity), strict=True)
+                    ),
+                ]
+                for family, each in families_of.items()
+            ]
+            table(rows, ("reduction", *(f"{count} asked" for count in COUNTS)))
+    if asked.picture:
+        figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), sharey=True, layout="constrained")
+        for ax, (name, each) in zip(axes, found.items(), strict=True):
+            plot.convergence(each, ax=ax)
+            ax.set_title(f"{name}, {len(parts[name][0])} nodes on the wall")
+            ax.legend(fontsize=7, ncols=2)
+        axes[1].set_ylabel("")
+        figure.savefig(asked.picture, dpi=90)
+
+
+if __name__ == "__main__":
+    main()

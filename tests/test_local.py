@@ -1,0 +1,56 @@
+"""The correction of Rendall and Allen: against its formula written out, and its limits."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, few, motion
+
+import jaxmorph as jm
+from jaxmorph import shapes
+
+
+def by_hand(mesh, values, radius):
+    """Displacements (n, d): each point takes that of its nearest boundary node, times Wendland's function of the distance."""
+    apart = np.linalg.norm(mesh.points[:, None] - mesh.points[mesh.boundary][None], axis=2)
+    nearest = apart.argmin(axis=1)
+    x = np.minimum(apart.min(axis=1) / radius[nearest], 1)
+    return ((1 - x) ** 4 * (4 * x + 1))[:, None] * values[nearest]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_alone_it_is_its_formula(dimension):
+    mesh = body(dimension)
+    u = motion(mesh.points[mesh.moving])
+    values = np.concatenate([u, np.zeros((len(mesh.fixed), dimension))])
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.LocalCorrection(1.3))
+    expected = mesh.points + by_hand(mesh, values, np.full(len(values), 1.3))
+    np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-12)
+    assert plan.reach == pytest.approx(1.3)
+
+
+def test_it_carries_what_a_reduced_field_misses_as_far_as_the_sources_are_apart():
+    mesh = body(2)
+    u = motion(mesh.points[mesh.moving])
+    coarse_plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=few())
+    coarse = np.asarray(jm.deform(coarse_plan, u)) - mesh.points
+    missed = np.concatenate([u, np.zeros_like(mesh.points[mesh.fixed])]) - coarse[mesh.boundary]
+    sources = coarse_plan.sources
+    radius = []
+    for wall in (mesh.moving, mesh.fixed):
+        own = mesh.points[np.intersect1d(sources, wall)]
+        gaps = np.linalg.norm(mesh.points[wall][:, None] - own[None], axis=2).min(axis=1)
+        radius.append(np.full(len(wall), gaps.max()))
+    plan = jm.prepare(
+        mesh.points, mesh.moving, mesh.fixed, method=jm.SurfaceReconstruction(few(), jm.LocalCorrection())
+    )
+    expected = mesh.points + coarse + by_hand(mesh, missed, np.concatenate(radius))
+    np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-12)
+
+
+def test_points_beyond_the_hull_of_the_boundary_are_moved():
+    """A graph would refuse them."""
+    points = np.random.default_rng(0).uniform(-1, 1, (60, 2))
+    inner = np.flatnonzero(np.abs(points).max(axis=1) < 0.7)
+    plan = jm.prepare(points, inner, method=jm.SurfaceReconstruction(few(1), jm.LocalCorrection(0.5)))
+    turn = np.asarray(shapes.rotate(jnp.asarray(points), 0.3, (0.0, 0.0))) - points
+    np.testing.assert_allclose(jm.deform(plan, turn[inner]), points + turn, rtol=0, atol=1e-10)
