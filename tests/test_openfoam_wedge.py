@@ -6,6 +6,7 @@ import shutil
 import foam
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from test_openfoam import HEXAHEDRON
 
 import jaxmorph as jm
@@ -19,8 +20,7 @@ def around(x, r, side):
     return np.stack([x, r * np.cos(ANGLE), side * r * np.sin(ANGLE)], axis=-1)
 
 
-@pytest.fixture
-def pipe(tmp_path):
+def pipe_of():
     """Cells of x from 0 to 2 and r from 0 to 1, two along and two across; those at the axis are prisms."""
     x, r = np.meshgrid([0.0, 1, 2], [0.0, 0.4, 1], indexing="ij")
     front, back = np.arange(9).reshape(3, 3), np.arange(9).reshape(3, 3)
@@ -39,6 +39,12 @@ def pipe(tmp_path):
     patches = [(name, "wedge", lambda face, ids=ids: set(face) <= ids) for name, ids in sides.items()]
     patches += [("wall", "wall", lambda face: bool((np.hypot(*points[face][:, 1:].T) > 0.99).all()))]
     patches += [("ends", "patch", lambda face: True)]
+    return points, cells, patches, x, r
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    points, cells, patches, x, r = pipe_of()
     foam.write_case(tmp_path / "pipe", points, cells, patches)
     return tmp_path / "pipe", x, r
 
@@ -83,6 +89,33 @@ def test_a_patch_named_axis_is_joined_or_refused(pipe):
     boundary.write_text(re.sub(r"\bwall\b", "axis", text, count=1))
     with pytest.raises(ValueError, match="pipe: the patch axis has faces"):
         io.read(case)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*the case is decomposed")
+def test_parts_of_a_wedge_about_any_axis(tmp_path):
+    """Each part finds the axis anew, so its places differ from the others' by rounding."""
+    points, cells, patches, _, _ = pipe_of()
+    tilted = points @ Rotation.from_rotvec([0.3, 0.7, -0.4]).as_matrix().T + [0.3, -2, 5]
+    tests = [(name, kind, fits) for name, kind, fits in patches]
+    foam.write_case(tmp_path / "pipe", tilted, cells, tests)
+    foam.write_parts(tmp_path / "pipe", tilted, cells, tests, [0, 1, 0, 1])
+    whole, case = io.read(tmp_path / "pipe"), io.Decomposed(tmp_path / "pipe")
+    surface = case.surface()
+    kept = {"symmetry": "axis", "method": jm.RBF.classic(jm.ThinPlateSpline())}
+    half = jm.prepare_surface(surface, "wall", "ends", nodes=io.global_nodes(surface), faces=surface.cells, **kept)
+    u = np.zeros((3, 2))
+    u[1, 1] = 0.2
+    moved = whole.moved(jm.deform(jm.prepare(whole, "wall", "ends", **kept), u))
+    io.write(tmp_path / "whole", moved)
+    expected = io.read(tmp_path / "whole").source.content.points
+    with case.writing(tmp_path / "parts") as writer:
+        for k in range(2):
+            part = case.read(k)
+            writer.add(k, part.moved(jm.deform(half.attach(part.points, io.global_nodes(part)), u)))
+    for k in range(2):
+        content = io.read(tmp_path / "parts" / f"processor{k}").source.content
+        np.testing.assert_allclose(content.points, expected[content.point_ids], rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow

@@ -25,6 +25,9 @@ from .prepare import boundary_of, laid_out, plan_of, refuse_cells, surface_of
 from .slide import Slide
 from .symmetry import Plane
 
+SAME = 1e-12
+"""Distance by which a piece's place of a surface node may differ from the half's, which it gets, as a share of the extent."""
+
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceHalf:
@@ -88,6 +91,7 @@ class SurfaceHalf:
         place = self._places(nodes, points)
         self._check_sides(points, place)
         points = points.astype(plan.points.dtype)
+        points[place[place >= 0]] = np.asarray(plan.points)[place >= 0]
         # nodes of the half that the piece does not have: tolerances are those of the whole mesh, whatever the piece
         absent = np.flatnonzero(place < 0)
         count, rows = len(points), np.where(place < 0, len(points) + np.cumsum(place < 0) - 1, place)
@@ -141,7 +145,7 @@ class SurfaceHalf:
             raise ValueError(f"{twice.size} nodes are named more than once in `nodes`, first {self.nodes[twice[0]]}.")
         base = np.asarray(self.plan.points)
         apart = np.abs(points[held] - base[rows]).max(axis=1, initial=0.0)
-        wrong = np.flatnonzero(apart > 4 * roundoff(base))
+        wrong = np.flatnonzero(apart > max(4 * roundoff(base), SAME * np.ptp(base, axis=0).max()))
         if wrong.size:
             worst = wrong[apart[wrong].argmax()]
             raise MeshError(
