@@ -248,3 +248,30 @@ def test_random_triangles_cross_where_the_equations_say():
     assert {tuple(sorted(pair)) for pair in pairs} == expected
     assert np.isfinite(places).all()
     assert len(expected) > 20
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_faces_that_touch_meet_at_every_size(size):
+    """A corner that comes to lie in another face, within round-off, meets it; a millionth of the size above it does not."""
+    random = np.random.default_rng(1)
+    for d in (2, 3):
+        faces, place = np.arange(2 * d).reshape(2, d), np.arange(2 * d)
+        for _ in range(20):
+            face, weights = random.normal(size=(d, d)), random.dirichlet(np.ones(d))
+            foot = weights @ face
+            normal = np.linalg.svd(face[1:] - face[0])[2][-1]
+            away = [foot + height * normal + across for height, across in zip((1, 1.5), 0.2 * np.eye(d), strict=False)]
+            other = np.array([foot, *away[: d - 1]])
+            before = size * np.concatenate([face, other + 3 * normal])
+            for gap, meets in ((0.0, True), (1e-6, False)):
+                after = size * np.concatenate([face, other + gap * normal])
+                pairs, places = crossing_faces(before, after, faces, place)
+                assert len(pairs) == meets
+                np.testing.assert_allclose(places, np.tile(size * foot, (meets, 1)), rtol=0, atol=1e-7 * size)
+
+
+def test_faces_of_which_no_node_moves_or_that_are_no_whole_ones_cross_nothing(squares):
+    for nodes, way in ((squares.patch("left", "right"), 0.0), (squares.patch("left")[::2], 9.0)):
+        report = crossings(squares, nodes, np.full((len(nodes), 2), way))
+        assert report is not None
+        assert not len(report)

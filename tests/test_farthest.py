@@ -75,6 +75,7 @@ def test_hardly_any_points():
         points = np.arange(2.0 * count).reshape(count, 2)
         assert reduction(points).tolist() == list(range(count))
     assert len(jm.FarthestPoints(3)(np.zeros((5, 3)))) == 1
+    assert len(jm.FarthestPoints(2, extremes=True)(uneven(2))) == 2
 
 
 @pytest.mark.parametrize(

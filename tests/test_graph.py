@@ -165,6 +165,17 @@ def test_points_outside_of_the_hull():
         jm.prepare(mesh.points, mesh.moving, method=jm.DelaunayGraph())
 
 
+@pytest.mark.parametrize("length", [1.0, 1e3])
+@pytest.mark.parametrize("gap", [1e-6, 1e-5])
+def test_points_just_outside_of_a_rod(length, gap):
+    """The facets of its hull are ten thousand times as long as high; a point beyond one by much less than that is refused."""
+    rod = length * box((8, 2, 2), (1, 1e-4, 1e-4))[0]
+    points = np.concatenate([rod, [length * np.array([0.33, 0.4e-4, 1e-4 + gap])]])
+    with pytest.raises(ValueError, match=r"^1 of 82 points lie outside") as caught:
+        locate(rod, points, np.array([len(rod)]))
+    assert float(str(caught.value).split("), ")[1].split()[0]) == pytest.approx(gap * length, rel=0.01)
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_surfaces_without_extent(dimension):
     rng = np.random.default_rng(4)

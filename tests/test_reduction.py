@@ -69,6 +69,13 @@ def test_order_does_not_matter_and_nothing_is_named_twice(reduction, dimension):
         assert set(map(tuple, points[first])) == set(map(tuple, points[order][shuffled]))
 
 
+@pytest.mark.parametrize("size", [2.0**-30, 2.0**30])
+def test_the_unit_of_length_does_not_matter(size):
+    points = body(3).points
+    for reduction in (jm.KDTree(16), jm.KDTree(16, extremes=True), jm.FarthestPoints(30), jm.PGreedy(30)):
+        assert (reduction(size * points) == reduction(points)).all()
+
+
 def test_boxes_are_split_until_small_enough():
     """The limits on the leaves: every box obeys them, and holds its own points alone."""
     points = np.random.default_rng(1).normal(size=(500, 2)) ** 3
@@ -174,5 +181,7 @@ def test_tree_with_about_so_many_sources():
         leaves = jm.KDTree.with_sources(count, points).leaves
         missed = {k: abs(len(jm.KDTree(k, extremes=True)(points)) - count) for k in range(1, count + 1)}
         assert missed[leaves] <= min(missed.values()) + 1
+    least = len(jm.KDTree(1, extremes=True)(points))
+    assert len(jm.KDTree.with_sources(least, points)(points)) == least
     with pytest.raises(ValueError, match="`count` must be 3 or more in 2-D, not 2"):
         jm.KDTree.with_sources(2, points)

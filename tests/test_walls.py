@@ -96,6 +96,15 @@ def test_blades_closer_than_their_stations_are_two_walls(stations):
     assert label.max() == 1
 
 
+def test_circles_are_walls_of_their_own():
+    """Without faces: in 2-D a closed curve is a whole wall, and none goes on to a curve beside it."""
+    angle = 2 * np.pi * np.arange(40)[:, None] / 40
+    circle = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+    label = walls(np.concatenate([circle, circle + np.array([2.5, 0]), 9 * circle]), 80)
+    assert [len(set(each)) for each in np.split(label, [40, 80])] == [1, 1, 1]
+    assert label.max() == 2
+
+
 def test_bodies_without_structure():
     """A body within a far field, both fixed, and one node of neither."""
     i = np.arange(900) + 0.5

@@ -26,6 +26,8 @@ def crossing_faces(
     - `place`: a number (b,) for each row. Faces that share one are neighbours, and do not count.
     """
     is_moving = (points != moved).any(axis=1)[faces].any(axis=1)
+    if not is_moving.any():
+        return np.zeros((0, 2), np.int64), np.zeros((0, points.shape[1]))
     first, second = overlapping_boxes(moved[faces], is_moving)
     labels = place[faces]
     pairs, places = [np.zeros((0, 2), np.int64)], [np.zeros((0, points.shape[1]))]
@@ -73,7 +75,7 @@ def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.nd
 
 def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
     """Orders faces as the leaves of a balanced tree, by halving along the widest axis; ids beyond the last fill it up."""
-    depth = max(int(np.ceil(np.log2(max(len(centres), 1)))), 0)
+    depth = (len(centres) - 1).bit_length()
     order = np.arange(1 << depth)[None]
     padded = np.concatenate([centres, np.repeat(centres[-1:], (1 << depth) - len(centres), axis=0)])
     for _ in range(depth):

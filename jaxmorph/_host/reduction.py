@@ -232,9 +232,7 @@ def least_distance(points: np.ndarray, separation: float) -> float:
 
 def roundoff(points: np.ndarray) -> float:
     """Returns the distance below which two points are taken to coincide."""
-    if len(points) == 0:
-        return 0.0
-    return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max())
+    return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max(initial=0))
 
 
 def extreme_points(points: np.ndarray) -> np.ndarray:

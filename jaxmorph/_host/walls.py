@@ -42,7 +42,7 @@ def walls(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | Non
     if groups:
         label = _by_faces(points, moving, groups)
         known, left = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
-        label[left] = label[known[np.asarray(KDTree(points[known]).query(points[left])[1])]] if left.size else 0
+        label[left] = label[known[np.asarray(KDTree(points[known]).query(points[left])[1])]]
     else:
         label[:moving] = _by_chains(points[:moving])
         label[moving:] = _by_chains(points[moving:]) + 1 + label.max()
