@@ -1,5 +1,6 @@
 """Files appear whole or not at all, whatever links, modes, threads and killed writers are about."""
 
+import errno
 import os
 import pathlib
 import signal
@@ -161,3 +162,39 @@ def test_names_with_blanks_and_letters_of_all_kinds(tmp_path, name):
     io.write(tmp_path / name, small())
     assert len(io.read(tmp_path / name).points) == 3
     assert names(tmp_path) == [name]
+
+
+@posix
+def test_an_error_of_the_system_names_the_output(tmp_path):
+    """Not the temporary file, and not nothing; an error about another file keeps its name."""
+    target = tmp_path / "a.txt"
+    with pytest.raises(OSError, match=rf"No space left.*'{target}'$") as caught, complete(target):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert caught.value.errno == errno.ENOSPC
+    with pytest.raises(NotADirectoryError, match=rf"'{target}'$"), complete(target) as partial:
+        (partial / "below").write_text("")
+    with pytest.raises(FileNotFoundError, match=r"missing'$"), complete(target):
+        (tmp_path / "missing").read_text()
+    with pytest.raises(OSError, match=rf"{target}: not written \(9 requested and 3 written\)"), complete(target):
+        raise OSError("9 requested and 3 written")
+    assert names(tmp_path) == []
+
+
+@posix
+def test_devices_pipes_and_folders_are_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe.su2")
+    (tmp_path / "link.su2").symlink_to("/dev/null")
+    (tmp_path / "folder.su2").mkdir()
+    for name in ("pipe", "link", "folder"):
+        with pytest.raises(ValueError, match=rf"{name}\.su2: is a (folder|device or a pipe)"):
+            io.write(tmp_path / f"{name}.su2", small())
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+    assert names(tmp_path) == ["folder.su2", "link.su2", "pipe.su2"]
+
+
+@posix
+def test_the_longest_names_are_written(tmp_path):
+    for name in ("x" * 251, "é" * 125 + "x"):
+        with complete(tmp_path / f"{name}.su2") as partial:
+            partial.write_text("new")
+    assert len(names(tmp_path)) == 2

@@ -15,16 +15,18 @@ from collections.abc import Iterator
 import numpy as np
 
 
-def output_path(path: str | os.PathLike[str], *endings: str) -> pathlib.Path:
-    """Checks the name of a file to write, before any work; returns it as a path.
+def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = False) -> pathlib.Path:
+    """Checks the name of a file, or of a folder, to write, before any work; returns it as a path.
 
-    It raises `ValueError` for a name that ends in none of `endings`, where there are any, and for a folder that is not there.
+    It raises `ValueError` for a name that ends in none of `endings`, where there are any, and for a folder that is not there. Also
+    for what cannot be replaced by a file: a folder, a device, a pipe.
     """
     path = pathlib.Path(path)
     if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path}: the name should end in {' or '.join(endings)}.")
     if not path.parent.is_dir():
         raise ValueError(f"{path}: there is no folder {path.parent}.")
+    _check_replaceable(path, pathlib.Path(os.path.realpath(path)), folder)
     return path
 
 
@@ -66,25 +68,56 @@ def complete(path: pathlib.Path, *, folder: bool = False) -> Iterator[pathlib.Pa
     that is a symbolic link keeps being one, and its target is replaced. A file that is replaced hands on its permissions. What
     writers that were killed on this machine left behind for the same path is removed.
 
-    Raises `FileNotFoundError` where the folder that is to hold `path` does not exist.
+    Raises `FileNotFoundError` where the folder that is to hold `path` does not exist, `ValueError` where `path` is a folder, a
+    device or a pipe. An `OSError` of the writing names `path`, not the temporary file.
     """
     target = pathlib.Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{path}: there is no folder {target.parent}.")
+    _check_replaceable(path, target, folder)
     _sweep(target)
-    partial = _new(target, folder)
+    with _named(path):
+        partial = _new(target, folder)
+        try:
+            yield partial
+            partial.replace(target)
+        finally:
+            _remove(partial)
+
+
+def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -> None:
+    if folder or not target.exists() or target.is_file():
+        return
+    kind = "a folder" if target.is_dir() else "a device or a pipe"
+    raise ValueError(
+        f"{path}: is {kind}; a file that is written takes the place of what is there: give it another name."
+    )
+
+
+@contextlib.contextmanager
+def _named(path: pathlib.Path) -> Iterator[None]:
+    """Makes an error of the system name the file that was to be written, where it names the temporary one or none."""
     try:
-        yield partial
-        partial.replace(target)
-    finally:
-        _remove(partial)
+        yield
+    except (OSError, RuntimeError) as error:
+        text = str(
+            error.args[0][0][-1] if isinstance(error, shutil.Error) else error
+        )  # of a tree, the first that failed
+        number = getattr(error, "errno", None) or int((re.search(r"\b[Ee]rrno (?:= )?(\d+)", text) or [0, 0])[1])
+        names = [getattr(error, name, None) for name in ("filename", "filename2")]
+        of_another = any(names) and not any(".partial" in os.fsdecode(name) for name in names if name is not None)
+        if of_another or not (number or isinstance(error, OSError)):  # HDF5 tells a full device by a RuntimeError
+            raise
+        if not number:  # NumPy's, for one: so many bytes requested, so many written
+            raise OSError(f"{path}: not written ({text})") from error
+        raise OSError(number, os.strerror(number), str(path)) from error
 
 
 def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
     """Creates the temporary file, with the permissions of the one that it replaces, or the temporary folder."""
     while True:
         token = f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
-        partial = target.with_name(f".{target.stem}.{token}.partial{target.suffix}")
+        partial = target.with_name(f".{_stem(target)}.{token}.partial{target.suffix}")
         with contextlib.suppress(FileExistsError):
             if folder:
                 partial.mkdir()
@@ -100,13 +133,19 @@ def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
 def _sweep(target: pathlib.Path) -> None:
     """Removes what killed processes of this machine left behind for the same target."""
     name = re.compile(
-        rf"\.{re.escape(target.stem)}\.{_machine()}-(\d+)-[0-9a-f]{{8}}\.partial{re.escape(target.suffix)}"
+        rf"\.{re.escape(_stem(target))}\.{_machine()}-(\d+)-[0-9a-f]{{8}}\.partial{re.escape(target.suffix)}"
     )
     with contextlib.suppress(OSError):
         for entry in os.scandir(target.parent):
             match = name.fullmatch(entry.name)
             if match and not _is_alive(int(match[1])):
                 _remove(pathlib.Path(entry.path))
+
+
+def _stem(target: pathlib.Path) -> str:
+    """Shortens the name of a target, so that its temporary names fit into the 255 bytes that a file system allows."""
+    room = 255 - len(os.fsencode(target.suffix)) - len(".-.partial") - 2 * 8 - 12
+    return os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
 
 
 def _is_alive(process: int) -> bool:

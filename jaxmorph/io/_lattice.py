@@ -26,8 +26,20 @@ def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
     d = points.shape[-1]
     full = np.zeros((*points.shape[:-1], *(1,) * (3 - d), 3))
     full[..., :d] = points.reshape(*full.shape[:-1], d)
+    content = _text(imported("pyvista", "plot").StructuredGrid(*np.moveaxis(full, -1, 0)))
     with complete(path) as partial:
-        imported("pyvista", "plot").StructuredGrid(*np.moveaxis(full, -1, 0)).save(partial)
+        partial.write_bytes(content)
+
+
+def _text(grid: Any) -> bytes:
+    """Returns the file as VTK writes it; into a file VTK would write without an error where the device is full."""
+    from vtkmodules.vtkIOXML import vtkXMLStructuredGridWriter
+
+    writer = vtkXMLStructuredGridWriter()
+    writer.SetInputData(grid)
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    return writer.GetOutputString().encode()
 
 
 @checked

@@ -147,7 +147,7 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
 
 def _checked(path: pathlib.Path, mesh: Mesh) -> Format:
     chosen = format_of(path)
-    files.output_path(path)
+    files.output_path(path, folder=chosen.is_folder)
     if chosen.is_folder:
         cast(FolderCodec, chosen.codec()).check(path, mesh)
     if isinstance(mesh.source, Source) and _same_file(path, mesh.source.path):

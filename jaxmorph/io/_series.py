@@ -55,27 +55,28 @@ class XDMFSeries:
             raise ValueError(f"{path}: `mesh` has no cells; XDMF files hold meshes.")
         self.path, self.arrays = path, path.with_suffix(".h5")
         self._mesh, self._grids = mesh, []
-        self._stack = contextlib.ExitStack()
-        self._file: Any = h5py.File(self._stack.enter_context(complete(self.arrays)), "w")
-        kinds = [np.tile(np.array(NUMBERS[kind], np.int32), (len(ids), 1)) for kind, ids in mesh.cells.items()]
-        rows = [
-            np.concatenate([kind, ids], axis=1).ravel() for kind, ids in zip(kinds, mesh.cells.values(), strict=True)
-        ]
-        self._topology = self._item("cells", np.concatenate(rows))
+        with contextlib.ExitStack() as stack:
+            self._file: Any = stack.enter_context(h5py.File(stack.enter_context(complete(self.arrays)), "w"))
+            rows = [
+                np.concatenate([np.tile(np.array(NUMBERS[kind], np.int32), (len(ids), 1)), ids], axis=1).ravel()
+                for kind, ids in mesh.cells.items()
+            ]
+            self._topology = self._item("cells", np.concatenate(rows))
+            self._stack = stack.pop_all()
         self._count = sum(map(len, mesh.cells.values()))
 
     def __enter__(self) -> "XDMFSeries":
         return self
 
     def __exit__(self, kind, error, trace) -> None:
-        self._file.close()
         if kind is None and self._grids:
-            self._stack.close()
-            with complete(self.path) as partial:
-                partial.write_bytes(self._text().encode())
+            with self._stack:
+                self._file.close()
+                with complete(self.path) as partial:
+                    partial.write_bytes(self._text().encode())
             return
         with contextlib.suppress(_Nothing):
-            self._stack.__exit__(_Nothing, _Nothing(), None)
+            self._stack.__exit__(*((_Nothing, _Nothing(), None) if kind is None else (kind, error, trace)))
 
     @checked
     def add(self, time: float, moved: Mesh, report: QualityReport) -> None:

@@ -98,8 +98,9 @@ def page(
     )
     label = label or ("displacement" if values is None else "values of the cells")
     code = _with_words(SLIDER, {"TITLE": path.stem, "LABEL": label})
+    content = scene.get_snapshot(additional_js_code=code).encode()
     with complete(path) as partial:
-        partial.write_text(scene.get_snapshot(additional_js_code=code), encoding="utf-8")
+        partial.write_bytes(content)
     return path
 
 

@@ -206,8 +206,12 @@ def _write_points(path: pathlib.Path, content: _CaseContent, points: np.ndarray)
     if np.array_equal(points, content.points):
         path.write_bytes(file.raw)
         return
-    with gzip.open(path, "wb", compresslevel=6) if path.suffix == ".gz" else path.open("wb") as out:
-        out.writelines(_replaced(file, points))
+    with path.open("wb") as out:
+        if path.suffix != ".gz":
+            out.writelines(_replaced(file, points))
+            return
+        with gzip.GzipFile(file.path.stem, "wb", 6, out) as packed:  # it keeps a name: not the temporary one
+            packed.writelines(_replaced(file, points))
 
 
 def _replaced(file: FoamFile, points: np.ndarray) -> Iterator[bytes]:

@@ -175,7 +175,7 @@ class Decomposed:
 
     def check_output(self, path: str | os.PathLike[str]) -> None:
         """Raises `ValueError` for a folder that `writing` cannot write, before any work."""
-        target = output_path(path)
+        target = output_path(path, folder=True)
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise ValueError(f"{target}: exists; name a new folder for the moved case.")
         if self.path.resolve() in target.resolve().parents:

@@ -1,0 +1,544 @@
+"""Attacks every writer: kills it, fills its device, lets others write as well: `writers.py KILLS SEED [NAME ...]`.
+
+One process imports the library and forks one for each attack, so that fifty kills take a second. A line of JSON tells each fault,
+and a last one for each format how many kills fell inside the writing.
+"""
+
+import dataclasses
+import gc
+import importlib
+import json
+import os
+import pathlib
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+import zlib
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
+
+import cgns
+import foam
+import h5py
+import meshio
+from small import bricks
+from test_plot3d import box
+from test_plot3d import write as write_plot3d
+
+import jaxmorph as jm
+from jaxmorph import io, plot
+from jaxmorph._host import files
+
+Write = Callable[[pathlib.Path, int], None]
+NOBODY = 65534
+
+
+@dataclasses.dataclass(frozen=True)
+class Output:
+    """What is written: the name of its file or folder, and the function that writes the state `k` to a path."""
+
+    name: str
+    write: Write
+    beside: tuple[str, ...] = ()
+    """Endings of further files of the same name."""
+    source: pathlib.Path | None = None
+    """The file that the mesh was read from, where `io.write` would write to it."""
+    is_folder: bool = False
+    is_new: bool = False
+    """Whether the folder must be a new one."""
+
+
+def moved(mesh: jm.Mesh, k: int) -> jm.Mesh:
+    return mesh.moved(np.asarray(mesh.points) * (1 + (k + 1) / 7))
+
+
+def of_mesh(name: str, mesh: jm.Mesh, source: pathlib.Path | None = None, **more) -> Output:
+    """A mesh, moved by `k`."""
+    return Output(name, lambda path, k: io.write(path, moved(mesh, k)), source=source, **more)
+
+
+def new(name: str) -> Callable[[pathlib.Path], Output]:
+    return lambda folder: of_mesh(name, bricks(12))
+
+
+def again(name: str, write: Callable[[pathlib.Path], None]) -> Callable[[pathlib.Path], Output]:
+    """A mesh that was read from a file of the same format."""
+
+    def output(folder: pathlib.Path) -> Output:
+        source = folder / f"source-{name}"
+        write(source)
+        return of_mesh(name, io.read(source), source)
+
+    return output
+
+
+def of_rows(name: str, write: Callable[[pathlib.Path, np.ndarray], None]) -> Callable[[pathlib.Path], Output]:
+    """Something that is written from 2,197 rows of three numbers."""
+    rows = np.asarray(bricks(12).points)
+    return lambda folder: Output(name, lambda path, k: write(path, rows + k))
+
+
+def plain(version: str, binary: bool) -> Callable[[pathlib.Path], None]:
+    mesh = bricks(12)
+    rows = meshio.Mesh(np.asarray(mesh.points), [("hexahedron", np.asarray(mesh.cells["hexahedron"]))])
+    return lambda path: meshio.gmsh.write(str(path), rows, fmt_version=version, binary=binary)
+
+
+def write_cgns(path: pathlib.Path) -> None:
+    mesh = bricks(24)
+    corners = np.asarray(mesh.cells["hexahedron"]) + 1
+    with h5py.File(path, "w") as file:
+        base = cgns.base(file, 3, 3)
+        zone = cgns.zone(base, "box", tuple(np.asarray(mesh.points).T), len(corners))
+        cgns.elements(zone, "cells", 17, corners, 1, len(corners))
+
+
+def faces(mesh: jm.Mesh) -> list[list[list[int]]]:
+    """The faces of each hexahedron, seen from outside."""
+    sides = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
+    return np.asarray(mesh.cells["hexahedron"])[:, sides].tolist()
+
+
+WALL = [("all", "wall", lambda face: True)]
+
+
+def foam_case(form: str, name: str) -> Callable[[pathlib.Path], Output]:
+    """A case of 10 x 10 x 10 hexahedra: into a new one, or into a time folder of it."""
+
+    def output(folder: pathlib.Path) -> Output:
+        mesh = bricks(10)
+        foam.write_case(folder / "case", np.asarray(mesh.points), faces(mesh), WALL, foam.FORMS[form])
+        return of_mesh(name, io.read(folder / "case"), is_folder=True, is_new=name == "new")
+
+    return output
+
+
+def parts(folder: pathlib.Path) -> Output:
+    """A decomposed case."""
+    mesh = bricks(4)
+    foam.write_parts(folder / "case", np.asarray(mesh.points), faces(mesh), WALL, np.arange(64) // 32)
+    decomposed = io.Decomposed(folder / "case")
+
+    def write(path: pathlib.Path, k: int) -> None:
+        with decomposed.writing(path) as writer:
+            for part in range(len(decomposed)):
+                writer.add(part, moved(decomposed.read(part), k))
+
+    return Output("new", write, is_folder=True, is_new=True)
+
+
+def plans(folder: pathlib.Path) -> Output:
+    mesh = bricks(12)
+    floor, method = mesh.patch("floor"), jm.InverseDistance()
+    prepared = [jm.prepare(np.asarray(mesh.points) * (k + 1), floor, method=method) for k in range(4)]
+    return Output("a.npz", lambda path, k: jm.save(path, prepared[k]))
+
+
+def series(folder: pathlib.Path) -> Output:
+    mesh = bricks(12)
+    report = jm.quality(mesh)
+
+    def write(path: pathlib.Path, k: int) -> None:
+        with io.XDMFSeries(path, mesh) as opened:
+            for step in range(2):
+                opened.add(float(step), moved(mesh, k + step), report)
+
+    return Output("a.xdmf", write, beside=(".h5",))
+
+
+def collection(folder: pathlib.Path) -> Output:
+    steps = np.arange(5000)
+    names = [f"{k}.vtu" for k in steps]
+    return Output("a.pvd", lambda path, k: io.write_pvd(path, names, (steps + k).tolist()))
+
+
+def png(folder: pathlib.Path) -> Output:
+    """A picture that is drawn already: what is attacked is the writing."""
+    drawn = [np.random.default_rng(k).bytes(3_000_000) for k in range(4)]
+    mesh = jm.Mesh([[0.0, 0], [1, 0], [0, 1]], {"triangle": [[0, 1, 2]]})
+
+    def write(path: pathlib.Path, k: int) -> None:
+        vars(sys.modules["jaxmorph.plot._picture"])["_in_2d"] = lambda *_: drawn[k]
+        plot.picture(path, mesh, np.asarray(mesh.points), moving=np.arange(3))
+
+    return Output("a.png", write)
+
+
+def gif(folder: pathlib.Path) -> Output:
+    """A film of frames that are drawn already."""
+    drawn = np.random.default_rng(0).integers(0, 255, (4, 3, 60, 80, 3), dtype=np.uint8)
+    module = vars(sys.modules["jaxmorph.plot._film"])
+
+    def write(path: pathlib.Path, k: int) -> None:
+        shown = iter(drawn[k])
+        module["_view"] = lambda *_: None
+        module["_picture"] = lambda *_: next(shown)
+        plot.animate(path, lambda points: None, np.zeros((3, 3, 2)))
+
+    return Output("a.gif", write)
+
+
+def page(folder: pathlib.Path) -> Output:
+    """A page with a script that is made already."""
+    mesh = bricks(1)
+    drawn = ["".join(np.random.default_rng(k).choice([*"abcé翼"], 1_000_000)) for k in range(4)]
+
+    def write(path: pathlib.Path, k: int) -> None:
+        importlib.import_module("k3d.plot").Plot.get_snapshot = lambda *_, **__: drawn[k]
+        plot.page(path, mesh, np.asarray(moved(mesh, k).points))
+
+    return Output("a.html", write)
+
+
+TABLE = np.arange(13**3)
+FORMATS: dict[str, Callable[[pathlib.Path], Output]] = {
+    "SU2": new("a.su2"),
+    "SU2 again": again("a.su2", lambda path: io.write(path, bricks(12))),
+    "gmsh 2": new("a.msh"),
+    "gmsh 2 text again": again("a.msh", plain("2.2", False)),
+    "gmsh 4 text again": again("a.msh", plain("4.1", False)),
+    "gmsh 4 binary again": again("a.msh", plain("4.1", True)),
+    "VTU": new("a.vtu"),
+    "VTK": new("a.vtk"),
+    "CGNS": again("a.cgns", write_cgns),
+    "PLOT3D": again("a.xyz", lambda path: write_plot3d(path, [x + 0.123 for x in box(12, 13, 14)], "text", "<")),
+    "OpenFOAM": foam_case("ascii", "new"),
+    "OpenFOAM, time": foam_case("ascii", "case/0.5"),
+    "OpenFOAM, packed": foam_case("ascii-gz", "case/0.5"),
+    "OpenFOAM, binary": foam_case("binary", "case/0.5"),
+    "OpenFOAM, parts": parts,
+    "plans": plans,
+    "XDMF": series,
+    "PVD": collection,
+    "sensitivities": of_rows("s.csv", lambda path, rows: io.write_sensitivity(path, TABLE, rows)),
+    "sensitivities, packed": of_rows("s.npz", lambda path, rows: io.write_sensitivity(path, TABLE, rows)),
+    "gradient": of_rows("g.csv", lambda path, rows: io.write_gradient(path, {"a": rows}, {"a": rows})),
+    "gradient, JSON": of_rows("g.json", lambda path, rows: io.write_gradient(path, {"a": rows}, {"a": rows})),
+    "lattice": of_rows("a.vts", lambda path, rows: io.write_lattice(path, rows.reshape(13, 13, 13, 3))),
+    "PNG": png,
+    "GIF": gif,
+    "HTML": page,
+}
+"""How each format is written, by its name: with files that take some milliseconds."""
+
+
+def tree(path: pathlib.Path) -> dict[str, bytes]:
+    """Every file at or below a path with its content, and every folder."""
+    if not path.is_dir():
+        return {"": path.read_bytes()} if path.exists() else {}
+    return {
+        str(each.relative_to(path)): b"folder" if each.is_dir() else each.read_bytes()
+        for each in sorted(path.rglob("*"))
+    }
+
+
+def without(found: dict[str, bytes]) -> dict[str, bytes]:
+    return {name: content for name, content in found.items() if ".partial" not in name}
+
+
+def leftovers(folder: pathlib.Path) -> list[str]:
+    return [str(each.relative_to(folder)) for each in folder.rglob("*") if ".partial" in each.name]
+
+
+def forked(work: Callable[[int], object]) -> tuple[int, int]:
+    """Starts a process that does the work with the end of a pipe to write to; returns its number and the other end."""
+    there, here = os.pipe()
+    number = os.fork()
+    if number == 0:
+        os.close(there)
+        gc.disable()  # it would copy the pages that the two share
+        try:
+            work(here)
+        except BaseException:
+            traceback.print_exc()
+            os._exit(9)
+        os._exit(0)
+    os.close(here)
+    return number, there
+
+
+def marked(pipe: int) -> None:
+    """Tells when the temporary file is there, in this process alone."""
+    make = files._new
+
+    def new(*arguments):
+        made = make(*arguments)
+        os.write(pipe, f"{time.perf_counter()}\n".encode())
+        files._new = make
+        return made
+
+    files._new = new
+
+
+def answer(work: Callable[[], None]) -> tuple[str, str]:
+    """The class and the words of the error that some work in another process ends by; empty without one."""
+
+    def tell(pipe: int) -> None:
+        try:
+            work()
+            found = ["", ""]
+        except BaseException as error:
+            found = [next(each.__name__ for each in type(error).__mro__ if each.__module__ == "builtins"), str(error)]
+            found[0] = "OSError" if isinstance(error, OSError) else found[0]
+        os.write(pipe, json.dumps(found).encode()[:60000])
+
+    number, pipe = forked(tell)
+    with os.fdopen(pipe, "rb") as stream:
+        text = stream.read()
+    _, status = os.waitpid(number, 0)
+    return tuple(json.loads(text)) if text else ("died", str(status))
+
+
+class Attack:
+    """One format under attack in a folder of its own."""
+
+    def __init__(self, name: str, output: Output, folder: pathlib.Path, seed: int):
+        self.name, self.output, self.folder = name, output, folder
+        self.target = folder / output.name
+        self.rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
+        self.states: dict[int, dict[str, bytes]] = {}
+        for k in (0, 1):
+            self.good(k)
+            self.states[k] = self.found()
+
+    def fault(self, how: str, what: str) -> None:
+        print(json.dumps({"format": self.name, "attack": how, "fault": what[:500]}), flush=True)
+
+    def expect(self, is_right: bool, how: str, what: str) -> None:
+        if not is_right:
+            self.fault(how, what)
+
+    def good(self, k: int) -> None:
+        if self.output.is_new:
+            shutil.rmtree(self.target, ignore_errors=True)
+        self.output.write(self.target, k)
+
+    def found(self) -> dict[str, bytes]:
+        """What stands at the target and beside it."""
+        found = without(tree(self.target))
+        for ending in self.output.beside:
+            found |= dict.fromkeys([ending], *tree(self.target.with_suffix(ending)).values())
+        return found
+
+    def is_one_of(self, found: dict[str, bytes], *states: dict[str, bytes]) -> bool:
+        """Whether each file is that of one state; a folder as a whole."""
+        if self.output.beside:
+            return all(any(found[name] == state[name] for state in states) for name in states[0])
+        return found in states
+
+    def old(self, k: int) -> dict[str, bytes]:
+        """Brings the target into the state `k`; a new folder is none."""
+        self.good(k)
+        if self.output.is_new:
+            shutil.rmtree(self.target)
+        return {} if self.output.is_new else self.states[k]
+
+    def kills(self, count: int) -> None:
+        """Ends writers at random moments: the target stays whole, and the next good write leaves nothing else."""
+        duration, inside, tries, halves = self.duration(), 0, 0, 0
+        self.good(0)
+        while inside < count and tries < 20 * count:
+            old, k, tries = self.states[tries % 2], (tries + 1) % 2, tries + 1
+            if self.output.is_new:
+                shutil.rmtree(self.target)
+                old = {}
+            moment = self.rng.uniform(0, duration)
+            number, pipe = forked(lambda pipe, k=k: (marked(pipe), self.output.write(self.target, k)))
+            with os.fdopen(pipe, "rb", buffering=0) as stream:
+                begun = float(stream.readline() or 0)
+                while time.perf_counter() < begun + moment:
+                    pass
+                os.kill(number, signal.SIGKILL)
+            inside += os.WIFSIGNALED(os.waitpid(number, 0)[1])
+            halves += bool(leftovers(self.folder))
+            is_right = self.is_one_of(self.found(), old, self.states[k])
+            self.expect(is_right, "kill", f"kill {tries} after {moment:.4f} of {duration:.4f} s: neither old nor new")
+            self.good(k)
+            self.expect(not leftovers(self.folder), "kill", f"kill {tries}: left {leftovers(self.folder)}")
+            self.expect(self.found() == self.states[k], "kill", f"kill {tries}: the next write is not whole")
+        row = {"format": self.name, "kills": inside, "halves": halves, "tries": tries, "seconds": duration}
+        print(json.dumps(row), flush=True)
+
+    def duration(self) -> float:
+        """Measures the writing: from the temporary file on, in a process such as those that are killed."""
+        times = []
+        for _ in range(3):
+            self.old(0)
+            work = lambda pipe: (  # noqa: E731
+                marked(pipe),
+                self.output.write(self.target, 1),
+                os.write(pipe, f"{time.perf_counter()}".encode()),
+            )
+            number, pipe = forked(work)
+            with os.fdopen(pipe) as stream:
+                begun, ended = map(float, stream.read().split())
+            os.waitpid(number, 0)
+            times.append(ended - begun)
+        return float(np.median(times))
+
+    def refused(self, how: str, work: Callable[[], None], *kinds: str, target: pathlib.Path | None = None) -> None:
+        """Expects an error that names the target, what was there before, and nothing else."""
+        before = tree(self.folder)
+        kind, words = answer(work)
+        self.expect(kind in (kinds or ("OSError",)), how, f"{kind or 'no error'}: {words}")
+        name = str(target or self.target)
+        name = str(pathlib.Path(name).with_suffix("")) if self.output.beside else name
+        self.expect(name in words and ".partial" not in words, how, f"target not named: {words}")
+        after = tree(self.folder)
+        changed = sorted({*before} ^ {*after}) + sorted(
+            name for name in {*before} & {*after} if before[name] != after[name]
+        )
+        self.expect(not changed, how, f"changed: {changed}")
+
+    def full(self) -> None:
+        """Files that may not grow beyond a limit, and a full device."""
+        self.old(0)
+        sizes = sorted(len(content) for content in self.states[1].values())
+        for limit in (0, sizes[-1] // 2, sizes[-1] - 1):
+            if self.output.is_new or limit < sizes[-1]:
+                self.refused(f"limit of {limit} bytes", lambda limit=limit: self._limited(limit))
+        if not self.output.is_folder and not self.output.beside:
+            self.refused("full device", self._on_full_device)
+
+    def _limited(self, limit: int) -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+        self.output.write(self.target, 1)
+
+    def _on_full_device(self) -> None:
+        make = files._new
+
+        def new(target: pathlib.Path, folder: bool) -> pathlib.Path:
+            partial = make(target, folder)
+            partial.unlink()
+            partial.symlink_to("/dev/full")
+            return partial
+
+        files._new = new
+        self.output.write(self.target, 1)
+
+    def forbidden(self) -> None:
+        """A folder that this user may not write to, and a file in the place of the folder."""
+        self.old(0)
+        inside = self.target if self.output.is_folder and not self.output.is_new else self.folder
+        places = [inside, *(each for each in inside.rglob("*") if each.is_dir() and not self.output.is_new)]
+        for place in places:
+            place.chmod(0o555)
+        self.refused("read-only folder", self._as_nobody)
+        for place in places:
+            place.chmod(0o755)
+        if not self.output.is_folder:
+            (self.folder / "file").write_text("")
+            target = self.folder / "file" / self.output.name
+            self.refused(
+                "file for a folder", lambda: self.output.write(target, 1), "OSError", "ValueError", target=target
+            )
+            target = self.folder / "taken" / self.output.name
+            target.mkdir(parents=True)
+            self.refused("folder for a file", lambda: self.output.write(target, 1), "ValueError", target=target)
+            shutil.rmtree(self.folder / "taken")
+            (self.folder / "file").unlink()
+
+    def _as_nobody(self) -> None:
+        if os.geteuid() == 0:
+            os.setgroups([])
+            os.setgid(NOBODY)
+            os.setuid(NOBODY)
+        self.output.write(self.target, 1)
+
+    def together(self) -> None:
+        """Four processes write one target: it is that of one of them; new folders are refused to the others by name."""
+        states = {}
+        for k in range(4):
+            self.good(k)
+            states[k] = self.found()
+        self.old(0)
+        start, ready = os.pipe()
+
+        def work(pipe: int, k: int) -> None:
+            os.close(ready)
+            os.read(start, 1)
+            for _ in range(1 if self.output.is_new else 3):
+                try:
+                    self.output.write(self.target, k)
+                except (OSError, ValueError) as error:
+                    named = str(self.target) in str(error) and ".partial" not in str(error)
+                    os.write(pipe, b"refused" if named and self.output.is_new else repr(error).encode())
+
+        running = [forked(lambda pipe, k=k: work(pipe, k)) for k in range(4)]
+        os.close(start)
+        os.close(ready)
+        said = []
+        for number, pipe in running:
+            with os.fdopen(pipe) as stream:
+                said.append(stream.read())
+            self.expect(os.waitpid(number, 0)[1] == 0, "four writers", "a writer failed")
+        wrong = [each for each in said if each not in ("", "refused")]
+        self.expect(not wrong and "" in said, "four writers", f"{said}")
+        self.expect(self.is_one_of(self.found(), *states.values()), "four writers", "the target is no writer's")
+        self.expect(not leftovers(self.folder), "four writers", f"left {leftovers(self.folder)}")
+
+    def linked(self) -> None:
+        """A target that is a symbolic link stays one; a hard link keeps the old content; names of all kinds; the input."""
+        if self.output.is_folder:
+            return
+        self.old(0)
+        suffix = self.target.suffix
+        link = self.folder / f"link{suffix}"
+        os.link(self.target, self.folder / f"hard{suffix}")
+        link.symlink_to(self.target)
+        self.output.write(link, 1)
+        if not self.output.beside:
+            self.expect(link.is_symlink() and self.found() == self.states[1], "links", "the link's target is not new")
+        hard = (self.folder / f"hard{suffix}").read_bytes()
+        self.expect(hard == self.states[0][""], "links", "the hard link's content has changed")
+        for name in ("a b", "Flügel ñ 翼", "-a", ".a", "a'b\"c", "x" * (250 - len(suffix)), "a\nb"):
+            place = self.folder / "names" / f"{name}{suffix}"
+            place.parent.mkdir()
+            self.output.write(place, 1)
+            listed = sorted(os.listdir(place.parent))
+            wanted = sorted([place.name, *(f"{name}{ending}" for ending in self.output.beside)])
+            self.expect(listed == wanted, "names", f"{name!r}: {listed}")
+            if not self.output.beside:
+                self.expect(place.read_bytes() == self.states[1][""], "names", f"{name!r}: another content")
+            shutil.rmtree(place.parent)
+        if self.output.source is not None:
+            source = self.output.source
+            before = source.read_bytes()
+            for place in (source, self.folder / f"to-source{suffix}"):
+                if place != source:
+                    place.symlink_to(source)
+                self.refused(
+                    "output is input", lambda place=place: self.output.write(place, 1), "ValueError", target=place
+                )
+            self.expect(source.read_bytes() == before, "output is input", "the input has changed")
+
+
+def main(count: int, seed: int, names: list[str]) -> None:
+    warnings.simplefilter("ignore")
+    jax.config.update("jax_enable_x64", True)
+    time.time = lambda: 1e9  # archives hold the time
+    with tempfile.TemporaryDirectory(prefix="jaxmorph-writers-") as top:
+        pathlib.Path(top).chmod(0o755)  # for a user who may not write
+        for name in names or FORMATS:
+            folder = pathlib.Path(top, name)
+            folder.mkdir()
+            attack = Attack(name, FORMATS[name](folder), folder, seed)
+            attack.kills(count)
+            attack.full()
+            attack.forbidden()
+            attack.together()
+            attack.linked()
+            shutil.rmtree(folder)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])
