@@ -14,7 +14,7 @@ from .._methods.base import AbstractMethod
 from .._methods.fitted import FittedRBF
 from .._methods.rbf import MANY, RBF
 from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.solvers import Iterative
+from .._methods.solvers import Iterative, dense_count
 from .._plan.door import node_ids
 
 START = 0.3e9
@@ -26,7 +26,7 @@ PAIR, POINT, CELL, SOURCES = 1.8e-9, {2: 5e-6, 3: 15e-6}, 8e-6, 1e-10
 FACE = 200
 """Bytes for each face of each cell while cells are judged: neighbours are found by sorting them."""
 
-PRODUCTS = 25
+PRODUCTS = 14
 """Products with the kernel in a solve by iterations."""
 
 COMPILING = 2.0
@@ -105,7 +105,10 @@ def estimate(
     size = np.dtype(mesh.points.dtype).itemsize / 8
     quality = FACE * sum(len(ids) * len(FACES[kind]) for kind, ids in mesh.cells.items())
     is_iterated = _is_iterated(method, s)
-    system, solve = (5000 * s, PRODUCTS * s**2 * PAIR) if is_iterated else (24 * s**2, SOURCES * s**3)
+    if is_iterated:
+        system, solve = 5000 * s + 24 * dense_count(Iterative(), s) ** 2, PRODUCTS * s**2 * PAIR
+    else:
+        system, solve = 24 * s**2, SOURCES * s**3
     memory = START + size * (500 * (n + planned) + system) + quality
     fit = solve / 4 if is_iterated else solve  # a few of its steps
     located = 0 if isinstance(method, RBF) else n + (parts - 1) * b  # points to be found in a graph or near a wall

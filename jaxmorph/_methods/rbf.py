@@ -4,6 +4,7 @@ The classic method on all nodes of the surface is that of de Boer, van der Schoo
 Rendall and Allen (Journal of Computational Physics 228, 2009) reduced its sources.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -26,6 +27,7 @@ from .basis import AbstractBasis, ThinPlateSpline
 from .blocks import map_rows
 from .solvers import (
     LIMIT,
+    PROMISING,
     ROUNDINGS,
     TRIAL,
     Cardinals,
@@ -33,6 +35,7 @@ from .solvers import (
     Direct,
     Iterative,
     OrderedIds,
+    dense_count,
     local_weights,
     precondition,
 )
@@ -127,7 +130,8 @@ class RBF(AbstractMethod):
         solver = self._iterative(len(sources))
         if solver is None:
             return sources, None
-        order, earlier = far_to_near(surface.points[sources].astype(float), solver.dense, solver.neighbours)
+        first = dense_count(solver, len(sources))
+        order, earlier = far_to_near(surface.points[sources].astype(float), first, solver.neighbours)
         return OrderedIds(jnp.asarray(sources[order]), jnp.asarray(earlier)), None
 
     def chosen(self, surface: Surface) -> np.ndarray:
@@ -341,10 +345,10 @@ def _system_rows(rbf: RBF, sources, scale, points):
 
 def _check_convergence(rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, values: np.ndarray) -> None:
     """Raises `ValueError` if some steps do not promise that conjugate gradients converge."""
-    left = float(_left_after_trial(rbf, factors, cardinals, jnp.asarray(values)))
-    steps = TRIAL * np.log(float(cardinals.tolerance)) / np.log(max(left, 1e-300)) if left < 1 else np.inf
+    left, count = map(float, _left_after_trial(rbf, factors, cardinals, jnp.asarray(values)))
+    steps = count * np.log(float(cardinals.tolerance)) / np.log(max(left, 1e-300)) if left < 1 else np.inf
     if not steps <= LIMIT:
-        how = f"too ill-conditioned for Iterative(): an error of {left:.1g} is left after {TRIAL} steps"
+        how = f"too ill-conditioned for Iterative(): an error of {left:.1g} is left after {count:.0f} steps"
         raise ValueError(_unusable(factors, how))
     # in single precision rounding sets a floor that a few steps do not show
     if cardinals.weights.dtype != np.float64 and not _is_solved(rbf, factors, jnp.asarray(values)):
@@ -354,14 +358,16 @@ def _check_convergence(rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, va
 @compiled
 def _left_after_trial(
     rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, values: Float[Array, "s k"]
-) -> Float[Array, ""]:
-    """Computes which share of the error some steps of conjugate gradients leave, in the norm of the basis."""
-    iterations = rbf._iterations(factors, cardinals)
+) -> tuple[Float[Array, ""], Int[Array, ""]]:
+    """Computes which share of the error some steps of conjugate gradients leave, in the norm of the basis, and counts them."""
+    iterations = dataclasses.replace(
+        rbf._iterations(factors, cardinals), tolerance=jnp.asarray(PROMISING, values.dtype)
+    )
     size = jnp.abs(values).max()
     now = iterations.improve(iterations.without_polynomial(values), size, TRIAL)
     left = jnp.sqrt(jnp.abs(now.left / jnp.where(now.energy == 0, 1, now.energy)).max())
     is_polynomial = jnp.abs(now.residual).max() <= cardinals.tolerance * size
-    return jnp.where(is_polynomial, 0, left)
+    return jnp.where(is_polynomial, 0, left), now.count
 
 
 @compiled

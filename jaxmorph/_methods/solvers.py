@@ -13,13 +13,19 @@ from .numbers import number
 from .system import polynomial, squared_distances
 
 LIMIT = 150
-"""Most products of a solve. A sound matrix takes 15 to 40."""
+"""Most products of a solve. A sound matrix takes 10 to 20."""
 
 ROUNDS = 3
 """Solves for what rounding leaves of the residual."""
 
-TRIAL = 6
-"""Products after which a plan's preparation judges the convergence."""
+STALLED = 0.5
+"""Share of the residual that another solve must take away: where less goes, the rest is rounding of the product itself."""
+
+TRIAL, PROMISING = 6, 1e-2
+"""Products after which a plan's preparation judges the convergence, and the error, relative, at which it does so earlier."""
+
+DENSE, SHARE = (1000, 6000), 6
+"""Fewest and most sources that are solved densely by default, and the part of all between: one of so many."""
 
 MISSED, NOTICEABLE = 1e3, 1e-3
 """A field that misses its sources by more than so many tolerances, or so much of the displacement, is NaN."""
@@ -49,7 +55,7 @@ class Direct(AbstractSolver):
 class Iterative(AbstractSolver):
     """Solves by conjugate gradients, without the matrix: memory grows with s, time with s^2 for s sources.
 
-    Each displacement takes 15 to 40 products with the kernel, and so does each gradient. The preconditioner is a sparse
+    Each displacement takes 10 to 20 products with the kernel, and so does each gradient. The preconditioner is a sparse
     factor of the inverse (Faul, Goodsell and Powell, IMA Journal of Numerical Analysis 25, 2005). Sources are ordered from
     far apart to close (Schaefer, Katzfuss and Owhadi, SIAM Journal on Scientific Computing 43, 2021). Each carries the
     function that is 1 at its place and 0 at the nearest of those before it. The first sources are solved densely.
@@ -63,19 +69,27 @@ class Iterative(AbstractSolver):
     - `tolerance`: the distance by which the field misses its sources when a solve ends, relative to the largest displacement;
       also the error in the norm of the basis. Default 1e-10; 1.2e-5 at least in single precision.
     - `neighbours`: sources in each function's small system. More of them take fewer products, and more time and memory
-      to prepare. Default 50.
-    - `dense`: the number of first sources that are solved densely. Default 1000.
+      to prepare. Default 100.
+    - `dense`: the number of first sources that are solved densely. Default None: a sixth of them, but 1,000 at least and 6,000
+      at most.
 
     **Raises:** `ValueError` for a tolerance that is not between 0 and 1, and for fewer than 8 neighbours or dense sources.
     """
 
     tolerance: Float[Array, ""] = eqx.field(converter=number("tolerance", 0, 1), default=1e-10)
-    neighbours: int = eqx.field(static=True, default=50)
-    dense: int = eqx.field(static=True, default=1000)
+    neighbours: int = eqx.field(static=True, default=100)
+    dense: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        for name in ("neighbours", "dense"):
-            whole(name, getattr(self, name), 8)
+        whole("neighbours", self.neighbours, 8)
+        if self.dense is not None:
+            whole("dense", self.dense, 8)
+
+
+def dense_count(solver: Iterative, count: int) -> int:
+    """Returns how many of `count` sources are solved densely."""
+    fewest, most = DENSE
+    return min(max(fewest, count // SHARE), most) if solver.dense is None else solver.dense
 
 
 class OrderedIds(eqx.Module):
@@ -177,10 +191,10 @@ class ConjugateGradients:
         """Subtracts the polynomial that fits best."""
         return values - _times(self.tail, self.coefficients(values))
 
-    def begin(self, residual: Float[Array, "s k"]) -> Progress:
+    def begin(self, residual: Float[Array, "s k"], energy: Float[Array, " k"]) -> Progress:
         direction = self.without_polynomial(self.inverse(residual))
         left = jnp.sum(residual * direction, axis=0)
-        return Progress(jnp.zeros_like(residual), residual, direction, left, jnp.zeros_like(left), jnp.zeros((), int))
+        return Progress(jnp.zeros_like(residual), residual, direction, left, energy, jnp.zeros((), int))
 
     def step(self, now: Progress) -> Progress:
         product = self.product(now.direction)
@@ -197,13 +211,16 @@ class ConjugateGradients:
         beyond = jnp.abs(now.left) > self.tolerance**2 * jnp.abs(now.energy)
         return (jnp.abs(now.residual).max() > self.tolerance * size) | beyond.any()
 
-    def improve(self, residual: Float[Array, "s k"], size: Float[Array, ""], most: int) -> Progress:
-        """Takes at most `most` steps from zero."""
+    def improve(
+        self, residual: Float[Array, "s k"], size: Float[Array, ""], most: int, energy: Float[Array, " k"] | None = None
+    ) -> Progress:
+        """Takes at most `most` steps from zero. `energy` is that of solutions so far, beside which the error is judged."""
+        energy = jnp.zeros_like(residual[0]) if energy is None else energy
 
         def is_unfinished(now):
             return (now.count < most) & ((now.count == 0) | self.is_far(now, size))
 
-        return jax.lax.while_loop(is_unfinished, self.step, self.begin(residual))
+        return jax.lax.while_loop(is_unfinished, self.step, self.begin(residual, energy))
 
     def solve(self, right: Float[Array, "t k"]) -> Float[Array, "t k"]:
         """Solves for the weights of functions and polynomial; NaN where it does not converge."""
@@ -217,15 +234,18 @@ class ConjugateGradients:
             return jnp.abs(self.without_polynomial(rest)).max()
 
         def is_unfinished(state):
-            _, rest, rounds = state
-            return (rounds < ROUNDS) & (missed(rest) > self.tolerance * size)
+            _, rest, _, rounds, before = state
+            now = missed(rest)
+            return (rounds < ROUNDS) & (now > self.tolerance * size) & (now < STALLED * before)
 
         def once_more(state):
-            beta, rest, rounds = state
-            beta = beta + self.improve(self.without_polynomial(rest), size, LIMIT).beta
-            return beta, values - self.product(beta), rounds + 1
+            beta, rest, energy, rounds, _ = state
+            more = self.improve(self.without_polynomial(rest), size, LIMIT, energy)
+            beta = beta + more.beta
+            return beta, values - self.product(beta), more.energy, rounds + 1, missed(rest)
 
-        beta, rest, _ = jax.lax.while_loop(is_unfinished, once_more, (beta, rest, 0))
+        start = beta, rest, jnp.zeros_like(beta[0]), 0, jnp.full_like(size, jnp.inf)
+        beta, rest, *_ = jax.lax.while_loop(is_unfinished, once_more, start)
         solved = jnp.concatenate([beta, self.coefficients(rest)])
         allowed = jnp.minimum(MISSED * self.tolerance, jnp.maximum(self.tolerance, NOTICEABLE))
         return jnp.where(missed(rest) <= allowed * size, solved, jnp.nan)
