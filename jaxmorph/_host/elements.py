@@ -19,7 +19,8 @@ _COLLAPSED = {
 def quadrature(kind: str) -> tuple[np.ndarray, np.ndarray]:
     """Returns derivatives (q, corners, d) of the shape functions by the reference coordinates, and weights (q,).
 
-    A simplex has one point, any other type two in each direction: exact for parallelograms and their like.
+    A simplex has one point. A quad has its corners, each for the linear triangle of the corner and its two neighbours: the mean
+    of both ways to cut the quad. Other types have Gauss points, two in each direction.
     """
     if kind in ("triangle", "tetra"):
         d = 2 if kind == "triangle" else 3
@@ -27,7 +28,9 @@ def quadrature(kind: str) -> tuple[np.ndarray, np.ndarray]:
     target = np.array(_COLLAPSED[kind])
     d = 2 if kind == "quad" else 3
     corners = _CUBE[: len(target), :d]
-    places = np.array(list(itertools.product((0.5 - 12**-0.5, 0.5 + 12**-0.5), repeat=d)))
+    places = np.array(list(itertools.product((0.5 - 12**-0.5, 0.5 + 12**-0.5), repeat=d)), dtype=float)
+    if kind == "quad":
+        places = corners.astype(float)
     factors = np.where(corners[None] == 1, places[:, None], 1 - places[:, None])  # (q, corners, d)
     signs = np.where(corners == 1, 1.0, -1.0)
     derivatives = np.stack([signs[:, i] * np.delete(factors, i, axis=2).prod(axis=2) for i in range(d)], axis=2)

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from .._host import linear
 from .._host.topology import CORNERS
-from .._kernels.values import as_jax
+from .._kernels.values import as_jax, norm
 from .base import AbstractField, AbstractMethod, Surface
 from .blocks import map_rows
 
@@ -26,7 +26,6 @@ class CellIds(eqx.Module):
     - `corners`: of each cell.
     - `entry`: the number of each of its pairs of corners in the list of pairs.
     - `flipped`: for each of them, see below.
-    - `wall`: the moving node nearest to it.
 
     An entry is `flipped` where the pair's first corner is the entry's second node. It is the number of pairs where the two
     corners are one node.
@@ -35,7 +34,6 @@ class CellIds(eqx.Module):
     corners: Int[Array, "k c"]
     entry: Int[Array, "k p"]
     flipped: Bool[Array, "k p"]
-    wall: Int[Array, " k"]
 
 
 class NodeIds(eqx.Module):
@@ -45,6 +43,7 @@ class NodeIds(eqx.Module):
     - `pairs` (e, 2): nodes that share an entry of the matrix, the smaller id first.
     - `frame` (d, d): axes in its columns, of which each symmetry plane has one as its normal.
     - `free` (n, d): unknowns, by node and axis of the frame.
+    - `wall` (n,): the moving node nearest to each.
     - `rows`, `nodes` (r,): rows of the surface that are nodes of the mesh, and which.
     """
 
@@ -52,6 +51,7 @@ class NodeIds(eqx.Module):
     pairs: Int[Array, "e 2"]
     frame: Float[Array, "d d"]
     free: Bool[Array, "n d"]
+    wall: Int[Array, " n"]
     rows: Int[Array, " r"]
     nodes: Int[Array, " r"]
 
@@ -81,11 +81,11 @@ class AbstractCellMethod(AbstractMethod):
 
     @abc.abstractmethod
     def entries(
-        self, kind: str, corners: Float[Array, "c d"], distance: Float[Array, ""]
+        self, kind: str, corners: Float[Array, "c d"], distance: Float[Array, " c"]
     ) -> Float[Array, "p"] | Float[Array, "p d d"]:
         """Computes a cell's entries of the matrix: numbers, or blocks of rows of the first corner. Traced.
 
-        `distance` is that of the cell's centre from the nearest moving node.
+        `distance` is that of each corner from the nearest moving node.
         """
 
     def masses(self, ids: NodeIds, places: Float[Array, "n d"]) -> Float[Array, " q"]:
@@ -106,9 +106,8 @@ class AbstractCellMethod(AbstractMethod):
         corners = {kind: stands[ids] for kind, ids in cells.corners.items()}
         pairs, ids = self._numbered(corners, n)
         wall = nodes[rows < surface.moving]
-        tree = KDTree(points[wall])
-        nearest = {kind: wall[tree.query(points[each].mean(axis=1))[1]] for kind, each in corners.items()}
-        of_kind = {kind: _of_kind(corners[kind], *ids[kind], nearest[kind]) for kind in corners}
+        wall = wall[KDTree(points[wall]).query(points[:n])[1]]
+        of_kind = {kind: _of_kind(corners[kind], *ids[kind]) for kind in corners}
         known = np.zeros(n, dtype=bool)
         known[nodes] = True
         is_free = linear.reached(pairs, known) & ~known & (np.bincount(pairs.ravel(), minlength=n) > 0)
@@ -121,8 +120,8 @@ class AbstractCellMethod(AbstractMethod):
         beyond = np.flatnonzero(surface.nodes >= n)  # images: the surface alone has them
         last = np.zeros(len(points) - n, dtype=np.int64)
         last[surface.nodes[beyond] - n] = n + beyond
-        pairs, rows, nodes = (each.astype(np.int32) for each in (pairs, rows, nodes))
-        node_ids = NodeIds(of_kind, *as_jax((pairs, frame, free, rows, nodes)))
+        pairs, wall, rows, nodes = (each.astype(np.int32) for each in (pairs, wall, rows, nodes))
+        node_ids = NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes)))
         return node_ids, np.concatenate([volume, last]).astype(np.int32)
 
     def _numbered(
@@ -143,8 +142,9 @@ class AbstractCellMethod(AbstractMethod):
     def fit(self, ids: NodeIds, surface, points):
         places = jnp.matmul(points, ids.frame.astype(points.dtype), precision="highest")
         count, n, parts = len(ids.pairs), len(places), []
+        distance = norm(places - places[ids.wall])
         for kind, cells in ids.cells.items():
-            parts.append((cells.entry.ravel(), self._of_cells(kind, cells, places)))
+            parts.append((cells.entry.ravel(), self._of_cells(kind, cells, places, distance)))
         entry = jnp.concatenate([entry for entry, _ in parts])
         values = jax.ops.segment_sum(jnp.concatenate([value for _, value in parts]), entry, count)
         turned = jnp.swapaxes(values, 1, 2) if values.ndim == 3 else values
@@ -152,18 +152,17 @@ class AbstractCellMethod(AbstractMethod):
         diagonal = -jax.ops.segment_sum(values, i, n) - jax.ops.segment_sum(turned, j, n)
         return NodeFactors(values, diagonal, self.masses(ids, places), places)
 
-    def _of_cells(self, kind: str, cells: CellIds, places):
+    def _of_cells(self, kind: str, cells: CellIds, places, distance):
         """Computes the entries of all cells of one type, one row a pair of corners."""
 
-        def of_one(corners, wall, flipped):
-            corners, wall = places[corners], places[wall]
-            values = self.entries(kind, corners, jnp.linalg.norm(corners.mean(axis=0) - wall))
+        def of_one(corners, flipped):
+            values = self.entries(kind, places[corners], distance[corners])
             if values.ndim == 1:
                 return values
             return jnp.where(flipped[:, None, None], jnp.swapaxes(values, 1, 2), values)
 
         of_block = jax.checkpoint(lambda rows: jax.vmap(of_one)(*rows))
-        values = map_rows(of_block, (cells.corners, cells.wall, cells.flipped), CELLS)
+        values = map_rows(of_block, (cells.corners, cells.flipped), CELLS)
         return values.reshape(-1, *values.shape[2:])
 
     def field(self, ids: NodeIds, factors: NodeFactors, surface, u):
@@ -195,9 +194,9 @@ class NodeField(AbstractField):
         return self.values[ids]
 
 
-def _of_kind(corners, entry, flipped, wall) -> CellIds:
-    corners, entry, wall = (np.asarray(each).astype(np.int32) for each in (corners, entry, wall))
-    return CellIds(*as_jax((corners, entry, flipped, wall)))
+def _of_kind(corners, entry, flipped) -> CellIds:
+    corners, entry = (np.asarray(each).astype(np.int32) for each in (corners, entry))
+    return CellIds(*as_jax((corners, entry, flipped)))
 
 
 def _frame(normals: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from .base import check_kind
 from .cells import AbstractCellMethod, all_pairs
-from .stiffness import AbstractStiffness, ByDistance, gradients
+from .stiffness import AbstractStiffness, ByDistance, gradients, stiffness
 
 
 class Laplacian(AbstractCellMethod):
@@ -34,7 +34,8 @@ class Laplacian(AbstractCellMethod):
 
     def entries(self, kind, corners, distance):
         gradient, volume = gradients(kind, corners)
-        return self.diffusivity(volume.sum(), distance) * _products(gradient, volume, self.pairs(kind))
+        stiff = volume * stiffness(self.diffusivity, kind, volume, distance)
+        return _products(gradient, stiff, self.pairs(kind))
 
 
 class Biharmonic(AbstractCellMethod):

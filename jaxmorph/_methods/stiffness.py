@@ -3,9 +3,10 @@
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._host.elements import quadrature
 from .numbers import number
@@ -16,7 +17,7 @@ class AbstractStiffness(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, volume: Float[Array, ""], distance: Float[Array, ""]) -> Float[Array, ""]:
-        """Computes it from the cell's volume (area in 2-D), and its centre's distance from the nearest moving node. Traced."""
+        """Computes it from the cell's volume (area in 2-D), and its corners' mean distance from the moving nodes. Traced."""
 
 
 class ByVolume(AbstractStiffness):
@@ -34,7 +35,9 @@ class ByVolume(AbstractStiffness):
 
 
 class ByDistance(AbstractStiffness):
-    """Makes a cell as stiff as 1 / distance^exponent, with the distance of its centre from the nearest moving node.
+    """Makes a cell as stiff as 1 / distance^exponent, with the distance of its corners, in the mean, from the nearest moving node.
+
+    A quad has a stiffness at each corner, with the mean distance of this one and its two neighbours.
 
     OpenFOAM calls it `inverseDistance`, with the exponent 2 `quadratic inverseDistance`.
 
@@ -50,16 +53,33 @@ class ByDistance(AbstractStiffness):
 
 
 def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
-    """Computes the shape functions' gradients at the points of a cell's quadrature, and the volume at each point. Traced."""
+    """Computes the shape functions' gradients at the points of a cell's quadrature, and the volume at each point. Traced.
+
+    A point without volume, where two corners of a quad are one, counts nothing, unless all are.
+    """
     reference, weights = (jnp.asarray(table, corners.dtype) for table in quadrature(kind))
     jacobian = jnp.einsum("qca,cb->qab", reference, corners, precision="highest")  # d place / d reference, transposed
-    inverse, determinant = _inverse(jacobian)
+    inverse, determinant, is_flat = _inverse(jacobian)
     gradient = jnp.einsum("qba,qca->qcb", inverse, reference, precision="highest")
-    return gradient, weights * jnp.abs(determinant)
+    counts = ~is_flat | is_flat.all()
+    return jnp.where(counts[:, None, None], gradient, 0), jnp.where(counts, weights * jnp.abs(determinant), 0)
 
 
-def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"]]:
-    """Inverts in closed form; a matrix without volume has a large inverse, not an infinite one."""
+def stiffness(
+    of_cell: AbstractStiffness, kind: str, volume: Float[Array, " q"], distance: Float[Array, " c"]
+) -> Float[Array, " q"]:
+    """Computes the stiffness at the points of a cell's quadrature from the corners' distances from the moving nodes. Traced.
+
+    A point takes the mean of the corners whose shape functions vary there. Where all of them move, nothing depends on it.
+    """
+    share = np.any(quadrature(kind)[0] != 0, axis=2).astype(float)
+    share = jnp.asarray(share / share.sum(axis=1, keepdims=True), distance.dtype)
+    apart = jnp.matmul(share, distance, precision="highest")
+    return jax.vmap(lambda apart: of_cell(volume.sum(), apart))(jnp.where(apart > 0, apart, 1))
+
+
+def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"], Bool[Array, " q"]]:
+    """Inverts in closed form. A matrix without volume, which is told, has a large inverse, not an infinite one."""
     rows = [matrix[:, k] for k in range(matrix.shape[1])]
     if len(rows) == 2:
         (a, b), (c, d) = (row.T for row in rows)
@@ -72,5 +92,6 @@ def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Floa
         adjugate = jnp.stack(columns, axis=2)
     size = jnp.sum(matrix**2, axis=(1, 2)) ** (len(rows) / 2)
     least = float(jnp.finfo(matrix.dtype).eps) * jnp.where(size > 0, size, 1)
-    safe = jnp.where(jnp.abs(determinant) > least, determinant, least)
-    return adjugate / safe[:, None, None], safe
+    is_flat = jnp.abs(determinant) <= least
+    safe = jnp.where(is_flat, least, determinant)
+    return adjugate / safe[:, None, None], safe, is_flat
