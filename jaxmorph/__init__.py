@@ -8,8 +8,8 @@ docstrings cite. The paper builds on
 - their reduction to few sources: Rendall and Allen, Journal of Computational Physics 228, 2009;
 - Delaunay graph mapping: Liu, Qin and Xia, Journal of Computational Physics 211, 2006.
 
-The public names stand in `_public.py`. The first use of one imports all of them, and JAX with them: the command line shows its
-help without. Submodules are imported when they are first used.
+The public names stand in `_public.py`. The first use of one imports all of them but `_LATER`, and JAX with them: the command
+line shows its help without. Submodules are imported when they are first used.
 """
 
 import importlib
@@ -21,9 +21,22 @@ if typing.TYPE_CHECKING:
     from . import integrations as integrations
     from . import io as io
     from . import plot as plot
+    from ._advice.fewest_steps import Steps as Steps
+    from ._advice.fewest_steps import fewest_steps as fewest_steps
+    from ._advice.valid_steps import ValidSteps as ValidSteps
+    from ._improve.improve import Improvement as Improvement
+    from ._improve.improve import improve as improve
+    from ._improve.improve import untangle as untangle
     from ._public import *  # noqa: F403
 
 __version__: str
+
+_LATER = {
+    **dict.fromkeys(("Improvement", "improve", "untangle"), "._improve.improve"),
+    **dict.fromkeys(("Steps", "fewest_steps"), "._advice.fewest_steps"),
+    "ValidSteps": "._advice.valid_steps",
+}
+"""Names whose modules need optimistix and lineax, which take a quarter of a second to import: not before they are used."""
 
 _SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
 
@@ -33,10 +46,13 @@ def __getattr__(name: str) -> typing.Any:
         return importlib.import_module(f"{__name__}.{name}")
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version(__name__)
+    if name in _LATER:
+        globals()[name] = getattr(importlib.import_module(_LATER[name], __name__), name)
+        return globals()[name]
     if name == "__all__" or not name.startswith("_"):
         public = importlib.import_module(f"{__name__}._public")
         names = {key: value for key, value in vars(public).items() if not key.startswith("_") and key != "jaxtyping"}
-        globals().update(names, __all__=sorted({*names, *_SUBMODULES}))
+        globals().update(names, __all__=sorted({*names, *_LATER, *_SUBMODULES}))
         if name in globals():
             return globals()[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

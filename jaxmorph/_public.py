@@ -1,17 +1,14 @@
-"""The public names of jaxmorph, by room."""
+"""The public names of jaxmorph, by room, but those that need an optimiser."""
 
 from . import shapes as shapes
 from ._advice.choose import Choice as Choice
 from ._advice.choose import choose as choose
 from ._advice.estimate import Estimate as Estimate
 from ._advice.estimate import estimate as estimate
-from ._advice.fewest_steps import Steps as Steps
-from ._advice.fewest_steps import fewest_steps as fewest_steps
 from ._advice.inspect import Inspection as Inspection
 from ._advice.inspect import inspect as inspect
 from ._advice.largest_step import LargestStep as LargestStep
 from ._advice.largest_step import largest_step as largest_step
-from ._advice.valid_steps import ValidSteps as ValidSteps
 from ._host.errors import MeshError as MeshError
 from ._host.farthest import FarthestPoints as FarthestPoints
 from ._host.graded import Graded as Graded
@@ -24,9 +21,6 @@ from ._host.reduction import Centre as Centre
 from ._host.reduction import Corners as Corners
 from ._host.reduction import GaussPoints as GaussPoints
 from ._host.reduction import KDTree as KDTree
-from ._improve.improve import Improvement as Improvement
-from ._improve.improve import improve as improve
-from ._improve.improve import untangle as untangle
 from ._mesh.mesh import Mesh as Mesh
 from ._methods.base import AbstractField as AbstractField
 from ._methods.base import AbstractMethod as AbstractMethod

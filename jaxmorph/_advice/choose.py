@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from .._host.door import between, checked, whole
@@ -224,6 +223,8 @@ def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
 
     bounds = {"lower": math.log(0.2), "upper": math.log(10.0)}
     start = jnp.zeros((), points.dtype)
+    import optimistix as optx  # not before it is needed: it takes a quarter of a second
+
     return optx.minimise(loss, optx.GoldenSearch(0.02, 0.02), start, options=bounds, max_steps=30, throw=False).value
 
 

@@ -1,6 +1,5 @@
 """Overshoot: the motion of nodes off the surface, compared with that of the surface."""
 
-import jax.numpy as jnp
 import numpy as np
 import scipy.spatial
 from jaxtyping import Float
@@ -23,7 +22,7 @@ def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
     inner = np.setdiff1d(np.arange(len(points)), np.concatenate([moving, plan.fixed]))
     if not size.max() or not inner.size:
         return 0.0, 0.0
-    share = np.linalg.norm(np.asarray(deform(plan, jnp.asarray(u)) - plan.points)[inner], axis=1) / size.max()
+    share = np.linalg.norm((np.asarray(deform(plan, u)) - points)[inner], axis=1) / size.max()
     largest, base, active = float(share.max()), points[moving], np.flatnonzero(size > size.max() / 2)
     extent = np.ptp(base, axis=0).max()
     is_near = ((points[inner] > base.min(axis=0) - extent) & (points[inner] < base.max(axis=0) + extent)).all(axis=1)

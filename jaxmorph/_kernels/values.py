@@ -31,6 +31,18 @@ def as_jax(tree: Any) -> Any:
     return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jax.device_put(np.array(leaf)), tree)
 
 
+def array(values: Any) -> Any:
+    """Makes an array of JAX as `jnp.asarray` does, without a program for its shape, and with memory of its own."""
+    return values if isinstance(values, jax.Array) else jax.device_put(np.array(values))
+
+
+def taken(values: Any, rows: Any) -> Any:
+    """Takes rows of an array of JAX: by NumPy where it can, since JAX compiles a program for each new shape."""
+    if not on_host(values, rows) or getattr(values, "committed", False):
+        return values[rows]
+    return as_jax(np.asarray(values)[rows if isinstance(rows, slice) else np.asarray(rows)])
+
+
 def on_host(*values: Any) -> bool:
     """Tells whether values are best computed by NumPy: they can be read, and lie in the host's memory."""
     arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))

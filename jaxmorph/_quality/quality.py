@@ -14,7 +14,7 @@ from .._host.adjacency import handedness, neighbours
 from .._host.door import checked
 from .._host.topology import DIMENSION
 from .._kernels.compile import compiled
-from .._kernels.values import Either, as_jax, constant, is_known, namespace, on_host, smallest
+from .._kernels.values import Either, array, as_jax, constant, is_known, namespace, on_host, smallest
 from .._mesh.mesh import Mesh
 from . import measures
 from .blocks import in_blocks
@@ -103,7 +103,7 @@ def places(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None) ->
         raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
     if not sum(len(corners) for corners in mesh.cells.values()):
         raise ValueError("the mesh has no cells; its quality is not defined.")
-    current = jnp.asarray(mesh.points if points is None else points)
+    current = array(mesh.points if points is None else points)
     if current.shape != tuple(mesh.points.shape):
         raise ValueError(f"`points` has shape {current.shape}; this mesh has {tuple(mesh.points.shape)}.")
     return current if jnp.issubdtype(current.dtype, jnp.floating) else current.astype(float)

@@ -13,7 +13,7 @@ from .._host.door import between, checked, rows_of
 from .._host.products import cross
 from .._host.wall import Lines, areas, first_lines
 from .._kernels.compile import compiled
-from .._kernels.values import Either, is_known, largest, namespace, norm, on_host, smallest
+from .._kernels.values import Either, as_jax, is_known, largest, namespace, norm, on_host, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
 
@@ -101,7 +101,7 @@ def wall_quality(
         return WallQuality(jnp.asarray(lines.nodes), angle, height)
     with np.errstate(all="ignore"):
         angle, height = _angle_and_height(lines, np.asarray(reference), np.asarray(current), softness)
-    return WallQuality(*map(jnp.asarray, (lines.nodes, angle, height)))
+    return WallQuality(*as_jax((lines.nodes, angle, height)))
 
 
 def _angle_and_height(

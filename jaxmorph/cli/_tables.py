@@ -60,7 +60,8 @@ def wall_numbers(wall: WallQuality | None) -> tuple[dict[str, float], dict[str, 
     if wall is None:
         return {}, {}
     names = ("mean_wall_angle", "max_wall_angle", "min_first_cell_height")
-    after = (float(wall.mean_angle), float(wall.max_angle), float(wall.min_height))
+    angle, height = np.asarray(wall.angle), np.asarray(wall.height)
+    after = float(angle.mean()), float(angle.max()), float(height.min())
     return dict(zip(names, (0.0, 0.0, 1.0), strict=True)), dict(zip(names, after, strict=True))
 
 
@@ -90,7 +91,7 @@ def _coordinates(x: Any) -> str:
 
 
 def _node(wall: WallQuality, row: int, points: Float[np.ndarray, "n d"]) -> str:
-    node = int(wall.nodes[row])
+    node = int(np.asarray(wall.nodes)[row])
     return f"node {node} near {_coordinates(points[node])}"
 
 

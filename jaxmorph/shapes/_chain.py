@@ -4,12 +4,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._host.door import check_fields, checked
-from .._kernels.values import is_known
+from .._kernels.values import array, as_jax, is_known, on_host, taken
 from ._door import Numbers, positions
 from ._shape import AbstractShape
 
@@ -99,7 +98,7 @@ class OnRows(AbstractShape):
         rows = np.asarray(rows)
         if rows.ndim != 1 or rows.dtype.kind not in "iu" or (rows < 0).any() or len(np.unique(rows)) != len(rows):
             raise ValueError(f"`rows` is an array {rows.shape} of {rows.dtype}; expected (k,) different row numbers.")
-        self.shape, self.rows = shape, jnp.asarray(rows)
+        self.shape, self.rows = shape, array(rows)
 
     def neutral(self) -> PyTree:
         """Makes the parameters that move nothing."""
@@ -107,6 +106,13 @@ class OnRows(AbstractShape):
 
     def __call__(self, x: Numbers, parameters: PyTree) -> Float[Array, "m d"]:
         x = positions(x)
-        if len(self.rows) > len(x) or (is_known(self.rows) and self.rows.size and int(self.rows.max()) >= len(x)):
+        if len(self.rows) > len(x) or (
+            is_known(self.rows) and self.rows.size and int(np.asarray(self.rows).max()) >= len(x)
+        ):
             raise ValueError(f"`rows` has {len(self.rows)} rows up to {self.rows.max()}; `x` has {len(x)}.")
-        return x.at[self.rows].set(self.shape(x[self.rows], parameters))
+        moved = self.shape(taken(x, self.rows), parameters)
+        if not on_host(x, self.rows, moved):
+            return x.at[self.rows].set(moved)
+        whole = np.array(x)
+        whole[np.asarray(self.rows)] = moved
+        return as_jax(whole)

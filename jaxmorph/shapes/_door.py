@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from .._host.door import shown
-from .._kernels.values import is_known
+from .._kernels.values import array, is_known
 
 Number = Real[ArrayLike, ""]
 Numbers = Real[ArrayLike, "..."] | Sequence[Any]
@@ -20,7 +20,7 @@ def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
 
     **Raises:** `ValueError` for another shape.
     """
-    x = jnp.asarray(x)
+    x = array(x)
     if x.ndim != 2 or x.shape[1] not in (2, 3):
         raise ValueError(f"`{name}` has shape {x.shape}; positions have shape (m, 2) or (m, 3).")
     return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))

@@ -5,7 +5,6 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
@@ -83,6 +82,8 @@ def fit(
         return (shape(points, unravel(flat)) - targets).ravel()
 
     if not isinstance(shape, AbstractLinearShape):
+        import optimistix  # not before it is needed: it takes a quarter of a second
+
         solver = optimistix.LevenbergMarquardt(rtol=1e-12, atol=1e-14)
         flat = optimistix.least_squares(miss, solver, flat, max_steps=max_steps, throw=False).value
     jacobian = jax.jacfwd(miss)(flat)
