@@ -50,6 +50,33 @@ def test_values_and_slopes(basis, form, radius):
     np.testing.assert_allclose(found, slope, rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.parametrize("kind", [kind for kind in TABLE if kind is not jm.WendlandC2], ids=lambda kind: kind.__name__)
+def test_the_two_formulas_of_a_compact_function_agree(kind):
+    """The value, and the slope over twice the argument that derivatives are made of."""
+    mpmath.mp.dps = 40
+    xi = np.array([0.01, 0.3, 0.7, 0.95])
+    value, slope = (
+        [float(each) for each in row] for row in zip(*[_in_digits(TABLE[kind], x) for x in xi], strict=True)
+    )
+    np.testing.assert_allclose(kind.value(xi), value, rtol=1e-10, atol=1e-13)  # they cancel at the edge
+    np.testing.assert_allclose(2 * xi * kind.slope(xi), slope, rtol=1e-10, atol=1e-12)
+
+
+def _in_digits(form, x):
+    return form(mpmath.mpf(float(x))), mpmath.diff(form, mpmath.mpf(float(x)))
+
+
+def test_values_without_a_support():
+    r2 = np.array([0.0, 0.04, 0.25, 9.0])
+    for basis, value in [
+        (jm.LinearSpline(), np.sqrt(r2)),
+        (jm.CubicSpline(), r2**1.5),
+        (jm.InverseMultiquadric(2.0), 1 / np.sqrt(1 + r2 / 4)),
+        (jm.InverseQuadratic(2.0), 1 / (1 + r2 / 4)),
+    ]:
+        np.testing.assert_allclose(basis(r2), value, rtol=1e-14)
+
+
 @every
 def test_at_a_source_and_beyond_the_support(basis, form, radius):
     name, value = type(basis).__name__, basis(jnp.zeros(1))[0]

@@ -9,6 +9,7 @@ from cases import body, motion
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host import linear
+from jaxmorph._host.elements import quadrature
 
 UNIFORM = jm.LinearElasticity(jm.ByVolume(0.0))
 
@@ -233,3 +234,28 @@ def test_a_quad_with_two_corners_in_one_place_is_a_triangle():
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
     slope = jax.grad(lambda corners: jnp.sum(method.entries("quad", corners, jnp.ones(4)) ** 2))(corners)
     assert np.isfinite(slope).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "corners", "share"),
+    [
+        ("triangle", [(0, 0), (1, 0), (0, 1)], 1 / 2),
+        ("quad", [(0, 0), (1, 0), (1, 1), (0, 1)], 1),
+        ("tetra", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], 1 / 6),
+        ("pyramid", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)], 1 / 3),
+        ("wedge", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)], 1 / 2),
+        ("hexahedron", [(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], 1),
+    ],
+)
+def test_shape_functions_give_volumes_and_gradients(kind, corners, share):
+    """A sheared cell has its volume, and a linear field its gradient, at every point of the quadrature."""
+    derivatives, weights = quadrature(kind)
+    points = np.array(corners, dtype=float)
+    d = points.shape[1]
+    shear, gradient = np.random.default_rng(0).normal(size=(2, d, d))
+    points = points @ shear + 3
+    jacobian = np.einsum("qcr,cd->qrd", derivatives, points)
+    volume = (weights * np.linalg.det(jacobian)).sum()
+    assert volume == pytest.approx(share * np.linalg.det(shear), rel=1e-13)
+    found = np.linalg.solve(jacobian, np.einsum("qcr,cd->qrd", derivatives, points @ gradient))
+    np.testing.assert_allclose(found, np.broadcast_to(gradient, found.shape), rtol=0, atol=1e-12)

@@ -1,13 +1,17 @@
 """Files of other programs, through meshio and gmsh's own writer; and what holds for every format."""
 
+import contextlib
+import json
 import os
 import re
 import sys
+from xml.etree import ElementTree
 
 import jax
 import meshio
 import numpy as np
 import pytest
+from small import bricks
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -355,3 +359,46 @@ def test_a_vtk_file_that_ends_before_its_arrays(tmp_path):
     (tmp_path / "b.vtk").write_bytes(data[: data.index(b"\n", data.index(b"POINT_DATA")) + 1])
     with pytest.raises(ValueError, match=r"b\.vtk: the file ends after 'POINT_DATA 48': it is cut short"):
         io.read(tmp_path / "b.vtk")
+
+
+def test_gradients_and_sensitivities_are_read_back_as_they_were(tmp_path):
+    parameters, gradient = {"a": np.array([1.5, -2.0]), "b": 0.25}, {"a": np.array([1e-17, np.nan]), "b": 3.0}
+    names = jm.shapes.names(parameters)
+    for file in ("a.csv", "a.json"):
+        io.write_gradient(tmp_path / file, parameters, gradient)
+    table = json.loads((tmp_path / "a.json").read_text())
+    rows = [line.split(",") for line in (tmp_path / "a.csv").read_text().splitlines()[1:]]
+    assert [name for name, *_ in rows] == list(table) == list(names)
+    assert [float(value) for _, value, _ in rows] == [each["value"] for each in table.values()] == [1.5, -2.0, 0.25]
+    np.testing.assert_array_equal([float(slope) for *_, slope in rows], [1e-17, np.nan, 3.0])
+    assert [each["dJ_dvalue"] for each in table.values()] == [1e-17, None, 3.0]
+    with pytest.raises(ValueError, match="a gradient of 1 numbers for 3"):
+        io.write_gradient(tmp_path / "a.csv", parameters, {"b": 1.0})
+    mesh, rng = bricks(1), np.random.default_rng(0)
+    ids, values = rng.permutation(8), rng.normal(size=(8, 3)) * 1e-300
+    for file in ("s.csv", "s.npz"):
+        io.write_sensitivity(tmp_path / file, ids, values)
+        np.testing.assert_array_equal(io.read_sensitivity(tmp_path / file, mesh)[ids], values)
+
+
+def test_a_series_holds_each_step(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    mesh = bricks(1)
+    with io.XDMFSeries(tmp_path / "a.xdmf", mesh) as series:
+        for time in (0.5, 2.0):
+            moved = mesh.moved(mesh.points * (1 + time))
+            series.add(time, moved, jm.quality(mesh, moved.points))
+    root = ElementTree.parse(tmp_path / "a.xdmf").getroot()
+    assert [float(each.get("Value")) for each in root.iter("Time")] == [0.5, 2.0]
+    with h5py.File(tmp_path / "a.h5") as file:
+        items = [(each.text.split(":/")[1], each.get("Dimensions")) for each in root.iter("DataItem")]
+        assert all(" ".join(map(str, file[place].shape)) == shape for place, shape in items)
+        np.testing.assert_array_equal(file["1/points"], 3 * mesh.points)
+        np.testing.assert_array_equal(file["0/displacement"], 1.5 * mesh.points - mesh.points)
+        assert file["cells"][()].tolist() == [9, *mesh.cells["hexahedron"][0]]  # 9: XDMF's number of a hexahedron
+    for failure in (True, False):
+        with contextlib.suppress(KeyError), io.XDMFSeries(tmp_path / "none.xdmf", mesh) as series:
+            if failure:
+                series.add(0.0, mesh, jm.quality(mesh))
+                raise KeyError
+    assert {each.name for each in tmp_path.iterdir()} == {"a.xdmf", "a.h5"}

@@ -7,7 +7,7 @@ import pytest
 
 from jaxmorph import cases
 from jaxmorph._host import pairs
-from jaxmorph._host.topology import FACES, boundary_faces
+from jaxmorph._host.topology import CORNERS, EDGES, FACES, FRAMES, boundary_faces
 
 RNG = np.random.default_rng(7)
 
@@ -69,3 +69,41 @@ def test_faces_that_are_there_twice_are_dropped_early_or_late(kind):
     found = [frozenset(ids) for faces in outer.values() for ids in faces.tolist()]
     assert len(set(found)) == len(found)
     assert set(found) == {ids for ids, times in count.items() if times == 1}
+
+
+CUBE = [(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+SHAPES = {
+    "triangle": [(0, 0), (1, 0), (0, 1)],
+    "quad": [(0, 0), (1, 0), (1, 1), (0, 1)],
+    "tetra": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)],
+    "pyramid": [*CUBE[:4], (0, 0, 1)],
+    "wedge": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)],
+    "hexahedron": CUBE,
+}
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_the_tables_of_a_cell_type_are_those_of_its_shape(kind):
+    """Faces look outwards and close it, edges are their sides, frames are right-handed and made of edges, each corner has one."""
+    points = np.array(SHAPES[kind], dtype=float)
+    d, edges = points.shape[1], {frozenset(edge) for edge in EDGES[kind]}
+    assert CORNERS[kind] == len(points)
+    assert len(edges) == len(EDGES[kind])
+    total = np.zeros(d)
+    for face in FACES[kind]:
+        a, b, c = points[[face[0], face[1], face[-1]]]
+        normal = np.array([b[1] - a[1], a[0] - b[0]]) if d == 2 else np.cross(b - a, c - a)
+        assert normal @ (a - points.mean(axis=0)) > 0
+        assert np.allclose((points[list(face)] - a) @ normal, 0)
+        total += normal / (2 if len(face) == 3 else 1)
+    np.testing.assert_allclose(total, 0, atol=1e-15)
+    sides = [(face[k], face[(k + 1) % len(face)]) for face in FACES[kind] for k in range(len(face))]
+    if d == 3:
+        assert len(set(sides)) == len(sides) == 2 * len(edges)
+    assert {frozenset(side) for side in sides} == edges
+    for corner, *ends in FRAMES[kind]:
+        assert np.linalg.det(points[ends] - points[corner]) > 0
+        assert {frozenset((corner, end)) for end in ends} <= edges
+    corners = [frame[0] for frame in FRAMES[kind]]
+    expected = {"triangle": [0], "tetra": [0], "pyramid": [0, 1, 2, 3]}.get(kind, range(len(points)))
+    assert sorted(corners) == list(expected)

@@ -257,6 +257,31 @@ def duct():
     return mesh, ends, {"sliding": ("bottom", "top"), "periodic": jm.Periodic("left", "right")}
 
 
+def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
+    """Of a stretched base `refit` makes what `prepare` does; it says which node has left a side or the symmetry plane."""
+    mesh, boundary = box(), {"sliding": ["left", "right", "top"], "symmetry": jm.Plane((0, 1), (0, -4))}
+    plan, other = jm.prepare(mesh, "hole", method=TPS, **boundary), mesh.moved(mesh.points * [2, 1])
+    u = 0.2 * np.sin(other.points[plan.moving] + np.array([0.3, 1.0]))
+    moved = np.asarray(jm.deform(jm.refit(plan, other.points), u))
+    expected = jm.deform(jm.prepare(other, "hole", method=TPS, **boundary), u)
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-13)
+    judged = jm.boundary_quality(jm.refit(plan, other.points), moved)
+    assert (judged.off_plane, judged.off_surface, judged.mismatch) == (0, 0, 0)
+    for side, message in (
+        ("top", "nodes of sliding patches have left"),
+        ("bottom", "nodes have left the symmetry plane"),
+    ):
+        torn = np.array(other.points)
+        node = mesh.patch(side)[3]
+        torn[node, 1] += 0.25
+        with pytest.raises(ValueError, match=rf"{message}.* the worst is node {node} ") as caught:
+            jm.refit(plan, torn)
+        assert caught.value.nodes[0] == node
+        off = jm.boundary_quality(plan, mesh.points + (torn - other.points))
+        assert (off.off_plane if side == "bottom" else off.off_surface) == 0.25
+        assert f"0.25 off (node {node})" in str(off).replace(" their surface", "")
+
+
 @pytest.mark.slow
 def test_walls_and_translations_follow_the_base():
     """Of another base `refit` makes what `prepare` does; pairs that match bit for bit go on to."""

@@ -1,0 +1,98 @@
+"""The walls that sliding nodes stay on: nearest points in closed form, and by trying many points of each face."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from jaxmorph._plan.slide import _around
+from jaxmorph._plan.walls import Faceted, Flat, Round, Track, rim
+
+ROWS = np.arange(12)
+AXIS, ORIGIN = np.array([0.6, 0.0, 0.8]), np.array([1.0, -2.0, 0.5])
+
+
+def cylinder_coordinates(x):
+    """Places along the axis, and radii about it."""
+    along = (x - ORIGIN) @ AXIS
+    return along, np.linalg.norm(x - ORIGIN - along[:, None] * AXIS, axis=1)
+
+
+def start(d):
+    return jnp.asarray(np.random.default_rng(d).normal(size=(12, d)) + 2)
+
+
+def test_a_circle():
+    wall, x = Round(np.zeros(2), ORIGIN[:2], np.array([0, 1, 3.0])), start(2)
+    projected = np.asarray(Track(ROWS, (wall,)).project(x))
+    arm = np.asarray(x) - ORIGIN[:2]
+    np.testing.assert_allclose(projected, ORIGIN[:2] + 3 * arm / np.linalg.norm(arm, axis=1)[:, None], rtol=1e-14)
+    np.testing.assert_allclose(wall.distance(x), np.abs(np.linalg.norm(arm, axis=1) - 3), rtol=1e-13)
+    assert not wall.has_end(np.asarray(x)).any()
+    assert wall.at(x) is wall
+
+
+def test_a_cone_is_reached_along_its_normal():
+    a, b = -0.28, 0.96
+    wall, x = Round(AXIS, ORIGIN, np.array([a, b, 1.5])), start(3)
+    projected = np.asarray(Track(ROWS, (wall,)).project(x))
+    along, radius = cylinder_coordinates(projected)
+    np.testing.assert_allclose(a * along + b * radius, 1.5, rtol=1e-13)
+    before = np.stack(cylinder_coordinates(np.asarray(x)), axis=1)
+    way = np.stack([along, radius], axis=1) - before
+    np.testing.assert_allclose(way, (1.5 - before @ [a, b])[:, None] * [a, b], rtol=0, atol=1e-13)
+
+
+def test_a_profile_and_a_plane_at_once():
+    """The profile's cubic is a spline of itself; a node where both walls meet is on both."""
+    knots = np.linspace(-1, 6, 8)
+    spline = CubicSpline(knots, 2 + 0.01 * knots**3)
+    wall = Round(AXIS, ORIGIN, np.array([0, 1.0, 0]), spline.x, spline.c)
+    plane = Flat(np.array([0.8, 0.0, -0.6]), ORIGIN + 0.3)
+    for walls in ((wall,), (wall, plane)):
+        projected = np.asarray(Track(ROWS, walls).project(start(3)))
+        along, radius = cylinder_coordinates(projected)
+        np.testing.assert_allclose(radius, 2 + 0.01 * along**3, rtol=1e-12)
+    np.testing.assert_allclose((projected - ORIGIN - 0.3) @ [0.8, 0.0, -0.6], 0, atol=1e-12)
+    ends = ORIGIN + np.array([-1.1, 0.0, 6.1])[:, None] * AXIS
+    assert wall.has_end(ends).tolist() == [True, False, True]
+
+
+def faceted(d):
+    """A bent strip: a line of 6 pieces in 2-D, 2 x 3 quads cut into triangles in 3-D."""
+    if d == 2:
+        t = np.linspace(0, 2, 7)
+        vertices, faces = np.stack([t, np.sin(2 * t)], axis=1), np.stack([np.arange(6), np.arange(1, 7)], axis=1)
+    else:
+        s, t = (each.ravel() for each in np.meshgrid(np.linspace(0, 1, 3), np.linspace(0, 2, 4), indexing="ij"))
+        vertices = np.stack([s, t, np.sin(2 * t) + s**2], axis=1)
+        ids = np.arange(12).reshape(3, 4)
+        a, b, c, e = (each.ravel() for each in (ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]))
+        faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, e], axis=1)])
+    return Faceted(np.arange(len(vertices)), vertices, faces, _around(faces, len(vertices)))
+
+
+@pytest.mark.parametrize("d", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_faces_are_reached_at_their_nearest_point(d):
+    """No point of any face, of thousands that are tried, is nearer; what is found lies on a face."""
+    wall = faceted(d)
+    vertices, faces = np.asarray(wall.vertices), np.asarray(wall.faces)
+    x = np.concatenate([vertices[:7] + 0.1 * np.random.default_rng(0).normal(size=(7, d)), vertices])
+    places, normals = (np.asarray(each) for each in wall.nearest(jnp.asarray(x)))
+    weights = np.random.default_rng(1).dirichlet(np.ones(d), 3000)
+    tried = np.einsum("wc,fcd->wfd", weights, vertices[faces]).reshape(-1, d)
+    nearest = np.linalg.norm(x[:7, None] - tried[None], axis=2).min(axis=1)
+    away = np.linalg.norm(x - places, axis=1)[:7]
+    assert (away <= nearest + 1e-12).all()
+    assert (nearest <= away + 0.05).all()
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-13)
+    np.testing.assert_allclose(places[7:], vertices, rtol=0, atol=1e-13)
+    assert (np.asarray(wall.at(jnp.asarray(vertices + 5.0)).vertices) == vertices + 5.0).all()
+    assert wall.has_end(np.concatenate([vertices[:1], tried[:1]])).tolist() == [True, False]
+    order = np.argsort(wall.renumbered(np.arange(len(vertices))[::-1]).nodes)
+    assert (order == np.arange(len(vertices))[::-1]).all()
+
+
+def test_the_rim_of_a_strip():
+    assert sorted(rim(np.asarray(faceted(2).faces)).ravel().tolist()) == [0, 6]
+    assert len(rim(np.asarray(faceted(3).faces))) == 2 * (2 + 3)
