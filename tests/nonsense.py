@@ -432,6 +432,7 @@ TABLE: dict[str, dict[str, Argument]] = {
         "points": MOVED,
         "fixed": ids(MESH.patch("far"), N) - "none",
         "symmetry": BOUNDARIES["symmetry"],
+        "periodic": BOUNDARIES["periodic"],
         "sliding": BOUNDARIES["sliding"],
         "ideal": flag(False),
         "size_weight": RATIO,

@@ -1,5 +1,8 @@
 """Inner nodes where the distortion of all cells is least: closed forms, differences, and grids that a morph has inverted."""
 
+import functools
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -152,8 +155,6 @@ def test_it_finds_scipys_minimum_and_untangles(dimension):
 
 
 def _softened(distortion, softness):
-    import equinox as eqx
-
     return eqx.tree_at(lambda it: it.softness, distortion, jnp.asarray(softness))
 
 
@@ -198,6 +199,81 @@ def test_derivatives_with_nodes_that_slide():
     both = jax.jit(jax.value_and_grad(objective))
     difference = (both(points + step * tangent)[0] - both(points - step * tangent)[0]) / (2 * step)
     np.testing.assert_allclose(np.vdot(both(points)[1], tangent), difference, rtol=1e-6)
+
+
+@functools.cache
+def quarter():
+    """A quarter of a ring of quads from radius 1 to 2, its nodes' radii and angles; the ends repeat each other."""
+    radius, angle = (
+        each.ravel() for each in np.meshgrid(np.linspace(1, 2, 4), np.pi / 8 * np.arange(5), indexing="ij")
+    )
+    ids = np.arange(20).reshape(4, 5)
+    patches = {"hub": ids[0], "shroud": ids[-1], "first": ids[:, 0], "last": ids[:, -1]}
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    mesh = jm.Mesh(points, {"quad": _stacked(ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:])}, patches)
+    return (
+        mesh,
+        radius,
+        angle,
+        {"sliding": jm.Slide("shroud", jm.Revolution()), "periodic": jm.Periodic("first", "last")},
+    )
+
+
+@pytest.mark.slow
+def test_nodes_slide_on_curved_walls_and_pairs_move_alike():
+    """The undeformed mesh is its own minimum: nodes that have slid along a circle, or between periodic sides, come back."""
+    mesh, radius, angle, wrapped = quarter()
+    moved = angle + 0.1 * (radius > 1) * np.cos(4 * angle + radius)
+    farther = radius + 0.05 * np.sin(np.pi * radius) * np.cos(4 * angle)
+    points = np.stack([farther * np.cos(moved), farther * np.sin(moved)], axis=1)
+    result = jm.improve(mesh, points, tolerance=1e-8, **wrapped)
+    assert float(result.residual) < 1e-6
+    np.testing.assert_allclose(result.points, mesh.points, rtol=0, atol=1e-6)
+    found = np.asarray(result.points)
+    np.testing.assert_allclose(np.linalg.norm(found[mesh.patch("shroud")], axis=1), 2, rtol=0, atol=1e-14)
+    turn = np.array([[0.0, -1], [1, 0]])
+    first, last = (found[[0, 5, 10, 15]], found[[4, 9, 14, 19]])
+    np.testing.assert_allclose(last, first @ turn.T, rtol=0, atol=1e-14)
+    assert np.array_equal(found[mesh.patch("hub")], points[mesh.patch("hub")])
+
+
+@pytest.mark.slow
+def test_second_derivatives_on_curved_walls_and_of_pairs():
+    """Blocks add up to the Hessian, with the walls' curvature in it; what is off a wall or follows a partner has none."""
+    mesh, _, _, wrapped = quarter()
+    base, rng = jnp.asarray(mesh.points + 0.05 * np.sin(3 * mesh.points[:, ::-1])), np.random.default_rng(0)
+    distortion, pairs = _prepared(mesh, jnp.float64, None, False, 0.5, (), *wrapped.values())
+    ways = distortion.ways
+    assert ways is not None
+    distortion = eqx.tree_at(lambda it: it.ways, distortion, eqx.filter_jit(ways.at)(base))
+    y = jnp.asarray(0.1 * rng.normal(size=base.shape))
+    dense = np.asarray(jax.jit(jax.hessian(lambda y: distortion(y, base)))(y)).reshape(40, 40)
+    blocks = np.asarray(jax.jit(lambda y: distortion.blocks(y, base, -jnp.inf))(y))
+    data = np.zeros((len(pairs.columns), 2, 2))
+    np.add.at(data, pairs.block, np.moveaxis(blocks, 2, 0))
+    rows = pairs.order[np.repeat(np.arange(20), np.diff(pairs.starts))]
+    whole = np.zeros((20, 2, 20, 2))
+    whole[rows, :, pairs.order[pairs.columns]] = data
+    off = np.asarray(eqx.filter_jit(ways.at)(base).off)
+    assert np.abs(off).max() > 0.1
+    whole[np.arange(20), :, np.arange(20)] -= off
+    np.testing.assert_allclose(whole.reshape(40, 40), dense, rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_nodes_slide_on_faces():
+    """A polygon's corners may be passed; what has slid along one side comes back, and the hub's nodes stay."""
+    angle = np.pi / 4 * np.arange(8)
+    points = np.concatenate([r * np.stack([np.cos(angle), np.sin(angle)], axis=1) for r in (1, 1.5, 2)])
+    ids = np.arange(24).reshape(3, 8)
+    ids = np.concatenate([ids, ids[:, :1]], axis=1)
+    quads = _stacked(ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:])
+    mesh = jm.Mesh(points, {"quad": quads}, {"inner": np.arange(8), "outer": np.arange(16, 24)})
+    start = np.array(points)
+    start[16:] += 0.3 * np.linspace(0, 1, 8)[:, None] * (np.roll(points[16:], -1, axis=0) - points[16:])
+    result = jm.improve(mesh, start, sliding="outer", tolerance=1e-8)
+    np.testing.assert_allclose(result.points, points, rtol=0, atol=1e-5)
+    assert np.array_equal(np.asarray(result.points)[:8], points[:8])
 
 
 @pytest.mark.slow

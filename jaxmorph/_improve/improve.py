@@ -16,16 +16,19 @@ from .._host.door import between, checked, whole
 from .._host.errors import MeshError
 from .._host.topology import FACES, solid
 from .._kernels.compile import compiled
-from .._kernels.values import is_known
+from .._kernels.values import as_jax, is_known
 from .._mesh.mesh import Mesh
 from .._plan.door import node_ids, walls_of
+from .._plan.periodic import Pairing, Periodic
 from .._plan.slide import Slide, tracks_of
 from .._plan.symmetry import Plane
+from .._plan.walls import Track
 from .._quality.distortion import node_scales, target
 from .._quality.quality import quality
 from .._quality.vector import corners
 from .newton import Distortion, HessianSolver, ProjectedNewton
 from .systems import pattern
+from .ways import Ways
 
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 """Softness of the barrier in the last stage, its largest share from one stage to the next, and how many there are at most."""
@@ -66,6 +69,7 @@ def improve(
     *,
     fixed: Integer[ArrayLike, " f"] | Sequence[int] | None = None,
     symmetry: Plane | str | Sequence[Plane | str] = (),
+    periodic: Periodic | Sequence[Periodic] = (),
     sliding: Slide | str | Sequence[Slide | str] = (),
     ideal: bool = False,
     size_weight: float = 0.5,
@@ -89,8 +93,9 @@ def improve(
     lower `tolerance` for them. Derivatives with respect to the places of inner nodes, where the search starts, are
     zero. `mesh` is to be closed over, not traced. Use float64.
 
-    Nodes of symmetry planes and of flat sliding patches move in these, and stay as far off them as `points` has them. Nodes of
-    curved sliding patches and of periodic ones stay.
+    Nodes of symmetry planes and of sliding patches move along these, and stay as far off them as `points` has them. The two
+    nodes of a periodic pair move alike. Nodes between two walls stay on both; corners, and nodes on the axis of a rotation, stay.
+    Faces have a kink at each edge: where nodes slide on these, the search may stop early.
 
     Nothing is promised for a boundary that crosses itself: `after`, or `str` of the result, says what is left.
 
@@ -103,7 +108,7 @@ def improve(
     - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
     - `fixed`: ids (f,) of nodes that stay where `points` has them, bit for bit. Default: all patches and the outer
       boundary, but for what slides.
-    - `symmetry`, `sliding`: as `prepare` takes them. Default: none.
+    - `symmetry`, `periodic`, `sliding`: as `prepare` takes them, of the undeformed mesh. Default: none.
     - `ideal`: take the equilateral cell (a cube, a square) of the undeformed volume as target. Default False.
     - `size_weight`: the weight of a change of size against one of shape, 0 to 1, default 0.5.
     - `tolerance`: the last stage ends when nodes move by less than this, root mean square, in units of their smallest
@@ -114,28 +119,30 @@ def improve(
     **Returns:** an `Improvement`.
 
     **Raises:** `ValueError` for a mesh without cells of its own dimension, and for a shape of `points` other than that of
-    `mesh.points`. Also for node ids that are not there, for `size_weight` outside of 0 to 1, and for planes and sliding patches
-    as `prepare` does.
+    `mesh.points`. Also for node ids that are not there, for `size_weight` outside of 0 to 1, and for planes, periodic and
+    sliding patches as `prepare` does.
     """
     start = jnp.asarray(points)
     _check(mesh, start, fixed, size_weight, tolerance, max_steps)
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
-        distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size_weight, symmetry, sliding)
-    y, count, stage = jnp.zeros_like(base), 0, distortion
+        distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size_weight, symmetry, sliding, periodic)
     softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
+    if distortion.ways is not None:
+        distortion = eqx.tree_at(lambda it: it.ways, distortion, _ways_at(distortion.ways, held))
+    y, count, stage = jnp.zeros_like(base), 0, distortion
     for last in (False,) * (STAGES - 1) + (True,):
-        before, least = softness, SHARPEST if last else -2 * distortion.least(y, held)
+        before, least = softness, SHARPEST if last else -2 * _least(distortion, y, held)
         softness = jnp.maximum(jnp.minimum(least, GENTLER * softness), SHARPEST)
         stage = eqx.tree_at(lambda it: it.softness, distortion, softness.astype(base.dtype))
         enough = (1e-3 * tolerance, tolerance) if last else (max(tolerance, 0.3),) * 2
         options = (last | (softness < before), jnp.asarray(enough, base.dtype), max_steps, progress)
         y, steps = _minimise(stage, jax.lax.stop_gradient(y), base if last else held, blocks, options)
         count += steps
-    improved = stage.points(y, base)
-    value, slope = _slope(stage, y, base)
+    value, slope, improved = _ended(stage, y, base)
     cells = sum(len(ids) for ids in distortion.cells.values())
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
+    moved = moved if distortion.ways is None else distortion.ways.matched(start, moved)
     before, after = (quality(mesh, at).inverted for at in (start, moved))
     return Improvement(moved, before, after, value / cells, jnp.max(jnp.abs(slope)), jnp.asarray(count), cells)
 
@@ -169,8 +176,19 @@ def _minimise(distortion: Distortion, y, base, blocks, options):
 
 
 @compiled
-def _slope(distortion: Distortion, y, base):
-    return jax.value_and_grad(distortion)(y, base)
+def _ways_at(ways: Ways, start: Float[Array, "n d"]) -> Ways:
+    return ways.at(start)
+
+
+@compiled
+def _least(distortion: Distortion, y, base):
+    return distortion.least(y, base)
+
+
+@compiled
+def _ended(distortion: Distortion, y, base):
+    value, slope = jax.value_and_grad(distortion)(y, base)
+    return value, slope, distortion.points(y, base)
 
 
 def _check(mesh: Mesh, points, fixed, size: float, tolerance: float, max_steps: int) -> None:
@@ -192,47 +210,56 @@ def _check(mesh: Mesh, points, fixed, size: float, tolerance: float, max_steps: 
     whole("max_steps", max_steps)
 
 
-def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float, symmetry=(), sliding=()):
+def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float, symmetry=(), sliding=(), periodic=()):
     """Prepares the energy, and on the host the pattern of its Hessian."""
     n, d = mesh.points.shape
     cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, d).items()}
-    walls = walls_of(mesh, symmetry, sliding, () if fixed is None else fixed)
+    walls, pairings = walls_of(mesh, symmetry, sliding, periodic, () if fixed is None else fixed)
     tracks, corner = tracks_of(walls, (), np.asarray(mesh.points))
-    flat = [nodes for wall, nodes in walls if wall.is_flat]
-    held = _boundary(mesh, cells, flat) if fixed is None else np.asarray(fixed, dtype=int)
+    ways = [nodes for _, nodes in walls]
+    ways += [np.append(side, each.alone) for each in pairings for side in (each.first, each.second)]
+    held = _boundary(mesh, cells, ways) if fixed is None else np.asarray(fixed, dtype=int)
     free = np.zeros(n, dtype=bool)
     free[np.concatenate([ids.ravel() for ids in cells.values()])] = True
     free[held] = False
     free[corner] = False
-    normals = np.zeros((n, d - 1, d))
-    for track in tracks:
-        free[track.rows] &= track.is_linear
-        if track.is_linear:
-            normals[track.rows, : len(track.walls)] = track.frame
+    leads, leading = _leads(tracks, pairings, free), bool(tracks or pairings)
     distortion = _energy(
         {kind: jnp.asarray(ids) for kind, ids in cells.items()},
         jnp.asarray(mesh.points, dtype),
         jnp.asarray(free),
-        jnp.asarray(normals, dtype) if normals.any() else None,
+        Ways(*as_jax((tracks, pairings, leads != np.arange(n), np.zeros((n, d - 1, d))))) if leading else None,
         ideal,
         size,
     )
-    return jax.lax.stop_gradient(distortion), pattern(list(cells.values()), n, d)
+    groups = [leads[ids] for ids in cells.values()] + [np.arange(n)[:, None]] * leading
+    return jax.lax.stop_gradient(distortion), pattern(groups, n, d)
+
+
+def _leads(tracks: Sequence[Track], pairings: Sequence[Pairing], free: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Finds for each node the one that it moves with. It clears `free` of all whose partners are held or on other walls."""
+    leads, walls = np.arange(len(free)), np.zeros(len(free), dtype=int)
+    for track in tracks:
+        walls[track.rows] = len(track.walls)
+    for pairing in pairings:
+        leads[pairing.second] = leads[pairing.first]
+        free[pairing.alone] = False
+    held = np.unique(leads[~free | (walls != walls[leads])])
+    free[np.isin(leads, held)] = False
+    return leads
 
 
 @compiled
-def _energy(
-    cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[Array, " n"], normals, ideal: bool, size
-):
+def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[Array, " n"], ways, ideal: bool, size):
     targets = {kind: target(kind, corners(reference, ids), ideal) for kind, ids in cells.items()}
     scale = node_scales(cells, targets, len(reference))
-    return Distortion(cells, targets, scale, free, jnp.ones((), reference.dtype), normals, float(size))
+    return Distortion(cells, targets, scale, free, jnp.ones((), reference.dtype), ways, float(size))
 
 
-def _boundary(mesh: Mesh, cells: dict[str, np.ndarray], flat: Sequence[np.ndarray]) -> np.ndarray:
-    """Lists the nodes of patches, and of faces that only one cell has, but for those that lie in one flat wall."""
+def _boundary(mesh: Mesh, cells: dict[str, np.ndarray], ways: Sequence[np.ndarray]) -> np.ndarray:
+    """Lists the nodes of patches, and of faces that only one cell has, but for those of one wall or periodic side."""
     behind, _ = neighbours(cells)
-    walls = [np.isin(np.arange(len(mesh.points)), nodes) for nodes in flat]
+    walls = [np.isin(np.arange(len(mesh.points)), nodes) for nodes in ways]
     nodes, first = [np.asarray(ids) for ids in mesh.patches.values()], 0
     nodes = [ids for ids in nodes if not any(on[ids].all() for on in walls)]
     for kind, ids in cells.items():

@@ -17,6 +17,7 @@ from .._quality.distortion import Target, energy, energy_of_cells, samples
 from .._quality.vector import Vector, corners
 from .hessian import blocks
 from .systems import Pattern, solve, solve_exactly
+from .ways import Ways
 
 SHIFT = 1e-12
 """Added to the diagonal of a Hessian in coordinates of order one, which may be singular where cells are inverted."""
@@ -28,7 +29,7 @@ NEAR = 1.0
 class Distortion(eqx.Module):
     """Computes the energy of a mesh from the free nodes' places y (n, d), in units of `scale` from where they started.
 
-    `normals` are unit vectors, at right angles at each node, along which it stays where `base` has it; zero for none.
+    `ways` lead those of walls and periodic pairs; None without any.
     """
 
     cells: dict[str, Integer[Array, "_k _c"]]
@@ -36,35 +37,31 @@ class Distortion(eqx.Module):
     scale: Float[Array, " n"]
     free: Bool[Array, " n"]
     softness: Float[Array, ""]
-    normals: Float[Array, "n q d"] | None
+    ways: Ways | None
     size: float = eqx.field(static=True)
 
     def points(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d"]:
         """Places the nodes; fixed ones stay where `base` has them, bit for bit."""
         start, step = jax.lax.stop_gradient(base), self.scale[:, None] * y
-        if self.normals is not None:
-            start, step = start + self._off(base - start), step - self._off(step)
+        if self.ways is not None:
+            step = self.ways(start, step, base - start)
         return jnp.where(self.free[:, None], start + step, base)
 
-    def _off(self, vectors: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Projects vectors on the normals."""
-        assert self.normals is not None
-        off = jnp.zeros_like(vectors)
-        for k in range(self.normals.shape[1]):
-            normal = self.normals[:, k]
-            off += jnp.sum(vectors * normal, axis=1, keepdims=True) * normal
-        return off
-
     def __call__(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        points, total = self.points(y, base), jnp.zeros((), y.dtype)
+        return self._energy(self.points(y, base))
+
+    def _energy(self, points: Float[Array, "n d"]) -> Float[Array, ""]:
+        total = jnp.zeros((), points.dtype)
         for kind, ids in self.cells.items():
             x, goal = corners(points, ids), self.targets[kind]
             total += jnp.sum(energy_of_cells(kind, x, goal, self.softness, self.size))
         return total
 
     def shift(self) -> Float[Array, " n"]:
-        """Computes the number to add to each node's diagonal: one for nodes that do not move."""
-        return jnp.where(self.free & (self.scale > 0), SHIFT, 1.0).astype(self.scale.dtype)
+        """Computes the number to add to each node's diagonal: one for nodes that do not move, or follow others."""
+        moves = self.free & (self.scale > 0)
+        moves = moves if self.ways is None else moves & ~self.ways.follows
+        return jnp.where(moves, SHIFT, 1.0).astype(self.scale.dtype)
 
     def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
         """Computes the smallest determinant of T: negative where a cell is inverted."""
@@ -75,9 +72,13 @@ class Distortion(eqx.Module):
         return jnp.min(jnp.stack(least))
 
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
-        """Computes second derivatives for each pair of corners of each cell, the eigenvalues of each sample at least `floor`."""
+        """Computes second derivatives for each pair of corners of each cell, the eigenvalues of each sample at least `floor`.
+
+        Those of single nodes follow where there are `ways`.
+        """
         points, parts = self.points(y, base), []
         moves, d = self.scale * self.free, base.shape[1]
+        slopes = None if self.ways is None else self._slopes(y, base)
 
         def cell_energy(squared, tau):
             return energy(squared, tau, self.softness, self.size, d)
@@ -90,21 +91,38 @@ class Distortion(eqx.Module):
             share, scale = _shares(kind), moves[ids].T
             sums = jnp.einsum("sce,szf->czefs", share, share).reshape(scale.shape[0] ** 2, -1)
             whole = jnp.einsum("pq,abqk->abpk", sums, derivatives.reshape(d, d, -1, derivatives.shape[-1]))
-            whole = whole * (scale[:, None] * scale[None]).reshape(1, 1, -1, scale.shape[1])
-            parts.append(self._tangential(whole, ids).reshape(d, d, -1))
+            if slopes is None:
+                whole = whole * (scale[:, None] * scale[None]).reshape(1, 1, -1, scale.shape[1])
+            else:
+                pairs, slope = whole.reshape(d, d, *scale.shape[:1] * 2, -1), slopes[ids]
+                whole = jnp.einsum("kcxa,xycek,keyb->abcek", slope, pairs, slope, precision="highest")
+            parts.append(whole.reshape(d, d, -1))
+        if self.ways is not None:
+            parts.append(jnp.moveaxis(self._alone(y, base, floor), 0, 2))
         return jnp.concatenate(parts, axis=2)
 
-    def _tangential(self, whole: Float[Array, "d d p k"], ids: Integer[Array, "k c"]) -> Float[Array, "d d p k"]:
-        """Takes the part of second derivatives along which nodes are free; one along their normals."""
-        if self.normals is None:
-            return whole
-        normals, d, count = self.normals[ids], whole.shape[0], ids.shape[1]
-        off = jnp.einsum("kcqa,kcqb->abck", normals, normals)
-        along = jnp.eye(d)[:, :, None, None] - off
-        pairs = whole.reshape(d, d, count, count, -1)
-        pairs = jnp.einsum("axck,xycek,byek->abcek", along, pairs, along, precision="highest")
-        pairs = pairs + jnp.eye(count)[None, None, :, :, None] * off[:, :, :, None]
-        return pairs.reshape(whole.shape)
+    def _slopes(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d d"]:
+        """Computes the derivatives of places by y: the last axis is that of y, for a partner the first node's."""
+        return _columns(lambda y: self.points(y, base), y)
+
+    def _alone(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any) -> Float[Array, "n d d"]:
+        """Computes what single nodes add to second derivatives: one off their walls, and how curved these are."""
+        assert self.ways is not None
+        added = self.ways.off
+        if self.ways.is_linear:
+            return added
+        force = jax.grad(self._energy)(self.points(y, base))
+        curved = _columns(jax.grad(lambda y: jnp.sum(force * self.points(y, base))), y)
+        return added + jnp.where(jnp.asarray(floor) < 0, (curved + jnp.swapaxes(curved, 1, 2)) / 2, 0)
+
+
+def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"]:
+    """Computes derivatives of a function row by row: the last axis is that of y."""
+
+    def column(axis):
+        return jax.jvp(function, (y,), (jnp.broadcast_to(axis, y.shape),))[1]
+
+    return jax.vmap(column, out_axes=2)(jnp.eye(y.shape[1], dtype=y.dtype))
 
 
 def _stretch(edges: list[Vector], goal: Target) -> list[Vector]:

@@ -13,7 +13,7 @@ from .._host.skin import has_free_faces
 from .._host.topology import solid
 from .._mesh.mesh import Mesh
 from .faces import FreeFaces, OuterFaces, free_faces, outer_faces
-from .periodic import Pairing, Periodic, merged, paired
+from .periodic import Pairing, Periodic, check_pairings, merged, paired
 from .slide import Slide, tracks_of, wall_of
 from .symmetry import Plane
 from .walls import AbstractWall, Flat, Track
@@ -264,19 +264,27 @@ def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pai
     return merged(pairings, float(np.ptp(points, axis=0).max()))
 
 
-def walls_of(mesh: Mesh, symmetry: Any, sliding: Any, fixed: Any = ()) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes the walls of sliding patches and of symmetry planes, each with its nodes; takes and refuses what `prepare` does."""
+def walls_of(
+    mesh: Mesh, symmetry: Any, sliding: Any, periodic: Any, fixed: Any = ()
+) -> tuple[list[tuple[AbstractWall, np.ndarray]], tuple[Pairing, ...]]:
+    """Makes the walls of sliding patches and of symmetry planes, each with its nodes, and the periodic pairs.
+
+    It takes and refuses what `prepare` does.
+    """
     points, d = np.asarray(mesh.points), mesh.points.shape[1]
     _check_named_once(sliding, symmetry=symmetry)
     outer = outer_faces(mesh)
     walls = _walls(sliding, points, mesh, np.asarray(fixed), None if outer is None else outer.corners)
-    for plane in _planes(symmetry, points, mesh):
+    planes = _planes(symmetry, points, mesh)
+    for plane in planes:
         if len(plane.normal) != d:
             raise ValueError(
                 f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has {d} dimensions."
             )
         walls.append((Flat(plane.normal, plane.origin), np.flatnonzero(plane.holds(points))))
-    return walls
+    pairings = _pairings(periodic, points, mesh)
+    check_pairings(pairings, planes, float(np.ptp(points, axis=0).max()))
+    return walls, pairings
 
 
 def _tracks(

@@ -170,6 +170,10 @@ class Pairing(eqx.Module):
         u = u.at[self.first].set(mean).at[self.second].set(_product(mean, matrix.T))
         return u.at[self.alone].set(_product(u[self.alone], keeps)) if len(self.alone) else u
 
+    def led(self, u: Float[Array, "n d"]) -> Float[Array, "n d"]:
+        """Moves the second node of each pair as the first one moves, after the transform. Traced."""
+        return u.at[self.second].set(_product(u[self.first], jnp.asarray(self.matrix, u.dtype).T))
+
 
 def _product(rows: Float[Array, "n d"], matrix: Float[Array, "d d"]) -> Float[Array, "n d"]:
     return jnp.matmul(rows, matrix, precision="highest")

@@ -287,14 +287,15 @@ class Track(eqx.Module):
         """Tells whether displacements along the track are linear in those that are given."""
         return all(wall.is_flat for wall in self.walls)
 
-    @property
-    def frame(self) -> Float[np.ndarray, "w d"]:
-        """Unit vectors at right angles that span the normals of flat walls, on the host."""
-        normals = [np.asarray(wall.normal, dtype=float) for wall in self.walls if isinstance(wall, Flat)]
-        if len(normals) == 2:
-            second = normals[1] - (normals[0] @ normals[1]) * normals[0]
-            normals[1] = second / np.linalg.norm(second)
-        return np.stack(normals)
+    def normals(self, points: Float[Array, "n d"]) -> Float[Array, "k w d"]:
+        """Computes unit vectors at right angles that span the normals of the walls next to the rows. Traced."""
+        places = self.project(points[self.rows])
+        first, *others = (wall.height(places)[1] for wall in self.walls)
+        frame = [first]
+        for normal in others:
+            rest = normal - jnp.sum(normal * first, axis=1, keepdims=True) * first
+            frame.append(rest / norm(rest)[:, None])
+        return jnp.stack(frame, axis=1)
 
     def along(self, points: Float[Array, "n d"], u: Float[Array, "n d"]) -> Float[Array, "n d"]:
         """Changes displacements so that the rows stay as near to the walls as they are. Traced."""
@@ -312,10 +313,12 @@ class Track(eqx.Module):
             return self.walls[0].nearest(x)[0]
         first = self.walls[0]
         is_exact = self.is_linear or (len(self.walls) == 1 and isinstance(first, Round) and first.spline is None)
-        for _ in range(1 if is_exact else STEPS):
+
+        def nearer(x, _):
             above, normals = zip(*(wall.height(x) for wall in self.walls), strict=True)
-            x = x - _least(normals, above)
-        return x
+            return x - _least(normals, above), None
+
+        return nearer(x, None)[0] if is_exact else jax.lax.scan(nearer, x, length=STEPS)[0]
 
     def at(self, points: Float[Array, "n d"]) -> "Track":
         """Returns the track of other base points: walls of the mesh's own faces are there anew. Traced."""
