@@ -1,8 +1,9 @@
-"""Boundaries that slide or repeat, against the same ones held: a block that turns in a box, a blade in a cascade, a blade tip.
+"""Boundaries that slide or repeat, against the same ones held: a block in a box, a blade in a cascade, a blade tip, a wing's root.
 
     python benchmarks/boundaries.py
 
-Each line: inverted cells, smallest Jacobian ratio, and the first angle that inverts a cell, in one step.
+Each line: inverted cells, smallest Jacobian ratio, and the first angle (for the wing, the first hundredth of its length) that
+inverts a cell, in one step. For the block, the size-skew of its cells, too: smallest and mean, in one step and in 20.
 """
 
 from collections.abc import Callable
@@ -30,6 +31,26 @@ def block(cells: int = 25) -> jm.Mesh:
     return jm.Mesh(points, {"quad": quads.reshape(-1, 4)}, patches)
 
 
+def size_skew(mesh: jm.Mesh, points: np.ndarray) -> tuple[float, float]:
+    """Measures the smallest and the mean size-skew of quads: the root of the relative size, times the skew.
+
+    Source: Knupp, Algebraic mesh quality metrics for unstructured initial meshes, Finite Elem. Anal. Des. 39, 2003; combined
+    as in de Boer et al., Mesh deformation based on radial basis function interpolation, Comput. Struct. 85, 2007.
+    """
+
+    def parts(places):
+        x = places[mesh.cells["quad"]]
+        after, before = np.roll(x, -1, axis=1) - x, np.roll(x, 1, axis=1) - x
+        areas = after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]
+        lengths = np.linalg.norm(after, axis=2) * np.linalg.norm(before, axis=2)
+        return areas, 4 / np.sum(lengths / np.maximum(areas, 1e-300), axis=1)
+
+    (areas, skew), (first, _) = parts(np.asarray(points)), parts(np.asarray(mesh.points))
+    ratio = np.maximum(areas[:, ::2].sum(axis=1) / first[:, ::2].sum(axis=1), 1e-300)
+    values = np.sqrt(np.minimum(ratio, 1 / ratio)) * skew
+    return float(values.min()), float(values.mean())
+
+
 def judge(name: str, mesh: jm.Mesh, plan: jm.Plan, motion: Callable[[float], np.ndarray], angle: float, step: float):
     """Prints how the mesh fares at an angle, and from which angle on cells are inverted."""
     report = jm.quality(mesh, jm.deform(plan, motion(angle)))
@@ -52,8 +73,17 @@ def main() -> None:
     def turned(degrees):
         return np.asarray(jm.shapes.rotate(base, np.radians(degrees), about=(0, 0))) + 2.5 * degrees / 60 - base
 
-    judge("block, sides held", mesh, jm.prepare(mesh, "block", sides), turned, 60, 2)
-    judge("block, sides slide", mesh, jm.prepare(mesh, "block", sliding=sides), turned, 60, 2)
+    held, slides = jm.prepare(mesh, "block", sides), jm.prepare(mesh, "block", sliding=sides)
+    for name, plan in (("held", held), ("slide", slides)):
+        judge(f"block, sides {name}", mesh, plan, turned, 60, 2)
+        farther = np.stack([turned(3.0 * k) + 2.5 * k / 20 for k in range(1, 21)])
+        for steps, path in ((1, farther[-1:]), (20, farther)):
+            points = jm.march(plan, path)[1]
+            least, mean = size_skew(mesh, points)
+            count = int(jm.quality(mesh, points).inverted)
+            print(
+                f"    60 degrees and a shift of 5, {steps:2} steps: {count} inverted, size-skew {least:.3f} / {mean:.3f}"
+            )
 
     passage = cases.cascade(around=160, layers=40, first_cell=1e-3, periodic=True)
     blade, ends = np.asarray(passage.points)[passage.patch("blade")], ("inlet", "outlet")
@@ -90,6 +120,21 @@ def main() -> None:
     moved = np.asarray(jm.deform(plan, twisted(10)))
     off = np.abs(np.linalg.norm(moved[stage.patch("shroud"), 1:], axis=1) - 2).max()
     print(f"off the shroud {off:.1e}")
+
+    wing = cases.blade_tip(gap=0.4, layers=3)  # its hub is the fuselage
+    nodes = wing.patch("blade")
+    root = nodes[np.linalg.norm(np.asarray(wing.points)[nodes, 1:], axis=1) < 1 + 1e-9]
+    body = jm.Mesh(wing.points, wing.cells, {**wing.patches, "root": root})
+    outer = ("shroud", *ends, "left", "right")
+    held = jm.prepare(body, "blade", (*outer, "hub"))
+    slides = jm.prepare(body, "blade", outer, sliding=jm.Slide(("hub", "root"), jm.Revolution((1, 0, 0))))
+    for axis, way in ((0, "along"), (1, "around")):
+
+        def moved_by(hundredths, axis=axis):
+            return np.tile(0.005 * hundredths * np.eye(3)[axis], (len(nodes), 1))
+
+        for name, plan in (("held", held), ("slides", slides)):
+            judge(f"wing moves {way} a body that {'is held' if name == 'held' else name}", body, plan, moved_by, 6, 2)
 
 
 if __name__ == "__main__":

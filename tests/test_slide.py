@@ -10,6 +10,7 @@ from cases import BY_NAME, full
 from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
+from jaxmorph import cases
 from jaxmorph._plan.slide import wall_of
 
 TPS = full(jm.ThinPlateSpline(), 1)
@@ -128,6 +129,30 @@ def test_a_shroud_between_sliding_lids(shape, tmp_path):
     jm.save(tmp_path / "plan.npz", plan)
     assert (jm.deform(jm.load(tmp_path / "plan.npz"), u) == moved).all()
     check_derivatives(plan, u)
+
+
+@pytest.mark.slow
+def test_the_root_of_a_wing_travels_along_its_body():
+    """Nodes of wing and body stay on the body's cylinder, where its others follow; those of the wing go where `u` says."""
+    mesh = cases.blade_tip(gap=0.4, layers=3)
+    points, wing = np.asarray(mesh.points), mesh.patch("blade")
+    is_root = np.linalg.norm(points[wing, 1:], axis=1) < 1 + 1e-9
+    body = np.union1d(mesh.patch("hub"), wing[is_root])
+    outer = mesh.patch("shroud", "inlet", "outlet", "left", "right")
+    slide = jm.Slide(body, jm.Revolution((1, 0, 0)))
+    u = np.tile([0.1, 0.05, 0.0], (len(wing), 1))
+    plan = jm.prepare(mesh, wing, outer, sliding=slide)
+    moved = np.asarray(jm.deform(plan, u))
+    np.testing.assert_allclose(np.linalg.norm(moved[body, 1:], axis=1), 1, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(moved[wing[~is_root]], (points[wing] + u)[~is_root], rtol=0, atol=1e-15)
+    root = points[wing[is_root]] + u[is_root]  # straight to the cylinder
+    root[:, 1:] /= np.linalg.norm(root[:, 1:], axis=1, keepdims=True)
+    np.testing.assert_allclose(moved[wing[is_root]], root, rtol=0, atol=1e-14)
+    report = jm.quality(mesh, moved)
+    assert int(report.inverted) == 0
+    assert float(report.min_jacobian_ratio) > 0.6
+    held = jm.deform(jm.prepare(mesh, wing, np.union1d(outer, mesh.patch("hub"))), u)
+    assert int(jm.quality(mesh, held).inverted) > 0
 
 
 @pytest.mark.slow
