@@ -78,7 +78,7 @@ def main() -> None:
         judge(f"block, sides {name}", mesh, plan, turned, 60, 2)
         farther = np.stack([turned(3.0 * k) + 2.5 * k / 20 for k in range(1, 21)])
         for steps, path in ((1, farther[-1:]), (20, farther)):
-            points = jm.march(plan, path)[1]
+            points = np.asarray(jm.march(plan, path)[1])
             least, mean = size_skew(mesh, points)
             count = int(jm.quality(mesh, points).inverted)
             print(
