@@ -41,6 +41,14 @@ LONG = (
 )
 """Files of few tests, each of which takes long. They come first, so that no worker waits for another at the end."""
 
+UNCOUNTED = (
+    *("basis", "convex", "generated", "kernel_sum", "nearwall", "wallfit", "wing", "agard445", "agard445_modes", "cli"),
+    *("cli_chunks", "cli_compiled", "cli_help", "cli_picture", "demo", "demo_wing", "mphys", "naca0015", "naca4"),
+    *("notebooks", "openmdao", "plot", "plot_film", "plot_sources"),
+    *("shapes", "shapes_curves", "shapes_freeform", "shapes_measures", "shapes_smooth"),
+)
+"""Files whose tests run hardly a line of the core that others do not: `--cov`, which slows Python down, counts none there."""
+
 _raises = pytest.raises
 
 
@@ -60,11 +68,14 @@ pytest.raises = raises
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(items):
-    """Puts the files that take longest first: a worker takes one after the other."""
+def pytest_collection_modifyitems(config, items):
+    """Puts the files that take longest first: a worker takes one after the other. Marks what `--cov` leaves out."""
     count = collections.Counter(item.path for item in items)
     is_long = {path: path.stem.removeprefix("test_") in LONG or path.parent.name in LONG for path in count}
     items.sort(key=lambda item: (not is_long[item.path], -count[item.path], item.path))
+    for item in items:
+        if config.pluginmanager.hasplugin("_cov") and item.path.stem.removeprefix("test_") in UNCOUNTED:
+            item.add_marker("no_cover")
 
 
 @pytest.fixture(autouse=True)

@@ -259,3 +259,41 @@ def test_shape_functions_give_volumes_and_gradients(kind, corners, share):
     assert volume == pytest.approx(share * np.linalg.det(shear), rel=1e-13)
     found = np.linalg.solve(jacobian, np.einsum("qcr,cd->qrd", derivatives, points @ gradient))
     np.testing.assert_allclose(found, np.broadcast_to(gradient, found.shape), rtol=0, atol=1e-12)
+
+
+def dense(n, d, pairs, values, diagonal):
+    """The matrix (n d, n d) of numbers or blocks for pairs and nodes."""
+    matrix = np.zeros((n, d, n, d)) if values.ndim == 3 else np.zeros((n, 1, n, 1))
+    for (i, j), value in zip(pairs, values, strict=True):
+        matrix[i, :, j], matrix[j, :, i] = value, np.transpose(value)
+    for node, value in enumerate(diagonal):
+        matrix[node, :, node] = value
+    return matrix.reshape(2 * (n * matrix.shape[1],))
+
+
+@pytest.mark.parametrize("what", ["numbers", "masses", "blocks", "multigrid"])
+def test_systems_of_pairs_against_dense_matrices(what, monkeypatch):
+    """Two right sides at once, some unknowns held; NaN where the matrix is not finite or not positive."""
+    n, d = 9, 3 if what == "multigrid" else 2
+    if what == "multigrid":
+        pytest.importorskip("pyamg")
+        monkeypatch.setattr(linear, "DIRECT", 0)
+    rng, pairs = np.random.default_rng(0), np.stack(np.triu_indices(n, 1), axis=1)
+    block = (d, d) if what in ("blocks", "multigrid") else ()
+    values = rng.normal(size=(len(pairs), *block))
+    diagonal = np.broadcast_to(4 * n * (np.eye(d) if block else 1), (n, *block))
+    masses = rng.uniform(1, 2, n) if what == "masses" else np.zeros(0)
+    free, places, right = rng.uniform(size=(n, d)) < 0.7, rng.normal(size=(n, d)), rng.normal(size=(2, n, d))
+    system = [pairs, values, diagonal, masses, free, places]
+    x = linear.solve(*(each[None] for each in system), right)
+    matrix = dense(n, d, pairs, values, diagonal)
+    if not block:
+        matrix = matrix @ np.diag(1 / masses) @ matrix if len(masses) else matrix
+        matrix = np.kron(matrix, np.eye(d))
+    held = ~free.ravel()
+    matrix[held], matrix[:, held] = 0, 0
+    matrix[held, held] = 1
+    expected = np.linalg.solve(matrix, np.where(free, right, 0).reshape(2, -1).T).T.reshape(right.shape)
+    np.testing.assert_allclose(x, expected, rtol=0, atol=1e-8 if what == "multigrid" else 1e-13)
+    for wrong in (np.nan, -1.0) if what != "masses" else (np.nan,):
+        assert np.isnan(linear.solve(pairs, values, wrong * diagonal, masses, free, places, right[0])[free]).any()

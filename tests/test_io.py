@@ -361,6 +361,24 @@ def test_a_vtk_file_that_ends_before_its_arrays(tmp_path):
         io.read(tmp_path / "b.vtk")
 
 
+def test_text_of_vtk_that_was_cut_or_counts_wrong_is_refused(tmp_path):
+    meshio.write(tmp_path / "a.vtu", ring().to_meshio(), binary=False)
+    meshio.vtk.write(tmp_path / "a.vtk", ring().to_meshio(), binary=False)
+    np.testing.assert_allclose(io.read(tmp_path / "a.vtu").points, ring().points, rtol=1e-10)
+    text = (tmp_path / "a.vtu").read_text()
+    (tmp_path / "b.vtu").write_text(re.sub('(Name="connectivity"[^>]*>)', r"\1 0 ", text))
+    with pytest.raises(ValueError, match=r"b\.vtu: 145 numbers in connectivity, 144 expected"):
+        io.read(tmp_path / "b.vtu")
+    whole = (tmp_path / "a.vtk").read_bytes()
+    for text, message in (
+        (whole[: whole.index(b"FIELD")], "the file ends after 'POINT_DATA 48': it is cut short"),
+        (re.sub(rb"POINT_DATA \d+\n", b"", whole), "FIELD after CELL_TYPES, but neither POINT_DATA nor CELL_DATA"),
+    ):
+        (tmp_path / "b.vtk").write_bytes(text)
+        with pytest.raises(ValueError, match=message):
+            io.read(tmp_path / "b.vtk")
+
+
 def test_gradients_and_sensitivities_are_read_back_as_they_were(tmp_path):
     parameters, gradient = {"a": np.array([1.5, -2.0]), "b": 0.25}, {"a": np.array([1e-17, np.nan]), "b": 3.0}
     names = jm.shapes.names(parameters)
