@@ -117,6 +117,7 @@ METHODS: dict[str, Callable[[float], jm.AbstractMethod | None]] = {
     "published": lambda size: jm.SurfaceReconstruction.published(),
     "classic RBF": lambda size: jm.RBF.classic(),
     "graph": lambda size: jm.DelaunayGraph(),
+    "local correction": lambda size: jm.SurfaceReconstruction(jm.RBF(), jm.LocalCorrection()),
     "multiscale": lambda size: jm.Multiscale.whole(2 * size, 0.1),
     "compact RBF": lambda size: jm.CompactRBF(size),
     "elasticity 1/V": lambda size: jm.LinearElasticity(),

@@ -2,10 +2,14 @@
 
 python -m benchmarks.championship [--points 2000] [--case C-grid ...] [--method default ...] [--json championship.json]
                                   [--entry NAME=FOLDER ...] [--write FOLDER] [--peers]
+                                  [--join championship.json ...] [--picture championship.png]
 
 `--peers` adds others to the same table: SciPy's `RBFInterpolator` with every node of the surface as a source, and OpenFOAM's
 `displacementLaplacian` and `displacementSBRStress` where `moveDynamicMesh` is installed. They have no rows where nodes slide in
-planes. `move` of OpenFOAM is the CPU time of the whole program, files included.
+planes. `move` of OpenFOAM is the CPU time of the whole program, files included; that of SciPy includes the solve, which it does
+anew for each motion.
+
+`--join` takes over the rows of earlier runs, for methods that do not run now. `--picture` draws all methods against all motions.
 
 `--write FOLDER` writes, for another tool, each case and motion as CASE/MOTION.npz: `points` (n, d), `moving` (m,) and `fixed` (f,)
 node ids, `u` (m, d), and `cells_TYPE` (k, corners). `--entry NAME=FOLDER` reads that tool's CASE/MOTION.npz, each with `points`
@@ -32,6 +36,7 @@ from typing import Any
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
 
 import jax
+import matplotlib.pyplot as plt
 import numpy as np
 from _arena import METHODS, Case, all_cases
 from _measure import about
@@ -160,9 +165,8 @@ def of_peers(case: Case) -> list[dict]:
         u[: len(moving)] = make(case.wall, 1.0)
         began = time.process_time()
         field = RBFInterpolator(points[nodes], u, kernel="thin_plate_spline", degree=1)
-        middle = time.process_time()
         moved = points + field(points)
-        numbers = {"setup": middle - began, "move": time.process_time() - middle}
+        numbers = {"move": time.process_time() - began}
         moved[nodes] = points[nodes] + u  # as far as the solve is exact they are there
         rows.append(row(case, motion, "SciPy RBF", quality(case, moved) | numbers))
     import _openfoam  # here: it takes what the tests write cases with
@@ -197,6 +201,30 @@ def first_places(rows: list[dict]) -> list[tuple[str, int, int, float, float, fl
     return sorted(summary, key=lambda line: (-line[1], line[3]))
 
 
+def draw(rows: list[dict], file: pathlib.Path) -> None:
+    """Draws methods against motions: the largest skewness over the smallest of the motion's, and where cells are inverted."""
+    names = [name for name, *_ in first_places(rows)]
+    motions = list(dict.fromkeys((each["case"], each["motion"]) for each in rows))
+    skewness = np.full((len(names), len(motions)), np.nan)
+    for each in rows:
+        if each["inverted"] == 0:
+            skewness[names.index(each["method"]), motions.index((each["case"], each["motion"]))] = each["max_skewness"]
+    least = np.nanmin(np.where(np.isnan(skewness).all(axis=0), 1, skewness), axis=0)
+    figure, ax = plt.subplots(figsize=(12, 5), layout="constrained")
+    ax.set_facecolor("#444444")
+    image = ax.imshow(skewness / least, cmap="YlOrRd", vmin=1, vmax=2, aspect="auto")
+    for i, j in np.argwhere(skewness == least):
+        ax.text(j, i, "1", ha="center", va="center", fontsize=7)
+    starts = [j for j, (case, _) in enumerate(motions) if j and case != motions[j - 1][0]]
+    for start in starts:
+        ax.axvline(start - 0.5, color="black", linewidth=1)
+    ax.set_yticks(range(len(names)), names, fontsize=8)
+    labels = [f"{case}: {motion}" for case, motion in motions]
+    ax.set_xticks(range(len(motions)), labels, rotation=90, fontsize=7)
+    figure.colorbar(image, extend="max", label="largest skewness over the best of the motion")
+    figure.savefig(file, dpi=90)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=2000)
@@ -206,6 +234,8 @@ def main() -> None:
     parser.add_argument("--write", type=pathlib.Path)
     parser.add_argument("--json", type=pathlib.Path)
     parser.add_argument("--peers", action="store_true")
+    parser.add_argument("--join", nargs="+", type=pathlib.Path, default=[])
+    parser.add_argument("--picture", type=pathlib.Path)
     asked = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore")
@@ -232,6 +262,10 @@ def main() -> None:
         if asked.json:
             content = {"format": "jaxmorph championship", "version": 1, "points": asked.points, "rows": rows}
             asked.json.write_text(json.dumps(content, indent=1))
+    now = {each["method"] for each in rows}
+    rows += [each for file in asked.join for each in json.loads(file.read_text())["rows"] if each["method"] not in now]
+    if asked.picture:
+        draw(rows, asked.picture)
     heads = "method", "rows without inverted cells", "rows won", "median skewness", "angle", "limit", "move (s)"
     print(f"\n{len(rows)} rows\n\n| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
     for name, *numbers in first_places(rows):
