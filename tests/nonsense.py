@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import foam
 import numpy as np
 from small import bricks
 
@@ -30,19 +31,6 @@ BUILT = {
     *("jm.SurfaceHalf", "jm.WallQuality", "jm.MeshError", "shapes.Fit", "shapes.Stations", "plot.SurfaceErrors"),
 }
 """Classes whose constructors the library alone calls."""
-
-UNTRIED = {
-    *("cases.bodies", "io.Decomposed", "io.Decomposed.check_output", "io.Decomposed.folder", "io.Decomposed.read"),
-    *(
-        "io.Decomposed.side",
-        "io.Decomposed.surface",
-        "io.Decomposed.writing",
-        "io.global_nodes",
-        "jm.Direct",
-        "jm.Iterative",
-    ),
-}
-"""Callables that are not in the table yet."""
 
 CONTRACT = {
     *("__call__", "at", "beside", "boxes", "carry", "carry_place", "check", "closest", "connect", "entries", "equals"),
@@ -322,6 +310,8 @@ TABLE: dict[str, dict[str, Argument]] = {
     "jm.Laplacian": {"diffusivity": one_of(jm.ByVolume())},
     "jm.LinearElasticity": {"stiffening": one_of(jm.ByVolume()), "poisson": number(0.1, beyond=0.5, below=-1.0)},
     "jm.LinearSpline": {},
+    "jm.Direct": {},
+    "jm.Iterative": {"tolerance": positive(1e-8, beyond=1.5), "neighbours": count(20, 8), "dense": count(20, 8)},
     "jm.Mesh": {
         "points": reals(POINTS, wide=np.zeros((N, 4)), flags=np.zeros((N, 2), bool)),
         "cells": mapping({"quad": np.asarray(MESH.cells["quad"])}) - "none empty",
@@ -506,12 +496,27 @@ TABLE: dict[str, dict[str, Argument]] = {
         "softness": LENGTH - "none",
     },
     "io.XDMFSeries.add": {"time": number(0.0), "moved": mesh(), "report": instance(report, jm.QualityReport)},
+    "io.Decomposed": {"path": path("case") - "folder"},
+    "io.Decomposed.check_output": {"path": path("new") - "ending"},
+    "io.Decomposed.folder": {"k": count(0, 0, beyond=2)},
+    "io.Decomposed.read": {"k": count(0, 0, beyond=2)},
+    "io.Decomposed.side": {"k": count(0, 0, beyond=2)},
+    "io.Decomposed.surface": {
+        "sides": Argument(
+            Lazy(lambda: [decomposed().side(k) for k in (0, 1)]), {"word": "a", "number": 3, "list": [1], "empty": []}
+        )
+    },
+    "io.Decomposed.writing": {
+        "path": path("new") - "ending folder",  # the folder is looked for on entering
+        "ranks": Argument(None, {"number": 3, "word": "a", "list": [1]}),
+    },
     "io.XDMFSeries": {"path": path("a.xdmf"), "mesh": mesh()},
     "io.cell_arrays": {"report": instance(report, jm.QualityReport)},
     "io.check_gradient_output": {"path": path("a.csv")},
     "io.check_lattice_output": {"file": path("a.vts")},
     "io.check_output": {"path": path("a.vtu"), "mesh": mesh() - "empty"},
     "io.check_sensitivity_output": {"path": path("a.csv")},
+    "io.global_nodes": {"mesh": instance(Lazy(lambda: decomposed().read(0)), jm.Mesh) + {"another": MESH}},
     "io.periodic": {"mesh": mesh() - "empty"},
     "io.read": {"path": path("a.vtu") - "folder"},
     "io.read_box": {
@@ -776,6 +781,11 @@ TABLE: dict[str, dict[str, Argument]] = {
     "cases.agard445": {"points": count(5000)},
     "cases.agard445_mode": {"points": reals(PLACES), "mode": count(1, 1, beyond=9), "amplitude": number(1.0)},
     "cases.blade_tip": {"gap": positive(0.01), "layers": count(5)},
+    "cases.bodies": {
+        "boxes": mapping({"a": [-1.0, 1.0, -1.0, 1.0]}) - "empty",
+        "box": finite([-4.0, 4.0, -4.0, 4.0], short=[0.0, 1.0], back=[4.0, -4.0, -4.0, 4.0]),
+        "spacing": positive(0.5),
+    },
     "cases.bricks": {"kind": word("tetra"), "cells": count(3), "first_cell": positive(0.1) - "none"},
     "cases.cascade": {
         "around": count(40, 4),
@@ -814,7 +824,17 @@ def series() -> io.XDMFSeries:
     return io.XDMFSeries(FOLDER / "series.xdmf", MESH)
 
 
+@functools.cache
+def decomposed() -> io.Decomposed:
+    """A case of two parts, of four hexahedra each."""
+    sides = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
+    cells = np.asarray(BRICKS.cells["hexahedron"])[:, sides].tolist()
+    foam.write_parts(FOLDER / "case", PLACES, cells, [("all", "wall", lambda face: True)], np.arange(8) // 4)
+    return io.Decomposed(FOLDER / "case")
+
+
 OWNERS: dict[str, Callable[[], Any]] = {
+    "io.Decomposed": decomposed,
     "io.XDMFSeries": series,
     "jm.Chunks": chunks,
     "jm.Mesh": lambda: MESH,

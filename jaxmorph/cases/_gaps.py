@@ -6,7 +6,7 @@ import numpy as np
 
 import jaxmorph as jm
 
-from .._host.door import checked
+from .._host.door import checked, finite_array
 from ._structured import geometric, hexahedra, ids_of, quads
 
 
@@ -79,6 +79,7 @@ def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
     return jm.Mesh(points, {"hexahedron": cells}, {k: np.flatnonzero(v) for k, v in patches.items()})
 
 
+@checked
 def bodies(
     boxes: Mapping[str, Sequence[float]], *, box: Sequence[float] = (-8.0, 8.0, -4.0, 4.0), spacing: float = 0.25
 ) -> jm.Mesh:
@@ -96,13 +97,15 @@ def bodies(
 
     **Raises:** `ValueError` for sides in another order, and a body without a cell within or beside it.
     """
-    (left, right, bottom, top), ends = box, []
+    left, right, bottom, top = finite_array("box", box, (4,)).tolist()
+    sides = {name: finite_array(f"boxes[{name!r}]", each, (4,)).tolist() for name, each in boxes.items()}
+    ends = []
     if not (left < right and bottom < top and spacing > 0):
         raise ValueError(f"a box has x and y from least to largest and a positive spacing, not {box} and {spacing}.")
     axes = [
         np.linspace(*side, 1 + max(1, round((side[1] - side[0]) / spacing))) for side in ((bottom, top), (left, right))
     ]
-    for name, (x0, x1, y0, y1) in boxes.items():
+    for name, (x0, x1, y0, y1) in sides.items():
         near = [
             np.abs(axis[:, None] - side).argmin(axis=0) for axis, side in zip(axes, ((y0, y1), (x0, x1)), strict=True)
         ]

@@ -130,13 +130,59 @@ def _check_sections(path: pathlib.Path, data: bytes) -> None:
         version, is_binary = _format(data)
         for name, start, stop in _sections(data):
             is_text = not is_binary or name == b"PhysicalNames"
+            if is_text and name in (b"Nodes", b"Elements"):
+                _check_rows(Section(path, data, start, stop), name == b"Nodes", version)
             end = (_end_of_text if is_text else _end_of_binary)(name, version, data, start, stop)
             if end is not None and (end > stop or data[end:stop].strip()):
                 raise ValueError(f"more or less in ${name.decode(errors='replace')[:40]} than it announces")
+            if not is_text and end == stop and data[stop - 1 : stop] == b"\n":
+                raise ValueError(f"a byte less in ${name.decode(errors='replace')[:40]} than it announces")
     except _Parametric:
         return
     except (ValueError, IndexError, OverflowError, struct.error) as error:
         raise ValueError(f"{path}: not a .msh file, or a damaged one ({error}).") from error
+
+
+def _check_rows(section: Section, are_nodes: bool, version: bytes) -> None:
+    """Raises `ValueError` for a row with a number too many or too few: meshio would take numbers from the next one."""
+    if not version.startswith(b"2") and version != b"4.1":
+        return
+    rows = section.rows(np.float64)
+    counts, first = rows.counts, rows.first
+    wanted = counts.copy()
+    if version.startswith(b"2"):
+        if are_nodes:
+            wanted[1:] = 4
+        else:
+            kinds, tags = (rows.values[np.minimum(first[1:] + k, len(rows.values) - 1)] for k in (1, 2))
+            wanted[1:] = 3 + tags + _corners(kinds)
+    else:
+        at = 1
+        while at < len(counts):
+            if counts[at] != 4:
+                raise section.error(f"{counts[at]} numbers, 4 expected.", at)
+            last, count = rows.values[first[at] + 2 : first[at] + 4].astype(np.int64)
+            here = slice(at + 1, at + 1 + count)
+            if count < 0:
+                raise section.error(f"a block of {count} rows.", at)
+            if are_nodes:
+                wanted[here] = 1
+                here = slice(here.stop, here.stop + count)
+                wanted[here] = 3 if last == 0 else counts[here]  # parameters of nodes on curves and surfaces follow
+            else:
+                wanted[here] = 1 + _corners(np.array([last]))
+            at = here.stop
+    wrong = np.flatnonzero(counts != wanted)
+    if len(wrong):
+        raise section.error(f"{counts[wrong[0]]} numbers, {wanted[wrong[0]]} expected.", int(wrong[0]))
+
+
+def _corners(kinds: np.ndarray) -> np.ndarray:
+    """Looks up the numbers of nodes of elements by gmsh's numbers of their types."""
+    known, place = np.unique(kinds, return_inverse=True)
+    if not {*known.tolist()} <= {*TYPES}:
+        raise ValueError(f"elements of type {next(kind for kind in known.tolist() if kind not in TYPES):g}")
+    return np.array([CORNERS_OF[TYPES[int(kind)]] for kind in known])[place]
 
 
 def _end_of_text(name: bytes, version: bytes, data: bytes, start: int, stop: int) -> int | None:

@@ -4,6 +4,7 @@ import pathlib
 from xml.etree import ElementTree
 
 from jaxmorph import Mesh
+from jaxmorph._host.topology import CORNERS, VTK
 
 from ._format import Arrays, Source
 from ._meshio import load, meshio, to_mesh
@@ -45,6 +46,12 @@ def _check_counts(path: pathlib.Path) -> None:
         for name, count in wanted.items():
             if name in values and len(values[name]) != count:
                 raise ValueError(f"{path}: {len(values[name])} numbers in {name}, {count} expected.")
+        if {"offsets", "types"} <= values.keys():
+            ends = [0, *map(int, values["offsets"])]
+            sizes = {number: CORNERS[kind] for kind, number in VTK.items()} | {1: 1}
+            for k, kind in enumerate(map(int, values["types"])):
+                if sizes.get(kind, ends[k + 1] - ends[k]) != ends[k + 1] - ends[k]:
+                    raise ValueError(f"{path}: cell {k} is of type {kind} and has {ends[k + 1] - ends[k]} nodes.")
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:

@@ -1,5 +1,7 @@
 """Damaged files of every format: the right mesh, or a ValueError that names the file, in bounded time and memory.
 
+What the right mesh is after one damaged byte, `oracle.py` says: only what the byte stood for may differ.
+
 JAXMORPH_FUZZ is the number of damaged files a format (200 by default; `.ci/run` takes 2,000), JAXMORPH_FUZZ_SEED another
 series of them. `python tests/fuzz/child.py FORMAT SEED K K+1 FOLDER` does number K again.
 """

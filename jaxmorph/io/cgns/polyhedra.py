@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxmorph._mesh.faces import Faces, standard_cells
+from jaxmorph._mesh.faces import Faces, open_cells, standard_cells
 from jaxmorph._mesh.polyhedra import Polyhedra, spread, tetrahedra
 
 
@@ -73,6 +73,9 @@ def polyhedra(
     )
     typed, ids = standard_cells(faces)
     cut = ids.pop("polyhedron", np.zeros(0, np.int64))
+    ajar = open_cells(faces, cut)
+    if len(ajar):
+        raise ValueError(f"{len(ajar)} cells do not close, first cell {ajar[0]}: NGON_n or NFACE_n are damaged")
     blocks = [Block(kind, corners + first, ids[kind]) for kind, corners in typed.items()]
     if len(cut):
         pieces, owner = tetrahedra(faces, cut, points)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxmorph import Mesh, Periodic
+from jaxmorph._host.door import checked, shown
 from jaxmorph._host.files import complete, output_path
 from jaxmorph._host.ranks import Agreement, Alone, Ranks, together
 from jaxmorph._plan.faces import outer_faces
@@ -71,6 +72,7 @@ class Decomposed:
     **Raises:** `ValueError` where these are missing, or are not all there.
     """
 
+    @checked
     def __init__(self, path: str | os.PathLike[str]):
         self.path = pathlib.Path(path)
         if not self.path.is_dir():
@@ -106,9 +108,10 @@ class Decomposed:
 
     def read(self, k: int) -> Mesh:
         """Reads part `k` as `io.read` does; the last one is kept."""
+        folder = self.folder(k)
         if self._last is None or self._last[0] != k:
             self._last = None  # before the next one is read
-            self._last = k, read(self.folder(k))
+            self._last = k, read(folder)
         return self._last[1]
 
     def side(self, k: int) -> Side:
@@ -136,6 +139,7 @@ class Decomposed:
             tuple((each.name, each.neighbour) for each in boundary if each.type == "cyclic"),
         )
 
+    @checked
     def surface(self, sides: Sequence[Side] | None = None) -> Mesh:
         """Joins the outsides of all parts: the boundary faces of the whole mesh as cells, its patches, no other nodes.
 
@@ -148,6 +152,10 @@ class Decomposed:
         **Raises:** `ValueError` where a node lies at different places in different parts.
         """
         sides = [self.side(k) for k in range(len(self))] if sides is None else sides
+        if not sides or not all(isinstance(side, Side) for side in sides):
+            raise ValueError(
+                f"`sides` must be what `side(k)` gives of each of the {len(self)} parts, not {shown(sides)}."
+            )
         everywhere = np.concatenate([side.nodes for side in sides])
         nodes, first, back = np.unique(everywhere, return_index=True, return_inverse=True)
         places = np.concatenate([side.points for side in sides])
@@ -173,6 +181,7 @@ class Decomposed:
         source = Source(self.path, NAME, None, groups=groups, periodic=periodic, node_ids=nodes)
         return Mesh(points, cells, patches_of_all, source=source)
 
+    @checked
     def check_output(self, path: str | os.PathLike[str]) -> None:
         """Raises `ValueError` for a folder that `writing` cannot write, before any work."""
         target = output_path(path, folder=True)
@@ -181,6 +190,7 @@ class Decomposed:
         if self.path.resolve() in target.resolve().parents:
             raise ValueError(f"{target}: a new case cannot be inside of the one that the mesh was read from.")
 
+    @checked
     @contextlib.contextmanager
     def writing(self, path: str | os.PathLike[str], ranks: Ranks | None = None) -> Iterator["Writer"]:
         """Writes a new case whose parts come one by one; it appears when it is complete, and not at all on failure.
@@ -285,6 +295,7 @@ class Writer:
         together(self.ranks, write)
 
 
+@checked
 def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
     """Returns the whole mesh's number of each node of a part of a decomposed OpenFOAM case, from `pointProcAddressing`.
 

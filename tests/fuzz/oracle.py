@@ -1,0 +1,180 @@
+"""What an accepted file may hold that one byte damages: what the byte stood for, and nothing else.
+
+The place decides. In a coordinate, only that one differs, and is what Python and NumPy make of its text or of its bytes. In numbers
+of nodes, one cell or one patch differs. In comments, and in files with checksums, nothing differs.
+"""
+
+import pathlib
+import re
+import tomllib
+import warnings
+
+import h5py
+import numpy as np
+
+WORD = re.compile(rb"[^\s()<>\",;{}%]*")
+
+
+def parts(result) -> dict[str, np.ndarray]:
+    """The arrays of what a reader returns by name: `points`, `cells KIND`, `patch NAME`; of other things by number."""
+    if not hasattr(result, "patches"):
+        import jax
+
+        return {f"array {k}": np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves(result))}
+    cells = {f"cells {kind}": np.asarray(ids) for kind, ids in result.cells.items()}
+    if result.polyhedra is not None:  # how they are cut depends on coordinates: they are compared whole
+        faces, pieces = result.polyhedra.faces, np.isin(result.cell_ids, result.polyhedra.cut)
+        cut = np.split(pieces, np.cumsum([len(ids) for ids in cells.values()])[:-1])
+        cells = {name: ids[~away] for (name, ids), away in zip(cells.items(), cut, strict=True)}
+        cells |= {f"cells faces {k}": leaf for k, leaf in enumerate((faces.labels, faces.starts, result.polyhedra.cut))}
+    return (
+        {"points": np.asarray(result.points)} | cells | {f"patch {k}": np.asarray(v) for k, v in result.patches.items()}
+    )
+
+
+def alike(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
+    return list(a) == list(b) and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+def zone(file: pathlib.Path, data: bytes, at: int) -> str:
+    """What a byte of a good file stands for: `points`, `ids`, `nothing`, or `any` where that is not told here."""
+    before, line = data[:at], data[data.rfind(b"\n", 0, at) + 1 : at]
+    if file.suffix == ".su2":
+        words = re.findall(rb"^(\w+)=", before, re.MULTILINE)
+        if b"%" in line:
+            return "nothing"
+        return "any" if b"=" in data[at - len(line) :].split(b"\n")[0] or not words else _su2(words[-1])
+    if file.suffix == ".msh":
+        words = re.findall(rb"^\$(\w+)", before, re.MULTILINE)
+        is_text = data[:60].split()[2:3] == [b"0"]
+        return {b"Nodes": "points" if is_text and b"." in _word(data, at) else "any", b"Elements": "ids"}.get(
+            words[-1] if words else b"", "any"
+        )
+    if file.suffix == ".cgns":
+        return _dataset(file, at)
+    if file.parent.name == "polyMesh":
+        is_banner = b"FoamFile" not in before or line.lstrip().startswith((b"//", b"|", b"\\*"))
+        if is_banner and b"\0" not in line:
+            return "nothing"
+        body = data.find(b"\n\n", data.find(b"FoamFile"))
+        if at < body:
+            return "any"
+        return "points" if file.name.startswith("points") else "ids"
+    return "any"
+
+
+def _su2(keyword: bytes) -> str:
+    return {b"NPOIN": "points", b"NELEM": "ids", b"MARKER_ELEMS": "ids"}.get(keyword, "any")
+
+
+def _dataset(file: pathlib.Path, at: int) -> str:
+    """The array of HDF5 that a byte belongs to; `file` is a good one."""
+    named = []
+
+    def visit(name, item):
+        start = item.id.get_offset() if isinstance(item, h5py.Dataset) else None
+        if start is not None and start <= at < start + item.id.get_storage_size():
+            named.append(name)
+
+    with h5py.File(file) as opened:
+        opened.visititems(visit)
+    if not named:
+        return "structure"
+    return "points" if "Coordinate" in named[0] else "ids" if "Connectivity" in named[0] else "any"
+
+
+def _word(data: bytes, at: int) -> bytes:
+    start = at
+    while start and WORD.fullmatch(data[start - 1 : start]) and data[start - 1 : start]:
+        start -= 1
+    match = WORD.match(data, start)
+    return match[0] if match else b""
+
+
+def values(damaged: bytes, at: int) -> np.ndarray:
+    """What the damaged place may mean: the word there as a number, and all numbers of four and eight bytes across it."""
+    numbers = []
+    for start in (at, at + 1):
+        try:
+            numbers.append(float(_word(damaged, start).replace(b"D", b"E").replace(b"d", b"e")))
+        except ValueError:
+            continue
+    for kind in ("<f8", ">f8", "<f4", ">f4"):
+        width = int(kind[2])
+        pieces = (damaged[k : k + width] for k in range(max(at - width + 1, 0), at + 1))
+        numbers += [float(np.frombuffer(piece, kind)[0]) for piece in pieces if len(piece) == width]
+    return np.array(numbers)
+
+
+def accepted(file: pathlib.Path, data: bytes, damaged: bytes, at: int, good, found, *, sealed: bool) -> str:
+    """What is wrong with what a reader makes of a damaged file, `good` being that of the good one; nothing if it is right."""
+    if alike(found, good):
+        return ""
+    place = "nothing" if sealed or file.suffix == ".npz" else zone(file, data, at)
+    where = f"a byte of {place} at {at} ({data[max(at - 20, 0) : at + 20]!r})"
+    if place == "nothing":
+        return f"{where} changes what is read"
+    wrong = sorted(name for name in good.keys() | found.keys() if not np.array_equal(found.get(name), good.get(name)))
+    if file.suffix == ".toml":
+        return (
+            "" if tomllib.loads(damaged.decode()) != tomllib.loads(data.decode()) else f"{where} changes what is read"
+        )
+    if place == "structure":
+        return ""
+    if file.suffix in (".xyz", ".patches", ".cgns") and place != "ids":
+        return _places(good, found, np.zeros(0) if file.suffix == ".patches" else values(damaged, at), where)
+    numbers = [name for name in wrong if name == "points" or name.startswith("array")]
+    if numbers:
+        if place == "ids" or len(wrong) > 1:
+            return f"{where} changes {wrong}"
+        a, b = good[numbers[0]], found[numbers[0]]
+        if a.shape != b.shape:
+            return f"{where} changes the shape of {wrong}"
+        changed = np.argwhere(a != b)
+        if len(changed) > 1:
+            return f"{where} changes {len(changed)} numbers of {wrong}"
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            is_right = wrong != ["points"] or b[tuple(changed[0])] in values(damaged, at)
+        return "" if is_right else f"{where} makes {b[tuple(changed[0])]!r} of {a[tuple(changed[0])]!r}"
+    if place == "points":
+        return f"{where} changes {wrong}"
+    cells = [name for name in wrong if name.startswith("cells")]
+    if cells:
+        told = [name for name in wrong if name not in (*cells, "patch boundary")]  # of a file that names no patch
+        return "" if not told and _rows(good, found) <= 1 else f"{where} changes {wrong}: {_rows(good, found)} cells"
+    return "" if _members(good, found) <= 2 else f"{where} changes {wrong}"
+
+
+def _places(good, found, expected: np.ndarray, where: str) -> str:
+    """Compares the corners of all cells by place: nodes of blocks that meet are one where their places are, and it alone."""
+    a, b = (np.concatenate([each["points"][ids].reshape(-1) for name, ids in each.items() if name.startswith("cells")
+                            and "faces" not in name]) for each in (good, found))  # fmt: skip
+    if a.shape != b.shape:
+        return f"{where} changes the number of cells"
+    changed = np.unique(b[a != b])
+    return "" if set(changed.tolist()) <= set(expected.tolist()) else f"{where} makes {changed} of places"
+
+
+def _rows(good, found) -> int:
+    """Counts the cells of either mesh that are not in the other one, and the nodes of whole cells' faces that differ."""
+    rows = [
+        {
+            (name, tuple(row))
+            for name, ids in each.items()
+            if name.startswith("cells") and "faces" not in name
+            for row in ids.tolist()
+        }
+        for each in (good, found)
+    ]
+    labels, other = (each.get("cells faces 0", np.zeros(0)) for each in (good, found))
+    faces = int((labels != other).sum()) if labels.shape == other.shape else 99
+    return max(len(rows[0] - rows[1]), len(rows[1] - rows[0])) + faces
+
+
+def _members(good, found) -> int:
+    """Counts the patches that hold other nodes: those of one that has a new name are the same."""
+    members = [
+        {tuple(ids.tolist()) for name, ids in each.items() if name.startswith("patch")} for each in (good, found)
+    ]
+    return max(len(members[0] - members[1]), len(members[1] - members[0]))
