@@ -267,6 +267,13 @@ def test_what_does_not_slide():
         jm.Slide("left", "top")
     with pytest.raises(ValueError, match="a surface of revolution has an axis in 3-D, and none in 2-D"):
         jm.prepare(mesh, "hole", sliding=jm.Slide("left", AXIS), method=TPS)
+    with pytest.raises(ValueError, match="all 8 nodes of the sliding patch 'hole' are in `moving`, first node 30 at"):
+        jm.prepare(mesh, "hole", sliding="hole", method=TPS)
+    halves = [jm.Slide(mesh.patch("left")[part]) for part in (slice(0, 5), slice(4, 9))]
+    with pytest.raises(
+        ValueError, match=r"meet at 1 nodes without an edge between them, the worst is node 4 at \(-4, 0\)"
+    ):
+        jm.prepare(mesh, "hole", sliding=halves, method=TPS)
     with pytest.raises(ValueError, match="places along the axis, ascending, and radii"):
         jm.Revolution((1, 0, 0), profile=[(1, 1), (0, 1)])
 
@@ -353,3 +360,42 @@ def test_methods_between_sliding_and_periodic_patches(name):
     difference = (np.asarray(jm.deform(plan, u + h * v)) - np.asarray(jm.deform(plan, u - h * v))) / (2 * h)
     np.testing.assert_allclose(pushed, difference, rtol=0, atol=1e-6 * np.abs(pushed).max())
     np.testing.assert_allclose(np.vdot(jm.pullback(plan, u, w), v), np.vdot(w, pushed), rtol=1e-8)
+
+
+@functools.cache
+def quarter():
+    """Bricks in a quarter of a ring around z, from radius 1 to 2 and z = 0 to 1; its sides repeat each other."""
+    axes = np.linspace(1, 2, 4), np.pi / 8 * np.arange(5), np.linspace(0, 1, 4)
+    radius, angle, z = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    ids = np.arange(80).reshape(4, 5, 4)
+    low = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
+    cells = np.stack([each[..., :-1].ravel() for each in low] + [each[..., 1:].ravel() for each in low], axis=1)
+    patches = {"hub": ids[0], "shroud": ids[-1], "first": ids[:, 0], "last": ids[:, -1]}
+    patches |= {"low": ids[..., 0], "high": ids[..., -1]}
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    return jm.Mesh(points, {"hexahedron": cells}, {name: nodes.ravel() for name, nodes in patches.items()})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["delaunay", "fitted", "reduced", "laplacian", "inverse-distance", "compact"])
+def test_methods_between_a_shroud_lids_and_periodic_sides(name):
+    """In 3-D, whatever the method: nodes stay on the cylinder, the planes, and a quarter turn from their partner."""
+    mesh, method = quarter(), BY_NAME[name].make(1.0)
+    points, hub, first, last = np.asarray(mesh.points), *map(mesh.patch, ("hub", "first", "last"))
+    slides = [jm.Slide("shroud", AXIS), "low", "high"]
+    plan = jm.prepare(mesh, "hub", method=method, sliding=slides, periodic=jm.Periodic("first", "last", axis=(0, 0, 1)))
+    x, y, z = points[hub].T
+    angle, radius = np.arctan2(y, x), 1 + 0.1 * (x**2 * y**2) * z
+    turned = angle + 0.2 * z
+    target = np.stack([radius * np.cos(turned), radius * np.sin(turned), z + 0.1 * np.sin(np.pi * z)], axis=1)
+    moved = np.asarray(jm.deform(plan, target - points[hub]))
+    np.testing.assert_allclose(np.linalg.norm(moved[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-14)
+    for lid, level in (("low", 0), ("high", 1)):
+        np.testing.assert_allclose(moved[mesh.patch(lid), 2], level, rtol=0, atol=1e-15)
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_allclose(moved[last], moved[first] @ turn.T, rtol=0, atol=1e-14)
+    assert np.abs(moved - points)[plan.guided].max() > 0.01
+    if method.exact:
+        np.testing.assert_allclose(moved[hub], target, rtol=0, atol=1e-14)
+    assert int(jm.quality(mesh, moved).inverted) == 0
+    assert (jm.deform(plan, np.zeros_like(target)) == points).all()

@@ -145,7 +145,8 @@ def boundary(
     if outer is None and patches is not None:
         outer = outer_faces(patches)
     pairings = _pairings(periodic, points, patches)
-    tracks, held = _tracks(sliding, points, patches, planes, fixed, None if outer is None else outer.corners)
+    lists = {"fixed": fixed, "moving": moving}
+    tracks, held = _tracks(sliding, points, patches, planes, lists, None if outer is None else outer.corners)
     if np.isin(held, moving).any():
         corner = held[np.isin(held, moving)]
         raise MeshError(
@@ -274,7 +275,7 @@ def walls_of(
     points, d = np.asarray(mesh.points), mesh.points.shape[1]
     _check_named_once(sliding, symmetry=symmetry)
     outer = outer_faces(mesh)
-    walls = _walls(sliding, points, mesh, np.asarray(fixed), None if outer is None else outer.corners)
+    walls = _walls(sliding, points, mesh, {"fixed": np.asarray(fixed)}, None if outer is None else outer.corners)
     planes = _planes(symmetry, points, mesh)
     for plane in planes:
         if len(plane.normal) != d:
@@ -292,27 +293,33 @@ def _tracks(
     points: np.ndarray,
     mesh: Mesh | None,
     planes: tuple[Plane, ...],
-    fixed: np.ndarray,
+    lists: Mapping[str, np.ndarray],
     faces: Mapping[str, np.ndarray] | None,
 ) -> tuple[tuple[Track, ...], np.ndarray]:
     """Groups the sliding nodes by the walls that keep them; returns those that are held between these, too."""
-    walls = _walls(sliding, points, mesh, fixed, faces)
+    walls = _walls(sliding, points, mesh, lists, faces)
     return tracks_of(walls, planes if walls else (), points)
 
 
 def _walls(
-    sliding: Any, points: np.ndarray, mesh: Mesh | None, fixed: np.ndarray, faces: Mapping[str, np.ndarray] | None
+    sliding: Any,
+    points: np.ndarray,
+    mesh: Mesh | None,
+    lists: Mapping[str, np.ndarray],
+    faces: Mapping[str, np.ndarray] | None,
 ) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes the walls of sliding patches, each with its nodes."""
+    """Makes the walls of sliding patches, each with its nodes. Raises `ValueError` for a patch that is in a list as a whole."""
     walls = []
     for each in slides(sliding):
         nodes = np.unique(_nodes(each.patch, "sliding", mesh, len(points)))
-        if len(nodes) and np.isin(nodes, fixed).all():
-            raise MeshError(
-                f"all {len(nodes)} nodes of {each.name} are in `fixed`, first node {{node}} at ({place_of(points[nodes[0]])}): "
-                "it would not slide. Leave them out of one of both.",
-                nodes,
-            )
+        for name, listed in lists.items():
+            if len(nodes) and np.isin(nodes, listed).all():
+                place = place_of(points[nodes[0]])
+                raise MeshError(
+                    f"all {len(nodes)} nodes of {each.name} are in `{name}`, first node {{node}} at ({place}): it would not slide. "
+                    "Leave them out of one of both.",
+                    nodes,
+                )
         walls.append((wall_of(each, nodes, points, faces), nodes))
     return walls
 

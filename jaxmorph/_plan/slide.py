@@ -103,11 +103,11 @@ def tracks_of(
     for k, group in enumerate(groups):
         nodes = np.flatnonzero(slides)[number.ravel() == k].astype(np.int32)
         chosen = tuple(wall for wall, is_on in zip(every, group, strict=True) if is_on)
+        if len(chosen) == 2:
+            _check_edge(chosen, nodes, points)
         if len(chosen) >= dimension:
             held.append(nodes)
             continue
-        if len(chosen) == 2:
-            _check_edge(chosen, nodes, points)
         tracks.append(Track(nodes, chosen))
     return tuple(tracks), np.concatenate([np.zeros(0, dtype=np.int64), *held])
 
