@@ -259,6 +259,10 @@ def test_shape_functions_give_volumes_and_gradients(kind, corners, share):
     assert volume == pytest.approx(share * np.linalg.det(shear), rel=1e-13)
     found = np.linalg.solve(jacobian, np.einsum("qcr,cd->qrd", derivatives, points @ gradient))
     np.testing.assert_allclose(found, np.broadcast_to(gradient, found.shape), rtol=0, atol=1e-12)
+    if kind == "wedge":  # both ends are alike
+        along = np.einsum("qi,qj->ij", derivatives[:, :, 2], derivatives[:, :, 2])
+        ends = [3, 4, 5, 0, 1, 2]
+        np.testing.assert_allclose(along, along[np.ix_(ends, ends)], rtol=1e-13)
 
 
 def dense(n, d, pairs, values, diagonal):

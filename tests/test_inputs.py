@@ -95,3 +95,10 @@ class CountsTraces(jm.AbstractMethod):
 class Nothing(jm.AbstractField):
     def __call__(self, x, ids):
         return jnp.zeros_like(x)
+
+
+@pytest.mark.parametrize(("dtype", "size"), [(np.float64, 1e110), (np.float32, 1e14)])
+def test_points_whose_volumes_overflow_are_refused(dtype, size):
+    points = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], dtype)
+    with pytest.raises(ValueError, match=rf"3 of 4 points are too far out for {dtype.__name__}, first node 1 "):
+        jm.prepare(dtype(size) * points, [0, 1])

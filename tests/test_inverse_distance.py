@@ -18,14 +18,15 @@ def turned(points, angle):
     return points @ np.array([[c, s], [-s, c]]) - points
 
 
-def test_the_weights_are_lukes():
+@pytest.mark.parametrize(("far", "near"), [(3, 5), (2.5, 4.2)])
+def test_the_weights_are_lukes(far, near):
     mesh, rng = body(2), np.random.default_rng(0)
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance())
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.InverseDistance(float(far), float(near)))
     u = rng.normal(size=(len(mesh.moving), 2))
     surface = mesh.points[mesh.boundary]
     length = np.linalg.norm(surface - mesh.points[mesh.moving].mean(axis=0), axis=1).max()
     apart = np.linalg.norm(mesh.points[mesh.inner][:, None] - surface[None], axis=2)
-    weights = (length / apart) ** 3 + (0.25 * length / apart) ** 5
+    weights = (length / apart) ** far + (0.25 * length / apart) ** near
     expected = weights @ np.concatenate([u, np.zeros((len(mesh.fixed), 2))]) / weights.sum(axis=1)[:, None]
     moved = jm.deform(plan, u) - mesh.points
     np.testing.assert_allclose(moved[mesh.inner], expected, rtol=0, atol=1e-12)

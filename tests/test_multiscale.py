@@ -53,6 +53,16 @@ def test_order_and_radii_on_a_line():
     np.testing.assert_array_equal(radius, [0, 1, 2, 1, 4, 1, 2, 1, 0])
 
 
+def test_the_order_does_not_depend_on_the_unit():
+    points = np.random.default_rng(0).normal(size=(60, 3))
+    none, own = np.zeros(0, dtype=np.int64), np.arange(60)
+    order, nearest = farthest_first(points, none, own)
+    for size in (2.0**-20, 2.0**20):
+        again = farthest_first(size * points, none, own)
+        assert (again[0] == order).all()
+        assert (again[1] == nearest).all()
+
+
 def test_nothing_moves_beyond_the_radii():
     """A bump of one node between sources: points farther from it than from the next node before stay where they are."""
     x = np.linspace(0, 1, 9)

@@ -167,3 +167,21 @@ def test_a_coarse_method_is_connected_once(planes):
     u = motion(part)[moving]
     expected = jm.deform(jm.prepare(part, moving, fixed, method=jm.DelaunayGraph(), symmetry=symmetry), u)
     np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-14)
+
+
+def test_the_transpose_after_refit_has_every_entry():
+    """Entry by entry, with an inner node first: the table of the transposed product keeps the weights of all."""
+    mesh = body(2)
+    order = np.concatenate([mesh.inner[:20], mesh.boundary])
+    place = np.full(len(mesh.points), -1)
+    place[order] = np.arange(len(order))
+    points = mesh.points[order]
+    plan = jm.prepare(points, place[mesh.moving], place[mesh.fixed], method=jm.DelaunayGraph())
+    again = jm.refit(plan, points @ np.array([[1.1, 0.2], [0.0, 0.9]]))
+    rng = np.random.default_rng(0)
+    u, w = rng.normal(size=(plan.n_moving, 2)), np.zeros(points.shape)
+    for node in range(20):
+        w[:] = 0
+        w[node] = rng.normal(size=2)
+        forward = np.vdot(w, jm.deform(again, u) - again.points)
+        np.testing.assert_allclose(np.vdot(jm.pullback(again, u, w), u), forward, rtol=1e-10, atol=1e-13)
