@@ -311,7 +311,11 @@ TABLE: dict[str, dict[str, Argument]] = {
     "jm.LinearElasticity": {"stiffening": one_of(jm.ByVolume()), "poisson": number(0.1, beyond=0.5, below=-1.0)},
     "jm.LinearSpline": {},
     "jm.Direct": {},
-    "jm.Iterative": {"tolerance": positive(1e-8, beyond=1.5), "neighbours": count(20, 8), "dense": count(20, 8) - "none"},
+    "jm.Iterative": {
+        "tolerance": positive(1e-8, beyond=1.5),
+        "neighbours": count(20, 8),
+        "dense": count(20, 8) - "none",
+    },
     "jm.Mesh": {
         "points": reals(POINTS, wide=np.zeros((N, 4)), flags=np.zeros((N, 2), bool)),
         "cells": mapping({"quad": np.asarray(MESH.cells["quad"])}) - "none empty",

@@ -8,6 +8,7 @@ import pytest
 from jaxmorph import cases
 from jaxmorph._host import pairs
 from jaxmorph._host.topology import CORNERS, EDGES, FACES, FRAMES, boundary_faces
+from jaxmorph._quality.distortion import IDEAL
 
 RNG = np.random.default_rng(7)
 
@@ -107,3 +108,15 @@ def test_the_tables_of_a_cell_type_are_those_of_its_shape(kind):
     corners = [frame[0] for frame in FRAMES[kind]]
     expected = {"triangle": [0], "tetra": [0], "pyramid": [0, 1, 2, 3]}.get(kind, range(len(points)))
     assert sorted(corners) == list(expected)
+
+
+@pytest.mark.parametrize("kind", IDEAL)
+def test_ideal_cells_have_unit_edges_and_square_faces(kind):
+    points = np.array(IDEAL[kind], dtype=float)
+    lengths = [np.linalg.norm(points[a] - points[b]) for a, b in EDGES[kind]]
+    np.testing.assert_allclose(lengths, 1, rtol=1e-14)
+    quads = [face for face in (FACES[kind] if points.shape[1] == 3 else [range(len(points))]) if len(face) == 4]
+    for a, b, c, e in quads:
+        np.testing.assert_allclose(np.linalg.norm(points[[a, b]] - points[[c, e]], axis=1), 2**0.5, rtol=1e-14)
+    for corner, *ends in FRAMES[kind]:
+        assert np.linalg.det(points[ends] - points[corner]) > 0
