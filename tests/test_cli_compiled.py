@@ -4,7 +4,11 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+
+import jaxmorph as jm
+from jaxmorph._kernels.compile import compiled, quickly_compiled
 
 CODE = """
 import jax
@@ -48,3 +52,11 @@ def test_a_folder_that_cannot_be_made_is_no_error(tmp_path):
     (tmp_path / "file").write_text("")
     (folder, _), _ = kept(tmp_path, XDG_CACHE_HOME=str(tmp_path / "file"))
     assert folder == "None"
+
+
+def test_code_that_is_compiled_quickly_computes_the_same():
+    x = np.linspace(0.1, 1, 300).reshape(100, 3)
+    squares = compiled(lambda x: jm.ThinPlateSpline()(x**2))
+    for is_quick in (True, False):
+        with quickly_compiled(is_quick):
+            np.testing.assert_allclose(squares(x), x**2 * np.log(x), rtol=1e-14)

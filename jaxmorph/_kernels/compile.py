@@ -1,7 +1,9 @@
 """Compilation of what users call: quick, and with vectors as wide as the processor has them."""
 
+import contextlib
+import contextvars
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -18,6 +20,11 @@ OPTIONS = {
     "xla_cpu_use_fusion_emitters": False,
 }
 
+UNTUNED = {"xla_backend_optimization_level": 0}
+"""A third of the time to compile, for programs that run a few times on little."""
+
+_is_quick = contextvars.ContextVar("_is_quick", default=False)
+
 Function = TypeVar("Function", bound=Callable)
 
 
@@ -30,11 +37,11 @@ def compiled(function: Function) -> Function:
     plain = eqx.filter_jit(function)
 
     @functools.cache
-    def direct(only_arrays: bool) -> Callable:
+    def direct(only_arrays: bool, is_quick: bool) -> Callable:
         compile: Any = (
             jax.jit if only_arrays else eqx.filter_jit
         )  # the first is quicker to call; the second knows static arguments
-        return compile(function, compiler_options=_known_options())
+        return compile(function, compiler_options=_known_options(is_quick))
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
@@ -42,14 +49,24 @@ def compiled(function: Function) -> Function:
         keywords = {name: _array(each) for name, each in keywords.items()}
         leaves = jax.tree.leaves((arguments, keywords))
         arrays = [leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)]
-        chosen = direct(len(arrays) == len(leaves)) if _is_direct(arrays) else plain
+        chosen = direct(len(arrays) == len(leaves), _is_quick.get()) if _is_direct(arrays) else plain
         return chosen(*arguments, **keywords)
 
     return call  # pyright: ignore[reportReturnType]
 
 
+@contextlib.contextmanager
+def quickly_compiled(is_quick: bool = True) -> Iterator[None]:
+    """Compiles what is called within without optimisation, and runs that code, which is slower: for one run on a small mesh."""
+    token = _is_quick.set(is_quick)
+    try:
+        yield
+    finally:
+        _is_quick.reset(token)
+
+
 @functools.cache
-def _known_options() -> dict[str, Any]:
+def _known_options(is_quick: bool) -> dict[str, Any]:
     """Selects the options that this version of XLA knows: it refuses a program for one that it does not."""
 
     def is_known(options: dict[str, Any]) -> bool:
@@ -59,7 +76,8 @@ def _known_options() -> dict[str, Any]:
             return False
         return True
 
-    return OPTIONS if is_known(OPTIONS) else {name: value for name, value in OPTIONS.items() if is_known({name: value})}
+    options = OPTIONS | UNTUNED if is_quick else OPTIONS
+    return options if is_known(options) else {name: value for name, value in options.items() if is_known({name: value})}
 
 
 def _array(argument: Any) -> Any:

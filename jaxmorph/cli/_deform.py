@@ -9,6 +9,7 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 from jaxmorph._host.files import complete
+from jaxmorph._kernels.compile import quickly_compiled
 
 from . import _gates
 from ._attempt import Attempt
@@ -20,6 +21,9 @@ from ._requests import Deform
 from ._tables import compared, count, numbers, wall_numbers, wall_rows
 from ._trials import explain
 
+SMALL = 10_000
+"""Points, times steps, up to which compilation takes longer than all else."""
+
 LARGE, LONG = 500_000, 30.0
 """Points, and seconds, from which on the estimate is told."""
 
@@ -28,6 +32,11 @@ def deform(request: Deform, out: Output) -> int:
     """Reads, moves, judges, writes; says each on the terminal. Returns the exit status."""
     with out.progress(f"reading {request.file.name}"):
         mesh = io.read(request.file)
+    with quickly_compiled(len(mesh.points) * request.steps <= SMALL):
+        return _deform(request, mesh, out)
+
+
+def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     attempt, choice, chunks = _attempt(request, mesh, out)
     foreseen = _foreseen(attempt, choice, out)
     points, inspection, boundary = _moved(attempt, chunks, foreseen, out)
