@@ -38,8 +38,8 @@ def test_the_reference_names_all_that_is_public(name):
     assert module.__all__ if hasattr(module, "__all__") else module  # names are loaded when they are first used
     public = {
         key: value
-        for key, value in vars(module).items()
-        if not key.startswith("_") and not isinstance(value, types.ModuleType)
+        for key in dir(module)
+        if not key.startswith("_") and not isinstance(value := getattr(module, key), types.ModuleType)
     }
     functions = [key for key, value in public.items() if callable(value) and value.__module__.startswith("jaxmorph")]
     assert sorted(re.findall(rf"^::: {module.__name__}\.(\w+)$", page, flags=re.MULTILINE)) == sorted(functions)
