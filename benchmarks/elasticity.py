@@ -1,0 +1,55 @@
+"""Elasticity on the paper's wing, end to end: set-up, a motion, its pullback, in CPU seconds, and the largest resident memory.
+
+python benchmarks/elasticity.py [--points 64943]
+
+The wing bends by a quarter of its span. Programs are compiled before a motion is timed; the set-up includes their compilation.
+"""
+
+import argparse
+import resource
+
+import jax
+import numpy as np
+from _measure import about, cpu_seconds, once, table
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--points", type=int, default=64_943)
+    asked = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    mesh = cases.agard445(points=asked.points)
+    about(points=len(mesh.points))
+    plan, setup, _ = once(
+        lambda: jm.prepare(mesh, "wing", "farfield", symmetry="symmetry", method=jm.LinearElasticity())
+    )
+    assert isinstance(plan, jm.Plan)
+    wall = np.asarray(plan.points)[np.asarray(plan.moving)]
+    span = wall[:, 1].max()
+    u = np.zeros_like(wall)
+    u[:, 2] = 0.25 * span * (wall[:, 1] / span) ** 2
+    w = np.random.default_rng(0).normal(size=plan.points.shape)
+    seconds = cpu_seconds(
+        {"deform": lambda: jm.deform(plan, u), "pullback": lambda: jm.pullback(plan, u, w)}, repeats=3
+    )
+    report = jm.quality(mesh, jm.deform(plan, u))
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    rows = [
+        ["set-up, s", f"{setup:.1f}", "6"],
+        ["`deform`, s", f"{seconds['deform']:.2f}", "2"],
+        ["`pullback` over `deform`", f"{seconds['pullback'] / seconds['deform']:.2f}", "1.2"],
+        ["memory, GB", f"{memory / 1e9:.2f}", "1"],
+        [
+            "inverted cells, smallest Jacobian ratio",
+            f"{int(report.inverted)}, {float(report.min_jacobian_ratio):.2f}",
+            "0",
+        ],
+    ]
+    table(rows)
+
+
+if __name__ == "__main__":
+    main()
