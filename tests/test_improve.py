@@ -401,3 +401,11 @@ def test_soft_maximum_of_equal_values_is_theirs_and_sharpens():
     np.testing.assert_allclose(jm.soft_maximum(values, 1e4, axis=1), [0.5 - np.log(3) / 1e4, 0.7], rtol=1e-12)
     np.testing.assert_allclose(jm.soft_maximum(values, 3.0), np.log(np.mean(np.exp(3 * values))) / 3, rtol=1e-12)
     np.testing.assert_allclose(jax.grad(jm.soft_maximum)(jnp.ones(4)), 0.25)
+
+
+@pytest.mark.parametrize("kind", ["triangle", "quad"])
+def test_the_distortion_of_a_stretched_cell(kind):
+    """Of a cell twice as large |T|^2 = 8 and det T = 4: half of 1 and half of 17 / 8, less 1; nothing where none has moved."""
+    mesh = cell(kind)
+    np.testing.assert_allclose(jm.distortion(mesh, mesh.points), 0, atol=1e-6)  # the square of the softness
+    np.testing.assert_allclose(jm.distortion(mesh, 2 * mesh.points), 0.5 + 0.5 * 17 / 8 - 1, rtol=1e-6)
