@@ -1,9 +1,10 @@
-"""Derivatives of whole maps by component: symmetry planes, coincident nodes, Hessians, shards, and float32."""
+"""Derivatives of whole maps by component: planes, coincident nodes, Hessians, shards, float32, and `improve`."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.spatial
 from cases import body, few, motion, whole_and_part
 from richardson import jacobian
 
@@ -104,3 +105,49 @@ def test_float32(dimension):
     for found, expected in zip(gradients(single, np.float32), gradients(whole, np.float64), strict=True):
         assert found.dtype == np.float32
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
+
+
+def strip():
+    """3 x 2 quads with two inner nodes, pulled out of shape."""
+    x, y = np.meshgrid(np.arange(4.0), np.arange(3.0), indexing="ij")
+    ids = np.arange(12).reshape(4, 3)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    return jm.Mesh(np.stack([x.ravel(), y.ravel()], axis=1), {"quad": quads}), np.array([4, 7])
+
+
+def needle():
+    """Tetrahedra between the corners of one and two nodes within it."""
+    corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 2]])
+    points = np.concatenate([corners, [[0.4, 0.5, 0.5], [0.7, 0.4, 0.4]]])
+    cells = scipy.spatial.Delaunay(points).simplices
+    return jm.Mesh(points, {"tetra": cells}), np.array([4, 5])
+
+
+@pytest.mark.parametrize(("make", "tangled"), [(strip, True), (needle, False)])
+def test_every_component_of_improve(make, tangled):
+    """The implicit derivative is that of the minimum by the outer nodes, and zero by the inner ones, where the search begins."""
+    mesh, inner = make()
+    points = np.array(mesh.points)
+    outer = np.setdiff1d(np.arange(len(points)), inner)
+    points[outer] += 0.15 * np.random.default_rng(3).uniform(-1, 1, points[outer].shape)
+    if tangled:
+        points[inner] = points[inner[::-1]] + 0.2
+    assert np.asarray(jm.inverted(mesh, points)).any() == tangled
+
+    def improved(points):
+        found = jm.improve(mesh, points, tolerance=1e-11)
+        return found.points[inner], (found.points[inner], found.after)
+
+    both = jax.jit(jax.jacrev(improved, has_aux=True))
+    slopes, (_, after) = both(points)
+    assert int(after) == 0
+
+    def places(x):
+        start = points.copy()
+        start[outer] = x
+        return both(start)[1][0]
+
+    expected = jacobian(places, points[outer], 8e-3)
+    slopes = np.asarray(slopes)
+    np.testing.assert_allclose(slopes[:, :, outer], expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    assert (slopes[:, :, inner] == 0).all()
