@@ -37,7 +37,7 @@ def alike(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
 
 
 def zone(file: pathlib.Path, data: bytes, at: int) -> str:
-    """What a byte of a good file stands for: `points`, `ids`, `nothing`, or `any` where that is not told here."""
+    """What a byte of a good file stands for: `points`, `ids`, `nothing`, `structure`, or `any` where that is not told here."""
     before, line = data[:at], data[data.rfind(b"\n", 0, at) + 1 : at]
     if file.suffix == ".su2":
         words = re.findall(rb"^(\w+)=", before, re.MULTILINE)
@@ -52,6 +52,8 @@ def zone(file: pathlib.Path, data: bytes, at: int) -> str:
         )
     if file.suffix == ".cgns":
         return _dataset(file, at)
+    if file.name == "boundary":
+        return "structure"  # `type empty` makes a 2-D case: nothing else tells it
     if file.parent.name == "polyMesh":
         is_banner = b"FoamFile" not in before or line.lstrip().startswith((b"//", b"|", b"\\*"))
         if is_banner and b"\0" not in line:
