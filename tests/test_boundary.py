@@ -55,8 +55,12 @@ REFUSED = {
         on_sector(slice(None, -1), rotation=np.pi / 2),
         r"1 periodic pairs .* node \d+ at \(.*\) is in `moving`, its partner \d+ in neither list. Name both, or neither",
     ),
-    "a corner that moves": (
+    "a patch that moves as a whole": (
         on_box(("hole", "left"), "right", sliding=("left", "top")),
+        r"all 9 nodes of the sliding patch 'left' are in `moving`, first node \d+ at \(-4, -4\): it would not slide",
+    ),
+    "a corner that moves": (
+        on_box(box().patch("left")[-3:], "right", sliding=("left", "top")),
         r"1 moving nodes are corners of sliding patches and cannot move, the first is node \d+ at \(-4, 4\)\. Leave them out",
     ),
     "fixed and sliding": (

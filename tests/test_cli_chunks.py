@@ -175,7 +175,7 @@ def test_the_estimate_knows_the_sources():
 
 
 def test_the_estimate_of_many_sources_is_that_of_iterations():
-    """Known from a run: 17,147 sources took 0.43 GB and 12 s."""
+    """Known from a run: 17,147 sources took 0.55 GB and 7 s."""
     rng = np.random.default_rng(0)
     mesh = jm.Mesh(rng.random((64764, 3)), {"tetra": np.array([[0, 1, 2, 3]])})
     every = jm.AllPoints()
@@ -188,5 +188,5 @@ def test_the_estimate_of_many_sources_is_that_of_iterations():
         )
         for solver in (None, jm.Direct())
     )
-    assert 0.3e9 < iterated.memory < 0.6e9 < direct.memory
+    assert 0.4e9 < iterated.memory < 0.8e9 < direct.memory
     assert 5 < iterated.deforming < 40 < direct.deforming

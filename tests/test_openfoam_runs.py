@@ -98,6 +98,35 @@ def test_a_tutorial_in_3d(tmp_path, capsys):
     assert_measured_alike(tmp_path / "new", capsys)
 
 
+def test_a_solver_runs_on_a_moved_cyclic_channel(tmp_path):
+    """The floor rises and falls along a channel that repeats both ways. Its cyclic sides move with it, and pimpleFoam runs."""
+    case = tutorial(tmp_path / "case", "incompressible/pimpleFoam/LES/channel395")
+    mesh_file, control = (case / "system" / name for name in ("blockMeshDict", "controlDict"))
+    mesh_file.write_text(mesh_file.read_text().replace("(40 25 30)", "(16 8 6)"))
+    text = control.read_text().partition("functions")[0]
+    control.write_text(
+        re.sub(r"(endTime|deltaT)( +)[\d.]+;", r"\1\2 0.01;", text).replace("writeInterval   200", "writeInterval 1")
+    )
+    shutil.rmtree(case / "0")
+    (case / "0.orig").rename(case / "0")
+    foam.run(case, "blockMesh")
+    mesh = io.read(case)
+    assert len(io.periodic(mesh)) == 4
+    plan = jm.prepare(mesh, "bottomWall", "topWall", periodic=io.periodic(mesh))
+    floor = np.asarray(mesh.points)[plan.moving]
+    u = np.zeros_like(floor)
+    u[:, 1] = 0.2 * np.cos(np.pi / 2 * floor[:, 0]) * np.cos(np.pi * floor[:, 2])
+    moved = np.asarray(jm.deform(plan, u))
+    assert np.abs(moved - mesh.points)[mesh.patch("inout1_half0")].max() > 0.1
+    new = tmp_path / "new"
+    io.write(new, mesh.moved(moved))
+    assert foam.verdict(new, "-constant") == foam.verdict(case, "-constant") == ["Mesh OK."]
+    said = foam.run(new, "pimpleFoam")
+    assert said.split()[-1] == "End"
+    assert abs(float(re.findall(r"sum local = ([\d.e+-]+)", said)[-1])) < 1e-6
+    assert np.isfinite(list(map(float, re.findall(r"Courant Number mean: \S+ max: (\S+)", said)))).all()
+
+
 @pytest.mark.parametrize("form", [name for name in foam.FORMS if "big-endian" not in name])
 def test_openfoam_reads_the_forms_that_the_tests_write(tmp_path, form):
     """So that what jaxmorph reads of them is what OpenFOAM would; it reads no other byte order than its machine's."""
