@@ -140,3 +140,9 @@ def test_displacement_is_what_deform_takes(tmp_path):
 def test_bad_input_is_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_lists_with_traced_numbers():
+    """Design variables may stand in lists, as numbers among others."""
+    slope = jax.grad(lambda a: jnp.sum(shapes.translate([[a, 1.0], [2.0, a]], (a, 0.0))))(1.0)
+    assert float(slope) == 4

@@ -188,9 +188,16 @@ def _fits_array(value: Any, annotation: Any) -> bool:
         array = value if _has_type(value) else np.asarray(value)
     except ValueError:
         return False  # rows of several lengths
+    except TypeError:
+        return _holds_traced(value)  # JAX stacks them
     kind = np.dtype(array.dtype).kind if not hasattr(array.dtype, "kind") else array.dtype.kind
     is_empty = not _has_type(value) and array.size == 0
     return (is_empty or kind in KINDS.get(_kind_of(annotation), kind)) and not np.ma.is_masked(array)
+
+
+def _holds_traced(value: Any) -> bool:
+    """Tells whether a number in nested lists is traced by JAX."""
+    return any(map(_holds_traced, value)) if isinstance(value, list | tuple) else hasattr(value, "aval")
 
 
 def _has_type(value: Any) -> bool:

@@ -33,7 +33,9 @@ def as_jax(tree: Any) -> Any:
 
 def array(values: Any) -> Any:
     """Makes an array of JAX as `jnp.asarray` does, without a program for its shape, and with memory of its own."""
-    return values if isinstance(values, jax.Array) else jax.device_put(np.array(values))
+    if isinstance(values, jax.Array) or not is_known(values):
+        return jnp.asarray(values)
+    return jax.device_put(np.array(values))
 
 
 def taken(values: Any, rows: Any) -> Any:

@@ -20,10 +20,10 @@ def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
 
     **Raises:** `ValueError` for another shape.
     """
-    x = array(x)
-    if x.ndim != 2 or x.shape[1] not in (2, 3):
-        raise ValueError(f"`{name}` has shape {x.shape}; positions have shape (m, 2) or (m, 3).")
-    return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))
+    places = array(x)
+    if places.ndim != 2 or places.shape[1] not in (2, 3):
+        raise ValueError(f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3).")
+    return places if jnp.issubdtype(places.dtype, jnp.floating) else places.astype(jnp.result_type(float))
 
 
 def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
