@@ -236,6 +236,26 @@ def test_a_quad_with_two_corners_in_one_place_is_a_triangle():
     assert np.isfinite(slope).all()
 
 
+@pytest.mark.parametrize("make", [jm.LinearElasticity, jm.Laplacian])
+def test_a_quad_with_a_straight_corner_depends_on_no_rounding(make):
+    """Blocks may meet on a straight line: the triangle at such a corner has no area but round-off."""
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(7.0), np.arange(7.0), indexing="ij"))
+    points, ids = np.stack([x, y], axis=1), np.arange(49).reshape(7, 7)
+    points[24] = [2.5, 2.5]  # on the line between its neighbours across one quad
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    moving, fixed = np.flatnonzero(x == 0), np.flatnonzero(x == 6)
+    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    u = np.tile([0.0, 0.5], (len(moving), 1))
+    moves = []
+    for places in (points, points @ turn.T + 100):
+        plan = jm.prepare(
+            jm.Mesh(places, {"quad": quads}), moving, fixed, method=make(), free=[*ids[:, 0], *ids[:, -1]]
+        )
+        here = u if places is points else u @ turn.T
+        moves.append(np.asarray(jm.deform(plan, here)) - places)
+    np.testing.assert_allclose(moves[1] @ turn, moves[0], rtol=0, atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("kind", "corners", "share"),
     [

@@ -399,6 +399,22 @@ def test_gradients_and_sensitivities_are_read_back_as_they_were(tmp_path):
         np.testing.assert_array_equal(io.read_sensitivity(tmp_path / file, mesh)[ids], values)
 
 
+def test_errors_of_the_caller_pass_through_a_series(tmp_path):
+    with pytest.raises(TimeoutError, match=r"^slow$"), io.XDMFSeries(tmp_path / "a.xdmf", bricks(1)):
+        raise TimeoutError("slow")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("ending", ["vtk", "vtu"])
+def test_cells_that_meshio_leaves_out_are_told(tmp_path, ending):
+    pyvista = pytest.importorskip("pyvista")
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
+    cells, kinds = [4, 0, 1, 3, 2, 8, *range(8)], [9, 11]  # a quad and a voxel
+    pyvista.UnstructuredGrid(cells, kinds, points).save(tmp_path / f"a.{ending}")
+    with pytest.raises(ValueError, match=r"meshio cannot handle \(type 11\).* They would be lost"):
+        io.read(tmp_path / f"a.{ending}")
+
+
 def test_a_series_holds_each_step(tmp_path):
     h5py = pytest.importorskip("h5py")
     mesh = bricks(1)

@@ -61,7 +61,7 @@ def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> 
 
 
 @contextlib.contextmanager
-def complete(path: pathlib.Path, *, folder: bool = False) -> Iterator[pathlib.Path]:
+def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = True) -> Iterator[pathlib.Path]:
     """Yields a temporary file or folder beside `path` that takes its place at the end; on failure nothing is left.
 
     The temporary one is new, under a name that no other writer has: nothing that stands there is followed or overwritten. A `path`
@@ -69,18 +69,20 @@ def complete(path: pathlib.Path, *, folder: bool = False) -> Iterator[pathlib.Pa
     writers that were killed on this machine left behind for the same path is removed.
 
     Raises `FileNotFoundError` where the folder that is to hold `path` does not exist, `ValueError` where `path` is a folder, a
-    device or a pipe. An `OSError` of the writing names `path`, not the temporary file.
+    device or a pipe. An `OSError` of the writing names `path`, not the temporary file. Where a caller's own errors pass through, it
+    is `name_errors=False`, and the writing is in `named`.
     """
     target = pathlib.Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{path}: there is no folder {target.parent}.")
     _check_replaceable(path, target, folder)
     _sweep(target)
-    with _named(path):
+    with named(path) if name_errors else contextlib.nullcontext():
         partial = _new(target, folder)
         try:
             yield partial
-            partial.replace(target)
+            with named(path):
+                partial.replace(target)
         finally:
             _remove(partial)
 
@@ -95,7 +97,7 @@ def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -
 
 
 @contextlib.contextmanager
-def _named(path: pathlib.Path) -> Iterator[None]:
+def named(path: pathlib.Path) -> Iterator[None]:
     """Makes an error of the system name the file that was to be written, where it names the temporary one or none."""
     try:
         yield

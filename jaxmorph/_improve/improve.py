@@ -30,6 +30,9 @@ from .newton import Distortion, HessianSolver, ProjectedNewton
 from .systems import pattern
 from .ways import Ways
 
+QUARTER = 0.05
+"""Cosine between a wall's normals, where a node starts and where it ends, below which the end is taken for no minimum."""
+
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 """Softness of the barrier in the last stage, its largest share from one stage to the next, and how many there are at most."""
 
@@ -95,7 +98,8 @@ def improve(
 
     Nodes of symmetry planes and of sliding patches move along these, and stay as far off them as `points` has them. The two
     nodes of a periodic pair move alike. Nodes between two walls stay on both; corners, and nodes on the axis of a rotation, stay.
-    Faces have a kink at each edge: where nodes slide on these, the search may stop early.
+    Faces have a kink at each edge: where nodes slide on these, the search may stop early. On a curved wall a node turns by less
+    than 90 degrees from where it starts; near that, `residual` is infinite.
 
     Nothing is promised for a boundary that crosses itself: `after`, or `str` of the result, says what is left.
 
@@ -188,7 +192,15 @@ def _least(distortion: Distortion, y, base):
 @compiled
 def _ended(distortion: Distortion, y, base):
     value, slope = jax.value_and_grad(distortion)(y, base)
-    return value, slope, distortion.points(y, base)
+    points, ways = distortion.points(y, base), distortion.ways
+    if (
+        ways is not None and not ways.is_linear
+    ):  # a quarter of a turn from its start a node's slope vanishes, minimum or not
+        along = jnp.abs(jnp.sum(ways.normals * ways.at(points).normals, axis=2))
+        along = jnp.where(jnp.sum(ways.normals**2, axis=2) > 0, along, 1)
+        least = jnp.min(along, where=distortion.free[:, None], initial=1.0)
+        slope = jnp.where(least > QUARTER, slope, jnp.inf)
+    return value, slope, points
 
 
 def _check(mesh: Mesh, points, fixed, size: float, tolerance: float, max_steps: int) -> None:

@@ -6,9 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from .._host.elements import quadrature
+from .._kernels.values import largest
 from .numbers import number
 
 
@@ -52,17 +53,24 @@ class ByDistance(AbstractStiffness):
         return distance ** -self.exponent.astype(distance.dtype)
 
 
+SLIVER = 1e-6
+"""Share of a cell's largest Jacobian below which a point of its quadrature fades out."""
+
+
 def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
     """Computes the shape functions' gradients at the points of a cell's quadrature, and the volume at each point. Traced.
 
-    A point without volume, where two corners of a quad are one, counts nothing, unless all are.
+    A point whose Jacobian is small beside the cell's largest fades out: a triangle at a straight corner, or between two corners
+    that are one.
     """
     reference, weights = (jnp.asarray(table, corners.dtype) for table in quadrature(kind))
     jacobian = jnp.einsum("qca,cb->qab", reference, corners, precision="highest")  # d place / d reference, transposed
-    inverse, determinant, is_flat = _inverse(jacobian)
-    gradient = jnp.einsum("qba,qca->qcb", inverse, reference, precision="highest")
-    counts = ~is_flat | is_flat.all()
-    return jnp.where(counts[:, None, None], gradient, 0), jnp.where(counts, weights * jnp.abs(determinant), 0)
+    inverse, determinant, safe = _inverse(jacobian)
+    volume = jnp.abs(determinant)
+    top = largest(volume)
+    share = jnp.where(top > 0, jnp.minimum(volume / (SLIVER * jnp.where(top > 0, top, 1)), 1) ** 2, 1)
+    gradient = jnp.einsum("qba,qca->qcb", inverse * share[:, None, None], reference, precision="highest")
+    return gradient, weights * jnp.where(top > 0, volume, jnp.abs(safe))
 
 
 def stiffness(
@@ -78,8 +86,8 @@ def stiffness(
     return jax.vmap(lambda apart: of_cell(volume.sum(), apart))(jnp.where(apart > 0, apart, 1))
 
 
-def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"], Bool[Array, " q"]]:
-    """Inverts in closed form. A matrix without volume, which is told, has a large inverse, not an infinite one."""
+def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"], Float[Array, " q"]]:
+    """Inverts in closed form; returns the determinants, too, and those that it divides by, of which none is 0."""
     rows = [matrix[:, k] for k in range(matrix.shape[1])]
     if len(rows) == 2:
         (a, b), (c, d) = (row.T for row in rows)
@@ -92,6 +100,5 @@ def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Floa
         adjugate = jnp.stack(columns, axis=2)
     size = jnp.sum(matrix**2, axis=(1, 2)) ** (len(rows) / 2)
     least = float(jnp.finfo(matrix.dtype).eps) * jnp.where(size > 0, size, 1)
-    is_flat = jnp.abs(determinant) <= least
-    safe = jnp.where(is_flat, least, determinant)
-    return adjugate / safe[:, None, None], safe, is_flat
+    safe = jnp.where(jnp.abs(determinant) > least, determinant, least)
+    return adjugate / safe[:, None, None], determinant, safe

@@ -8,7 +8,7 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph._host.files import complete
+from jaxmorph._host.files import complete, output_path
 from jaxmorph._kernels.compile import quickly_compiled
 
 from . import _gates
@@ -195,8 +195,10 @@ def check_files(request: Deform, mesh: Mesh) -> None:
             raise ValueError(f"--moving {' '.join(group.patches)}: there are no nodes in it.")
     if request.job is not None:
         job = request.job[0]
-        if not job.parent.is_dir():
-            raise ValueError(f"--save-job {job}: there is no such folder.")
+        try:
+            output_path(job)
+        except ValueError as error:
+            raise ValueError(f"--save-job {error}") from error
         if job.resolve() == request.output.resolve():
             raise ValueError(f"--save-job {job}: OUT goes there.")
 

@@ -44,6 +44,7 @@ def wall_rows(wall: WallQuality | None, inspection: Inspection, points: Float[np
     """Formats the first grid line at the moving wall and the overshoot as rows of `compared`; `points` are the moved ones."""
     rows = []
     if wall is not None:
+        # as mean_angle, max_angle and min_height, by NumPy: nothing is compiled for a table
         angle, height = np.asarray(wall.angle), np.asarray(wall.height)
         rows = [
             f"{'mean wall angle':<23}{0:>12}{angle.mean():>12.5g}",

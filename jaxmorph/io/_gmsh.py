@@ -149,6 +149,8 @@ def _check_rows(section: Section, are_nodes: bool, version: bytes) -> None:
         return
     rows = section.rows(np.float64)
     counts, first = rows.counts, rows.first
+    if not are_nodes and not np.isfinite(rows.values).all():
+        raise ValueError("numbers that are not finite in $Elements")
     wanted = counts.copy()
     if version.startswith(b"2"):
         if are_nodes:
@@ -161,6 +163,8 @@ def _check_rows(section: Section, are_nodes: bool, version: bytes) -> None:
         while at < len(counts):
             if counts[at] != 4:
                 raise section.error(f"{counts[at]} numbers, 4 expected.", at)
+            if not np.isfinite(rows.values[first[at] : first[at] + 4]).all():
+                raise section.error("numbers that are not finite.", at)
             last, count = rows.values[first[at] + 2 : first[at] + 4].astype(np.int64)
             here = slice(at + 1, at + 1 + count)
             if count < 0:

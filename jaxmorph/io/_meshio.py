@@ -27,6 +27,9 @@ def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.
         detail = " ".join(f"{error or output.getvalue()}".split())[:120]
         message = f"{path}: not a {name} file, or a damaged one ({type(error).__name__}{detail and ': '}{detail})."
         raise ValueError(message) from error
+    printed = " ".join(output.getvalue().split())
+    if "cannot handle" in printed:  # meshio leaves such cells out
+        raise ValueError(f"{path}: {printed[printed.find('File contains') :]} They would be lost.")
     cells = sum(len(np.asarray(block.data)) for block in mesh.cells)
     if len(mesh.points) == 0 or cells == 0:
         raise ValueError(f"{path}: no mesh, the file holds {len(mesh.points)} points and {cells} cells.")

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxmorph import Mesh, QualityReport
 from jaxmorph._host.door import checked
-from jaxmorph._host.files import complete, output_path
+from jaxmorph._host.files import complete, named, output_path
 
 from ._moved import cell_arrays, displacement_of
 
@@ -25,6 +25,10 @@ NUMBERS = {
     "hexahedron": (9,),
 }
 """XDMF's number of each type; a line's also says how many nodes follow."""
+
+
+MARGIN, OF_EACH = 1 << 20, 1 << 12
+"""Bytes that are reserved beside the arrays: once, and for what HDF5 writes about each."""
 
 
 class _Nothing(Exception):
@@ -55,8 +59,10 @@ class XDMFSeries:
             raise ValueError(f"{path}: `mesh` has no cells; XDMF files hold meshes.")
         self.path, self.arrays = path, path.with_suffix(".h5")
         self._mesh, self._grids = mesh, []
-        with contextlib.ExitStack() as stack:
-            self._file: Any = stack.enter_context(h5py.File(stack.enter_context(complete(self.arrays)), "w"))
+        with named(self.arrays), contextlib.ExitStack() as stack:
+            self._partial = stack.enter_context(complete(self.arrays, name_errors=False))
+            self._reserved = MARGIN
+            self._file: Any = stack.enter_context(h5py.File(self._partial, "w"))
             rows = [
                 np.concatenate([np.tile(np.array(NUMBERS[kind], np.int32), (len(ids), 1)), ids], axis=1).ravel()
                 for kind, ids in mesh.cells.items()
@@ -70,13 +76,16 @@ class XDMFSeries:
 
     def __exit__(self, kind, error, trace) -> None:
         if kind is None and self._grids:
-            with self._stack:
+            with named(self.arrays), self._stack:
+                self._file.flush()
+                size = self._file.id.get_filesize()
                 self._file.close()
+                os.truncate(self._partial, size)
                 with complete(self.path) as partial:
                     partial.write_bytes(self._text().encode())
             return
-        with contextlib.suppress(_Nothing):
-            self._stack.__exit__(*((_Nothing, _Nothing(), None) if kind is None else (kind, error, trace)))
+        with contextlib.suppress(_Nothing if error is None else Exception):  # the first error is the one to tell
+            self._stack.__exit__(_Nothing, _Nothing(), None)
 
     @checked
     def add(self, time: float, moved: Mesh, report: QualityReport) -> None:
@@ -96,12 +105,21 @@ class XDMFSeries:
         return f'<Attribute Name="{name}" AttributeType="{kind}" Center="{centre}">{item}</Attribute>'
 
     def _item(self, place: str, values: np.ndarray) -> str:
-        self._file.create_dataset(place, data=values)
+        with named(self.arrays):
+            self._reserve(values.nbytes)
+            self._file.create_dataset(place, data=values)
         kind = {"f": "Float", "i": "Int", "u": "UChar"}[values.dtype.kind]
         size = " ".join(map(str, values.shape))
         where = f"{self.arrays.name}:/{place}"
         about = f'Format="HDF" NumberType="{kind}" Precision="{values.dtype.itemsize}" Dimensions="{size}"'
         return f"<DataItem {about}>{quoteattr(where)[1:-1]}</DataItem>"
+
+    def _reserve(self, size: int) -> None:
+        """Asks the system for room on the device before HDF5 writes: where that fails, HDF5 may end the process."""
+        self._reserved += size + OF_EACH
+        if hasattr(os, "posix_fallocate"):
+            with self._partial.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, self._reserved)
 
     def _text(self) -> str:
         series = '<Grid Name="series" GridType="Collection" CollectionType="Temporal">'

@@ -14,7 +14,7 @@ from jaxtyping import Int
 
 from jaxmorph import Mesh, Periodic
 from jaxmorph._host.door import checked, shown
-from jaxmorph._host.files import complete, output_path
+from jaxmorph._host.files import complete, named, output_path
 from jaxmorph._host.ranks import Agreement, Alone, Ranks, together
 from jaxmorph._plan.faces import outer_faces
 
@@ -208,11 +208,14 @@ class Decomposed:
 
             def begin() -> pathlib.Path | None:
                 self.check_output(path)
-                return stack.enter_context(complete(pathlib.Path(path), folder=True)) if ranks.rank == 0 else None
+                new = complete(pathlib.Path(path), folder=True, name_errors=False)
+                with named(pathlib.Path(path)):
+                    return stack.enter_context(new) if ranks.rank == 0 else None
 
             partial = ranks.bcast(together(ranks, begin))
-            together(ranks, functools.partial(self._copy, partial) if ranks.rank == 0 else lambda: None)
-            writer = Writer(self, partial, ranks, Agreement(ranks), set())
+            copy = functools.partial(self._copy, partial, pathlib.Path(path))
+            together(ranks, copy if ranks.rank == 0 else lambda: None)
+            writer = Writer(self, pathlib.Path(path), partial, ranks, Agreement(ranks), set())
             yield writer
             written = {k for each in ranks.allgather(writer.written) for k in each}
 
@@ -225,16 +228,17 @@ class Decomposed:
 
             together(ranks, end)
 
-    def _copy(self, folder: pathlib.Path) -> None:
-        """Copies what the parts share, without the undivided mesh."""
+    def _copy(self, folder: pathlib.Path, path: pathlib.Path) -> None:
+        """Copies what the parts share, without the undivided mesh, into a folder that will be `path`."""
         mesh = self.path / "constant"
-        for name in COPIED:
-            if (self.path / name).is_dir():
-                shutil.copytree(
-                    self.path / name,
-                    folder / name,
-                    ignore=lambda here, names: {"polyMesh"} & {*names} if pathlib.Path(here) == mesh else (),
-                )
+
+        def left_out(here: str, names: list[str]) -> set[str]:
+            return {"polyMesh"} & {*names} if pathlib.Path(here) == mesh else set()
+
+        with named(path):
+            for name in COPIED:
+                if (self.path / name).is_dir():
+                    shutil.copytree(self.path / name, folder / name, ignore=left_out)
 
     def _boundary(self, k: int) -> list[Patch]:
         return patches(load(self.folder(k) / "constant" / "polyMesh", "boundary"))
@@ -245,6 +249,7 @@ class Writer:
     """Takes the moved parts of a decomposed case; `Decomposed.writing` makes it."""
 
     case: Decomposed
+    path: pathlib.Path
     folder: pathlib.Path
     ranks: Ranks
     agreement: Agreement
@@ -289,7 +294,9 @@ class Writer:
         points[rows] = agreed
 
         def write() -> None:
-            if moved is not None:
+            if moved is None:
+                return
+            with named(self.path):
                 write_points(self.folder / f"processor{k}", moved, points)
 
         together(self.ranks, write)
