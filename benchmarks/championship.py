@@ -221,7 +221,7 @@ def draw(rows: list[dict], file: pathlib.Path) -> None:
     ax.set_yticks(range(len(names)), names, fontsize=8)
     labels = [f"{case}: {motion}" for case, motion in motions]
     ax.set_xticks(range(len(motions)), labels, rotation=90, fontsize=7)
-    figure.colorbar(image, extend="max", label="largest skewness over the best of the motion")
+    figure.colorbar(image, extend="max", label="largest skewness / the motion's best")
     figure.savefig(file, dpi=90)
 
 

@@ -242,16 +242,12 @@ def test_nodes_slide_on_curved_walls_and_pairs_move_alike():
 def test_a_node_at_a_quarter_turn_from_its_start_is_no_minimum():
     """A step in the plane of the start, put back on the circle, ends there at the farthest: its slope vanishes."""
     mesh = ring()
-    outer, free = mesh.patch("outer"), np.arange(16, 48)
-    for degrees, is_minimum in ((60, True), (100, False)):
-        turn = np.deg2rad(degrees)
-        points = mesh.points.copy()
-        points[free] = points[free] @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-        result = jm.improve(mesh, points, fixed=mesh.patch("inner"), sliding=jm.Slide("outer", jm.Revolution()))
-        assert ("at a minimum" in str(result)) == is_minimum
-        assert np.isfinite(result.residual) == is_minimum
-        if is_minimum:
-            np.testing.assert_allclose(result.points[outer], mesh.points[outer], rtol=0, atol=1e-4)
+    free, turn = np.arange(16, 48), np.deg2rad(100)
+    points = mesh.points.copy()
+    points[free] = points[free] @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    result = jm.improve(mesh, points, fixed=mesh.patch("inner"), sliding=jm.Slide("outer", jm.Revolution()))
+    assert float(result.residual) == np.inf
+    assert "stopped early" in str(result)
 
 
 @pytest.mark.slow

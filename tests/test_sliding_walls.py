@@ -1,5 +1,6 @@
 """The walls that sliding nodes stay on: nearest points in closed form, and by trying many points of each face."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -78,7 +79,7 @@ def test_faces_are_reached_at_their_nearest_point(d):
     wall = faceted(d)
     vertices, faces = np.asarray(wall.vertices), np.asarray(wall.faces)
     x = np.concatenate([vertices[:7] + 0.1 * np.random.default_rng(0).normal(size=(7, d)), vertices])
-    places, normals = (np.asarray(each) for each in wall.nearest(jnp.asarray(x)))
+    places, normals = (np.asarray(each) for each in eqx.filter_jit(wall.nearest)(jnp.asarray(x)))
     weights = np.random.default_rng(1).dirichlet(np.ones(d), 3000)
     tried = np.einsum("wc,fcd->wfd", weights, vertices[faces]).reshape(-1, d)
     nearest = np.linalg.norm(x[:7, None] - tried[None], axis=2).min(axis=1)
