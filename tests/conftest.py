@@ -73,9 +73,10 @@ def pytest_collection_modifyitems(config, items):
     count = collections.Counter(item.path for item in items)
     is_long = {path: path.stem.removeprefix("test_") in LONG or path.parent.name in LONG for path in count}
     items.sort(key=lambda item: (not is_long[item.path], -count[item.path], item.path))
-    for item in items:
-        if config.pluginmanager.hasplugin("_cov") and item.path.stem.removeprefix("test_") in UNCOUNTED:
-            item.add_marker("no_cover")
+    if config.pluginmanager.hasplugin("_cov"):
+        for item in items:
+            if item.path.stem.removeprefix("test_") in UNCOUNTED:
+                item.add_marker("no_cover")
 
 
 @pytest.fixture(autouse=True)

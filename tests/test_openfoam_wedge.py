@@ -97,9 +97,8 @@ def test_parts_of_a_wedge_about_any_axis(tmp_path):
     """Each part finds the axis anew, so its places differ from the others' by rounding."""
     points, cells, patches, _, _ = pipe_of()
     tilted = points @ Rotation.from_rotvec([0.3, 0.7, -0.4]).as_matrix().T + [0.3, -2, 5]
-    tests = [(name, kind, fits) for name, kind, fits in patches]
-    foam.write_case(tmp_path / "pipe", tilted, cells, tests)
-    foam.write_parts(tmp_path / "pipe", tilted, cells, tests, [0, 1, 0, 1])
+    foam.write_case(tmp_path / "pipe", tilted, cells, patches)
+    foam.write_parts(tmp_path / "pipe", tilted, cells, patches, [0, 1, 0, 1])
     whole, case = io.read(tmp_path / "pipe"), io.Decomposed(tmp_path / "pipe")
     surface = case.surface()
     kept = {"symmetry": "axis", "method": jm.RBF.classic(jm.ThinPlateSpline())}

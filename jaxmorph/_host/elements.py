@@ -28,9 +28,8 @@ def quadrature(kind: str) -> tuple[np.ndarray, np.ndarray]:
     target = np.array(_COLLAPSED[kind])
     d = 2 if kind == "quad" else 3
     corners = _CUBE[: len(target), :d]
-    places = np.array(list(itertools.product((0.5 - 12**-0.5, 0.5 + 12**-0.5), repeat=d)), dtype=float)
-    if kind == "quad":
-        places = corners.astype(float)
+    gauss = 0.5 - 12**-0.5, 0.5 + 12**-0.5
+    places = corners.astype(float) if kind == "quad" else np.array(list(itertools.product(gauss, repeat=d)))
     factors = np.where(corners[None] == 1, places[:, None], 1 - places[:, None])  # (q, corners, d)
     signs = np.where(corners == 1, 1.0, -1.0)
     derivatives = np.stack([signs[:, i] * np.delete(factors, i, axis=2).prod(axis=2) for i in range(d)], axis=2)

@@ -77,14 +77,15 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
         raise FileNotFoundError(f"{path}: there is no folder {target.parent}.")
     _check_replaceable(path, target, folder)
     _sweep(target)
-    with named(path) if name_errors else contextlib.nullcontext():
+    with named(path):
         partial = _new(target, folder)
-        try:
+    try:
+        with named(path) if name_errors else contextlib.nullcontext():
             yield partial
-            with named(path):
-                partial.replace(target)
-        finally:
-            _remove(partial)
+        with named(path):
+            partial.replace(target)
+    finally:
+        _remove(partial)
 
 
 def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -> None:
@@ -102,9 +103,8 @@ def named(path: pathlib.Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError) as error:
-        text = str(
-            error.args[0][0][-1] if isinstance(error, shutil.Error) else error
-        )  # of a tree, the first that failed
+        # of a tree, the first that failed
+        text = str(error.args[0][0][-1] if isinstance(error, shutil.Error) else error)
         number = getattr(error, "errno", None) or int((re.search(r"\b[Ee]rrno (?:= )?(\d+)", text) or [0, 0])[1])
         names = [getattr(error, name, None) for name in ("filename", "filename2")]
         of_another = any(names) and not any(".partial" in os.fsdecode(name) for name in names if name is not None)

@@ -193,9 +193,8 @@ def _least(distortion: Distortion, y, base):
 def _ended(distortion: Distortion, y, base):
     value, slope = jax.value_and_grad(distortion)(y, base)
     points, ways = distortion.points(y, base), distortion.ways
-    if (
-        ways is not None and not ways.is_linear
-    ):  # a quarter of a turn from its start a node's slope vanishes, minimum or not
+    if ways is not None and not ways.is_linear:
+        # a quarter of a turn from its start a node's slope vanishes, minimum or not
         along = jnp.abs(jnp.sum(ways.normals * ways.at(points).normals, axis=2))
         along = jnp.where(jnp.sum(ways.normals**2, axis=2) > 0, along, 1)
         least = jnp.min(along, where=distortion.free[:, None], initial=1.0)

@@ -78,7 +78,8 @@ class Distortion(eqx.Module):
         """
         points, parts = self.points(y, base), []
         moves, d = self.scale * self.free, base.shape[1]
-        slopes = None if self.ways is None else self._slopes(y, base)
+        # of places by y: the last axis is that of y, for a partner the first node's
+        slopes = None if self.ways is None else _columns(lambda y: self.points(y, base), y)
 
         def cell_energy(squared, tau):
             return energy(squared, tau, self.softness, self.size, d)
@@ -100,10 +101,6 @@ class Distortion(eqx.Module):
         if self.ways is not None:
             parts.append(jnp.moveaxis(self._alone(y, base, floor), 0, 2))
         return jnp.concatenate(parts, axis=2)
-
-    def _slopes(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d d"]:
-        """Computes the derivatives of places by y: the last axis is that of y, for a partner the first node's."""
-        return _columns(lambda y: self.points(y, base), y)
 
     def _alone(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any) -> Float[Array, "n d d"]:
         """Computes what single nodes add to second derivatives: one off their walls, and how curved these are."""

@@ -35,7 +35,7 @@ def array(values: Any) -> Any:
     """Makes an array of JAX as `jnp.asarray` does, without a program for its shape, and with memory of its own."""
     if isinstance(values, jax.Array) or not is_known(values):
         return jnp.asarray(values)
-    return jax.device_put(np.array(values))
+    return as_jax(np.asarray(values))
 
 
 def taken(values: Any, rows: Any) -> Any:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._host.door import check_fields, checked
-from .._kernels.values import array, as_jax, is_known, on_host, taken
+from .._kernels.values import as_jax, is_known, on_host, taken
 from ._door import Numbers, positions
 from ._shape import AbstractShape
 
@@ -98,7 +98,7 @@ class OnRows(AbstractShape):
         rows = np.asarray(rows)
         if rows.ndim != 1 or rows.dtype.kind not in "iu" or (rows < 0).any() or len(np.unique(rows)) != len(rows):
             raise ValueError(f"`rows` is an array {rows.shape} of {rows.dtype}; expected (k,) different row numbers.")
-        self.shape, self.rows = shape, array(rows)
+        self.shape, self.rows = shape, as_jax(rows)
 
     def neutral(self) -> PyTree:
         """Makes the parameters that move nothing."""

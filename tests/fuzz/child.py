@@ -108,13 +108,14 @@ def main(name: str, seed: int, first: int, last: int, folder: pathlib.Path) -> N
         place.write_bytes(gzip.compress(damaged) if packed else damaged)
         signal.setitimer(signal.ITIMER_PROF, 3 * SECONDS)  # ends the process
         # what is left may be whole: without the end of its last word, the byte order of numbers, or a line of a list of names
-        is_whole = kind not in ("cut", "line less", "line twice") or place.suffix == ".patches"
+        has_other_lines = kind in ("cut", "line less", "line twice")
+        is_whole = not has_other_lines or place.suffix == ".patches"
         is_whole |= kind == "cut" and len(text[len(damaged) :].split()) < 2
         is_whole |= b"arch " in text and b"arch " not in damaged
 
         if not is_whole:
             judge = functools.partial(differs, good[which])
-        elif kind in ("cut", "line less", "line twice"):
+        elif has_other_lines:
             judge = nothing
         else:
             sealed = place.suffix == ".gz" and not packed

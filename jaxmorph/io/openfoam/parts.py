@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import functools
 import os
 import pathlib
 import re
@@ -203,19 +202,22 @@ class Decomposed:
         - `path`: the new folder.
         - `ranks`: the communicator of an MPI run whose processes write together. Default: one process.
         """
-        ranks = Alone() if ranks is None else ranks
+        ranks, target = Alone() if ranks is None else ranks, pathlib.Path(path)
         with contextlib.ExitStack() as stack:
 
             def begin() -> pathlib.Path | None:
-                self.check_output(path)
-                new = complete(pathlib.Path(path), folder=True, name_errors=False)
-                with named(pathlib.Path(path)):
-                    return stack.enter_context(new) if ranks.rank == 0 else None
+                self.check_output(target)
+                new = complete(target, folder=True, name_errors=False)
+                return stack.enter_context(new) if ranks.rank == 0 else None
+
+            def copy() -> None:
+                if ranks.rank == 0:
+                    with named(target):
+                        self._copy(partial)
 
             partial = ranks.bcast(together(ranks, begin))
-            copy = functools.partial(self._copy, partial, pathlib.Path(path))
-            together(ranks, copy if ranks.rank == 0 else lambda: None)
-            writer = Writer(self, pathlib.Path(path), partial, ranks, Agreement(ranks), set())
+            together(ranks, copy)
+            writer = Writer(self, target, partial, ranks, Agreement(ranks), set())
             yield writer
             written = {k for each in ranks.allgather(writer.written) for k in each}
 
@@ -228,17 +230,16 @@ class Decomposed:
 
             together(ranks, end)
 
-    def _copy(self, folder: pathlib.Path, path: pathlib.Path) -> None:
-        """Copies what the parts share, without the undivided mesh, into a folder that will be `path`."""
+    def _copy(self, folder: pathlib.Path) -> None:
+        """Copies what the parts share, without the undivided mesh."""
         mesh = self.path / "constant"
 
         def left_out(here: str, names: list[str]) -> set[str]:
             return {"polyMesh"} & {*names} if pathlib.Path(here) == mesh else set()
 
-        with named(path):
-            for name in COPIED:
-                if (self.path / name).is_dir():
-                    shutil.copytree(self.path / name, folder / name, ignore=left_out)
+        for name in COPIED:
+            if (self.path / name).is_dir():
+                shutil.copytree(self.path / name, folder / name, ignore=left_out)
 
     def _boundary(self, k: int) -> list[Patch]:
         return patches(load(self.folder(k) / "constant" / "polyMesh", "boundary"))
