@@ -191,10 +191,18 @@ def test_polyhedra(tmp_path):
     np.testing.assert_array_equal(mesh.patch("floor", "unnamed"), np.flatnonzero(~inside))
     io.write(tmp_path / "b.cgns", mesh.moved(points * np.pi))
     np.testing.assert_array_equal(io.read(tmp_path / "b.cgns").points, points * np.pi)
-    with h5py.File(tmp_path / "a.cgns", "r+") as file:
-        file["Base/p/cells/ElementConnectivity/ data"][0] = 999
-    with pytest.raises(ValueError, match="zone p: NFACE_n names faces that are in no section NGON_n"):
-        io.read(tmp_path / "a.cgns")
+    good = (tmp_path / "a.cgns").read_bytes()
+    for part, value, message in (
+        ("cells/ElementConnectivity", 999, "NFACE_n names faces that are in no section NGON_n"),
+        ("faces/ElementConnectivity", 2, r"\d cells do not close, first cell \d: NGON_n or NFACE_n are damaged"),
+        ("faces/ElementStartOffset", 1, "the offsets of section faces do not cut its"),
+    ):
+        (tmp_path / "a.cgns").write_bytes(good)
+        with h5py.File(tmp_path / "a.cgns", "r+") as file:
+            file[f"Base/p/{part}/ data"][0] = value
+        with pytest.raises(ValueError, match=f"zone p: {message}"):
+            io.read(tmp_path / "a.cgns")
+    (tmp_path / "a.cgns").write_bytes(good)
     with h5py.File(tmp_path / "a.cgns", "r+") as file:
         del file["Base/p/cells/ElementStartOffset"]
     with pytest.raises(ValueError, match="section cells has no ElementStartOffset"):

@@ -68,6 +68,18 @@ def test_a_wrong_cell_beside_a_face_leaves_cells_open(case):
                 io.read(case)
 
 
+def test_a_wrong_node_of_a_face_leaves_cells_open(case):
+    """Every corner of every face, tetrahedra and hexahedra alike: with another node, its cells do not close."""
+    file = case / "constant" / "polyMesh" / "faces"
+    head, text = re.split(r"(?<=17\n)", file.read_text())
+    places = list(re.finditer(r"(?<=[( ])\d+", text))
+    assert len(places) == 8 * 4 + 9 * 3
+    for place in places:
+        file.write_text(head + text[: place.start()] + str((int(place[0]) + 3) % 9) + text[place.end() :])
+        with pytest.raises(ValueError, match=r"[12] cells do not close, first cell \d"):
+            io.read(case)
+
+
 def test_a_face_that_names_no_node(case):
     changed(case, "faces", r"(?<=\()\d+(?= \d+ \d+)", "2147483000")
     with pytest.raises(ValueError, match="faces: a face names node 2147483000"):

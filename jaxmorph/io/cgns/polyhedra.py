@@ -71,11 +71,11 @@ def polyhedra(
         np.where(turned, sides[1], sides[0])[kept],
         np.where(turned, -1, sides[1])[kept],
     )
-    typed, ids = standard_cells(faces)
-    cut = ids.pop("polyhedron", np.zeros(0, np.int64))
-    ajar = open_cells(faces, cut)
+    ajar = open_cells(faces)
     if len(ajar):
         raise ValueError(f"{len(ajar)} cells do not close, first cell {ajar[0]}: NGON_n or NFACE_n are damaged")
+    typed, ids = standard_cells(faces)
+    cut = ids.pop("polyhedron", np.zeros(0, np.int64))
     blocks = [Block(kind, corners + first, ids[kind]) for kind, corners in typed.items()]
     if len(cut):
         pieces, owner = tetrahedra(faces, cut, points)

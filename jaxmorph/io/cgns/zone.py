@@ -121,6 +121,11 @@ class Zone:
                         f"section {name} has no ElementStartOffset; cgnsupdate brings the file to version 4"
                     )
                 rows = Ragged(connectivity, data(parts["ElementStartOffset"]).astype(np.int64))
+                least = 3 if kind == NGON else 4
+                if rows.starts[0] != 0 or rows.starts[-1] != len(connectivity) or (np.diff(rows.starts) < least).any():
+                    raise self.error(
+                        f"the offsets of section {name} do not cut its {len(connectivity)} numbers into rows of {least} or more"
+                    )
                 if kind == NFACE:
                     volumes.append(rows)
                     continue

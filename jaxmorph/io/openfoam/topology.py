@@ -41,12 +41,12 @@ def topology_of(folder: pathlib.Path, boundary: list[Patch], is_plane: bool) -> 
     """Reads the topology from the files of a folder; of a 2-D case, faces and patches alone."""
     faces = _faces(folder)
     _check(folder, boundary, faces)
-    cells, ids = ({}, {}) if is_plane else standard_cells(faces)
-    ajar = open_cells(faces, ids["polyhedron"]) if "polyhedron" in ids else np.zeros(0, int)
+    ajar = open_cells(faces)
     if len(ajar):
         raise ValueError(
             f"{folder}: {len(ajar)} cells do not close, first cell {ajar[0]}: faces, owner or neighbour are damaged."
         )
+    cells, ids = ({}, {}) if is_plane else standard_cells(faces)
     parts: dict[str, list[np.ndarray]] = {
         patch.name: [] for patch in boundary if not (patch.is_between or patch.refers)
     }
