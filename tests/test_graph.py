@@ -189,6 +189,19 @@ def test_surfaces_without_extent(dimension):
         jm.prepare(points, np.arange(dimension), method=jm.DelaunayGraph())
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_mortons_order_interleaves_the_bits_of_the_coordinates(dimension):
+    """Against whole numbers of Python: bit k of axis a is bit k d + a of the key, 31 bits an axis in 2-D, 20 in 3-D."""
+    bits = 62 // dimension
+    points = np.random.default_rng(0).random((200, dimension))
+    points[:2] = [[0], [1]]
+    keys = [
+        sum((int(x * (2**bits - 1)) >> k & 1) << (k * dimension + a) for a, x in enumerate(row) for k in range(bits))
+        for row in points
+    ]
+    np.testing.assert_array_equal(morton_order(points), sorted(range(200), key=keys.__getitem__))
+
+
 def test_mortons_order_keeps_neighbours_together():
     points = np.random.default_rng(5).uniform(size=(4096, 3))
     order = morton_order(points)

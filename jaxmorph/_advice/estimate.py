@@ -12,9 +12,9 @@ from .._host.topology import FACES
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._methods.fitted import FittedRBF
-from .._methods.rbf import MANY, RBF
+from .._methods.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.solvers import Iterative, dense_count
+from .._methods.solvers import Iterative
 from .._plan.door import node_ids
 
 START = 0.3e9
@@ -104,13 +104,13 @@ def estimate(
     parts = 1 if chunk is None else max(1, -(-(n - b) // chunk))
     size = np.dtype(mesh.points.dtype).itemsize / 8
     quality = FACE * sum(len(ids) * len(FACES[kind]) for kind, ids in mesh.cells.items())
-    is_iterated = _is_iterated(method, s)
-    if is_iterated:
-        system, solve = 5000 * s + 24 * dense_count(Iterative(), s) ** 2, PRODUCTS * s**2 * PAIR
+    solver = _iterative(method, s)
+    if solver is not None:
+        system, solve = 5000 * s + 24 * solver.dense_count(s) ** 2, PRODUCTS * s**2 * PAIR
     else:
         system, solve = 24 * s**2, SOURCES * s**3
     memory = START + size * (500 * (n + planned) + system) + quality
-    fit = solve / 4 if is_iterated else solve  # a few of its steps
+    fit = solve if solver is None else solve / 4  # a few of its steps
     located = 0 if isinstance(method, RBF) else n + (parts - 1) * b  # points to be found in a graph or near a wall
     return Estimate(
         *(n, b, s, memory),
@@ -131,10 +131,10 @@ def _sources(method: AbstractMethod, points: np.ndarray, moving: np.ndarray, fix
     return len(on_wall) + (len(rbf.fixed_reduction.beside(points[fixed], points[moving][on_wall])) if len(fixed) else 0)
 
 
-def _is_iterated(method: AbstractMethod, count: int) -> bool:
-    """Tells whether the system is solved by iterations."""
+def _iterative(method: AbstractMethod, count: int) -> Iterative | None:
+    """Returns the solver of the method's system by iterations, None where there is none."""
     rbf = method.coarse if isinstance(method, SurfaceReconstruction) else method
-    return isinstance(rbf, RBF) and (isinstance(rbf.solver, Iterative) or (rbf.solver is None and count > MANY))
+    return rbf.iterative(count) if isinstance(rbf, RBF) else None
 
 
 def _physical_memory() -> float:

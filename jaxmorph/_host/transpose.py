@@ -32,11 +32,9 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
     lengths = -(-sizes // WIDTH)
     owner = np.repeat(np.arange(count, dtype=np.int32), lengths)
     first_row, first_entry = np.cumsum(lengths) - lengths, np.cumsum(sizes) - sizes
-    sorted_columns = columns[order]
-    within = np.arange(len(order)) - first_entry[sorted_columns]
-    table = np.full((len(owner), WIDTH), -1, dtype=np.int32)
-    table[first_row[sorted_columns] + within // WIDTH, within % WIDTH] = entries
-    return table, owner
+    table = np.full(len(owner) * WIDTH, -1, dtype=np.int32)
+    table[np.arange(len(order)) + np.repeat(WIDTH * first_row - first_entry, sizes)] = entries
+    return table.reshape(-1, WIDTH), owner
 
 
 def _stable_order(columns: np.ndarray, count: int) -> np.ndarray:

@@ -57,8 +57,11 @@ def compiled(function: Function) -> Function:
 
 @contextlib.contextmanager
 def quickly_compiled(is_quick: bool = True) -> Iterator[None]:
-    """Compiles what is called within without optimisation, and runs that code, which is slower: for one run on a small mesh."""
-    token = _is_quick.set(is_quick)
+    """Compiles what is called within without optimisation, and runs that code, which is slower: for one run on a small mesh.
+
+    Where `is_quick` is False, it changes nothing.
+    """
+    token = _is_quick.set(is_quick or _is_quick.get())
     try:
         yield
     finally:

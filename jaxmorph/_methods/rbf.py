@@ -35,7 +35,6 @@ from .solvers import (
     Direct,
     Iterative,
     OrderedIds,
-    dense_count,
     local_weights,
     precondition,
 )
@@ -127,10 +126,10 @@ class RBF(AbstractMethod):
 
     def connect(self, surface: Surface, points):
         sources = self.chosen(surface)
-        solver = self._iterative(len(sources))
+        solver = self.iterative(len(sources))
         if solver is None:
             return sources, None
-        first = dense_count(solver, len(sources))
+        first = solver.dense_count(len(sources))
         order, earlier = far_to_near(surface.points[sources].astype(float), first, solver.neighbours)
         return OrderedIds(jnp.asarray(sources[order]), jnp.asarray(earlier)), None
 
@@ -141,7 +140,7 @@ class RBF(AbstractMethod):
         self._check_spread(surface.points[sources])
         return sources.astype(np.int32)
 
-    def _iterative(self, count: int) -> Iterative | None:
+    def iterative(self, count: int) -> Iterative | None:
         """Returns the iterative solver for a number of sources, or None where the system is factored."""
         if self.solver is None:
             return Iterative() if count > MANY else None
@@ -185,7 +184,7 @@ class RBF(AbstractMethod):
         method, places, stretch = jax.lax.stop_gradient((self, sources, scale))  # any preconditioner gives one solution
         first = len(sources) - len(ids.earlier)
         weights = local_weights(lambda r2: method._matrix(r2, stretch), places, ids.earlier, self.degree, self._sign)
-        tolerance = (method._iterative(len(sources)) or Iterative()).tolerance.astype(weights.dtype)
+        tolerance = (method.iterative(len(sources)) or Iterative()).tolerance.astype(weights.dtype)
         floor = ROUNDINGS * float(jnp.finfo(weights.dtype).eps)
         rows = Cardinals(ids.earlier, weights, jnp.maximum(tolerance, floor))
         lu, pivots = method._factored(places[:first], stretch)

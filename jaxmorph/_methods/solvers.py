@@ -85,11 +85,10 @@ class Iterative(AbstractSolver):
         if self.dense is not None:
             whole("dense", self.dense, 8)
 
-
-def dense_count(solver: Iterative, count: int) -> int:
-    """Returns how many of `count` sources are solved densely."""
-    fewest, most = DENSE
-    return min(max(fewest, count // SHARE), most) if solver.dense is None else solver.dense
+    def dense_count(self, count: int) -> int:
+        """Returns how many of `count` sources are solved densely."""
+        fewest, most = DENSE
+        return min(count, min(max(fewest, count // SHARE), most) if self.dense is None else self.dense)
 
 
 class OrderedIds(eqx.Module):

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 
 from .._host.errors import warn
-from .._kernels.compile import compiled
+from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Cells, Surface, check_kind
@@ -24,6 +24,9 @@ from .periodic import Periodic, check_pairings
 from .plan import Guide, Plan, SurfacePart, VolumePart, refitted
 from .slide import Slide
 from .symmetry import Plane, check_planes
+
+FEW = 50_000, 2_000
+"""Points, and surface nodes, up to which compilation takes longer than what `prepare` computes with it once."""
 
 
 def prepare(
@@ -101,8 +104,10 @@ def _plan_of(named: Boundary, method: AbstractMethod, guide: Guide | None = None
         n_moving=len(named.moving),
         n_guided=len(named.guided),
     )
-    plan = _with_tables(refitted(plan, plan.points))
-    method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
+    sizes = len(named.points), len(surface.points)
+    with quickly_compiled(not method.needs_cells and all(size <= most for size, most in zip(sizes, FEW, strict=True))):
+        plan = _with_tables(refitted(plan, plan.points))
+        method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan
 
 
