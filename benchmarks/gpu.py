@@ -21,16 +21,20 @@ from _cases import displacements, plan_of
 import jaxmorph as jm
 
 PEAKS = {
-    "V100": (900, 7.8),
-    "A100": (2039, 9.7),
-    "H100": (3350, 34),
-    "H200": (4800, 34),
-    "L40S": (864, 1.4),
-    "RTX 4090": (1008, 1.3),
-    "MI250X": (3277, 47.9),
-    "MI300X": (5300, 81.7),
+    "Tesla V100-SXM2-16GB": (900, 7.8),
+    "Tesla V100-SXM2-32GB": (900, 7.8),
+    "NVIDIA A100-PCIE-40GB": (1555, 9.7),
+    "NVIDIA A100-SXM4-40GB": (1555, 9.7),
+    "NVIDIA A100 80GB PCIe": (1935, 9.7),
+    "NVIDIA A100-SXM4-80GB": (2039, 9.7),
+    "NVIDIA H100 PCIe": (2000, 26),
+    "NVIDIA H100 80GB HBM3": (3350, 34),
+    "NVIDIA H200": (4800, 34),
+    "NVIDIA L40S": (864, 1.4),
+    "NVIDIA GeForce RTX 4090": (1008, 1.3),
+    "AMD Instinct MI300X": (5300, 81.7),
 }
-"""Memory bandwidth in GB/s and float64 peak in TFLOP/s, without tensor cores, of the makers' data sheets."""
+"""By exact kind of device: bandwidth in GB/s, and float64 peak in TFLOP/s without tensor cores, of the makers' data sheets."""
 
 PAIR = 40
 """Operations of a pair: 8 for the distance, 26 for the logarithm and its product, 6 for the sum of three components."""
@@ -173,8 +177,7 @@ def main() -> None:
     about(n=arguments.n, s=arguments.s, dtype="float64", device=device.device_kind)
     if device.platform == "cpu":
         return without_device(arguments.n, arguments.s)
-    known = next((peak for name, peak in PEAKS.items() if name in device.device_kind), None)
-    peak = arguments.peak or known
+    peak = arguments.peak or PEAKS.get(device.device_kind)
     if peak is None:
         parser.error(f"the peaks of {device.device_kind} are not known: pass --peak BANDWIDTH_GB_S FLOAT64_TFLOP_S.")
     on_device(arguments.n, arguments.s, arguments.side, peak)

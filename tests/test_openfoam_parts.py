@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import types
 
 import foam
 import numpy as np
@@ -18,7 +19,7 @@ from jaxmorph._host.ranks import Agreement, Alone, together
 from jaxmorph._plan.door import boundary
 from jaxmorph._plan.faces import OuterFaces
 from jaxmorph.cli import main
-from jaxmorph.cli._decomposed import _say_warnings_of_all
+from jaxmorph.cli._decomposed import STARTED, _ranks, _say_warnings_of_all
 from jaxmorph.cli._output import Output
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -330,3 +331,21 @@ def test_one_process_says_the_warnings_of_all(capsys):
     _say_warnings_of_all(out, Two())
     assert out.facts["warnings"] == ["warning: here", "warning: there"]
     assert capsys.readouterr().err.count("warning: ") == 2
+
+
+@pytest.mark.parametrize("name", ["SLURM_STEP_NUM_TASKS", "OMPI_COMM_WORLD_SIZE"])
+def test_processes_that_cannot_meet_do_not_write_one_case_twice(name, monkeypatch):
+    """Two processes of srun without MPI, or of another MPI library than mpi4py's: each would take itself for the only one."""
+    for each in STARTED:
+        monkeypatch.delenv(each, raising=False)
+    assert isinstance(_ranks(), Alone)
+    monkeypatch.setitem(sys.modules, "mpi4py", None)
+    monkeypatch.setenv(name, "1")
+    assert isinstance(_ranks(), Alone)
+    monkeypatch.setenv(name, "2")
+    with pytest.raises(ImportError, match="srun started this process, but mpi4py is missing"):
+        _ranks()
+    one = types.SimpleNamespace(MPI=types.SimpleNamespace(COMM_WORLD=types.SimpleNamespace(size=1)))
+    monkeypatch.setitem(sys.modules, "mpi4py", one)
+    with pytest.raises(ValueError, match=r"2 processes were started, and mpi4py sees 1:.*srun --mpi="):
+        _ranks()

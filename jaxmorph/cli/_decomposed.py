@@ -18,8 +18,11 @@ from ._parts import Verdict, Verdicts, verdict
 from ._requests import Deform
 from ._trials import MORE
 
-STARTED = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "PMIX_RANK", "PMI_RANK")
-"""Variables that mpiexec leaves in the environment of the processes that it starts."""
+COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
+"""Variables that count the processes which mpiexec or srun started together; the launcher's own are first."""
+
+STARTED = (*COUNTS, "MPI_LOCALNRANKS", "PMIX_RANK", "PMI_RANK")
+"""Variables that mpiexec and srun leave in the environment of the processes that they start."""
 
 
 class _Bad(Exception):
@@ -85,24 +88,24 @@ def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
 
 
 def _ranks() -> Ranks:
-    """Returns the processes that mpiexec started together. Raises `ImportError` and `ValueError` where they cannot meet."""
-    started = [os.environ[name] for name in STARTED if name in os.environ]
-    if not started:
+    """Returns the processes that mpiexec or srun started together. Raises `ImportError` and `ValueError` where they cannot meet."""
+    if not any(name in os.environ for name in STARTED):
         return Alone()
-    size = int(started[0]) if started[0].isdecimal() and "SIZE" in next(n for n in STARTED if n in os.environ) else None
+    counts = [os.environ[name] for name in COUNTS if name in os.environ]
+    size = int(counts[0]) if counts and counts[0].isdecimal() else None
+    if size == 1:
+        return Alone()
     try:
         from mpi4py import MPI
     except ImportError as error:
-        if size == 1:
-            return Alone()
         raise ImportError(
-            "mpiexec started this process, but mpi4py is missing: pip install 'jaxmorph[mpi]', or start without mpiexec."
+            "mpiexec or srun started this process, but mpi4py is missing: pip install 'jaxmorph[mpi]', or start one process."
         ) from error
     world: Any = MPI.COMM_WORLD
     if size is not None and world.size != size:
         raise ValueError(
-            f"mpiexec started {size} processes, and mpi4py sees {world.size}: they belong to different MPI libraries. Take the "
-            "mpiexec of mpi4py's library."
+            f"{size} processes were started, and mpi4py sees {world.size}: they belong to different MPI libraries. Take the "
+            "mpiexec of mpi4py's library, or srun --mpi= with a name that this library knows (srun --mpi=list)."
         )
     return world
 
