@@ -186,8 +186,11 @@ def test_devices_pipes_and_folders_are_not_replaced(tmp_path):
     (tmp_path / "link.su2").symlink_to("/dev/null")
     (tmp_path / "folder.su2").mkdir()
     for name in ("pipe", "link", "folder"):
-        with pytest.raises(ValueError, match=rf"{name}\.su2: is a (folder|device or a pipe)"):
-            io.write(tmp_path / f"{name}.su2", small())
+        path, message = tmp_path / f"{name}.su2", rf"{name}\.su2: is a (folder|device or a pipe)"
+        with pytest.raises(ValueError, match=message):
+            io.write(path, small())
+        with pytest.raises(ValueError, match=message), complete(path):
+            pass
     assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
     assert names(tmp_path) == ["folder.su2", "link.su2", "pipe.su2"]
 

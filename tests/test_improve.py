@@ -14,6 +14,10 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._improve.improve import _prepared
 from jaxmorph._improve.systems import pattern, solve
+from jaxmorph._improve.ways import Ways
+from jaxmorph._kernels.values import as_jax
+from jaxmorph._plan.periodic import Pairing
+from jaxmorph._plan.walls import Flat, Track
 from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
 from jaxmorph._quality.vector import corners
 
@@ -218,6 +222,34 @@ def quarter():
         angle,
         {"sliding": jm.Slide("shroud", jm.Revolution()), "periodic": jm.Periodic("first", "last")},
     )
+
+
+def test_steps_lead_along_walls_and_partners_follow():
+    """Of a shifted start a node keeps what leads off its walls, and a partner what leads it apart from the other."""
+    turn, none = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.zeros(0, dtype=np.int32)
+    start = np.array([[0.3, 0.4, 0], [0, 0.7, 0], [1, 2, 3], [2, 1, 0.5], [-1, 2, 0.5], [1, 0, 1], [1, 2, 1]])
+    floor, side = (Flat(np.asarray(normal), np.zeros(3)) for normal in ([0.0, 0, 1], [0.6, 0, 0.8]))
+    tracks = Track(np.array([0]), (floor,)), Track(np.array([1]), (side, floor))
+    nodes = [np.array([k], dtype=np.int32) for k in range(3, 7)]
+    pairings = (
+        Pairing(*nodes[:2], none, turn, np.zeros(3), np.diag([0.0, 0, 1]), 4, 1, True),
+        Pairing(*nodes[2:], none, np.eye(3), np.array([0.0, 2, 0]), np.eye(3), 0, 1, False),
+    )
+    follows = jnp.asarray([False, False, False, False, True, False, True])
+    ways = Ways(*as_jax((tracks, pairings)), follows, jnp.zeros((7, 2, 3))).at(jnp.asarray(start))
+    off = np.zeros((7, 3, 3))
+    off[0], off[1] = np.diag([0, 0, 1]), np.diag([1, 0, 1])
+    np.testing.assert_allclose(ways.off, off, rtol=0, atol=1e-14)
+    step, given = np.random.default_rng(0).normal(size=(2, 7, 3))
+    expected = np.array(step)
+    expected[0, 2], expected[1, [0, 2]] = given[0, 2], given[1, [0, 2]]
+    expected[4], expected[6] = turn @ (step[3] - given[3]) + given[4], step[5] - given[5] + given[6]
+    found = ways(*map(jnp.asarray, (start, step, given)))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    moved = start + 0.1 * np.cos(np.arange(21.0)).reshape(7, 3)
+    matched = np.array(moved)
+    matched[6] = moved[5] + [0, 2, 0]
+    np.testing.assert_array_equal(ways.matched(jnp.asarray(start), jnp.asarray(moved)), matched)
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """The correction of Rendall and Allen: against its formula written out, and its limits."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from cases import body, few, motion
 
 import jaxmorph as jm
 from jaxmorph import shapes
+from jaxmorph._methods.sparse import Reach
 
 
 def by_hand(mesh, values, radius):
@@ -22,10 +24,10 @@ def test_alone_it_is_its_formula(dimension):
     mesh = body(dimension)
     u = motion(mesh.points[mesh.moving])
     values = np.concatenate([u, np.zeros((len(mesh.fixed), dimension))])
-    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.LocalCorrection(1.3))
-    expected = mesh.points + by_hand(mesh, values, np.full(len(values), 1.3))
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.LocalCorrection(2.0))
+    expected = mesh.points + by_hand(mesh, values, np.full(len(values), 2.0))
     np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-12)
-    assert plan.reach == pytest.approx(1.3)
+    assert plan.reach == pytest.approx(2.0)
 
 
 def test_it_carries_what_a_reduced_field_misses_as_far_as_the_sources_are_apart():
@@ -45,6 +47,19 @@ def test_it_carries_what_a_reduced_field_misses_as_far_as_the_sources_are_apart(
     )
     expected = mesh.points + coarse + by_hand(mesh, missed, np.concatenate(radius))
     np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-12)
+
+
+def test_nothing_is_corrected_where_every_node_is_a_source():
+    """The radius is zero there: so are weights and derivatives, on the node and off it."""
+    nodes = Reach(jnp.zeros(1, int), jnp.ones(1, bool))
+
+    def weight(x, radius, surface):
+        return jm.LocalCorrection().place(x, nodes, radius, surface).weights.sum()
+
+    for x in np.eye(2):
+        value, slopes = jax.value_and_grad(weight, (0, 1, 2))(jnp.asarray(x), jnp.zeros(1), jnp.asarray([[1.0, 0.0]]))
+        assert value == 0
+        assert all((slope == 0).all() for slope in slopes)
 
 
 def test_points_beyond_the_hull_of_the_boundary_are_moved():

@@ -9,6 +9,7 @@ from cases import body, few, motion, whole_and_part
 
 import jaxmorph as jm
 from jaxmorph._host.graph import locate
+from jaxmorph._methods.sparse import Interpolation
 
 GRAPH = jm.DelaunayGraph()
 
@@ -167,6 +168,22 @@ def test_a_coarse_method_is_connected_once(planes):
     u = motion(part)[moving]
     expected = jm.deform(jm.prepare(part, moving, fixed, method=jm.DelaunayGraph(), symmetry=symmetry), u)
     np.testing.assert_allclose(jm.deform(plan, u), expected, rtol=0, atol=1e-14)
+
+
+def test_a_table_of_unequal_parts_sums_each():
+    """All rows of the first half have one column in common, those of the second have none."""
+    nodes, weights = np.repeat([[0, 0], [1, 0]], 4, axis=0), np.random.default_rng(0).uniform(size=(8, 2))
+    nodes[4:] = np.arange(8).reshape(4, 2)
+    table = Interpolation(jnp.asarray(nodes), jnp.asarray(weights)).with_table(8, 2).table
+    assert table is not None
+    values = np.random.default_rng(1).normal(size=(2, 4))
+    shares = zip(*(np.split(np.asarray(each), 2) for each in (table.entries, table.owner, table.weights)), strict=True)
+    for share, (entries, owner, sorted_weights) in enumerate(shares):
+        found, expected = np.zeros(8), np.zeros(8)
+        np.add.at(found, owner, (sorted_weights * values[share][entries // 2]).sum(axis=1))
+        rows = slice(4 * share, 4 * share + 4)
+        np.add.at(expected, nodes[rows], weights[rows] * values[share][:, None])
+        np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
 def test_the_transpose_after_refit_has_every_entry():

@@ -274,6 +274,10 @@ def test_means_are_weighted_by_area():
     assert float(report.mean_skewness) == pytest.approx((skew * area).sum() / area.sum(), rel=1e-12)
     assert float(report.max_skewness) == pytest.approx(skew.max(), rel=1e-12)
     assert float(report.mean("skewness", weighted=False)) == pytest.approx(skew.mean(), rel=1e-12)
+    for name in ("skewness", "aspect_ratio", "non_orthogonality"):
+        assert float(getattr(report, f"max_{name}")) == np.max(getattr(report, name))
+    for name in ("volume", "jacobian"):
+        assert float(getattr(report, f"min_{name}")) == np.min(getattr(report, name))
 
 
 def test_ratios_are_relative_to_the_undeformed_mesh():
@@ -300,6 +304,7 @@ def test_cells_that_were_bad_from_the_start_are_not_inverted():
         "left-handed": [0, 5, 2, 1],
         "straight corner": [0, 4, 1, 2],
         "collapsed": [0, 4, 1, 4],
+        "collapsed too": [4, 1, 4, 0],
         "two nodes in one place": [1, 6, 2, 2],
     }
     mesh = jm.Mesh(points, {"quad": list(quads.values())})
@@ -307,10 +312,12 @@ def test_cells_that_were_bad_from_the_start_are_not_inverted():
     report = jm.quality(mesh, jm.shapes.rotate(points + np.array([1e3, 7]), 1.0, [0, 0]))
     assert dict(zip(quads, report.is_inverted.tolist(), strict=True)) == dict.fromkeys(quads, False)
     np.testing.assert_allclose(report.jacobian_ratio, 1, rtol=1e-9)
-    assert report.is_degenerate.tolist() == [False, False, False, True, False]
+    assert report.is_degenerate.tolist() == [False, False, False, True, True, False]
+    assert int(report.degenerate) == 2
     # a reflection inverts whatever had a sign
     report = jm.quality(mesh, points * [-1, 1])
-    assert report.is_inverted.tolist() == [True, True, True, False, True]
+    assert report.is_inverted.tolist() == [True, True, True, False, False, True]
+    assert int(report.inverted) == 4
 
 
 def test_non_convex_quads_and_hexahedra_are_found_by_their_corners():
@@ -554,11 +561,15 @@ def test_the_host_says_what_is_wrong():
 
 def test_the_table_fits_a_terminal():
     mesh = tetrahedra()
-    text = str(jm.quality(mesh, mesh.points - [0, 0, 1e-4]))
+    report = jm.quality(mesh, mesh.points - [0, 0, 1e-4])
+    text = str(report)
     assert max(map(len, text.splitlines())) <= 80
     assert text.splitlines()[0] == f"{len(mesh.cells['tetra'])} tetra: 0 inverted, 0 degenerate from the start"
     assert [line.split()[0] for line in text.splitlines()[2:]] == list(MEASURES)
     assert "volume_ratio" not in str(jm.quality(mesh))
+    several = jax.tree.map(lambda values: jnp.stack([values, values, values]), report)
+    assert str(several) == repr(several)
+    assert several.inverted.tolist() == several.degenerate.tolist() == [0, 0, 0]
 
 
 def test_nan_is_never_fine():
@@ -572,8 +583,9 @@ def test_wrong_arguments():
     points, cells = box((2, 2))
     with pytest.raises(ValueError, match="no cells"):
         jm.quality(jm.Mesh(points))
-    with pytest.raises(ValueError, match=r"\(9, 3\); this mesh has \(9, 2\)"):
-        jm.quality(jm.Mesh(points, {"quad": cells}), np.zeros((9, 3)))
+    for judged in (jm.quality, jm.face_quality):
+        with pytest.raises(ValueError, match=r"\(9, 3\); this mesh has \(9, 2\)"):
+            judged(jm.Mesh(points, {"quad": cells}), np.zeros((9, 3)))
 
 
 @pytest.mark.parametrize("kind", ["quad", "hexahedron", "tetra", "wedge"])

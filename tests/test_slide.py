@@ -295,7 +295,7 @@ def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
     plan, other = jm.prepare(mesh, "hole", method=TPS, **boundary), mesh.moved(mesh.points * [2, 1])
     u = 0.2 * np.sin(other.points[plan.moving] + np.array([0.3, 1.0]))
     moved = np.asarray(jm.deform(jm.refit(plan, other.points), u))
-    expected = jm.deform(jm.prepare(other, "hole", method=TPS, **boundary), u)
+    expected = jm.deform(jm.prepare(other, mesh.patch("hole"), method=TPS, **boundary), u)
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-13)
     judged = jm.boundary_quality(jm.refit(plan, other.points), moved)
     assert (judged.off_plane, judged.off_surface, judged.mismatch) == (0, 0, 0)

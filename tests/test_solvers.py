@@ -9,6 +9,7 @@ from cases import body, iterative, motion
 import jaxmorph as jm
 from jaxmorph._host.ordering import far_to_near
 from jaxmorph._methods import rbf as rbf_module
+from jaxmorph._methods.solvers import ConjugateGradients
 
 
 def classic(solver=None, basis=None, **options):
@@ -119,6 +120,19 @@ def test_what_does_not_converge_is_told():
     flat[mesh.boundary] = flat[mesh.boundary[0]]  # all sources at one place: no such system has a solution
     moved = np.asarray(jm.deform(jm.refit(plan, flat), u))
     assert np.isnan(moved[mesh.inner]).all()
+
+
+def test_steps_go_on_until_residual_and_error_are_within_the_tolerance():
+    """On a diagonal system, whose error in the norm of the basis is at most twice the one that the steps know."""
+    diagonal, right = jnp.linspace(0.5, 2, 30)[:, None], jnp.sin(jnp.arange(30.0))[:, None]
+    system = ConjugateGradients(lambda v: diagonal * v, lambda v: v, jnp.zeros((30, 0)), jnp.asarray(1e-6))
+    for size, energy in ((1e-3, 1e30), (1e6, 0.0)):  # the other condition holds from the start
+        found = system.improve(right, jnp.asarray(size), 100, jnp.full(1, energy)).beta
+        if energy:
+            assert jnp.abs(right - diagonal * found).max() <= 1e-6 * size
+        else:
+            error = jnp.sum(diagonal * (found - right / diagonal) ** 2)
+            assert error <= 2 * 1e-12 * jnp.sum(right**2 / diagonal)
 
 
 def test_nonsense_at_the_door():
