@@ -12,19 +12,20 @@ from scipy import sparse
 from scipy.sparse import linalg
 from scipy.sparse.csgraph import connected_components
 
+from .multigrid import by_component, conjugate_gradients, hierarchy
+
 DIRECT = 12_000
 """Unknowns up to which a 3-D system is factored. 2-D systems always are, since their factors hardly fill."""
-ACCURACY = 1e-9
-"""Residual, relative to the right side, at which conjugate gradients stop."""
+RESORT = 60_000
+"""Unknowns up to which a 3-D system is factored where conjugate gradients do not converge, as on thin layers of cells."""
 KEPT = 2
 """Systems whose factors are kept, the latest ones."""
 
 _kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=KEPT)
 _lock = threading.Lock()
-_random = threading.Lock()
 
 
-def solve(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
+def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> np.ndarray:
     """Solves A x = right for the free unknowns; x is zero for the others.
 
     Leading axes of the arguments, as batches have them, are 1 or equal to each other.
@@ -36,22 +37,22 @@ def solve(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
     - `diagonal` (n,) or (n, d, d): entries of a node with itself.
     - `masses` (n,) or (0,): where given, the matrix is K M^-1 K, with K the one described and M of these masses.
     - `free` (n, d): unknowns to solve for.
-    - `places` (n, d): coordinates, for the rigid motions that a multigrid method keeps; (n, 0) for no such method.
     - `right` (n, k): k = d columns.
+    - `multigrid`: whether conjugate gradients take it: the matrix is of an equation on cells.
 
     **Returns:** x (n, d), in the precision of `right`; NaN where a system is not finite or not positive, or not solved.
     """
     leading = np.ndim(right) - 2
-    arrays = [np.asarray(array) for array in (pairs, values, diagonal, masses, free, places, right)]
+    arrays = [np.asarray(array) for array in (pairs, values, diagonal, masses, free, right)]
     if leading == 0:
-        return _solved(*arrays)
+        return _solved(*arrays, multigrid=multigrid)
     shape = np.broadcast_shapes(*(array.shape[:leading] for array in arrays))
     result = np.empty((*shape, *arrays[-1].shape[leading:]), arrays[-1].dtype)
     for place in itertools.product(*map(range, shape)):
         one = [
             array[tuple(i if size > 1 else 0 for i, size in zip(place, array.shape, strict=False))] for array in arrays
         ]
-        result[place] = _solved(*one)
+        result[place] = _solved(*one, multigrid=multigrid)
     return result
 
 
@@ -63,15 +64,15 @@ def check_solver(unknowns: int, dimension: int) -> None:
         )
 
 
-def _solved(pairs, values, diagonal, masses, free, places, right) -> np.ndarray:
+def _solved(pairs, values, diagonal, masses, free, right, multigrid: bool) -> np.ndarray:
     key = (pairs, values, diagonal, masses, free)
     with _lock:
         apply = next((apply for old, apply in _kept if all(map(_equal, old, key))), None)
     if apply is None:
         if not all(np.isfinite(array).all() for array in (values, diagonal, masses)):
             return np.full_like(right, np.nan)
-        values, diagonal, masses = (array.astype(float) for array in (values, diagonal, masses))
-        apply = _inverse(pairs, values, diagonal, masses, free, places)
+        values, diagonal, masses = (array.astype(float, copy=False) for array in (values, diagonal, masses))
+        apply = _inverse(pairs, values, diagonal, masses, free, multigrid)
         with _lock:
             _kept.append((tuple(np.array(array) for array in key), apply))
     return apply(right.astype(float)).astype(right.dtype)
@@ -81,13 +82,12 @@ def _equal(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and a.dtype == b.dtype and bool(np.array_equal(a, b))
 
 
-def _inverse(pairs, values, diagonal, masses, free, places) -> Callable[[np.ndarray], np.ndarray]:
+def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
     """Makes the function that solves for right sides (n, d)."""
     n, d = free.shape
     if values.ndim == 3:
         rows, used = np.flatnonzero(free.any(axis=1)), free[free.any(axis=1)]
-        matrix = _blocks(pairs, values, diagonal, rows, used)
-        one = _of_matrix(matrix, d, _rigid_motions(places[rows]) * used.ravel()[:, None])
+        one = _of_matrix(_blocks(pairs, values, diagonal, rows, used), d, multigrid)
 
         def apply_blocks(right):
             x = np.zeros((n, d))
@@ -103,7 +103,7 @@ def _inverse(pairs, values, diagonal, masses, free, places) -> Callable[[np.ndar
         root = sparse.diags(masses**-0.5) @ matrix
         solvers = [_of_square(root[:, row]) for row in rows]
     else:
-        solvers = [_of_matrix(matrix[row][:, row], d, np.ones((len(row), min(1, places.shape[1])))) for row in rows]
+        solvers = [_of_matrix(matrix[row][:, row], d, multigrid) for row in rows]
 
     def apply(right):
         x = np.zeros((n, d))
@@ -140,7 +140,7 @@ def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
     return sparse.bsr_matrix((data, columns, starts), shape=(len(rows) * d,) * 2)
 
 
-def _of_matrix(matrix: Any, d: int, modes: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def _of_matrix(matrix: Any, d: int, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
     """Makes the solver of one matrix, scaled to a diagonal of ones, for right sides (k,) or (k, c)."""
     if matrix.shape[0] == 0:
         return lambda right: right
@@ -149,14 +149,45 @@ def _of_matrix(matrix: Any, d: int, modes: np.ndarray) -> Callable[[np.ndarray],
     scale = 1 / np.sqrt(matrix.diagonal())
     scaled = _scaled(matrix, scale)
     if d == 2 or matrix.shape[0] <= DIRECT:
-        options = {"SymmetricMode": True}
-        try:
-            factors = linalg.splu(scaled.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-        except RuntimeError:  # singular
-            return lambda right: np.full_like(right, np.nan)
-        return lambda right: (factors.solve((right.T * scale).T).T * scale).T
-    cycle = None if modes.shape[1] == 0 else _multigrid(scaled, modes / scale[:, None])
-    return _conjugate_gradients(scaled, scale, cycle)
+        return _factored(scaled, scale)
+    cycle = _cycle(scaled, scale) if multigrid else lambda residual: residual
+    factors: list[Callable[[np.ndarray], np.ndarray]] = []
+
+    def apply(right):
+        if not factors:
+            columns = right.reshape(len(scale), -1).T
+            parts = [conjugate_gradients(scaled, column * scale, cycle, scale) * scale for column in columns]
+            x = np.stack(parts, axis=1).reshape(right.shape)
+            if np.isfinite(x).all() or len(scale) > RESORT:
+                return x
+            factors.append(_factored(scaled, scale))
+        return factors[0](right)
+
+    return apply
+
+
+def _factored(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    options = {"SymmetricMode": True}
+    try:
+        factors = linalg.splu(scaled.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError:  # singular
+        return lambda right: np.full_like(right, np.nan)
+    return lambda right: (factors.solve((right.T * scale).T).T * scale).T
+
+
+def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes a cycle of multigrid for each component by itself: of blocks, their diagonal entries alone.
+
+    These are as good as the matrix but for a factor (Korn's inequality), in a ninth of the entries.
+    """
+    if scaled.format != "bsr":
+        return hierarchy(scaled, 1 / scale)
+    d, cycles = scaled.blocksize[0], []
+    for k in range(d):
+        part = sparse.csr_matrix((scaled.data[:, k, k], scaled.indices, scaled.indptr), copy=True)
+        part.eliminate_zeros()
+        cycles.append(hierarchy(part, 1 / scale[k::d]))
+    return by_component(cycles)
 
 
 def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
@@ -180,57 +211,14 @@ def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _scaled(matrix: Any, scale: np.ndarray) -> Any:
-    """Multiplies rows and columns, and leaves blocks as they are."""
+    """Multiplies rows and columns; blocks stay blocks, in the memory of the given ones."""
     if matrix.format != "bsr":
         return (sparse.diags(scale) @ matrix @ sparse.diags(scale)).tocsr()
-    size = matrix.blocksize[0]
-    scale = scale.reshape(-1, size)
+    scale = scale.reshape(-1, matrix.blocksize[0])
     owner = np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))
-    data = matrix.data * scale[owner][:, :, None] * scale[matrix.indices][:, None]
-    return sparse.bsr_matrix((data, matrix.indices, matrix.indptr), shape=matrix.shape)
-
-
-def _multigrid(scaled: Any, modes: np.ndarray) -> Any:
-    """Makes a cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996)."""
-    import pyamg  # pyright: ignore[reportMissingImports]
-
-    smoother = ("chebyshev", {"degree": 2})
-    options = {"presmoother": smoother, "postsmoother": smoother, "max_coarse": 300, "coarse_solver": "splu"}
-    with _random:
-        state = np.random.get_state()  # noqa: NPY002  pyamg draws from it: the same numbers each time, and the user's stay
-        np.random.seed(0)  # noqa: NPY002
-        try:
-            hierarchy = pyamg.smoothed_aggregation_solver(scaled, B=modes, **options)
-        finally:
-            np.random.set_state(state)  # noqa: NPY002
-    return hierarchy.aspreconditioner(cycle="V")
-
-
-def _conjugate_gradients(scaled: Any, scale: np.ndarray, cycle: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes conjugate gradients for right sides (k,) or (k, c), with a preconditioner or without."""
-
-    def one(right):
-        x, info = linalg.cg(scaled, right, rtol=ACCURACY, maxiter=1000, M=cycle)
-        return x if info == 0 else np.full_like(right, np.nan)
-
-    def apply(right):
-        if right.ndim == 1:
-            return one(right * scale) * scale
-        return np.stack([one(column * scale) * scale for column in right.T], axis=1)
-
-    return apply
-
-
-def _rigid_motions(places: np.ndarray) -> np.ndarray:
-    """Returns translations and infinitesimal rotations (n d, modes) of the nodes."""
-    n, d = places.shape
-    arms = places - places.sum(axis=0) / max(1, n)
-    modes = [np.tile(axis, (n, 1)) for axis in np.eye(d)]
-    for a, b in itertools.combinations(range(d), 2):
-        turn = np.zeros((n, d))
-        turn[:, a], turn[:, b] = -arms[:, b], arms[:, a]
-        modes.append(turn)
-    return np.stack([mode.ravel() for mode in modes], axis=1)
+    matrix.data *= scale[owner][:, :, None]
+    matrix.data *= scale[matrix.indices][:, None]
+    return matrix
 
 
 def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -79,6 +79,20 @@ def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> 
     return by_platform(lambda rows, block: _joined(function, rows, block), rows, block)
 
 
+def fold_rows(function: Callable[[PyTree, PyTree], PyTree], start: PyTree, rows: PyTree, block: int) -> PyTree:
+    """Folds blocks of `block` rows into one result, from `start` on: `function(result so far, rows)`."""
+    return by_platform(lambda rows, block: _folded(function, start, rows, block), rows, block)
+
+
+def _folded(function: Callable[[PyTree, PyTree], PyTree], start: PyTree, rows: PyTree, block: int) -> PyTree:
+    full = (len(jax.tree.leaves(rows)[0]) - 1) // block * block
+    result = function(start, jax.tree.map(lambda leaf: leaf[full:], rows))
+    if full == 0:
+        return result
+    blocks = jax.tree.map(lambda leaf: leaf[:full].reshape(-1, block, *leaf.shape[1:]), rows)
+    return jax.lax.scan(lambda so_far, part: (function(so_far, part), None), result, blocks)[0]
+
+
 def by_platform(function: Callable[[PyTree, int], PyTree], rows: PyTree, block: int) -> PyTree:
     """Calls `function(rows, block)` with the size of blocks that suits the platform the program is compiled for."""
     if len(jax.tree.leaves(rows)[0]) <= FEW * block:

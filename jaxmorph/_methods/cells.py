@@ -1,6 +1,7 @@
 """Methods that solve an equation on the mesh's cells, inner nodes and all: what they share."""
 
 import abc
+import functools
 from collections.abc import Mapping
 
 import equinox as eqx
@@ -12,9 +13,10 @@ from scipy.spatial import KDTree
 
 from .._host import linear
 from .._host.topology import CORNERS
+from .._kernels.compile import compiled
 from .._kernels.values import as_jax, norm
 from .base import AbstractField, AbstractMethod, Surface
-from .blocks import map_rows
+from .blocks import fold_rows
 
 CELLS = 4096
 """Cells whose entries are computed together."""
@@ -72,7 +74,8 @@ class AbstractCellMethod(AbstractMethod):
     a symmetry plane slide in it. Nodes in no cell, or in cells that no moving or fixed node belongs to, rest.
 
     The solve runs on the host, within traced code. In 2-D it factors the matrix; a large 3-D one takes conjugate gradients
-    with a multigrid cycle. The factors of the last two systems are kept. The transpose costs as much as the solve.
+    with a multigrid cycle. Where these do not converge, as on very thin layers of cells, up to 60,000 unknowns are factored.
+    The factors of the last two systems are kept. The transpose costs as much as the solve.
     """
 
     @abc.abstractmethod
@@ -135,35 +138,41 @@ class AbstractCellMethod(AbstractMethod):
             kind: np.minimum(first[kind], second[kind]) * n + np.maximum(first[kind], second[kind]) for kind in both
         }
         real = {kind: first[kind] != second[kind] for kind in both}
-        unique = np.unique(np.concatenate([np.zeros(0, np.int64), *(keys[kind][real[kind]] for kind in both)]))
+        ordered = np.sort(np.concatenate([np.zeros(0, np.int64), *(keys[kind][real[kind]] for kind in both)]))
+        unique = ordered[np.diff(ordered, prepend=-1) > 0]  # NumPy's own takes a table of hashes, and ten times as long
         entry = {kind: np.where(real[kind], np.searchsorted(unique, keys[kind]), len(unique)) for kind in both}
         return np.stack(np.divmod(unique, n), axis=1), {k: (entry[k], first[k] > second[k]) for k in both}
 
     def fit(self, ids: NodeIds, surface, points):
         places = jnp.matmul(points, ids.frame.astype(points.dtype), precision="highest")
-        count, n, parts = len(ids.pairs), len(places), []
-        distance = norm(places - places[ids.wall])
-        for kind, cells in ids.cells.items():
-            parts.append((cells.entry.ravel(), self._of_cells(kind, cells, places, distance)))
-        entry = jnp.concatenate([entry for entry, _ in parts])
-        values = jax.ops.segment_sum(jnp.concatenate([value for _, value in parts]), entry, count)
+        n, distance = len(places), norm(places - places[ids.wall])
+        first, *others = [self._of_cells(kind, ids, places, distance) for kind in ids.cells]
+        values = sum(others, start=first)
         turned = jnp.swapaxes(values, 1, 2) if values.ndim == 3 else values
         i, j = ids.pairs.T
         diagonal = -jax.ops.segment_sum(values, i, n) - jax.ops.segment_sum(turned, j, n)
         return NodeFactors(values, diagonal, self.masses(ids, places), places)
 
-    def _of_cells(self, kind: str, cells: CellIds, places, distance):
-        """Computes the entries of all cells of one type, one row a pair of corners."""
+    def _of_cells(self, kind: str, ids: NodeIds, places, distance):
+        """Adds up the entries of all cells of one type, one row a pair of nodes."""
+        cells = ids.cells[kind]
 
-        def of_one(corners, flipped):
+        @jax.checkpoint
+        def entries(corners, flipped):
             values = self.entries(kind, places[corners], distance[corners])
             if values.ndim == 1:
                 return values
             return jnp.where(flipped[:, None, None], jnp.swapaxes(values, 1, 2), values)
 
-        of_block = jax.checkpoint(lambda rows: jax.vmap(of_one)(*rows))
-        values = map_rows(of_block, (cells.corners, cells.flipped), CELLS)
-        return values.reshape(-1, *values.shape[2:])
+        def add(total, rows):
+            corners, entry, flipped = rows
+            return total.at[entry].add(jax.vmap(entries)(corners, flipped))
+
+        one = jax.eval_shape(
+            entries, *(jax.ShapeDtypeStruct(each.shape[1:], each.dtype) for each in (cells.corners, cells.flipped))
+        )
+        none = jnp.zeros((len(ids.pairs), *one.shape[1:]), one.dtype)
+        return fold_rows(add, none, (cells.corners, cells.entry, cells.flipped), CELLS)
 
     def field(self, ids: NodeIds, factors: NodeFactors, surface, u):
         frame = ids.frame.astype(u.dtype)
@@ -173,12 +182,18 @@ class AbstractCellMethod(AbstractMethod):
         return NodeField(jnp.concatenate([jnp.matmul(moved, frame.T, precision="highest"), u]))
 
     def check(self, ids: NodeIds, factors: NodeFactors, u):
-        moved = self.field(ids, factors, u, u).values
-        if not bool(jnp.isfinite(moved).all()):
+        if not _is_solved(self, ids, factors, u):
             raise ValueError(
                 f"the stiffness of {type(self).__name__} is not finite or not positive: cells without volume, or a stiffness "
                 "that differs too much between cells; or conjugate gradients did not converge. Try a smaller exponent."
             )
+
+
+@compiled
+def _is_solved(
+    method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Float[Array, "b d"]
+) -> Bool[Array, ""]:
+    return jnp.isfinite(method.field(ids, factors, u, u).values).all()
 
 
 class NodeField(AbstractField):
@@ -242,12 +257,13 @@ def _solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Fl
 
 def solved_on_host(product, pairs, factors: NodeFactors, free, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
     """Solves a symmetric system whose product with x is given, by `jaxmorph._host.linear.solve`. Traced."""
-    leaves = (pairs, factors.values, factors.diagonal, factors.masses, free, factors.places)
+    leaves = (pairs, factors.values, factors.diagonal, factors.masses, free)
 
     def solve(_, right):
         shape = jax.ShapeDtypeStruct(right.shape, right.dtype)
         stopped = jax.lax.stop_gradient(leaves)
-        return jax.pure_callback(linear.solve, shape, *stopped, right, vmap_method="expand_dims")
+        on_host = functools.partial(linear.solve, multigrid=factors.places.shape[1] > 0)
+        return jax.pure_callback(on_host, shape, *stopped, right, vmap_method="expand_dims")
 
     return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
