@@ -1,21 +1,21 @@
 """Volumes, pyramids, skewness, aspect ratio and non-orthogonality from the faces of cells, as OpenFOAM's checkMesh has them."""
 
 import dataclasses
-import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from .._host.adjacency import handedness, neighbours
 from .._host.door import checked
-from .._host.pairs import columns_of, is_among, sorted_columns, twins
-from .._host.topology import CORNERS, DIMENSION, FACES
-from .._mesh.faces import Faces
+from .._host.products import cross, dot
 from .._mesh.mesh import Mesh
+from .sides import Block, Group, Sides
 
-Vectors = Float[np.ndarray, "t d"]
-Centres = Float[np.ndarray, "cells d"]
+Columns = Any
+"""Components of vectors: a sequence of columns, or an array whose first axis runs over them."""
+
 FLOOR = 1e-300
 
 
@@ -70,217 +70,188 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
 
     **Raises:** `ValueError` for a mesh without cells, for surfaces in 3-D, and for another shape of `points`.
     """
+    return measured(mesh, Sides.listed(mesh), points)
+
+
+def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> FaceQuality:
+    """Measures cells as `face_quality` does, with the faces found before: `sides` are those of `mesh`."""
     points = np.asarray(mesh.points if points is None else points, dtype=float)
     if points.shape != tuple(mesh.points.shape):
         raise ValueError(f"`points` has shape {points.shape}; this mesh has {tuple(mesh.points.shape)}.")
-    if not any(len(ids) for ids in mesh.cells.values()):
-        raise ValueError("the mesh has no cells; its quality is not defined.")
-    sides = _standard(mesh) if mesh.polyhedra is None else _whole(mesh, mesh.polyhedra.faces)
-    if sides.faces.shape[1] < points.shape[1] + (points.shape[1] == 3):
-        raise ValueError(
-            "OpenFOAM's measures are for meshes that fill a region in 2-D or 3-D, not for surfaces in 3-D."
-        )
     with np.errstate(all="ignore"):  # points may be NaN
-        return _measured(mesh, sides, points)
+        shape = _Shape.measured(sides, points)
+        if mesh.polyhedra is None and mesh.between is None:
+            shape.turn(_turns(mesh, sides, points, shape.volume))
+        return _of_shape(sides, shape, points)
 
 
-def _measured(mesh: Mesh, sides: "_Sides", points: Float[np.ndarray, "n d"]) -> FaceQuality:
-    corners = sides.corners(points)
-    centre, area = _edges(corners) if points.shape[1] == 2 else _polygons(corners, sides.faces >= 0)
-    middle, volume = _cell_centres(centre, area, sides)
-    if mesh.polyhedra is None and mesh.between is None:
-        turn = _turns(mesh, sides, points, volume)
-        area, volume = area * turn[sides.owner][:, None], volume * turn
-    cosine = _cosines(sides, area, middle)
-    inner = cosine[sides.behind >= 0]
-    average = float(np.degrees(np.arccos(np.clip(inner.mean(), -1, 1)))) if len(inner) else 0.0
-    angles = sides.largest(np.where(sides.behind >= 0, np.degrees(np.arccos(cosine)), 0))
-    pyramid, is_wrong = _pyramids(sides, points, centre, area, middle)
+@dataclasses.dataclass(eq=False)
+class _Shape:
+    """Holds the faces of each group, their centres and area vectors (d, f), and of cells the middles (d, k) and d volumes (k,)."""
+
+    faces: list[tuple[Group, np.ndarray, np.ndarray]]
+    middle: Float[np.ndarray, "d k"]
+    volume: Float[np.ndarray, " k"]
+
+    @classmethod
+    def measured(cls, sides: Sides, points: Float[np.ndarray, "n d"]) -> "_Shape":
+        """Measures by pyramids (triangles in 2-D) from faces to the mean of their centres."""
+        d, columns = points.shape[1], np.ascontiguousarray(points.T)
+        faces, sums = [], np.zeros((d, sides.total))
+        for group in sides.groups:
+            centre, area = np.empty((2, d, len(group.owner)))
+            for block in group.blocks():
+                x = _corners(columns, block)
+                middle, vector = _edge(x) if d == 2 else _polygon(x)
+                centre[:, block.rows], area[:, block.rows] = middle, vector
+                for _, cells in block.views:
+                    for total, component in zip(sums, middle, strict=True):
+                        np.add.at(total, cells, component)
+            faces.append((group, centre, area))
+        sums /= np.maximum(sides.counts, 1)
+        moments, volumes = np.zeros_like(sums), np.zeros(sides.total)
+        for group, centres, areas in faces:
+            for block in group.blocks():
+                centre, area = centres[:, block.rows], areas[:, block.rows]
+                for sign, cells in block.views:
+                    middle = [mean.take(cells) for mean in sums]
+                    volume = sign * dot(area, [c - m for c, m in zip(centre, middle, strict=True)])
+                    np.add.at(volumes, cells, volume)
+                    volume /= d + 1
+                    for axis in range(d):
+                        np.add.at(moments[axis], cells, volume * (d * centre[axis] + middle[axis]))
+        moments /= np.where(volumes == 0, FLOOR, volumes)
+        return cls(faces, moments, volumes)
+
+    def turn(self, sign: Float[np.ndarray, " k"] | None) -> None:
+        """Turns the faces and volumes of cells by their sign."""
+        if sign is not None:
+            self.volume *= sign
+            for group, _, area in self.faces:
+                area *= sign[group.owner]
+
+
+def _of_shape(sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"]) -> FaceQuality:
+    columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
+    counts, noise = sides.counts, 8 * np.finfo(float).eps * np.abs(points).max()
+    is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
+    least, heights, seen = np.full(total, np.inf), np.zeros(total), np.zeros((d, total))
+    cosines = np.zeros(2)  # their sum and their number
+    for group, centres, areas in shape.faces:
+        for block in group.blocks():
+            centre, area = centres[:, block.rows], areas[:, block.rows]
+            size, skew, inner = _size(area), *_across(block, centre, area, shape.middle, columns)
+            is_inner = block.behind >= 0
+            cosines += len(block.views) * np.array([inner[is_inner].sum(), is_inner.sum()])
+            for sign, cells in block.views:
+                height = sign * dot(area, _arm(centre, shape.middle, cells))
+                is_wrong[cells[~(height >= -noise * size)]] = True
+                np.minimum.at(least, cells, height)
+                np.add.at(heights, cells, np.abs(height))
+                np.minimum.at(cosine, cells, inner)
+                np.maximum.at(skewness, cells, skew)
+                for column, component in zip(seen, area, strict=True):
+                    np.add.at(column, cells, np.abs(component))
+    counted = counts > 0
+    pyramid = least / np.maximum(heights / np.maximum(counts, 1), FLOOR)
     return FaceQuality(
-        volume / points.shape[1],
-        pyramid,
-        sides.counted & (~(volume > 0) | is_wrong),
-        _skewness(sides, corners, centre, area, middle),
-        _aspect_ratio(sides, area, volume),
-        angles,
-        middle,
-        sides.counted,
-        average,
+        shape.volume / d,
+        np.where(counted, pyramid, 1.0),
+        counted & (~(shape.volume > 0) | is_wrong),
+        skewness,
+        np.where(counted, _aspect_ratio(seen, shape.volume), 1.0),
+        np.degrees(np.arccos(cosine)),
+        shape.middle.T.copy(),
+        counted,
+        float(np.degrees(np.arccos(np.clip(cosines[0] / cosines[1], -1, 1)))) if cosines[1] else 0.0,
     )
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Sides:
-    """Corners of each face of each cell (-1 behind the last), its cell, the same face as its other cell sees it (-1 if none).
-
-    `total` is the number of cells, and `is_between` marks faces to other parts of the mesh.
-    """
-
-    faces: Int[np.ndarray, "t c"]
-    owner: Int[np.ndarray, " t"]
-    behind: Int[np.ndarray, " t"]
-    total: int
-    is_between: Bool[np.ndarray, " t"]
-
-    @functools.cached_property
-    def counts(self) -> Int[np.ndarray, " k"]:
-        """Number of faces of each cell."""
-        return np.bincount(self.owner, minlength=self.total)
-
-    @property
-    def counted(self) -> Bool[np.ndarray, " k"]:
-        return self.counts > 0
-
-    def corners(self, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "t c d"]:
-        """Gathers the coordinates of each side's corners; the first again behind the last."""
-        return points[np.where(self.faces < 0, self.faces[:, :1], self.faces)]
-
-    def largest(self, values: Float[np.ndarray, " t"], start: float = 0.0) -> Float[np.ndarray, " k"]:
-        """Takes the largest value over the faces of each cell, at least `start`."""
-        result = np.full(self.total, start)
-        np.maximum.at(result, self.owner, values)
-        return result
+def _across(
+    block: Block, centre: Columns, area: Columns, middle: Columns, points: Columns
+) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, " b"]]:
+    """Computes the skewness of faces, and the cosine between their area vectors and the lines of centres; 1 without a line."""
+    owner, behind = block.owner, block.behind
+    arm, size = _arm(centre, middle, owner), _size(area)
+    across = [m.take(behind) - m.take(owner) for m in middle]  # anything where there is no cell behind
+    cosine = np.clip(dot(area, across) / np.maximum(size * _size(across), FLOOR), -1, 1)
+    inside = True
+    if not block.is_shared:
+        inside = behind >= 0
+        cosine = np.where(inside, cosine, 1)
+        normal = [a / np.maximum(size, FLOOR) for a in area]
+        height = dot(normal, arm)
+        across = [np.where(inside, a, height * n) for a, n in zip(across, normal, strict=True)]
+    along = dot(area, across)
+    share = dot(area, arm) / np.where(along == 0, FLOOR, along)
+    by = [a - share * b for a, b in zip(arm, across, strict=True)]
+    miss = _size(by)
+    corners, reach = _corners(points, block), 0.0
+    for k in range(len(block.group.corners)):
+        arms = [x[k] - c for x, c in zip(corners, centre, strict=True)]
+        reach = np.maximum(reach, np.abs(dot(by, arms)))
+    least = np.where(inside, 0.2, 0.4) * _size(across)
+    skewness = miss / np.maximum(np.maximum(reach / np.maximum(miss, FLOOR), least), FLOOR)
+    return np.where(block.group.is_between[block.rows], 0, skewness), cosine
 
 
-def _skewness(
-    sides: _Sides, corners: Float[np.ndarray, "t c d"], centre: Vectors, area: Vectors, middle: Centres
-) -> Float[np.ndarray, " k"]:
-    arm = centre - middle[sides.owner]
-    inside = sides.behind >= 0
-    normal = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), FLOOR)
-    across = np.where(inside[:, None], _between(middle, sides), normal * _dot(normal, arm)[:, None])
-    along = _dot(area, across)
-    along = np.where(along == 0, FLOOR, along)
-    by = arm - (_dot(area, arm) / along)[:, None] * across
-    size = np.linalg.norm(by, axis=1)
-    direction = by / np.maximum(size, FLOOR)[:, None]
-    reach = np.abs(np.einsum("td,tcd->tc", direction, corners - centre[:, None])).max(axis=1)
-    least = np.where(inside, 0.2, 0.4) * np.linalg.norm(across, axis=1)
-    return sides.largest(np.where(sides.is_between, 0, size / np.maximum(np.maximum(reach, least), FLOOR)))
+def _arm(centre: Columns, middle: Columns, cells: np.ndarray) -> Columns:
+    return [c - m.take(cells) for c, m in zip(centre, middle, strict=True)]
 
 
-def _aspect_ratio(sides: _Sides, area: Vectors, volume: Float[np.ndarray, " cells"]) -> Float[np.ndarray, " k"]:
-    seen = _summed(np.abs(area), sides.owner, sides.total)
-    ratio = seen.max(axis=1) / np.maximum(seen.min(axis=1), FLOOR)
-    if area.shape[1] == 3:
-        ratio = np.maximum(ratio, seen.sum(axis=1) / 6 / np.maximum(np.abs(volume) / 3, FLOOR) ** (2 / 3))
-    return np.where(sides.counted, ratio, 1.0)
+def _size(vectors: Columns) -> Float[np.ndarray, " b"]:
+    return np.sqrt(dot(vectors, vectors))
 
 
-def _cosines(sides: _Sides, area: Vectors, middle: Centres) -> Float[np.ndarray, " t"]:
-    """Computes the cosine of the angle between each face's area vector and the line to the centre of the cell behind it."""
-    between = _between(middle, sides)
-    sizes = np.linalg.norm(area, axis=1) * np.linalg.norm(between, axis=1)
-    return np.clip(_dot(area, between) / np.maximum(sizes, FLOOR), -1, 1)
+def _aspect_ratio(seen: Float[np.ndarray, "d k"], volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    ratio = seen.max(axis=0) / np.maximum(seen.min(axis=0), FLOOR)
+    if len(seen) == 2:
+        return ratio
+    return np.maximum(ratio, seen.sum(axis=0) / 6 / np.maximum(np.abs(volume) / 3, FLOOR) ** (2 / 3))
 
 
-def _pyramids(
-    sides: _Sides, points: Float[np.ndarray, "n d"], centre: Vectors, area: Vectors, middle: Centres
-) -> tuple[Float[np.ndarray, " k"], Bool[np.ndarray, " k"]]:
-    """Finds the smallest pyramid of each cell over the mean one, and the cells with one that is negative beyond round-off."""
-    height = _dot(area, centre - middle[sides.owner])
-    noise = 8 * np.finfo(float).eps * np.abs(points).max() * np.linalg.norm(area, axis=1)
-    is_wrong = np.bincount(sides.owner, ~(height >= -noise), minlength=sides.total) > 0
-    least = -sides.largest(-height, start=-np.inf)
-    mean = np.bincount(sides.owner, np.abs(height), minlength=sides.total) / np.maximum(sides.counts, 1)
-    return np.where(sides.counted, least / np.maximum(mean, FLOOR), 1.0), is_wrong
+def _corners(points: Columns, block: Block) -> list[list[Float[np.ndarray, " b"]]]:
+    """Gathers the coordinates of the faces' corners: by axis, then by corner."""
+    corners = block.corners
+    return [[column.take(ids) for ids in corners] for column in points]
+
+
+def _edge(x: Sequence[Columns]) -> tuple[Columns, Columns]:
+    """Computes the middles of edges, and their area vectors: as long as the edge."""
+    along = [last - first for first, last in x]
+    return [(first + last) / 2 for first, last in x], [along[1], -along[0]]
+
+
+def _polygon(x: Sequence[Columns]) -> tuple[Columns, Columns]:
+    """Computes centres and area vectors, by triangles about the mean of the corners."""
+    count, mean = len(x[0]), [sum(corners) / len(corners) for corners in x]
+    arms = [[m - corners[k] for m, corners in zip(mean, x, strict=True)] for k in range(count)]
+    area, moment, total = [0.0] * 3, [0.0] * 3, FLOOR
+    for k, arm in enumerate(arms):
+        after = arms[(k + 1) % count]
+        normal = cross(arm, after)
+        weight = _size(normal)
+        total = total + weight
+        area = [a + n for a, n in zip(area, normal, strict=True)]
+        moment = [m + weight * (a + b) for m, a, b in zip(moment, arm, after, strict=True)]
+    return [m - each / (3 * total) for m, each in zip(mean, moment, strict=True)], [a / 2 for a in area]
 
 
 def _turns(
-    mesh: Mesh, sides: _Sides, points: Float[np.ndarray, "n d"], volume: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, " k"]:
+    mesh: Mesh, sides: Sides, points: Float[np.ndarray, "n d"], volume: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, " k"] | None:
     """Finds the sign that makes cells positive where the mesh has them: by neighbours, and by the volume that they enclose.
 
-    A motion that turns a part of the mesh inside out leaves no neighbour to tell so.
+    None where all are.     A motion that turns a part of the mesh inside out leaves no neighbour to tell so.
     """
     if points is not mesh.points and not np.array_equal(points, np.asarray(mesh.points)):
-        corners = sides.corners(np.asarray(mesh.points, dtype=float))
-        centre, area = _edges(corners) if points.shape[1] == 2 else _polygons(corners, sides.faces >= 0)
-        volume = _cell_centres(centre, area, sides)[1]
-    turn = np.ones(len(volume))
+        volume = _Shape.measured(sides, np.asarray(mesh.points, dtype=float)).volume
     if not (volume < 0).any():
-        return turn
+        return None
+    turn = np.ones(len(volume))
     cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
     sign, part = handedness(cells, *neighbours(cells))
     sign, part, ids = np.asarray(sign), np.asarray(part), mesh.cell_ids
     enclosed = np.bincount(part, sign * volume[ids])
     turn[ids] = sign * np.where(enclosed < 0, -1, 1)[part]
     return turn
-
-
-def _standard(mesh: Mesh) -> _Sides:
-    """Lists the sides of the cells of the highest dimension."""
-    highest = max(DIMENSION[kind] for kind, ids in mesh.cells.items() if len(ids))
-    width = 2 if highest == 2 else max(CORNERS["quad"], highest)
-    faces, owners, first, cell = [np.zeros((0, width), np.int64)], [np.zeros(0, np.int64)], 0, mesh.cell_ids
-    for kind, ids in mesh.cells.items():
-        if DIMENSION[kind] == highest:
-            for face in FACES[kind]:
-                padded = np.full((len(ids), width), -1)
-                padded[:, : len(face)] = np.asarray(ids)[:, face]
-                faces.append(padded)
-                owners.append(cell[first : first + len(ids)])
-        first += len(ids)
-    joined = np.concatenate(faces)
-    behind = twins(sorted_columns(columns_of(joined), width))
-    return _Sides(joined, np.concatenate(owners), behind, first, _to_others(mesh, joined))
-
-
-def _to_others(mesh: Mesh, sides: Int[np.ndarray, "t c"]) -> Bool[np.ndarray, " t"]:
-    return np.zeros(len(sides), dtype=bool) if mesh.between is None else is_among(sides, mesh.between)
-
-
-def _whole(mesh: Mesh, faces: Faces) -> _Sides:
-    """Lists the sides of whole cells: faces as their owners see them, then the inner ones as their neighbours do."""
-    count, inner = len(faces.owner), np.flatnonzero(faces.neighbour >= 0)
-    signed = np.concatenate([np.arange(count), ~inner])
-    sizes = np.concatenate([faces.sizes, faces.sizes[inner]])
-    width = int(sizes.max())
-    corners = np.full((len(signed), width if width == 2 else max(4, width)), -1)
-    for size in np.unique(sizes).tolist():
-        rows = np.flatnonzero(sizes == size)
-        corners[rows, :size] = faces.corners(signed[rows], size)
-    behind = np.full(len(signed), -1)
-    behind[inner], behind[count:] = count + np.arange(len(inner)), inner
-    owner = np.concatenate([faces.owner, faces.neighbour[inner]])
-    return _Sides(corners, owner, behind, int(owner.max()) + 1, _to_others(mesh, corners))
-
-
-def _between(centres: Centres, sides: _Sides) -> Vectors:
-    """Computes the vector from the centre of each face's cell to that of the cell behind it; anything where there is none."""
-    return centres[sides.owner[sides.behind]] - centres[sides.owner]
-
-
-def _edges(corners: Float[np.ndarray, "t 2 2"]) -> tuple[Vectors, Vectors]:
-    along = corners[:, 1] - corners[:, 0]
-    return corners.mean(axis=1), np.stack([along[:, 1], -along[:, 0]], axis=1)
-
-
-def _polygons(corners: Float[np.ndarray, "t c 3"], is_corner: Bool[np.ndarray, "t c"]) -> tuple[Vectors, Vectors]:
-    """Computes centres and area vectors, by triangles about the mean of the corners."""
-    share = is_corner[..., None] / is_corner.sum(axis=1)[:, None, None]
-    middle = (share * corners).sum(axis=1, keepdims=True)
-    after = np.roll(corners, -1, axis=1)
-    areas = np.cross(after - corners, middle - corners) / 2
-    weights = np.linalg.norm(areas, axis=2, keepdims=True)
-    total = np.maximum(weights.sum(axis=1), FLOOR)
-    return (weights * (corners + after + middle) / 3).sum(axis=1) / total, areas.sum(axis=1)
-
-
-def _cell_centres(centre: Vectors, area: Vectors, sides: _Sides) -> tuple[Centres, np.ndarray]:
-    """Computes centres of mass, and volumes times d, by pyramids (triangles in 2-D) from faces to the mean of their centres."""
-    d, owner, total = centre.shape[1], sides.owner, sides.total
-    count = np.maximum(np.bincount(owner, minlength=total), 1)[:, None]
-    middle = (_summed(centre, owner, total) / count)[owner]
-    volume = _dot(area, centre - middle)[:, None]
-    moments = _summed(volume * (d * centre + middle) / (d + 1), owner, total)
-    volumes = _summed(volume, owner, total)
-    return moments / np.where(volumes == 0, FLOOR, volumes), volumes[:, 0]
-
-
-def _summed(values: Float[np.ndarray, "t k"], owner: Int[np.ndarray, " t"], total: int) -> Float[np.ndarray, "c k"]:
-    return np.stack([np.bincount(owner, column, minlength=total) for column in values.T], axis=1)
-
-
-def _dot(a: Vectors, b: Vectors) -> Float[np.ndarray, " t"]:
-    return np.einsum("td,td->t", a, b)

@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh
+from jaxmorph._quality.faces import measured
+from jaxmorph._quality.sides import Sides
 
 ROWS = (
     *(("mean", "skewness"), ("max", "skewness")),
@@ -39,7 +41,12 @@ class Judged:
     @functools.cached_property
     def faces(self) -> jm.FaceQuality:
         """The measures of checkMesh."""
-        return jm.face_quality(self.mesh, self.points)
+        return measured(self.mesh, self.sides, self.points)
+
+    @functools.cached_property
+    def sides(self) -> Sides:
+        """The mesh's faces, which a motion leaves as they are."""
+        return Sides.listed(self.mesh) if self.before is None else self.before.sides
 
     @functools.cached_property
     def by_faces(self) -> bool:
