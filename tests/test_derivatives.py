@@ -151,3 +151,20 @@ def test_every_component_of_improve(make, tangled):
     slopes = np.asarray(slopes)
     np.testing.assert_allclose(slopes[:, :, outer], expected, rtol=0, atol=1e-8 * np.abs(expected).max())
     assert (slopes[:, :, inner] == 0).all()
+
+
+@pytest.mark.parametrize("rebuild", [False, True])
+def test_every_component_of_a_path(rebuild):
+    """`replay` by the path, where each step starts on the mesh that the steps before it left; forward mode along one direction."""
+    mesh = body(2)
+    path = np.stack([share * motion(mesh.points[mesh.moving]) for share in (0.4, 1.0)])
+    method = jm.SurfaceReconstruction(few(), jm.NearWall(width=0.3))
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method)
+    plans, points = jm.march(plan, path, rebuild=rebuild)
+    w = np.random.default_rng(7).normal(size=points.shape)
+    objective = jax.jit(lambda path: jnp.sum(w * jnp.sin(jm.replay(plans, path))))
+    expected = jacobian(objective, path, 1e-3)
+    scale, v = np.abs(expected).max(), np.random.default_rng(8).normal(size=path.shape)
+    np.testing.assert_allclose(jax.jit(jax.grad(objective))(path), expected, rtol=0, atol=1e-8 * scale)
+    _, along = jax.jit(lambda path: jax.jvp(objective, (path,), (v,)))(path)
+    np.testing.assert_allclose(along, np.vdot(expected, v), rtol=0, atol=1e-8 * scale * np.abs(v).sum())

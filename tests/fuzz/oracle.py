@@ -1,9 +1,11 @@
 """What an accepted file may hold that one byte damages: what the byte stood for, and nothing else.
 
 The place decides. In a coordinate, only that one differs, and is what Python and NumPy make of its text or of its bytes. In numbers
-of nodes, one cell or one patch differs. In comments, and in files with checksums, nothing differs.
+of nodes, one cell or one patch differs; of OpenFOAM, whose cells do not close then, nothing. In comments, and in files with
+checksums, nothing differs. In HDF5's own structure, what h5py alone finds changed decides. In OpenFOAM's `boundary`, names differ.
 """
 
+import io
 import pathlib
 import re
 import tomllib
@@ -51,17 +53,16 @@ def zone(file: pathlib.Path, data: bytes, at: int) -> str:
             words[-1] if words else b"", "any"
         )
     if file.suffix == ".cgns":
-        return _dataset(file, at)
+        return _dataset(data, at)
     if file.name == "boundary":
-        return "structure"  # `type empty` makes a 2-D case: nothing else tells it
+        return "boundary"
     if file.parent.name == "polyMesh":
         is_banner = b"FoamFile" not in before or line.lstrip().startswith((b"//", b"|", b"\\*"))
         if is_banner and b"\0" not in line:
             return "nothing"
-        body = data.find(b"\n\n", data.find(b"FoamFile"))
-        if at < body:
-            return "any"
-        return "points" if file.name.startswith("points") else "ids"
+        if not file.name.startswith("points"):
+            return "nothing"  # another node or another cell beside a face leaves cells open
+        return "any" if at < data.find(b"\n\n", data.find(b"FoamFile")) else "points"
     return "any"
 
 
@@ -69,8 +70,8 @@ def _su2(keyword: bytes) -> str:
     return {b"NPOIN": "points", b"NELEM": "ids", b"MARKER_ELEMS": "ids"}.get(keyword, "any")
 
 
-def _dataset(file: pathlib.Path, at: int) -> str:
-    """The array of HDF5 that a byte belongs to; `file` is a good one."""
+def _dataset(data: bytes, at: int) -> str:
+    """The array of HDF5 that a byte of a good file belongs to."""
     named = []
 
     def visit(name, item):
@@ -78,11 +79,65 @@ def _dataset(file: pathlib.Path, at: int) -> str:
         if start is not None and start <= at < start + item.id.get_storage_size():
             named.append(name)
 
-    with h5py.File(file) as opened:
+    with h5py.File(io.BytesIO(data)) as opened:
         opened.visititems(visit)
     if not named:
         return "structure"
     return "points" if "Coordinate" in named[0] else "ids" if "Connectivity" in named[0] else "any"
+
+
+NAMED = re.compile(r'"?([^\s"{}();]+)"?\s*\{([^{}]*)\}')
+SPECIAL = re.compile(r"type\s+(empty|wedge|cyclic\w*|processor\w*|symmetryPlane)\s*;")
+
+
+def _boundary(data: bytes, damaged: bytes, good, found, where: str) -> str:
+    """What is wrong where a byte of `boundary` differs: patches have other names. Types of some say what a case is."""
+    lists = []
+    for text in (data.decode(errors="replace"), damaged.decode(errors="replace")):
+        entries = NAMED.findall(re.sub(r"//.*|/\*[\s\S]*?\*/", " ", text.partition("}")[2]))
+        lists.append([(name, SPECIAL.findall(body)) for name, body in entries])
+    if [types for _, types in lists[0]] != [types for _, types in lists[1]]:
+        return ""
+    names = {f"patch {old}": f"patch {new}" for (old, _), (new, _) in zip(*lists, strict=True)}
+    return "" if alike({names.get(name, name): each for name, each in good.items()}, found) else f"{where} changes it"
+
+
+def content(data: bytes) -> dict[str, tuple]:
+    """Everything in an HDF5 file as h5py has it: attributes, types and values by the path of each group and data set."""
+    told = {}
+
+    def visit(name, item):
+        try:
+            attributes = sorted((key, repr(value)) for key, value in item.attrs.items())
+            is_data = isinstance(item, h5py.Dataset)
+            told[name] = (attributes, str(item.dtype), item[()].tobytes()) if is_data else (attributes,)
+        except Exception as error:  # h5py answers damage by a dozen classes
+            told[name] = (repr(error),)
+
+    with h5py.File(io.BytesIO(data)) as file:
+        file.visititems(visit)
+    return told
+
+
+def _structure(right: dict[str, tuple], damaged: dict[str, tuple], wrong: list[str], found, where: str) -> str:
+    """What is wrong where a byte of HDF5's own structure differs, by the content of the good file and of the other one."""
+    changed = [name for name in right.keys() | damaged.keys() if right.get(name) != damaged.get(name)]
+    if not changed:
+        return f"{where} changes {wrong}, and nothing that h5py finds"
+    if any("Coordinate" not in name for name in changed):
+        kinds = {"ZoneBC": ("patch",), "cells": ("cells", "patch"), "faces": ("cells", "patch")}
+        may = [kinds.get(part, ()) for name in changed for part in name.split("/")[2:3]]
+        if all(may) and not all(name.startswith(sum(may, ())) for name in wrong):
+            return f"{where} changes {wrong}, but {changed} in the file"
+        return ""
+    axes = [
+        np.frombuffer(damaged[name][2], damaged[name][1])
+        for name in sorted(right)
+        if "Coordinate" in name and " data" in name
+    ]
+    told = set(map(tuple, np.stack(axes, axis=1).astype(float).tolist()))
+    places = set(map(tuple, found["points"].tolist()))  # nodes of zones that meet are one
+    return "" if places <= told else f"{where} changes {wrong}"
 
 
 def _word(data: bytes, at: int) -> bytes:
@@ -121,8 +176,10 @@ def accepted(file: pathlib.Path, data: bytes, damaged: bytes, at: int, good, fou
         return (
             "" if tomllib.loads(damaged.decode()) != tomllib.loads(data.decode()) else f"{where} changes what is read"
         )
+    if place == "boundary":
+        return _boundary(data, damaged, good, found, where)
     if place == "structure":
-        return ""
+        return _structure(content(data), content(damaged), wrong, found, where)
     if file.suffix in (".xyz", ".patches", ".cgns") and place != "ids":
         return _places(good, found, np.zeros(0) if file.suffix == ".patches" else values(damaged, at), where)
     numbers = [name for name in wrong if name == "points" or name.startswith("array")]
