@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 from test_naca4 import cusped
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._host.neighbours import near_walls
 from jaxmorph.cases._c_grid import c_grid
 
 PUBLISHED, NEAR_WALL = jm.DelaunayGraph(), jm.NearWall()
@@ -240,3 +242,23 @@ def test_a_mesh_of_nothing_but_surface():
     u = 0.1 * points[:20] ** 2
     moved = jm.deform(jm.prepare(points, np.arange(20), np.arange(20, 30)), u)
     np.testing.assert_array_equal(moved, points + np.concatenate([u, np.zeros((10, 3))]))
+
+
+@pytest.mark.parametrize("walls", [3, 20])
+def test_the_nearest_nodes_of_two_walls_are_those_of_all_distances(walls):
+    """Searched wall by wall, or all walls together where they are many."""
+    rng = np.random.default_rng(0)
+    surface, points = rng.random((200, 3)), rng.random((500, 3))
+    wall = rng.permutation(200) % walls
+    reach = np.append(rng.uniform(0.02, 0.2, walls - 1), 0)[wall]
+    near, rows = near_walls(surface, wall, reach, points, 4)
+    apart = cdist(points, surface)
+    is_reached = apart < reach[None]
+    first = np.where(is_reached, apart, np.inf).argmin(axis=1)
+    other = np.where(wall[first][:, None] != wall[None], apart, np.inf)
+    bound = 8 * reach[first]
+    expected = np.flatnonzero(is_reached.any(axis=1) & (apart[np.arange(500), first] <= other.min(axis=1)))
+    np.testing.assert_array_equal(np.sort(near), expected)
+    np.testing.assert_array_equal(rows[:, 0], first[near])
+    within = other.min(axis=1) < bound
+    np.testing.assert_array_equal(rows[:, -1], np.where(within, other.argmin(axis=1), first)[near])
