@@ -171,7 +171,7 @@ class FittedRBF(AbstractMethod):
         start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]
         middle, along = (start + end) / 2, end - start
         length = jnp.sqrt(jnp.sum(along**2, axis=1))
-        cardinal = jax.scipy.linalg.lu_solve((rbf.lu, rbf.pivots), jnp.eye(len(rbf.lu), count, dtype=surface.dtype))
+        cardinal = rbf.solve(jnp.eye(len(rbf.lu), count, dtype=surface.dtype))
 
         def derivative(axis):
             direction = jnp.broadcast_to(jnp.eye(dimension, dtype=surface.dtype)[axis], middle.shape)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 import scipy.spatial
+from jax.lax.linalg import triangular_solve
 from jaxtyping import Array, Bool, Float, Int
 
 from .._host.door import between, checked, shown
@@ -187,11 +188,10 @@ class RBF(AbstractMethod):
         tolerance = (method.iterative(len(sources)) or Iterative()).tolerance.astype(weights.dtype)
         floor = ROUNDINGS * float(jnp.finfo(weights.dtype).eps)
         rows = Cardinals(ids.earlier, weights, jnp.maximum(tolerance, floor))
-        lu, pivots = method._factored(places[:first], stretch)
-        return RBFFactors(sources, centre, scale, lu, pivots, rows)
+        return RBFFactors(sources, centre, scale, *method._factored(places[:first], stretch), rows)
 
     def _factored(self, sources, scale):
-        """Factors the dense system of some sources."""
+        """Factors the dense system of some sources; returns the factors, and the rows in the order of the pivots."""
         tail = polynomial(sources, self.degree)
         # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges those wrongly with the transposition
         # that LAPACK asks for, and the jitted gradient with respect to one coordinate of the sources is wrong or NaN.
@@ -199,7 +199,8 @@ class RBF(AbstractMethod):
         kernel = self._matrix(distances, scale)
         corner = jnp.zeros((tail.shape[1],) * 2, kernel.dtype)
         matrix = jnp.block([[kernel, tail], [tail.T, corner]])  # eq. (3)
-        return jax.scipy.linalg.lu_factor(matrix)
+        lu, _, order = jax.lax.linalg.lu(matrix)
+        return lu, order
 
     @property
     def _sign(self) -> int:
@@ -243,7 +244,7 @@ class RBF(AbstractMethod):
         terms = polynomial(factors.sources[:1], self.degree).shape[1]
         rhs = jnp.concatenate([values, jnp.zeros((terms, values.shape[1]), values.dtype)])
         if factors.cardinals is None:
-            weights = jax.scipy.linalg.lu_solve((factors.lu, factors.pivots), rhs).astype(dtype)
+            weights = factors.solve(rhs).astype(dtype)
         else:
             weights = self._iterated(factors, factors.cardinals, rhs).astype(dtype)
         beta, alpha = weights.T[:, : len(factors.sources)], weights.T[:, len(factors.sources) :]
@@ -268,7 +269,7 @@ class RBF(AbstractMethod):
 
         def inverse_of_first(values):
             padded = jnp.pad(values, ((0, len(factors.lu) - first), (0, 0)))
-            return jax.scipy.linalg.lu_solve((factors.lu, factors.pivots), padded)[:first]
+            return factors.solve(padded)[:first]
 
         return ConjugateGradients(
             lambda beta: self._times_kernel_quickly(factors, beta),
@@ -309,14 +310,17 @@ class RBF(AbstractMethod):
 def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
     """Measures, on the host, how much rounding changes the interpolation of `values` (s, d), at and between the sources.
 
-    It takes one step of iterative refinement: the field of what the first field misses at the sources.
+    It takes one step of iterative refinement: the field of what the first field misses at the sources. Infinite without a solution.
     """
-    lu, pivots, sources, scale = map(np.asarray, (factors.lu, factors.pivots, factors.sources, factors.scale))
+    lu, order, sources, scale = map(np.asarray, (factors.lu, factors.order, factors.sources, factors.scale))
     count, block = len(values), min(1024, len(values))
+    if not np.diagonal(lu).all():
+        return np.inf
 
     def weights(values):
         rhs = np.concatenate([values, np.zeros((len(lu) - count, values.shape[1]), lu.dtype)])
-        return scipy.linalg.lu_solve((lu, pivots), rhs, check_finite=False)
+        half = scipy.linalg.solve_triangular(lu, rhs[order], lower=True, unit_diagonal=True, check_finite=False)
+        return scipy.linalg.solve_triangular(lu, half, check_finite=False)
 
     def field(weights, points):
         result = np.empty((len(points), weights.shape[1]), lu.dtype)
@@ -401,15 +405,20 @@ def _nearest_two(sources: np.ndarray) -> str:
 class RBFFactors(eqx.Module):
     """Sources in coordinates of order one, and the factored system (eq. 3) of t = s + p equations.
 
-    With `cardinals`, the factored system is that of the first sources alone.
+    `order` are the rows as the pivots have them. With `cardinals`, the factored system is that of the first sources alone.
     """
 
     sources: Float[Array, "s d"]
     centre: Float[Array, " d"]
     scale: Float[Array, ""]
     lu: Float[Array, "t t"]
-    pivots: Int[Array, " t"]
+    order: Int[Array, " t"]
     cardinals: Cardinals | None = None
+
+    def solve(self, values: Float[Array, "t k"]) -> Float[Array, "t k"]:
+        """Solves the factored system."""
+        half = triangular_solve(self.lu, values[self.order], left_side=True, lower=True, unit_diagonal=True)
+        return triangular_solve(self.lu, half, left_side=True, lower=False)
 
 
 class RBFField(AbstractField):

@@ -25,7 +25,7 @@ from .halves import SurfaceHalf
 from .known import known_classes
 from .plan import Plan
 
-FORMAT, VERSION = "jaxmorph plan", 3
+FORMAT, VERSION = "jaxmorph plan", 4
 _HEADER = "description"
 _DAMAGED = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, OverflowError)
 
