@@ -62,6 +62,20 @@ assert abs(summary.largest["skewness"] - float(report.max_skewness)) < 1e-9
 assert abs(summary.mean["skewness"] - float(report.mean_skewness)) < 1e-9
 assert abs(summary.smallest["jacobian_ratio"] - float(report.min_jacobian_ratio)) < 1e-9
 
+# between two parallel planes: all of their nodes count, whoever has them
+grid = np.stack(np.meshgrid(np.linspace(-2, 2, 13), np.linspace(0, 1, 7), indexing="ij"), axis=-1).reshape(-1, 2)
+round_body = [0, 0.5] + 0.2 * np.stack([np.cos(np.arange(12)), np.sin(np.arange(12))], axis=1)
+channel = np.concatenate([round_body, grid[np.linalg.norm(grid - [0, 0.5], axis=1) > 0.25]])
+planes = [jm.Plane([0, 1], [0, 0]), jm.Plane([0, 1], [0, 1])]
+ends = np.abs(channel[:, 0]) == 2
+here = np.flatnonzero((channel[:, 0] <= 0) if comm.rank else (channel[:, 0] >= 0))
+lists = np.flatnonzero(here < 12), np.flatnonzero(ends[here])
+between = mpi.prepare(comm, channel[here], here, *lists, symmetry=planes)
+whole_plan = jm.prepare(channel, np.arange(12), np.flatnonzero(ends), symmetry=planes)
+lift = np.tile([0.02, 0.05], (12, 1))
+expected = np.asarray(jm.deform(whole_plan, lift))[here]
+assert np.abs(between.deform(lift[: len(lists[0])]) - expected).max() < 3e-12
+
 # what one process refuses, all refuse; none waits
 for wrong in (
     lambda: piece.deform(u[:-1] if comm.rank else u),

@@ -128,6 +128,36 @@ def test_two_parallel_planes(dimension):
     assert (np.abs(moved - points)[inside, 1] < 0.5 * near[inside]).all()
 
 
+def test_thin_layers_beside_two_parallel_planes():
+    """A body in a channel moves across it: cells that are thin at both planes keep their shape, by thousands of their height."""
+    half = np.concatenate([[0], 1e-5 * 2.0 ** np.arange(13), np.linspace(0.1, 0.5, 6)])
+    x, y = np.linspace(0, 3, 31), np.concatenate([half, 1 - half[-2::-1]])
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    ids = np.arange(len(points)).reshape(len(x), len(y))
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    inside = (np.abs(points - [1.5, 0.5]) < [0.45, 0.15]).all(axis=1)
+    mesh = jm.Mesh(points, {"quad": quads[~inside[quads].any(axis=1)]})
+    used, number = np.unique(mesh.cells["quad"], return_inverse=True)
+    mesh = jm.Mesh(points[used], {"quad": number.reshape(-1, 4)})
+    points = mesh.points
+    body = np.flatnonzero((np.abs(points - [1.5, 0.5]) < [0.6, 0.25]).all(axis=1))
+    ends = np.flatnonzero((points[:, 0] == 0) | (points[:, 0] == 3))
+    planes = [jm.Plane([0, 1], [0, 0]), jm.Plane([0, 1], [0, 1])]
+    plan = jm.prepare(mesh, body, ends, symmetry=planes)
+    u = np.tile([0.05, 0.1], (len(body), 1))
+    moved = np.asarray(jm.deform(plan, u))
+    assert jm.quality(mesh, moved).min_jacobian_ratio > 0.3
+    on = (points[:, 1] == 0) | (points[:, 1] == 1)
+    assert (moved[on, 1] == points[on, 1]).all()
+    assert np.abs(moved - points)[on, 0].max() > 0.01  # they slide
+    assert plan.is_linear
+    w = np.random.default_rng(0).normal(size=points.shape)
+    assert np.vdot(jm.pullback(plan, u, w), u) == pytest.approx(np.vdot(w, moved - points), rel=1e-10)
+    half = jm.prepare_surface(mesh, body, ends, symmetry=planes)
+    rows = np.arange(0, len(points), 3)
+    np.testing.assert_allclose(jm.deform(half.attach(points[rows], rows), u), moved[rows], rtol=0, atol=1e-14)
+
+
 @pytest.mark.slow
 def test_a_marched_symmetric_mesh():
     part, role, *_ = whole_and_part(2, 1)

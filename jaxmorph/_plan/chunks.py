@@ -18,7 +18,7 @@ from .faces import FreeFaces
 from .halves import SurfaceHalf, half_of
 from .periodic import Periodic
 from .plan import Plan, deform
-from .prepare import plan_of
+from .prepare import between_planes, plan_of
 from .slide import Slide
 from .steps import march
 from .symmetry import Plane
@@ -125,7 +125,7 @@ def prepare_in_chunks(
         whole("size", size)
     if method is not None:
         check_kind(method, AbstractMethod, "method", "jm.RBF()")
-    named = boundary(mesh, moving, fixed, symmetry, free, periodic, sliding)
+    named = between_planes(boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method)
     points, always = named.points, np.unique(named.nodes)
     others = np.setdiff1d(np.arange(len(points)), always, assume_unique=True)
     count = 1 if size is None else max(1, -(-len(others) // size))

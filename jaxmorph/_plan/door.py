@@ -27,7 +27,7 @@ class Boundary:
 
     - `points` (n, d): base coordinates.
     - `moving` (m,), `fixed` (f,): node ids, no node twice.
-    - `guided` (g,): node ids of sliding and periodic patches that are in neither list.
+    - `guided` (g,): node ids of sliding and periodic patches, and of parallel planes, that are in neither list.
     - `planes`: symmetry planes.
     - `pairings`: pairs of nodes that move alike.
     - `tracks`: nodes that stay on walls.

@@ -21,7 +21,7 @@ from .door import Boundary, boundary, checked_points
 from .faces import OuterFaces
 from .periodic import Periodic
 from .plan import Plan, SurfacePart
-from .prepare import boundary_of, laid_out, plan_of, refuse_cells, surface_of
+from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
 from .slide import Slide
 from .symmetry import Plane
 
@@ -211,6 +211,7 @@ def half_of(named: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> 
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     method = SurfaceReconstruction() if method is None else method
     refuse_cells(method)
+    named = between_planes(named, method)
     is_open = has_open_side(named) if named.is_open is None else named.is_open
     kept = np.union1d(named.nodes, fence(named))
     part = dataclasses.replace(named.part(kept), is_open=is_open)

@@ -118,14 +118,20 @@ class Copies:
 
 
 def copies(
-    planes: Sequence[Plane], pairings: Sequence[Pairing], on_plane: Bool[np.ndarray, "o p"], moving: int
+    planes: Sequence[Plane],
+    mirrored: Bool[np.ndarray, " p"],
+    pairings: Sequence[Pairing],
+    on_plane: Bool[np.ndarray, "o p"],
+    moving: int,
 ) -> Copies:
     """Finds the images of own rows, the first `moving` of them moving; `pairings` are of own rows.
+
+    The planes that are not `mirrored` make none.
 
     The nearest come first. A place has a number made of its root, of how often it is transformed, and in which planes mirrored.
     """
     count, size = on_plane.shape
-    flags = combinations(np.stack([plane.normal for plane in planes])) if planes else [()]
+    flags = combinations(np.stack([plane.normal for plane in planes]), mirrored) if planes else [()]
     powers = [pairing.powers for pairing in pairings]
     elements = sorted(
         itertools.product(itertools.product(*powers), flags), key=lambda each: sum(map(abs, each[0]))
@@ -176,6 +182,7 @@ def _transform(planes: Sequence[Plane], pairings: Sequence[Pairing], powers, fla
 
 def images_of(
     planes: Sequence[Plane],
+    mirrored: Bool[np.ndarray, " p"],
     pairings: Sequence[Pairing],
     on_plane: Bool[np.ndarray, "n p"],
     nodes: np.ndarray,
@@ -185,7 +192,7 @@ def images_of(
     place = np.full(len(on_plane), -1, dtype=np.int32)
     place[nodes] = np.arange(len(nodes))
     rows = [pairing.renumbered(place) for pairing in pairings]
-    made = copies(planes, rows, on_plane[nodes], moving)
+    made = copies(planes, mirrored, rows, on_plane[nodes], moving)
     dimension = made.shifts.shape[1]
     normals = np.stack([plane.normal for plane in planes]) if planes else np.zeros((0, dimension))
     origins = np.stack([plane.origin for plane in planes]) if planes else np.zeros((0, dimension))

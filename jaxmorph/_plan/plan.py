@@ -131,7 +131,7 @@ class Plan(eqx.Module):
 
     @property
     def guided(self) -> Int[Array, " g"]:
-        """Node ids of sliding and periodic patches' nodes that neither move nor are fixed: they follow along these."""
+        """Node ids of those that follow along a boundary: of sliding and periodic patches, and of parallel symmetry planes."""
         return taken(self.surface.nodes, slice(len(self.surface.nodes) - self.n_guided, None))
 
     @property

@@ -23,7 +23,7 @@ from .images import Images, images_of
 from .periodic import Periodic, check_pairings
 from .plan import Guide, Plan, SurfacePart, VolumePart, refitted
 from .slide import Slide
-from .symmetry import Plane, check_planes
+from .symmetry import Plane, check_planes, facing
 
 FEW = 50_000, 2_000
 """Points, and surface nodes, up to which compilation takes longer than what `prepare` computes with it once."""
@@ -68,8 +68,7 @@ def prepare(
 def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
     """Prepares a plan of what has been checked. It warns of boundary faces that no list names, and of lost precision."""
     named.warn_of_free_faces()
-    if named.planes:
-        check_planes(named.planes, named.points)
+    named = between_planes(named, method)
     check_pairings(named.pairings, named.planes, float(np.ptp(named.points, axis=0).max()))
     method = SurfaceReconstruction() if method is None else method
     if named.cells is None:
@@ -82,6 +81,27 @@ def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
             'Call jax.config.update("jax_enable_x64", True) first.',
         )
     return plan
+
+
+def between_planes(named: Boundary, method: AbstractMethod | None) -> Boundary:
+    """Checks the planes. Returns the same with the nodes of parallel planes guided, but for methods that solve on cells.
+
+    The images in two parallel planes have no end. Those that a field has leave a step beside the plane, by which cells invert.
+    Guided nodes are data: the field ends at them.
+    """
+    if named.planes:
+        check_planes(named.planes, named.points)
+    if method is not None and method.needs_cells:
+        return named
+    on = [
+        plane.holds(named.points)
+        for plane, has_other in zip(named.planes, facing(named.planes), strict=True)
+        if has_other
+    ]
+    if not on:
+        return named
+    others = np.setdiff1d(np.flatnonzero(np.any(on, axis=0)), named.nodes)
+    return dataclasses.replace(named, guided=np.union1d(named.guided, others))
 
 
 def refuse_cells(method: AbstractMethod) -> None:
@@ -133,7 +153,10 @@ def _cells(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:
 
 
 def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray, "n p"] | None]:
-    """Returns the surface that a method sees, its images, and which points lie on which plane."""
+    """Returns the surface that a method sees, its images, and which points lie on which plane.
+
+    Parallel planes make no images where their nodes are guided.
+    """
     points, nodes, moving, faces = named.points, named.nodes, len(named.moving), named.surface_faces
     if not named.planes and not named.pairings:
         rows = np.arange(len(nodes))
@@ -142,7 +165,8 @@ def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray
     on_plane = np.zeros((len(points), len(named.planes)), dtype=bool)
     for k, plane in enumerate(named.planes):
         on_plane[:, k] = plane.holds(points)
-    images, copies = images_of(named.planes, named.pairings, on_plane, nodes, moving)
+    mirrored = ~facing(named.planes) | (len(named.guided) == 0)
+    images, copies = images_of(named.planes, mirrored, named.pairings, on_plane, nodes, moving)
     everything = np.asarray(images.points(jnp.asarray(points[nodes])))
     faces = None if faces is None else {kind: copies.faces(corners) for kind, corners in faces.items()}
     ids = np.where(copies.kind == 0, nodes[copies.rows], -1)
@@ -153,11 +177,13 @@ def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray
 
 def _guide_of(named: Boundary, method: AbstractMethod) -> Guide | None:
     """Prepares what moves nodes along boundaries."""
-    if not named.pairings and not named.tracks:
+    if not named.pairings and not named.tracks and not len(named.guided):
         return None
     alone = named.alone()
     plan = _plan_of(alone, guiding(method))
+    known = len(named.moving) + len(named.fixed)
     rows = [*(pairing.nodes for pairing in alone.pairings), *(np.asarray(track.rows) for track in alone.tracks)]
+    rows.append(np.arange(known, len(named.nodes)))
     pairings, tracks = as_jax((alone.pairings, alone.tracks))
     return Guide(plan, pairings, tracks, jnp.asarray(np.unique(np.concatenate(rows)), jnp.int32))
 

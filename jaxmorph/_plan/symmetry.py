@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from .._host.door import finite_array, rows_of
 from .._host.errors import MeshError, place_of
@@ -138,11 +138,24 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
         )
 
 
-def combinations(normals: Float[np.ndarray, "p d"]) -> list[tuple[bool, ...]]:
-    """Lists in which planes an image is reflected, for all images: in one of two parallel planes at most.
+def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
+    """Marks the planes that have another one parallel to them."""
+    if not planes:
+        return np.zeros(0, dtype=bool)
+    return np.any(_parallel(np.stack([plane.normal for plane in planes])), axis=1)
 
-    Two mirrors face to face have images without end. The first of each stand nearest; nodes on the planes stay in them anyway.
+
+def combinations(normals: Float[np.ndarray, "p d"], mirrored: Bool[np.ndarray, " p"]) -> list[tuple[bool, ...]]:
+    """Lists in which `mirrored` planes an image is reflected, for all images: in one of two parallel planes at most.
+
+    Two mirrors face to face have images without end. The first of each stand nearest.
     """
-    parallel = np.triu(np.abs(normals @ normals.T) > 0.5, 1)
+    parallel = np.triu(_parallel(normals))
     every = itertools.product((False, True), repeat=len(normals))
-    return [flags for flags in every if not (parallel & np.outer(flags, flags)).any()]
+    flags = [each for each in every if not (np.array(each) & ~mirrored).any()]
+    return [each for each in flags if not (parallel & np.outer(each, each)).any()]
+
+
+def _parallel(normals: Float[np.ndarray, "p d"]) -> Bool[np.ndarray, "p p"]:
+    """Marks the pairs of parallel planes."""
+    return np.logical_and(np.abs(normals @ normals.T) > 0.5, ~np.eye(len(normals), dtype=bool))

@@ -14,6 +14,7 @@ from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
 from jaxmorph._host.ranks import together
+from jaxmorph._plan.symmetry import facing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,8 +125,8 @@ def prepare(
 ) -> Piece:
     """Prepares the piece of a mesh that this process has; every process calls it together.
 
-    The moving and fixed nodes of all pieces are gathered. The first process prepares them, and all attach their points to
-    equal bits: nodes that pieces share move alike.
+    The moving and fixed nodes of all pieces are gathered, and those on parallel symmetry planes. The first process prepares
+    them, and all attach their points to equal bits: nodes that pieces share move alike.
 
     **Arguments:**
 
@@ -148,20 +149,25 @@ def prepare(
             raise ValueError(f"`nodes` must be one id for each of {len(x)} points, no id twice.")
         if not len(x) or x.dtype.kind not in "fiu" or not np.isfinite(x).all() or (ids < 0).any():
             raise ValueError("a piece needs at least one point, finite coordinates, and ids from 0 on.")
-        outermost = x[np.concatenate([x.argmin(axis=0), x.argmax(axis=0)])]
-        return x, ids.astype(np.int64), outermost, *(_rows(each, len(x)) for each in (moving, fixed))
+        planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
+        between = [plane.holds(x) for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
+        guided = np.any(between, axis=0) if between else np.zeros(len(x), dtype=bool)
+        outermost = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
+        outermost = x[outermost[~guided[outermost]]]
+        return x, ids.astype(np.int64), outermost, guided, *(_rows(each, len(x)) for each in (moving, fixed))
 
-    x, ids, outermost, moves, held = together(comm, checked)
-    shares = comm.allgather((ids[moves], x[moves], ids[held], x[held]))
+    x, ids, outermost, guided, moves, held = together(comm, checked)
+    shares = comm.allgather((ids[moves], x[moves], ids[held], x[held], ids[guided], x[guided]))
     moving_ids, moving_points = _union([share[:2] for share in shares])
-    fixed_ids, fixed_points = _union([share[2:] for share in shares])  # all processes see the same, and raise together
+    fixed_ids, fixed_points = _union([share[2:4] for share in shares])  # all processes see the same, and raise together
+    guided_ids, guided_points = _union([share[4:] for share in shares])
     rest = ~np.isin(fixed_ids, moving_ids)
-    surface = np.concatenate([moving_points, fixed_points[rest]])
-    surface_ids, m = np.concatenate([moving_ids, fixed_ids[rest]]), len(moving_ids)
-    lists = np.arange(m), np.arange(m, len(surface))
+    others = ~np.isin(guided_ids, np.concatenate([moving_ids, fixed_ids]))
+    m, count = len(moving_ids), len(moving_ids) + int(rest.sum())
+    lists = np.arange(m), np.arange(m, count)
     outermost = np.concatenate(comm.allgather(outermost))
-    everything = np.concatenate([surface, outermost])
-    names = np.concatenate([surface_ids, np.full(len(outermost), -1)])
+    everything = np.concatenate([moving_points, fixed_points[rest], guided_points[others], outermost])
+    names = np.concatenate([moving_ids, fixed_ids[rest], guided_ids[others], np.full(len(outermost), -1)])
 
     def half() -> jm.SurfaceHalf | None:
         if comm.rank:
