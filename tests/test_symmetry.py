@@ -135,12 +135,12 @@ def test_thin_layers_beside_two_parallel_planes():
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     ids = np.arange(len(points)).reshape(len(x), len(y))
     quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
-    inside = (np.abs(points - [1.5, 0.5]) < [0.45, 0.15]).all(axis=1)
+    inside = np.all(np.abs(points - [1.5, 0.5]) < [0.45, 0.15], axis=1)
     mesh = jm.Mesh(points, {"quad": quads[~inside[quads].any(axis=1)]})
     used, number = np.unique(mesh.cells["quad"], return_inverse=True)
-    mesh = jm.Mesh(points[used], {"quad": number.reshape(-1, 4)})
-    points = mesh.points
-    body = np.flatnonzero((np.abs(points - [1.5, 0.5]) < [0.6, 0.25]).all(axis=1))
+    points = points[used]
+    mesh = jm.Mesh(points, {"quad": number.reshape(-1, 4)})
+    body = np.flatnonzero(np.all(np.abs(points - [1.5, 0.5]) < [0.6, 0.25], axis=1))
     ends = np.flatnonzero((points[:, 0] == 0) | (points[:, 0] == 3))
     planes = [jm.Plane([0, 1], [0, 0]), jm.Plane([0, 1], [0, 1])]
     plan = jm.prepare(mesh, body, ends, symmetry=planes)
