@@ -187,6 +187,29 @@ def test_a_plane_anywhere():
     assert exact.origin[0] == 0.1
 
 
+def test_a_patch_that_lies_in_several_planes():
+    """Front and back, or all sides of a duct, as one patch: the planes one by one. A duct of one cell's width is the hardest."""
+    axes = np.linspace(0, 2, 7), np.array([0, 1.0]), np.array([0, 0.5, 1.5])
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    ids = np.arange(len(points)).reshape(7, 2, 3)
+    low, high = slice(-1), slice(1, None)
+    square = [(low, low), (high, low), (high, high), (low, high)]
+    cells = np.stack([ids[(*ij, k)].ravel() for k in (low, high) for ij in square], axis=1)
+    front, bottom = (np.isin(points[:, axis], axes[axis][[0, -1]]) for axis in (1, 2))
+    sides = {"front and back": front, "sides": front | bottom, "inlet": points[:, 0] == 0, "outlet": points[:, 0] == 2}
+    mesh = jm.Mesh(points, {"hexahedron": cells}, {name: np.flatnonzero(is_on) for name, is_on in sides.items()})
+    u = np.tile([0.2, 0, 0], (6, 1))
+    one_by_one = [jm.Plane(np.eye(3)[axis], point) for axis in (1, 2) for point in ([0, 0, 0], [0, 1, 1.5])]
+    for name, planes in (("front and back", one_by_one[:2]), ("sides", one_by_one)):
+        moved = jm.deform(jm.prepare(mesh, "inlet", "outlet", symmetry=name, free="sides"), u)
+        expected = jm.deform(jm.prepare(mesh, "inlet", "outlet", symmetry=planes, free="sides"), u)
+        np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
+    bent = points.copy()
+    bent[ids[3, 0, 1], 1] -= 0.01
+    with pytest.raises(ValueError, match=r"do not lie in one plane: node \d+ at"):
+        jm.prepare(mesh.moved(bent), "inlet", "outlet", symmetry="front and back", free="sides")
+
+
 def test_what_is_not_a_symmetry_plane():
     mesh = body(2)
     arguments = (mesh.points, mesh.moving, mesh.fixed)

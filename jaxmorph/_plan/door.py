@@ -1,7 +1,7 @@
 """The door of `prepare`: what a caller names becomes checked points, node ids, planes, pairs and faces."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from .._mesh.mesh import Mesh
 from .faces import FreeFaces, OuterFaces, free_faces, outer_faces
 from .periodic import Pairing, Periodic, check_pairings, merged, paired
 from .slide import Slide, tracks_of, wall_of
-from .symmetry import Plane
+from .symmetry import Plane, planes_through
 from .walls import AbstractWall, Flat, Track
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
@@ -239,16 +239,25 @@ def _planes(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane
         raise ValueError(f"`symmetry` must be a Plane or several, not {shown(symmetry)}.")
     planes: list[Plane] = []
     for each in several:
-        if isinstance(each, str) and mesh is not None:
-            each = Plane.through(points, mesh.patch(each))
-        if not isinstance(each, Plane):
+        if not isinstance(each, Plane) and not (isinstance(each, str) and mesh is not None):
             raise ValueError(
                 f"`symmetry` holds {each!r}, which is no plane: pass jm.Plane(normal=(0, 1), origin=(0, 0)), "
                 "jm.Plane.through(points, nodes), or the name of a patch where the first argument is a mesh."
             )
-        if not any(each.equals(plane, points) for plane in planes):
-            planes.append(each)
+        of_patch = (each,) if isinstance(each, Plane) else planes_of(mesh, each)
+        planes += [new for new in of_patch if not any(new.equals(plane, points) for plane in planes)]
     return tuple(planes)
+
+
+def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
+    """Finds the planes in which a patch lies. Raises `ValueError`, with the worst node, where it lies in none."""
+    points, nodes = np.asarray(mesh.points), mesh.patch(name)
+
+    def faces() -> Iterator[np.ndarray]:
+        outer = outer_faces(mesh)
+        yield from (mesh.cells if outer is None else outer.corners).values()  # a part's cells are its outside
+
+    return planes_through(points, nodes, faces())
 
 
 def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pairing, ...]:

@@ -180,7 +180,8 @@ def prepare_surface(
     **Arguments:**
 
     - `mesh`: the `Mesh`, all of its points, or at least those of the surface (n, d), among which should be the outermost ones.
-      Points that are not on the surface serve for tolerances, and to see sides that are free.
+      Points that are not on the surface serve for tolerances, and to see sides that are free. Those on two parallel symmetry
+      planes are needed too: they are guided.
     - `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: those of `prepare`; ids are rows of `mesh`.
     - `nodes`: the whole mesh's ids (n,) of these points, by which pieces name them; -1 for points that no piece names.
       Default: 0 to n - 1.

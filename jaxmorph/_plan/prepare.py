@@ -49,7 +49,7 @@ def prepare(
       are those of the points: float64 needs JAX's x64 mode.
     - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both moves. All others follow.
     - `method`: `SurfaceReconstruction()` by default.
-    - `symmetry`: planes, or names of the patches that lie in them. Nodes on a plane stay in it, moving ones too.
+    - `symmetry`: planes, or names of the patches that lie in one or several. Nodes on a plane stay in it, moving ones too.
     - `periodic`: pairs of patches of which one repeats the other. Their nodes move alike, and neighbours are felt.
     - `sliding`: patches whose nodes stay on their surface and move along it; a name stands for the patch's own faces.
     - `free`: node ids or names of patches whose nodes may follow like inner ones: not warned of. Default: none.

@@ -1,7 +1,7 @@
 """Symmetry planes: where they may stand, and which nodes lie on them."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -90,6 +90,52 @@ class Plane(eqx.Module):
     def height(self, points: np.ndarray) -> np.ndarray:
         """Computes the distance (n,) of each point from the plane, positive on the side of its normal."""
         return (points - self.origin) @ self.normal
+
+
+MOST = 2 * 3
+"""Planes in which one patch may lie: the sides of a box."""
+
+
+def planes_through(
+    points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
+) -> tuple[Plane, ...]:
+    """Finds the planes in which a patch lies, front and back for example, by boundary faces (e, corners) of the mesh.
+
+    The plane with most of the nodes comes first, then that with most of those that are left. Raises what `Plane.through` does
+    where a few planes do not hold all nodes.
+    """
+    try:
+        return (Plane.through(points, nodes),)
+    except MeshError as error:
+        held = np.zeros(len(points), dtype=bool)
+        held[nodes] = True
+        own = [np.asarray(corners)[held[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
+        planes: list[Plane] = []
+        while held.any():
+            candidates = _candidates(points.astype(float), own) if len(planes) < MOST else []
+            counts = [int(held[plane.holds(points)].sum()) for plane in candidates]
+            if not counts or max(counts) < points.shape[1]:
+                raise error from None
+            chosen = candidates[int(np.argmax(counts))].holds(points)
+            on = nodes[chosen[nodes]]
+            planes.append(Plane.through(points, on))
+            held[on] = False
+            own = [corners[~chosen[corners].all(axis=1)] for corners in own]
+        return tuple(planes)
+
+
+def _candidates(points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray, "_ d"]]) -> list[Plane]:
+    """Lists the planes of most of the faces, the most frequent ones."""
+    corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *faces])]
+    edges = np.diff(corners, axis=1)
+    normal = edges[:, 0, ::-1] * [1, -1] if points.shape[1] == 2 else np.cross(edges[:, 0], edges[:, 1])
+    size = np.linalg.norm(normal, axis=1)
+    normal, corners = normal[size > 0] / size[size > 0, None], corners[size > 0, 0]
+    extent = np.ptp(points, axis=0).max()
+    height = np.sum(normal * (corners - points.mean(axis=0)), axis=1) / extent
+    keys = np.round(np.concatenate([normal, height[:, None]], axis=1), 6) + 0.0
+    _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
+    return [Plane(normal[k], corners[k]) for k in first[np.argsort(-count, kind="stable")[: 2 * MOST]]]
 
 
 def tolerance(points: np.ndarray) -> float:

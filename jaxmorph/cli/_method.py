@@ -8,7 +8,7 @@ from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._plan.door import boundary
+from jaxmorph._plan.door import boundary, planes_of
 from jaxmorph._plan.faces import FreeFaces, OuterFaces
 from jaxmorph._plan.halves import half_of
 
@@ -162,7 +162,7 @@ def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
     planes = []
     for name in symmetry:
         try:
-            planes.append(jm.Plane.through(np.asarray(mesh.points), mesh.patch(name)))
+            planes += planes_of(mesh, name)
         except ValueError as error:
             raise ValueError(f"--symmetry {name}: {error}") from None
     return Patches(mesh, moving, fixed, symmetry, free, tuple(planes), sliding, periodic)
