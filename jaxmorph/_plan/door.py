@@ -239,12 +239,15 @@ def _planes(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane
         raise ValueError(f"`symmetry` must be a Plane or several, not {shown(symmetry)}.")
     planes: list[Plane] = []
     for each in several:
-        if not isinstance(each, Plane) and not (isinstance(each, str) and mesh is not None):
+        if isinstance(each, Plane):
+            of_patch = (each,)
+        elif isinstance(each, str) and mesh is not None:
+            of_patch = planes_of(mesh, each)
+        else:
             raise ValueError(
                 f"`symmetry` holds {each!r}, which is no plane: pass jm.Plane(normal=(0, 1), origin=(0, 0)), "
                 "jm.Plane.through(points, nodes), or the name of a patch where the first argument is a mesh."
             )
-        of_patch = (each,) if isinstance(each, Plane) else planes_of(mesh, each)
         planes += [new for new in of_patch if not any(new.equals(plane, points) for plane in planes)]
     return tuple(planes)
 
@@ -255,7 +258,8 @@ def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
 
     def faces() -> Iterator[np.ndarray]:
         outer = outer_faces(mesh)
-        yield from (mesh.cells if outer is None else outer.corners).values()  # a part's cells are its outside
+        every = mesh.cells if outer is None else outer.corners  # a part's cells are its outside
+        yield from map(np.asarray, every.values())
 
     return planes_through(points, nodes, faces())
 
