@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 
+import _snapped
 import numpy as np
 from _walls import bump, camber, flap, pitch, up
 
@@ -86,6 +87,20 @@ def brick(kind: str) -> Case:
     return Case(f"bricks, {kind}", jm.Mesh(points, mesh.cells, patches), "floor", ("sides",), (), {"dent": dent})
 
 
+def turn(base: np.ndarray, amount: float) -> np.ndarray:
+    return np.asarray(jm.shapes.rotate(base, np.deg2rad(45 * amount), [0.0, 0, 0], [0.0, 1, 0])) - base
+
+
+def longer(base: np.ndarray, amount: float) -> np.ndarray:
+    return 0.3 * amount * base * [1.0, 0, 0]
+
+
+def snapped() -> list[Case]:
+    """The mesh that snappyHexMesh makes, where it is installed."""
+    motions = {"heave 0.5": far_away, "turn 45": turn, "stretch 30 %": longer}
+    return [Case("snapped sphere", _snapped.sphere(), "body", ("box",), (), motions)] if _snapped.is_there() else []
+
+
 def all_cases(points: int) -> list[Case]:
     """Generated meshes of about so many points in 2-D, and a few times as many in 3-D."""
     around = max(60, int((points / 0.5) ** 0.5))
@@ -101,6 +116,7 @@ def all_cases(points: int) -> list[Case]:
         Case("cascade", blade, _moving(blade), _others(blade), (), SECTION),
         Case("wing", wing, "wing", far, ("root", "tip"), {"bump 3 %": SECTION["bump 3 %"], "waves 2 %": waves}),
         *map(brick, ("hexahedron", "tetra", "pyramid", "wedge")),
+        *snapped(),
     ]
 
 

@@ -48,6 +48,8 @@ def _head(kind: str, name: str) -> str:
 def _solid(case: Case) -> tuple[np.ndarray, list[list[list[int]]]]:
     """Returns points in 3-D, and each cell as its faces seen from outside."""
     points, n = np.asarray(case.mesh.points), len(case.mesh.points)
+    if case.mesh.polyhedra is not None:
+        return points, _whole(case.mesh.polyhedra.faces)
     cells: list[list[list[int]]] = []
     for kind, corners in case.mesh.cells.items():
         for ids in np.asarray(corners).tolist():
@@ -59,6 +61,19 @@ def _solid(case: Case) -> tuple[np.ndarray, list[list[list[int]]]]:
     if points.shape[1] == 2:
         points = np.concatenate([np.column_stack([points, np.full(n, z)]) for z in (0.0, 0.1)])
     return points, cells
+
+
+def _whole(faces) -> list[list[list[int]]]:
+    """Returns polyhedra as their faces, each seen from outside."""
+    cells: list[list[list[int]]] = [[] for _ in range(int(max(faces.owner.max(), faces.neighbour.max())) + 1)]
+    sides = np.stack(
+        [faces.owner, np.pad(faces.neighbour, (0, len(faces.owner) - len(faces.neighbour)), constant_values=-1)]
+    )
+    for corners, owner, neighbour in zip(np.split(faces.labels, faces.starts[1:-1]), *sides.tolist(), strict=True):
+        cells[owner].append(corners.tolist())
+        if neighbour >= 0:
+            cells[neighbour].append(corners[::-1].tolist())
+    return cells
 
 
 def prepare(folder: pathlib.Path, case: Case) -> list[int]:

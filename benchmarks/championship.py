@@ -4,12 +4,14 @@ python -m benchmarks.championship [--points 2000] [--case C-grid ...] [--method 
                                   [--entry NAME=FOLDER ...] [--write FOLDER] [--peers]
                                   [--join championship.json ...] [--picture championship.png]
 
-`--peers` adds others to the same table: SciPy's `RBFInterpolator` with every node of the surface as a source, and OpenFOAM's
-`displacementLaplacian` and `displacementSBRStress` where `moveDynamicMesh` is installed. They have no rows where nodes slide in
+`--peers` adds others to the same table: SciPy's `RBFInterpolator` with every node of the surface as a source, mmgpy's
+`propagate_displacement` on triangles, quads and tetrahedra where it is installed, and OpenFOAM's `displacementLaplacian` and
+`displacementSBRStress` where `moveDynamicMesh` is. They have no rows where nodes slide in
 planes. `move` of OpenFOAM is the CPU time of the whole program, files included; that of SciPy includes the solve, which it does
 anew for each motion.
 
-`--join` takes over the rows of earlier runs, for methods that do not run now. `--picture` draws all methods against all motions.
+`--join` takes over the rows of earlier runs, for cases and methods that do not run now. `--picture` draws all methods against
+all motions.
 
 `--write FOLDER` writes, for another tool, each case and motion as CASE/MOTION.npz: `points` (n, d), `moving` (m,) and `fixed` (f,)
 node ids, `u` (m, d), and `cells_TYPE` (k, corners). `--entry NAME=FOLDER` reads that tool's CASE/MOTION.npz, each with `points`
@@ -31,6 +33,7 @@ import resource
 import sys
 import time
 import warnings
+from importlib.util import find_spec
 from typing import Any
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
@@ -153,6 +156,25 @@ def entered(name: str, folder: pathlib.Path, case: Case) -> list[dict]:
     return rows
 
 
+def scipy_rbf(case: Case, nodes: np.ndarray, u: np.ndarray) -> np.ndarray:
+    points = np.asarray(case.mesh.points)
+    return RBFInterpolator(points[nodes], u, kernel="thin_plate_spline", degree=1)(points)
+
+
+def mmgpy_laplacian(case: Case, nodes: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Moves nodes to the mean of their neighbours' displacements; quads are cut into triangles."""
+    from mmgpy.lagrangian import propagate_displacement  # pyright: ignore[reportMissingImports]
+
+    cells, points = case.mesh.cells, np.asarray(case.mesh.points)
+    kinds = [np.asarray(cells[kind]) for kind in ("triangle", "tetra") if kind in cells]
+    if "quad" in cells:
+        kinds.append(np.asarray(cells["quad"])[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3))
+    (simplices,) = kinds
+    known, whole = np.zeros(len(points), dtype=bool), np.zeros_like(points)
+    known[nodes], whole[nodes] = True, u
+    return propagate_displacement(points, simplices.astype(np.int32), known, whole)
+
+
 def of_peers(case: Case) -> list[dict]:
     """Runs the peers that are installed on all motions of a case without symmetry planes."""
     if case.symmetry:
@@ -160,15 +182,18 @@ def of_peers(case: Case) -> list[dict]:
     rows, points = [], np.asarray(case.mesh.points)
     moving, fixed = case.mesh.patch(case.moving), case.mesh.patch(*case.fixed)
     nodes = np.concatenate([moving, fixed[~np.isin(fixed, moving)]])
+    peers = {"SciPy RBF": scipy_rbf}
+    if find_spec("mmgpy") and set(case.mesh.cells) in ({"triangle"}, {"quad"}, {"tetra"}):
+        peers["mmgpy Laplacian"] = mmgpy_laplacian
     for motion, make in case.motions.items():
         u = np.zeros((len(nodes), points.shape[1]))
         u[: len(moving)] = make(case.wall, 1.0)
-        began = time.process_time()
-        field = RBFInterpolator(points[nodes], u, kernel="thin_plate_spline", degree=1)
-        moved = points + field(points)
-        numbers = {"move": time.process_time() - began}
-        moved[nodes] = points[nodes] + u  # as far as the solve is exact they are there
-        rows.append(row(case, motion, "SciPy RBF", quality(case, moved) | numbers))
+        for name, displacement in peers.items():
+            began = time.process_time()
+            moved = points + displacement(case, nodes, u)
+            numbers = {"move": time.process_time() - began}
+            moved[nodes] = points[nodes] + u  # as far as the solve is exact they are there
+            rows.append(row(case, motion, name, quality(case, moved) | numbers))
     import _openfoam  # here: it takes what the tests write cases with
 
     if _openfoam.is_there():
@@ -262,8 +287,9 @@ def main() -> None:
         if asked.json:
             content = {"format": "jaxmorph championship", "version": 1, "points": asked.points, "rows": rows}
             asked.json.write_text(json.dumps(content, indent=1))
-    now = {each["method"] for each in rows}
-    rows += [each for file in asked.join for each in json.loads(file.read_text())["rows"] if each["method"] not in now]
+    now = {(each["case"], each["method"]) for each in rows}
+    earlier = (each for file in asked.join for each in json.loads(file.read_text())["rows"])
+    rows += [each for each in earlier if (each["case"], each["method"]) not in now]
     if asked.picture:
         draw(rows, asked.picture)
     heads = "method", "rows without inverted cells", "rows won", "median skewness", "angle", "limit", "move (s)"
