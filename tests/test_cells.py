@@ -10,6 +10,7 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host import linear, multigrid
 from jaxmorph._host.elements import quadrature
+from jaxmorph._methods.stiffness import gradients
 
 UNIFORM = jm.LinearElasticity(jm.ByVolume(0.0))
 
@@ -91,6 +92,19 @@ def test_nodes_slide_in_symmetry_planes(method, turn):
     half_plan = jm.prepare(half, bottom, top, method=method, symmetry=plane, free=np.arange(len(kept)))
     moved = jm.deform(half_plan, u[3:] @ frame.T)
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-11)
+
+
+def test_a_stretched_bar_grows_thin():
+    """In plane strain by -nu / (1 - nu) of its stretch, where its sides are free."""
+    points = np.stack(np.meshgrid([0.0, 0.3, 1, 1.4], [0.0, 0.2, 0.7], indexing="ij"), axis=-1).reshape(-1, 2)
+    ids = np.arange(12).reshape(4, 3)
+    points[ids[1:3, 1]] += [[0.1, 0.05], [-0.1, 0.1]]
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    method = jm.LinearElasticity(jm.ByVolume(0.0), poisson=0.2)
+    ends = np.concatenate([ids[0], ids[-1]])
+    plan = jm.prepare(jm.Mesh(points, {"quad": quads}), ends, method=method, free=ids.ravel())
+    u = points * [0.1, -0.1 * 0.2 / 0.8]
+    np.testing.assert_allclose(jm.deform(plan, u[ends]), points + u, rtol=0, atol=1e-13)
 
 
 def test_nodes_at_one_place_move_alike():
@@ -304,6 +318,9 @@ def test_shape_functions_give_volumes_and_gradients(kind, corners, share):
     jacobian = np.einsum("qcr,cd->qrd", derivatives, points)
     volume = (weights * np.linalg.det(jacobian)).sum()
     assert volume == pytest.approx(share * np.linalg.det(shear), rel=1e-13)
+    flat, left = gradients(kind, jnp.full((len(points), d), 0.3))  # all corners in one place
+    assert np.isfinite(flat).all()
+    assert (left > 0).all()
     found = np.linalg.solve(jacobian, np.einsum("qcr,cd->qrd", derivatives, points @ gradient))
     np.testing.assert_allclose(found, np.broadcast_to(gradient, found.shape), rtol=0, atol=1e-12)
     if kind == "wedge":  # both ends are alike

@@ -14,7 +14,7 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.files import complete
+from jaxmorph._host.files import complete, output_path
 
 posix = pytest.mark.skipif(os.name != "posix", reason="links and modes of POSIX")
 
@@ -162,6 +162,12 @@ def test_names_with_blanks_and_letters_of_all_kinds(tmp_path, name):
     io.write(tmp_path / name, small())
     assert len(io.read(tmp_path / name).points) == 3
     assert names(tmp_path) == [name]
+
+
+def test_a_name_is_a_path_with_one_of_the_endings(tmp_path):
+    assert output_path(str(tmp_path / "a.PNG"), ".png", ".html") == tmp_path / "a.PNG"
+    with pytest.raises(ValueError, match=r"a\.gif: the name should end in \.png or \.html\."):
+        output_path(tmp_path / "a.gif", ".png", ".html")
 
 
 @posix

@@ -49,8 +49,8 @@ def test_a_tip_stands_below_its_shroud():
 
 def test_gaps_are_distances_to_faces():
     """Two triangles above a third: over its middle, its edge and its corner; in 2-D a node beside a segment and beyond it."""
-    floor = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    nodes = np.array([[0.25, 0.25, 0.3], [0.5, -0.4, 0.3], [-0.3, -0.4, 1.2]])
+    floor = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
+    nodes = np.array([[0.5, 0.5, 0.3], [1, -0.4, 0.3], [-0.3, -0.4, 1.2]])
     found = gaps(np.concatenate([floor, nodes]), np.array([0, 0, 0, 1, 1, 1]), np.array([[0, 1, 2]]))
     np.testing.assert_allclose(found[0][3:], [0.3, 0.5, 1.3])
     assert np.isinf(found[0][:3]).all()

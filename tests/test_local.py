@@ -62,6 +62,18 @@ def test_nothing_is_corrected_where_every_node_is_a_source():
         assert all((slope == 0).all() for slope in slopes)
 
 
+def test_beyond_the_layer_of_near_wall_it_is_what_moves():
+    mesh, alone = body(2), jm.LocalCorrection(2.0)
+    u = motion(mesh.points[mesh.moving])
+    methods = alone, jm.NearWall(alone, width=0.1)
+    expected, moved = (
+        np.asarray(jm.deform(jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=each), u)) for each in methods
+    )
+    apart = np.linalg.norm(mesh.points[:, None] - mesh.points[mesh.boundary][None], axis=2).min(axis=1)
+    np.testing.assert_allclose(moved[apart > 0.1], expected[apart > 0.1], rtol=0, atol=1e-14)
+    assert np.abs(moved - expected).max() > 1e-4
+
+
 def test_points_beyond_the_hull_of_the_boundary_are_moved():
     """A graph would refuse them."""
     points = np.random.default_rng(0).uniform(-1, 1, (60, 2))

@@ -570,6 +570,7 @@ def test_the_table_fits_a_terminal():
     several = jax.tree.map(lambda values: jnp.stack([values, values, values]), report)
     assert str(several) == repr(several)
     assert several.inverted.tolist() == several.degenerate.tolist() == [0, 0, 0]
+    np.testing.assert_allclose(several.mean_skewness, np.full(3, report.mean_skewness), rtol=1e-14)
 
 
 def test_nan_is_never_fine():

@@ -233,8 +233,21 @@ BAD = {
     "more markers": (PLAIN.replace("NMARK= 2", "NMARK= 1"), "line 13: NMARK= 1, but 2 markers"),
     "fewer markers": (PLAIN.replace("NMARK= 2", "NMARK= 3"), "NMARK= 3, but 2 markers"),
     "cut before the markers": (PLAIN[: PLAIN.index("NMARK")], "no NMARK= in this file"),
+    "no points": (
+        "NDIME= 2\nNELEM= 0\nNPOIN= 0\nNMARK= 0\n",
+        "line 3: NPOIN= must be followed by a whole number, found '0'",
+    ),
     "bytes": ("\x00\x01\x02" * 100, "no NDIME="),
 }
+
+
+def test_the_last_line_needs_no_end(tmp_path):
+    text = "NDIME= 2\nNELEM= 1\n5 0 1 2\nNPOIN= 3\n0 0\n1 0\n0 1\nNMARK= 0"
+    (tmp_path / "a.su2").write_text(text)
+    (tmp_path / "b.su2").write_text(text + "\n")
+    mesh, same = (io.read(tmp_path / name) for name in ("a.su2", "b.su2"))
+    np.testing.assert_array_equal(mesh.points, same.points)
+    np.testing.assert_array_equal(mesh.cells["triangle"], [[0, 1, 2]])
 
 
 @pytest.mark.usefixtures("chunk")

@@ -97,8 +97,12 @@ def test_derivatives_and_the_smooth_twin():
     sharp, smooth = (np.asarray(jm.wall_quality(mesh, "floor", points, softness=s).angle) for s in (None, 0.5))
     np.testing.assert_allclose(smooth, np.sqrt(sharp**2 + 0.25) - 0.5, rtol=1e-12)
     assert sharp.max() > 1
-    several = jax.vmap(lambda points: jm.wall_quality(mesh, "floor", points).max_angle)(np.stack([points, mesh.points]))
-    np.testing.assert_allclose(several, [sharp.max(), 0], atol=1e-6)
+    several = jax.vmap(lambda points: jm.wall_quality(mesh, "floor", points))(np.stack([points, mesh.points]))
+    np.testing.assert_allclose(several.max_angle, [sharp.max(), 0], atol=1e-6)
+    np.testing.assert_allclose(several.mean_angle, [sharp.mean(), 0], atol=1e-6)
+    height = np.asarray(jm.wall_quality(mesh, "floor", points).height)
+    np.testing.assert_allclose(several.min_height, [height.min(), 1], rtol=1e-12)
+    np.testing.assert_allclose(several.max_height, [height.max(), 1], rtol=1e-12)
 
 
 def test_bad_walls():

@@ -13,7 +13,7 @@ from cases import body, motion
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.sharp import behind_tips
-from jaxmorph._host.skin import chords, edges
+from jaxmorph._host.skin import chords, edges, thinned
 
 
 @functools.cache
@@ -167,6 +167,25 @@ def test_edges_and_chord_of_a_circle():
         ends, share = chords(points, wall, faces)
         span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
         np.testing.assert_allclose(share * span, [np.pi, 5 * np.pi], rtol=2e-2)
+
+
+def test_edges_of_faces_and_of_an_open_line():
+    """A face has all of its sides; the ends of a line have one neighbour each."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.2], [2, 0.5, 0]])
+    found = edges(corners, 5, {"quad": np.array([[0, 1, 2, 3]]), "triangle": np.array([[1, 4, 2]])})
+    np.testing.assert_array_equal(found, [[0, 1], [0, 3], [1, 2], [1, 4], [2, 3], [2, 4]])
+    line = np.array([[0.0, 0], [1, 0.1], [2.1, 0.1], [3.3, 0], [4.6, -0.1]])
+    np.testing.assert_array_equal(edges(line, 5), [[0, 1], [1, 2], [2, 3], [3, 4]])
+
+
+def test_thinned_places_do_not_depend_on_their_order():
+    places, order = np.random.default_rng(0).normal(size=(2, 50, 3))
+    order = np.argsort(order[:, 0])
+    chosen, again = thinned(places, 20), thinned(places[order], 20)
+    assert (np.diff(chosen) > 0).all()
+    np.testing.assert_array_equal(np.sort(order[again]), chosen)
+    assert len(chosen) == 20
+    np.testing.assert_array_equal(thinned(places, 50), np.arange(50))
 
 
 def test_chord_of_a_sphere():

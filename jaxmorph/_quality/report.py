@@ -62,7 +62,7 @@ class QualityReport(eqx.Module):
     relative: bool = eqx.field(static=True, default=True)
 
     @property
-    def area(self) -> Float[Array, " k"]:
+    def area(self) -> Float[Array, "*batch k"]:
         """Area of each cell: `volume`, by the name that it has in 2-D."""
         return self.volume
 
@@ -178,7 +178,7 @@ class QualityReport(eqx.Module):
             lines.append(f"{name:<17}{numbers}  {cell:<8}{self._place(cell)}")
         return "\n".join(lines)
 
-    def _measure(self, name: str) -> Float[Array, " k"]:
+    def _measure(self, name: str) -> Float[Array, "*batch k"]:
         if name not in MEASURES:
             raise ValueError(f"no measure is called {name!r}; there are {', '.join(MEASURES)}.")
         return getattr(self, name)

@@ -32,19 +32,19 @@ class WallQuality(eqx.Module):
     height: Float[Array, " w"]
 
     @property
-    def mean_angle(self) -> Float[Array, ""]:
+    def mean_angle(self) -> Float[Array, "..."]:
         return jnp.mean(self.angle, axis=-1)
 
     @property
-    def max_angle(self) -> Float[Array, ""]:
+    def max_angle(self) -> Float[Array, "..."]:
         return largest(self.angle, axis=-1)
 
     @property
-    def min_height(self) -> Float[Array, ""]:
+    def min_height(self) -> Float[Array, "..."]:
         return smallest(self.height, axis=-1)
 
     @property
-    def max_height(self) -> Float[Array, ""]:
+    def max_height(self) -> Float[Array, "..."]:
         return largest(self.height, axis=-1)
 
     def __str__(self) -> str:
