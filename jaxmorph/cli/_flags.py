@@ -185,7 +185,7 @@ def _surface(command: Parser) -> None:
 
 def _fixed(add: Add) -> None:
     add("--fixed", everyday=True, metavar="NAME", nargs="+", default=[], help="patches that stay")
-    what = "patches, each in one plane or several, in which nodes slide"
+    what = "plane patches in which nodes slide"
     add("--symmetry", everyday=True, metavar="NAME", nargs="+", default=[], help=what)
     what = "patches whose nodes move along their faces"
     add("--sliding", metavar="NAME", nargs="+", action="extend", default=[], help=what)
