@@ -62,7 +62,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
         return 1
     with out.progress(f"writing {request.output.name}"):
-        io.write_moved(request.output, mesh, mesh.moved(points), after.report)
+        after.write(request.output)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 1 if bad else 0
 

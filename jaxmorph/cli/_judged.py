@@ -2,13 +2,14 @@
 
 import dataclasses
 import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 import jaxmorph as jm
-from jaxmorph import Mesh
+from jaxmorph import Mesh, io
 from jaxmorph._quality.faces import measured
 from jaxmorph._quality.sides import Sides
 
@@ -180,6 +181,14 @@ class Judged:
             return int(self.report.worst(1)[0])
         pyramid = self.pyramid[self.spoilt]
         return int(self.spoilt[np.where(np.isnan(pyramid), -np.inf, pyramid).argmin()])
+
+    def write(self, path: Path) -> None:
+        """Writes the mesh on these points, with the quality of its cells where the format holds arrays."""
+        moved = self.mesh.moved(self.points)
+        if io.check_output(path, self.mesh):
+            io.write_moved(path, self.mesh, moved, self.report)
+        else:
+            io.write(path, moved)
 
     def centroid(self, cell: int) -> np.ndarray:
         return np.asarray(self.faces.centroid[cell] if self.by_faces else self.report.centroid[cell])

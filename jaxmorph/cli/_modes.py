@@ -66,7 +66,7 @@ def modes(request: Modes, out: Output) -> int:
                 if xdmf:
                     xdmf.add(case.time, mesh.moved(points), judged.report)
                 else:
-                    io.write_moved(case.output, mesh, mesh.moved(points), judged.report)
+                    judged.write(case.output)
                 good.append(case)
             stage.done(case.number / len(cases))
     return _end(request, good, bad, len(cases), out)
