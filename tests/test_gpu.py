@@ -11,8 +11,9 @@ import pytest
 from cases import body, motion
 
 import jaxmorph as jm
+from jaxmorph._kernels.compile import compiled
 from jaxmorph._kernels.product import few_rows_in_one_loop
-from jaxmorph._methods.blocks import map_rows
+from jaxmorph._methods.blocks import by_platform, map_rows
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "benchmarks"))
 import gpu  # pyright: ignore[reportMissingImports]
@@ -81,3 +82,19 @@ def test_a_product_in_one_loop(axis):
     rows = rng.normal(size=(3, block.shape[axis]))
     found = few_rows_in_one_loop(jnp.asarray(rows), jnp.asarray(block), axis)
     np.testing.assert_allclose(found, rows @ (block if axis == 0 else block.T), rtol=0, atol=1e-14)
+
+
+def test_a_direct_call_on_a_cpu_is_traced_for_it_alone():
+    """Whatever else traces the same functions, nested ones too, is given blocks for each platform."""
+    blocks = []
+
+    def noted(rows, block):
+        blocks.append(block)
+        return rows
+
+    inner = compiled(lambda x: by_platform(noted, x, 1))
+    outer = compiled(lambda x: inner(x))
+    for function, expected in ((outer, {1}), (jax.jit(outer), {1, 256}), (inner, {1})):
+        blocks.clear()
+        function(jnp.ones(100))
+        assert set(blocks) == expected

@@ -24,6 +24,7 @@ UNTUNED = {"xla_backend_optimization_level": 0}
 """A third of the time to compile, for programs that run a few times on little."""
 
 _is_quick = contextvars.ContextVar("_is_quick", default=False)
+_is_for_cpu = contextvars.ContextVar("_is_for_cpu", default=False)
 
 Function = TypeVar("Function", bound=Callable)
 
@@ -49,10 +50,22 @@ def compiled(function: Function) -> Function:
         keywords = {name: _array(each) for name, each in keywords.items()}
         leaves = jax.tree.leaves((arguments, keywords))
         arrays = [leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)]
-        chosen = direct(len(arrays) == len(leaves), _is_quick.get()) if _is_direct(arrays) else plain
-        return chosen(*arguments, **keywords)
+        if _is_for_cpu.get():
+            return function(*arguments, **keywords)  # traced into the program of a direct call
+        if not _is_direct(arrays):
+            return plain(*arguments, **keywords)
+        token = _is_for_cpu.set(any(isinstance(leaf, jax.Array) for leaf in arrays))
+        try:
+            return direct(len(arrays) == len(leaves), _is_quick.get())(*arguments, **keywords)
+        finally:
+            _is_for_cpu.reset(token)
 
     return call  # pyright: ignore[reportReturnType]
+
+
+def is_for_cpu() -> bool:
+    """Tells whether the program that is traced is that of a direct call with arrays on a CPU, and never runs elsewhere."""
+    return _is_for_cpu.get()
 
 
 @contextlib.contextmanager

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from .compile import is_for_cpu
+
 _ROOT_HALF = 0x3FE6A09E00000000
 """The bits of sqrt(1/2), rounded down to a multiple of 2^32."""
 
@@ -81,6 +83,8 @@ def _not_zero(x):
 def _by_platform(float64_on_cpu, otherwise, x):
     if x.dtype != jnp.float64:
         return otherwise(x)
+    if is_for_cpu():
+        return float64_on_cpu(x)
     return jax.lax.platform_dependent(x, cpu=float64_on_cpu, default=otherwise)
 
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
+from .._kernels.compile import is_for_cpu
 from .base import BLOCK, AbstractField, AbstractMethod, AbstractRows
 
 WIDER = 256
@@ -95,7 +96,7 @@ def _folded(function: Callable[[PyTree, PyTree], PyTree], start: PyTree, rows: P
 
 def by_platform(function: Callable[[PyTree, int], PyTree], rows: PyTree, block: int) -> PyTree:
     """Calls `function(rows, block)` with the size of blocks that suits the platform the program is compiled for."""
-    if len(jax.tree.leaves(rows)[0]) <= FEW * block:
+    if len(jax.tree.leaves(rows)[0]) <= FEW * block or is_for_cpu():
         return function(rows, block)
     return jax.lax.platform_dependent(
         rows, cpu=lambda rows: function(rows, block), default=lambda rows: function(rows, WIDER * block)
