@@ -207,3 +207,27 @@ def test_the_longest_names_are_written(tmp_path):
         with complete(tmp_path / f"{name}.su2") as partial:
             partial.write_text("new")
     assert len(names(tmp_path)) == 2
+
+
+@posix
+def test_a_pipe_is_not_read(tmp_path):
+    """A reader would wait for someone who writes to it."""
+    mesh = small()
+    for reader, name in (
+        (io.read, "a.su2"),
+        (io.read, "a.cgns"),
+        (jm.load, "a.npz"),
+        (lambda path: io.read_displacement(path, mesh, [0]), "a.dat"),
+        (lambda path: io.read_sensitivity(path, mesh), "b.npz"),
+        (lambda path: io.read_surface(path, 2), "a.csv"),
+        (lambda path: io.read_box(path, 2), "a.toml"),
+    ):
+        os.mkfifo(tmp_path / name)
+        with pytest.raises(ValueError, match=f"{name}: is a device or a pipe"):
+            reader(tmp_path / name)
+
+
+@pytest.mark.parametrize("call", [io.read, lambda path: io.write(path, small())])
+def test_a_name_with_a_null_byte(call):
+    with pytest.raises(ValueError, match=r"'a\\x00b.su2': a name of a file holds no null byte"):
+        call("a\0b.su2")

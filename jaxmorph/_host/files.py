@@ -15,13 +15,33 @@ from collections.abc import Iterator
 import numpy as np
 
 
+def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
+    """Checks the name of a file or a folder to read; returns it as a path.
+
+    It raises `ValueError` for a device and a pipe, for which a reader would wait, and for a name with a null byte. What is not
+    there is for the reader to tell.
+    """
+    path = _without_null(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ValueError(
+            f"{path}: is a device or a pipe; what is read is looked at more than once: write it to a file."
+        )
+    return path
+
+
+def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
+    if "\0" in os.fspath(path):
+        raise ValueError(f"{os.fspath(path)!r}: a name of a file holds no null byte.")
+    return pathlib.Path(path)
+
+
 def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = False) -> pathlib.Path:
     """Checks the name of a file, or of a folder, to write, before any work; returns it as a path.
 
     It raises `ValueError` for a name that ends in none of `endings`, where there are any, and for a folder that is not there. Also
     for what cannot be replaced by a file: a folder, a device, a pipe.
     """
-    path = pathlib.Path(path)
+    path = _without_null(path)
     if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path}: the name should end in {' or '.join(endings)}.")
     if not path.parent.is_dir():

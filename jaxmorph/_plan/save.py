@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._host.door import checked
-from .._host.files import complete, read_arrays
+from .._host.files import complete, input_path, read_arrays
 from .halves import SurfaceHalf
 from .known import known_classes
 from .plan import Plan
@@ -77,7 +77,7 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
     Also for a class that is not known or has other fields here, and for float64 while JAX's x64 mode is off. `OSError`
     for a file that cannot be opened.
     """
-    path = pathlib.Path(path)
+    path = input_path(path)
     members = read_arrays(path, "a saved plan")
     try:
         header = json.loads(members[_HEADER].tobytes())

@@ -1,7 +1,6 @@
 """Boxes of free-form deformation as files."""
 
 import os
-import pathlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmorph._host.door import checked
+from jaxmorph._host.files import input_path
 from jaxmorph._host.toml import read
 from jaxmorph.shapes import FreeForm
 
@@ -38,7 +38,7 @@ def read_box(
     **Raises:** `ValueError` for what is no such table, does not fit the dimensions, or moves a control point that is held.
     """
     d, where = dimensions, "--box" if isinstance(source, Mapping) else str(source)
-    table = dict(source) if isinstance(source, Mapping) else read(where, pathlib.Path(source).read_bytes())
+    table = dict(source) if isinstance(source, Mapping) else read(where, input_path(source).read_bytes())
     if not set(NEEDED) <= set(table) <= {*NEEDED, *OPTIONAL} or not isinstance(table["moved"], list):
         listed = ", ".join(table) or "nothing"
         raise ValueError(f"{where}: low, high, points and a list moved expected, found {listed}.")

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
 from jaxmorph._host.door import checked
-from jaxmorph._host.files import read_arrays, real_array
+from jaxmorph._host.files import input_path, read_arrays, real_array
 
 from ._shape import carried, read_shape
 from ._surface import read_surface
@@ -49,10 +49,10 @@ def read_displacement(
     **Raises:** `ValueError` for nodes that are missing or foreign, for surfaces of different connectivity, and for
     nodes further off the surface `before` than 0.01 of its size.
     """
-    path, moving = pathlib.Path(path), np.asarray(moving)
+    path, moving = input_path(path), np.asarray(moving)
     points = np.asarray(mesh.points)
     if before is not None:
-        return _between(pathlib.Path(before), path, points[moving])
+        return _between(input_path(before), path, points[moving])
     if path.suffix.lower() in SHAPES:
         raise ValueError(f"{path}: a surface without node ids; give the surface before the motion too.")
     of_file = getattr(mesh.source, "node_ids", None)

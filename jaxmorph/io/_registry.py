@@ -63,7 +63,7 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     **Raises:** `ValueError` for a file that is not a good mesh, with file, line and what stands there. `OSError` for a file
     that cannot be opened. `ImportError` when the extra is missing.
     """
-    path = pathlib.Path(path)
+    path = files.input_path(path)
     mesh = format_of(path).codec().read(path)
     for kind, corners in mesh.cells.items():
         corners = np.asarray(corners)

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
 from jaxmorph._host.door import checked, finite_array, rows_of
-from jaxmorph._host.files import complete, output_path, read_arrays, real_array
+from jaxmorph._host.files import complete, input_path, output_path, read_arrays, real_array
 
 from ._surface import read_table
 from .openfoam.field import is_foam_file, read_point_vectors
@@ -44,7 +44,7 @@ def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarr
 
     **Raises:** `ValueError` for nodes that are missing, foreign or there twice, and for values that are not finite.
     """
-    path = pathlib.Path(path)
+    path = input_path(path)
     n, d = mesh.points.shape
     if path.suffix.lower() == ".npz":
         ids, values = _arrays(path, n)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._host.door import checked
+from .._host.files import input_path
 from .text.sections import Section
 
 IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
@@ -31,7 +32,7 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
     **Raises:** `ValueError`, with file and line, for other contents and for ids that come twice or are no whole
     numbers.
     """
-    return read_table(pathlib.Path(path), d)
+    return read_table(input_path(path), d)
 
 
 def read_table(
