@@ -123,28 +123,33 @@ def needle():
     return jm.Mesh(points, {"tetra": cells}), np.array([4, 5])
 
 
-@pytest.mark.parametrize(("make", "tangled"), [(strip, True), (needle, False)])
-def test_every_component_of_improve(make, tangled):
-    """The implicit derivative is that of the minimum by the outer nodes, and zero by the inner ones, where the search begins."""
+@pytest.mark.parametrize(("make", "is_near"), [(strip, False), (needle, True)])
+def test_every_component_of_improve(make, is_near):
+    """The implicit derivative is that of the minimum by the outer nodes, and zero by the inner ones, where the search begins.
+
+    It begins on inverted cells. Places are known to about 1e-10, where the energy no longer tells them apart; differences divide
+    that by their step. In 3-D they begin at the minimum, which hides it.
+    """
     mesh, inner = make()
     points = np.array(mesh.points)
     outer = np.setdiff1d(np.arange(len(points)), inner)
     points[outer] += 0.15 * np.random.default_rng(3).uniform(-1, 1, points[outer].shape)
-    if tangled:
-        points[inner] = points[inner[::-1]] + 0.2
-    assert np.asarray(jm.inverted(mesh, points)).any() == tangled
+    points[inner] = points[inner[::-1]] + 0.2
+    assert np.asarray(jm.inverted(mesh, points)).any()
 
     def improved(points):
         found = jm.improve(mesh, points, tolerance=1e-11)
         return found.points[inner], (found.points[inner], found.after)
 
     both = jax.jit(jax.jacrev(improved, has_aux=True))
-    slopes, (_, after) = both(points)
+    slopes, (least, after) = both(points)
     assert int(after) == 0
 
     def places(x):
         start = points.copy()
         start[outer] = x
+        if is_near:
+            start[inner] = least
         return both(start)[1][0]
 
     expected = jacobian(places, points[outer], 8e-3)
