@@ -92,6 +92,10 @@ def test_nodes_slide_in_symmetry_planes(method, turn):
     half_plan = jm.prepare(half, bottom, top, method=method, symmetry=plane, free=np.arange(len(kept)))
     moved = jm.deform(half_plan, u[3:] @ frame.T)
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-11)
+    if turn == 0:  # a coarse field has to place the images of the surface, too
+        coarse = jm.SurfaceReconstruction(method, jm.DelaunayGraph())
+        half_plan = jm.prepare(half, bottom, top, method=coarse, symmetry=plane, free=np.arange(len(kept)))
+        np.testing.assert_allclose(jm.deform(half_plan, u[3:] @ frame.T), expected, rtol=0, atol=1e-11)
 
 
 def test_a_stretched_bar_grows_thin():

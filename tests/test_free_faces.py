@@ -188,3 +188,10 @@ def test_a_part_knows_what_the_whole_knows():
         assert faces is not None
         assert whole is not None
         np.testing.assert_array_equal(faces["quad"], whole["quad"])
+
+
+def test_a_surface_alone_has_each_node_once():
+    points = np.random.default_rng(0).normal(size=(6, 2))
+    alone = boundary(points, [4, 1], [2], ()).alone()
+    np.testing.assert_array_equal(alone.nodes, [0, 1, 2])
+    np.testing.assert_array_equal(alone.points, points[[4, 1, 2]])
