@@ -19,7 +19,9 @@ def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
     """
     points, moving = np.asarray(plan.points), np.asarray(plan.moving)
     size = np.linalg.norm(u, axis=1)
-    inner = np.setdiff1d(np.arange(len(points)), np.concatenate([moving, plan.fixed]))
+    is_inner = np.ones(len(points), dtype=bool)
+    is_inner[moving] = is_inner[np.asarray(plan.fixed)] = False
+    inner = np.flatnonzero(is_inner)
     if not size.max() or not inner.size:
         return 0.0, 0.0
     share = np.linalg.norm((np.asarray(deform(plan, u)) - points)[inner], axis=1) / size.max()

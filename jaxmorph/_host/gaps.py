@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.spatial import KDTree
 
+from .neighbours import searched_together
+
 CLOSEST = 12
 """Faces of other walls, those with the nearest middles, that a node's distance is measured to."""
 
@@ -33,16 +35,31 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.nd
     whole = (labels == labels[:, :1]).all(axis=1)
     faces, labels = faces[whole], labels[whole, 0]
     distance, nearest = np.full(len(points), np.inf), np.zeros((len(points), faces.shape[1]), dtype=np.int64)
+    middles = points[faces].mean(axis=1)
+    trees = [(rows, KDTree(middles[rows])) for rows in searched_together(labels, np.arange(len(faces)))]
     for label in np.unique(wall):
-        here, others = np.flatnonzero(wall == label), faces[labels != label]
+        here, others = np.flatnonzero(wall == label), np.flatnonzero(labels != label)
         if len(others):
-            corners = points[others]
-            count = min(CLOSEST, len(others))
-            near = np.asarray(KDTree(corners.mean(axis=1)).query(points[here], k=count)[1]).reshape(len(here), count)
-            each = np.stack([_distance(points[here], corners[column]) for column in near.T], axis=1)
+            apart = [each for each in trees if labels[each[0][0]] != label] if len(trees) > 1 else None
+            near = _closest(points[here], apart or [(others, KDTree(middles[others]))])
+            each = np.stack([_distance(points[here], points[faces[column]]) for column in near.T], axis=1)
             closest, row = each.argmin(axis=1), np.arange(len(here))
-            distance[here], nearest[here] = each[row, closest], others[near[row, closest]]
+            distance[here], nearest[here] = each[row, closest], faces[near[row, closest]]
     return distance, nearest
+
+
+def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, KDTree]]) -> np.ndarray:
+    """Finds the faces (k, c) whose middles are nearest to points (k, d), out of several trees, each with its rows of faces."""
+    apart, near = [], []
+    for rows, tree in trees:
+        count = min(CLOSEST, len(rows))
+        distance, row = map(np.asarray, tree.query(points, k=count))
+        apart.append(distance.reshape(len(points), count))
+        near.append(rows[row].reshape(len(points), count))
+    if len(near) == 1:
+        return near[0]
+    order = np.argsort(np.concatenate(apart, axis=1), axis=1, kind="stable")[:, :CLOSEST]
+    return np.take_along_axis(np.concatenate(near, axis=1), order, axis=1)
 
 
 def _distance(x: np.ndarray, corners: np.ndarray) -> np.ndarray:

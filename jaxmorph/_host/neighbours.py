@@ -62,7 +62,7 @@ def near_walls(
     for label in np.unique(wall[first]):
         here, others = np.flatnonzero(wall[first] == label), np.flatnonzero(wall != label)
         if others.size:
-            bounded = [(members, 8 * reach[wall == label].max()) for members in _searched_together(wall, others)]
+            bounded = [(members, 8 * reach[wall == label].max()) for members in searched_together(wall, others)]
             apart, other = _nearest(surface, bounded, points[near[here]], once)
             close = np.flatnonzero(apart < np.inf)
             rows[here[close], count] = other[close]
@@ -78,14 +78,14 @@ def _nearest_within(
     Nodes of about the same reach are searched together: a bound that is far too large costs ten times as much.
     """
     bounded = []
-    for members in _searched_together(wall, np.flatnonzero(reach > 0)):
+    for members in searched_together(wall, np.flatnonzero(reach > 0)):
         size = np.frexp(reach[members])[1]
         alike = [members[size == exponent] for exponent in np.unique(size)]
         bounded += [(rows, reach[rows].max()) for rows in alike]
     return _nearest(surface, bounded, points, once, reach)
 
 
-def _searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
     """Divides rows of the surface by their walls, unless these are many.
 
     The nearest node of a plane is found at once, from however far away. A tree of several planes has boxes that reach from
