@@ -109,10 +109,10 @@ def planes_through(
     except MeshError as error:
         held = np.zeros(len(points), dtype=bool)
         held[nodes] = True
-        own = [np.asarray(corners)[held[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
+        sides = [np.asarray(corners)[held[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
         planes: list[Plane] = []
         while held.any():
-            candidates = _candidates(points.astype(float), own) if len(planes) < MOST else []
+            candidates = _candidates(points.astype(float), sides) if len(planes) < MOST else []
             counts = [int(held[plane.holds(points)].sum()) for plane in candidates]
             if not counts or max(counts) < points.shape[1]:
                 raise error from None
@@ -120,7 +120,7 @@ def planes_through(
             on = nodes[chosen[nodes]]
             planes.append(Plane.through(points, on))
             held[on] = False
-            own = [corners[~chosen[corners].all(axis=1)] for corners in own]
+            sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
         return tuple(planes)
 
 
