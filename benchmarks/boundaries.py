@@ -1,9 +1,9 @@
-"""Boundaries that slide or repeat, against the same ones held: a block in a box, a blade in a cascade, a blade tip, a wing's root.
+"""Boundaries that slide or repeat, against the same ones held: blocks, blades, a wing's root on a round body and on a fuselage.
 
     python benchmarks/boundaries.py
 
-Each line: inverted cells, smallest Jacobian ratio, and the first angle (for the wing, the first hundredth of its length) that
-inverts a cell, in one step. For the block, the size-skew of its cells, too: smallest and mean, in one step and in 20.
+Each line: inverted cells, smallest Jacobian ratio, and the first angle (for wings and the neighbour, the first hundredth of the
+length) that inverts a cell, in one step. For the block, the size-skew of its cells, too: smallest and mean, in one step and in 20.
 """
 
 from collections.abc import Callable
@@ -135,6 +135,44 @@ def main() -> None:
 
         for name, plan in (("held", held), ("slides", slides)):
             judge(f"wing moves {way} a body that {'is held' if name == 'held' else name}", body, plan, moved_by, 6, 2)
+
+    body = fuselage(body)
+    held = jm.prepare(body, "blade", (*outer, "hub"))
+    slides = jm.prepare(body, "blade", outer, sliding=jm.Slide(("hub", "root")))
+    for axis, way in ((0, "along"), (1, "around")):
+
+        def moved_by(hundredths, axis=axis):
+            return np.tile(0.005 * hundredths * np.eye(3)[axis], (len(nodes), 1))
+
+        for name, plan in (("held", held), ("slides", slides)):
+            judge(f"wing {way} a fuselage of faces, {name}", body, plan, moved_by, 6, 2)
+
+    pair = above_an_airfoil()
+    start = np.asarray(pair.points)[pair.patch("neighbour")]
+
+    def passed(hundredths):
+        x = start[:, 0] + hundredths / 100
+        return np.stack([x - start[:, 0], 0.24 * (start[:, 0] ** 2 - x**2) / 4], axis=1)
+
+    held = jm.prepare(pair, "neighbour", ("outer", "wall"))
+    slides = jm.prepare(pair, "neighbour", "outer", sliding="wall")
+    for name, plan in (("held", held), ("slides", slides)):
+        judge(f"neighbour of an airfoil's wall, {name}", pair, plan, passed, 60, 5)
+
+
+def fuselage(mesh: jm.Mesh) -> jm.Mesh:
+    """Makes a body of a round one that is no surface of revolution: wider than high, and thinner towards its end."""
+    x, y, z = np.asarray(mesh.points).T
+    return mesh.moved(np.stack([x, 1.3 * (1 - 0.1 * x) * y, (1 - 0.1 * x - 0.05 * x**2) * z], axis=1))
+
+
+def above_an_airfoil() -> jm.Mesh:
+    """Makes a box of 0.5 by 0.25, a quarter above the upper side of an airfoil: an arc of 64 pieces."""
+    mesh = cases.bodies({"neighbour": (-0.5, 0.0, 0.25, 0.5)}, box=(-2.0, 2.0, 0.0, 2.0), spacing=0.0625)
+    x, y = np.asarray(mesh.points).T
+    patches = {"wall": np.flatnonzero(y == 0), "outer": np.flatnonzero((y == 2) | (np.abs(x) == 2))}
+    points = np.stack([x, y + 0.3 * (1 - x**2 / 4) * (1 - y / 2)], axis=1)
+    return jm.Mesh(points, mesh.cells, {"neighbour": mesh.patch("neighbour"), **patches})
 
 
 if __name__ == "__main__":

@@ -269,6 +269,8 @@ def test_what_does_not_slide():
         jm.prepare(mesh, "hole", sliding=jm.Slide("left", AXIS), method=TPS)
     with pytest.raises(ValueError, match="all 8 nodes of the sliding patch 'hole' are in `moving`, first node 30 at"):
         jm.prepare(mesh, "hole", sliding="hole", method=TPS)
+    with pytest.raises(ValueError, match="the sliding patch 'left' is given twice: its nodes slide along one surface"):
+        jm.prepare(mesh, "hole", sliding=["left", jm.Slide("left", jm.Plane((1, 0), (-4, 0)))], method=TPS)
     halves = [jm.Slide(mesh.patch("left")[part]) for part in (slice(0, 5), slice(4, 9))]
     with pytest.raises(
         ValueError, match=r"meet at 1 nodes without an edge between them, the worst is node 4 at \(-4, 0\)"
@@ -276,6 +278,20 @@ def test_what_does_not_slide():
         jm.prepare(mesh, "hole", sliding=halves, method=TPS)
     with pytest.raises(ValueError, match="places along the axis, ascending, and radii"):
         jm.Revolution((1, 0, 0), profile=[(1, 1), (0, 1)])
+
+
+@pytest.mark.slow
+def test_pairs_slide_along_walls_that_repeat_each_other():
+    """A ceiling that is steeper at one end than at the other, or slides at one end alone, is no surface of both partners."""
+    mesh = box()
+    x, y = np.asarray(mesh.points).T
+    arched = mesh.moved(np.stack([x, y + 0.05 * np.maximum(y, 0) * (1 - (x / 4) ** 2)], axis=1))
+    short = jm.Slide(mesh.patch("top")[:-1], jm.Plane((0, 1), (0, 4)))
+    for case, slide in ((arched, "top"), (mesh, short)):
+        with pytest.raises(
+            ValueError, match=r"1 periodic pairs slide along walls that do not repeat.* node 8 at \(-4, 4\)"
+        ):
+            jm.prepare(case, "hole", "bottom", sliding=slide, periodic=jm.Periodic("left", "right"), method=TPS)
 
 
 WITH_EVERY_METHOD = ("default", "delaunay", "reduced", "laplacian", "inverse-distance")
@@ -378,7 +394,7 @@ def quarter():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["delaunay", "fitted", "reduced", "laplacian", "inverse-distance", "compact"])
-def test_methods_between_a_shroud_lids_and_periodic_sides(name):
+def test_methods_between_a_shroud_lids_and_periodic_sides(name, tmp_path):
     """In 3-D, whatever the method: nodes stay on the cylinder, the planes, and a quarter turn from their partner."""
     mesh, method = quarter(), BY_NAME[name].make(1.0)
     points, hub, first, last = np.asarray(mesh.points), *map(mesh.patch, ("hub", "first", "last"))
@@ -388,14 +404,36 @@ def test_methods_between_a_shroud_lids_and_periodic_sides(name):
     angle, radius = np.arctan2(y, x), 1 + 0.1 * (x**2 * y**2) * z
     turned = angle + 0.2 * z
     target = np.stack([radius * np.cos(turned), radius * np.sin(turned), z + 0.1 * np.sin(np.pi * z)], axis=1)
-    moved = np.asarray(jm.deform(plan, target - points[hub]))
-    np.testing.assert_allclose(np.linalg.norm(moved[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-14)
-    for lid, level in (("low", 0), ("high", 1)):
-        np.testing.assert_allclose(moved[mesh.patch(lid), 2], level, rtol=0, atol=1e-15)
-    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    np.testing.assert_allclose(moved[last], moved[first] @ turn.T, rtol=0, atol=1e-14)
+    u, turn = target - points[hub], np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+    def check_walls(moved, levels):
+        np.testing.assert_allclose(np.linalg.norm(moved[mesh.patch("shroud"), :2], axis=1), 2, rtol=0, atol=1e-14)
+        for lid, level in zip(("low", "high"), levels, strict=True):
+            np.testing.assert_allclose(moved[mesh.patch(lid), 2], level, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(moved[last], moved[first] @ turn.T, rtol=0, atol=1e-14)
+
+    @jax.jit  # all at once: most of the time is compilation
+    def tried(plan, u, v, w):
+        moved, pushed = jax.jvp(lambda u: jm.deform(plan, u), (u,), (v,))
+        return moved, pushed, jm.pullback(plan, u, w)
+
+    v, w = np.random.default_rng(0).normal(size=u.shape), np.random.default_rng(1).normal(size=points.shape)
+    moved, nothing = np.asarray(tried(plan, u, v, w)[0]), 0 * u
+    check_walls(moved, (0, 1))
     assert np.abs(moved - points)[plan.guided].max() > 0.01
     if method.exact:
         np.testing.assert_allclose(moved[hub], target, rtol=0, atol=1e-14)
     assert int(jm.quality(mesh, moved).inverted) == 0
-    assert (jm.deform(plan, np.zeros_like(target)) == points).all()
+    for at in (u, nothing):
+        ends, h = [np.asarray(tried(plan, at + h * v, v, w)[0]) for h in (1e-5, -1e-5)], 1e-5
+        _, pushed, pulled = map(np.asarray, tried(plan, at, v, w))
+        size = np.abs(pushed).max()
+        np.testing.assert_allclose(pushed, (ends[0] - ends[1]) / (2 * h), rtol=0, atol=1e-7 * size)
+        np.testing.assert_allclose(np.vdot(pulled, v), np.vdot(w, pushed), rtol=1e-8)
+    assert (tried(plan, nothing, v, w)[0] == points).all()
+    jm.save(tmp_path / "plan.npz", plan)
+    assert (tried(jm.load(tmp_path / "plan.npz"), u, v, w)[0] == moved).all()
+    stretched = points * [1, 1, 1.5]
+    higher = jm.refit(plan, stretched)
+    assert (tried(higher, nothing, v, w)[0] == stretched).all()
+    check_walls(np.asarray(tried(higher, u, v, w)[0]), (0, 1.5))

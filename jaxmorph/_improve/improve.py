@@ -20,9 +20,8 @@ from .._kernels.values import as_jax, is_known
 from .._mesh.mesh import Mesh
 from .._plan.door import node_ids, walls_of
 from .._plan.periodic import Pairing, Periodic
-from .._plan.slide import Slide, tracks_of
+from .._plan.slide import Slide, check_repeated, tracks_of
 from .._plan.symmetry import Plane
-from .._plan.walls import Track
 from .._quality.distortion import node_scales, target
 from .._quality.quality import quality
 from .._quality.vector import corners
@@ -234,7 +233,8 @@ def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float, symmetry=(), s
     free[np.concatenate([ids.ravel() for ids in cells.values()])] = True
     free[held] = False
     free[corner] = False
-    leads, leading = _leads(tracks, pairings, free), bool(tracks or pairings)
+    check_repeated(tracks, corner, pairings, np.asarray(mesh.points), free)
+    leads, leading = _leads(pairings, free), bool(tracks or pairings)
     distortion = _energy(
         {kind: jnp.asarray(ids) for kind, ids in cells.items()},
         jnp.asarray(mesh.points, dtype),
@@ -247,16 +247,13 @@ def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float, symmetry=(), s
     return jax.lax.stop_gradient(distortion), pattern(groups, n, d)
 
 
-def _leads(tracks: Sequence[Track], pairings: Sequence[Pairing], free: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Finds for each node the one that it moves with. It clears `free` of all whose partners are held or on other walls."""
-    leads, walls = np.arange(len(free)), np.zeros(len(free), dtype=int)
-    for track in tracks:
-        walls[track.rows] = len(track.walls)
+def _leads(pairings: Sequence[Pairing], free: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Finds for each node the one that it moves with. It clears `free` of all whose partners are held."""
+    leads = np.arange(len(free))
     for pairing in pairings:
         leads[pairing.second] = leads[pairing.first]
         free[pairing.alone] = False
-    held = np.unique(leads[~free | (walls != walls[leads])])
-    free[np.isin(leads, held)] = False
+    free[np.isin(leads, np.unique(leads[~free]))] = False
     return leads
 
 

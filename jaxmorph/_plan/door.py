@@ -14,7 +14,7 @@ from .._host.topology import solid
 from .._mesh.mesh import Mesh
 from .faces import FreeFaces, OuterFaces, free_faces, outer_faces
 from .periodic import Pairing, Periodic, check_pairings, merged, paired
-from .slide import Slide, tracks_of, wall_of
+from .slide import Slide, check_repeated, tracks_of, wall_of
 from .symmetry import Plane, planes_through
 from .walls import AbstractWall, Flat, Track
 
@@ -154,6 +154,8 @@ def boundary(
             f"({place_of(points[corner[0]])}). Leave them out of `moving`, or slide along fewer patches.",
             corner,
         )
+    is_free = np.isin(np.arange(len(points)), fixed, invert=True)
+    check_repeated(tracks, held, pairings, points, is_free)
     fixed = np.append(fixed, held[~np.isin(held, fixed)])
     tracks = tuple(Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
     tracks = tuple(track for track in tracks if len(track.rows))
@@ -333,6 +335,8 @@ def _walls(
                     "Leave them out of one of both.",
                     nodes,
                 )
+        if any(np.array_equal(nodes, other) for _, other in walls):
+            raise ValueError(f"{each.name} is given twice: its nodes slide along one surface. Leave one of both out.")
         walls.append((wall_of(each, nodes, points, faces), nodes))
     return walls
 

@@ -5,11 +5,12 @@ from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from scipy.sparse import csr_array
 
 from .._host.door import check_patch, finite_array
 from .._host.errors import MeshError, place_of
+from .periodic import Pairing
 from .symmetry import Plane
 from .walls import AbstractWall, Faceted, Flat, FlatFaces, Round, Track
 
@@ -124,6 +125,37 @@ def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.n
             f"is node {{node}} at ({place}). Let them slide as one, jm.Slide((first, second)).",
             nodes[worst_first],
         )
+
+
+def check_repeated(
+    tracks: Sequence[Track],
+    corners: np.ndarray,
+    pairings: Sequence[Pairing],
+    points: np.ndarray,
+    free: Bool[np.ndarray, " n"],
+) -> None:
+    """Raises `ValueError` where a free node slides along walls that the periodic transform does not lead to its partner's."""
+    if not tracks or not pairings:
+        return
+    exact, dimension = points.astype(float), points.shape[1]
+    off = np.zeros((len(points), dimension, dimension))  # projections on the normals
+    off[corners] = np.eye(dimension)
+    for track in tracks:
+        normals = np.asarray(track.normals(jnp.asarray(exact)))
+        off[track.rows] = np.swapaxes(normals, 1, 2) @ normals
+    for pairing in pairings:
+        first, second, matrix = map(np.asarray, (pairing.first, pairing.second, pairing.matrix))
+        apart = np.linalg.norm(matrix @ off[first] @ matrix.T - off[second], axis=(1, 2))
+        wrong = np.flatnonzero((apart > np.sqrt(2 - 2 * SMOOTH**2)) & free[first] & free[second])
+        if wrong.size:
+            worst_first = wrong[np.argsort(-apart[wrong], kind="stable")]
+            node, partner = (int(side[worst_first[0]]) for side in (first, second))
+            raise MeshError(
+                f"{len(wrong)} periodic pairs slide along walls that do not repeat each other, the worst is node {{node}} at "
+                f"({place_of(points[node])}) and its partner {partner}: they cannot stay on both and move alike. Name them in "
+                "`fixed`, or let both slide on a surface that repeats, jm.Slide(patch, jm.Plane(normal, origin)).",
+                first[worst_first],
+            )
 
 
 def wall_of(

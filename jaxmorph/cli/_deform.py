@@ -42,7 +42,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     points, inspection, boundary = _moved(attempt, chunks, foreseen, out)
     with out.progress("judging the cells", foreseen.judging / 2):
         after, bad = attempt.judge(points)
-        wall = attempt.wall_quality(points)
+        wall = wall_numbers(attempt.wall_quality(points))
         rows = wall_rows(wall, inspection, points)
         tables = [compared(attempt.before, after, rows)]
         tables.append(_gates.table(request.gates, attempt.before, after))
@@ -51,7 +51,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         _wrapped(out, f"boundary: {boundary}")
         kept = {name: getattr(boundary, name) for name in boundary.nodes} | {"ended": boundary.ended.tolist()}
         out.say(boundary=kept)
-    start, end = wall_numbers(wall)
+    start, end = ({each.name: getattr(each, when) for each in wall} for when in ("before", "after"))
     out.say(before=numbers(attempt.before) | start, after=numbers(after) | end)
     out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
     out.say(gates=_gates.facts(request.gates, attempt.before, after))

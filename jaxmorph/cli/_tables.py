@@ -1,5 +1,6 @@
 """Quality as text, 80 columns wide."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -40,30 +41,40 @@ def _inverted(judged: Judged) -> int:
     return int(judged.inverted[judged.counted].sum())
 
 
-def wall_rows(wall: WallQuality | None, inspection: Inspection, points: Float[np.ndarray, "n d"]) -> list[str]:
-    """Formats the first grid line at the moving wall and the overshoot as rows of `compared`; `points` are the moved ones."""
+@dataclasses.dataclass(frozen=True)
+class WallNumber:
+    """Holds one number of the first grid line at the moving wall: `before` and `after`, and the node of an extreme."""
+
+    name: str
+    label: str
+    before: float
+    after: float
+    node: int | None
+
+
+def wall_numbers(wall: WallQuality | None) -> list[WallNumber]:
+    """Collects the numbers of the first grid line: none where the wall has none."""
+    if wall is None:
+        return []
+    # as mean_angle, max_angle and min_height, by NumPy: nothing is compiled for a table
+    angle, height, nodes = np.asarray(wall.angle), np.asarray(wall.height), np.asarray(wall.nodes)
+    most, least = int(angle.argmax()), int(height.argmin())
+    return [
+        WallNumber("mean_wall_angle", "mean wall angle", 0.0, float(angle.mean()), None),
+        WallNumber("max_wall_angle", "max wall angle", 0.0, float(angle[most]), int(nodes[most])),
+        WallNumber("min_first_cell_height", "min first-cell height", 1.0, float(height[least]), int(nodes[least])),
+    ]
+
+
+def wall_rows(wall: Sequence[WallNumber], inspection: Inspection, points: Float[np.ndarray, "n d"]) -> list[str]:
+    """Formats numbers of the first grid line, and the overshoot, as rows of `compared`; `points` are the moved ones."""
     rows = []
-    if wall is not None:
-        # as mean_angle, max_angle and min_height, by NumPy: nothing is compiled for a table
-        angle, height = np.asarray(wall.angle), np.asarray(wall.height)
-        rows = [
-            f"{'mean wall angle':<23}{0:>12}{angle.mean():>12.5g}",
-            f"{'max wall angle':<23}{0:>12}{angle.max():>12.5g}   {_node(wall, int(angle.argmax()), points)}",
-            f"{'min first-cell height':<23}{1:>12}{height.min():>12.5g}   {_node(wall, int(height.argmin()), points)}",
-        ]
+    for each in wall:
+        where = "" if each.node is None else f"   node {each.node} near {_coordinates(points[each.node])}"
+        rows.append(f"{each.label:<23}{each.before:>12g}{each.after:>12.5g}{where}")
     for label, value in (("overshoot", inspection.overshoot), ("overshoot behind", inspection.overshoot_behind)):
         rows.append(f"{label:<23}{'-':>12}{value:>12.5g}")
     return rows
-
-
-def wall_numbers(wall: WallQuality | None) -> tuple[dict[str, float], dict[str, float]]:
-    """Collects the numbers of `wall_rows` for machines, before and after; none where the wall has no first grid line."""
-    if wall is None:
-        return {}, {}
-    names = ("mean_wall_angle", "max_wall_angle", "min_first_cell_height")
-    angle, height = np.asarray(wall.angle), np.asarray(wall.height)
-    after = float(angle.mean()), float(angle.max()), float(height.min())
-    return dict(zip(names, (0.0, 0.0, 1.0), strict=True)), dict(zip(names, after, strict=True))
 
 
 def inverted_cells(judged: Judged) -> str:
@@ -89,11 +100,6 @@ def count(number: int, what: str) -> str:
 
 def _coordinates(x: Any) -> str:
     return "(" + ", ".join(f"{each:.3g}" for each in np.asarray(x).tolist()) + ")"
-
-
-def _node(wall: WallQuality, row: int, points: Float[np.ndarray, "n d"]) -> str:
-    node = int(np.asarray(wall.nodes)[row])
-    return f"node {node} near {_coordinates(points[node])}"
 
 
 def _heading(judged: Judged) -> str:

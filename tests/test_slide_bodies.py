@@ -1,0 +1,92 @@
+"""Bodies that move close to a wall on which nodes slide: a wing on a fuselage of faces, a neighbour above an airfoil."""
+
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import cases
+from jaxmorph._host.topology import boundary_faces
+
+pytestmark = pytest.mark.slow
+
+
+def off_triangles(points, triangles):
+    """Measures distances (k,) of points from triangles (f, 3, 3): to the plane where its foot lies within, or to an edge."""
+    first, ab, ac = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    frames = np.stack([ab, ac, np.cross(ab, ac)], axis=2)
+    weights = np.einsum("fij,kfj->kfi", np.linalg.inv(frames), points[:, None] - first[None])
+    within = (weights[..., :2] >= 0).all(axis=2) & (weights[..., :2].sum(axis=2) <= 1)
+    height = np.where(within, np.abs(weights[..., 2]) * np.linalg.norm(frames[None, :, :, 2], axis=2), np.inf)
+    edges = []
+    for k in range(3):
+        start, edge = triangles[:, k], triangles[:, (k + 1) % 3] - triangles[:, k]
+        arm = points[:, None] - start[None]
+        t = np.clip(np.sum(arm * edge[None], axis=2) / np.sum(edge**2, axis=1)[None], 0, 1)
+        edges.append(np.linalg.norm(arm - t[..., None] * edge[None], axis=2))
+    return np.minimum(height, np.min(edges, axis=0)).min(axis=1)
+
+
+def fuselage():
+    """A wing on a fuselage that is no surface of revolution: wider than high, and thinner towards its end."""
+    mesh = cases.blade_tip(gap=0.4, layers=2)
+    x, y, z = np.asarray(mesh.points).T
+    patch, on_body = mesh.patch("blade"), np.hypot(y, z) < 1 + 1e-9
+    points = np.stack([x, 1.3 * (1 - 0.1 * x) * y, (1 - 0.1 * x - 0.05 * x**2) * z], axis=1)
+    patches = {**mesh.patches, "root": patch[on_body[patch]]}
+    return jm.Mesh(points, mesh.cells, patches)
+
+
+def test_a_wing_moves_along_a_fuselage_of_faces():
+    """Nodes of fuselage and root stay on its triangles; each root node is as near to where `u` sends it as these allow."""
+    mesh = fuselage()
+    points, wing, root = np.asarray(mesh.points), mesh.patch("blade"), mesh.patch("root")
+    body, outer = mesh.patch("hub", "root"), ("shroud", "inlet", "outlet", "left", "right")
+    plan = jm.prepare(mesh, "blade", outer, sliding=jm.Slide(("hub", "root")))
+    u = np.tile([0.04, 0.02, 0.0], (len(wing), 1))
+    moved = np.asarray(jm.deform(plan, u))
+    cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
+    quads = boundary_faces(cells, len(points))["quad"]
+    quads = quads[np.isin(quads, body).all(axis=1)]
+    triangles = points[np.concatenate([quads[:, [0, k, k + 1]] for k in (1, 2)])]  # of one diagonal
+    others = points[np.concatenate([quads[:, [1, 2, 3]], quads[:, [1, 3, 0]]])]  # of the other one
+    assert np.minimum(off_triangles(moved[body], triangles), off_triangles(moved[body], others)).max() < 1e-14
+    assert np.abs(moved - points)[np.setdiff1d(plan.guided, root)].max() > 0.02
+    is_root = np.isin(wing, root)
+    np.testing.assert_allclose(moved[wing[~is_root]], (points[wing] + u)[~is_root], rtol=0, atol=1e-15)
+    wanted = points[wing[is_root]] + u[is_root]
+    way, least = np.linalg.norm(moved[wing[is_root]] - wanted, axis=1), off_triangles(wanted, triangles)
+    assert np.abs(way - least).max() < 2e-3 * np.abs(u).max() + 1e-3  # between both diagonals
+    held = jm.deform(jm.prepare(mesh, "blade", (*outer, "hub")), u)
+    report, before = jm.quality(mesh, moved), jm.quality(mesh, held)
+    assert int(report.inverted) == 0
+    assert float(report.min_jacobian_ratio) > float(before.min_jacobian_ratio) + 0.1
+
+
+def airfoil():
+    """A neighbour, a box of 0.5 by 0.25, a quarter above the upper side of an airfoil: a polyline of 32 pieces."""
+    mesh = cases.bodies({"neighbour": (-0.5, 0.0, 0.25, 0.5)}, box=(-2.0, 2.0, 0.0, 2.0), spacing=0.125)
+    x, y = np.asarray(mesh.points).T
+    patches = {"wall": y == 0, "outer": (y == 2) | (np.abs(x) == 2)}
+    points = np.stack([x, y + 0.3 * (1 - x**2 / 4) * (1 - y / 2)], axis=1)
+    ids = {name: np.flatnonzero(on) for name, on in patches.items()}
+    return jm.Mesh(points, mesh.cells, {"neighbour": mesh.patch("neighbour"), **ids})
+
+
+def test_a_block_behind_a_neighbour_slides_along_an_airfoil():
+    """The neighbour goes farther than three gaps along the wall: its nodes go along, and stay on the polyline."""
+    mesh = airfoil()
+    points, wall = np.asarray(mesh.points), mesh.patch("wall")
+    start = points[mesh.patch("neighbour")]
+    x = start[:, 0] + 0.9
+    u = np.stack([np.full(len(x), 0.9), 0.24 * (start[:, 0] ** 2 - x**2) / 4], axis=1)
+    plan = jm.prepare(mesh, "neighbour", "outer", sliding="wall")
+    moved = np.asarray(jm.deform(plan, u))
+    along = wall[np.argsort(points[wall, 0])]
+    expected = np.interp(moved[wall, 0], points[along, 0], points[along, 1])
+    np.testing.assert_allclose(moved[wall, 1], expected, rtol=0, atol=1e-14)
+    assert (np.diff(moved[along, 0]) > 0).all()
+    assert np.abs(moved - points)[wall].max() > 0.8
+    assert (moved[along[[0, -1]]] == points[along[[0, -1]]]).all()
+    assert int(jm.quality(mesh, moved).inverted) == 0
+    held = jm.prepare(mesh, "neighbour", ("outer", "wall"))
+    assert int(jm.quality(mesh, jm.deform(held, 0.75 * u)).inverted) > 0
