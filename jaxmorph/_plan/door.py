@@ -337,7 +337,7 @@ def _walls(
                 )
         if any(np.array_equal(nodes, other) for _, other in walls):
             raise ValueError(f"{each.name} is given twice: its nodes slide along one surface. Leave one of both out.")
-        walls.append((wall_of(each, nodes, points, faces), nodes))
+        walls.append((wall_of(each, nodes, points, faces, lists.get("moving", ())), nodes))
     return walls
 
 

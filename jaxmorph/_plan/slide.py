@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 
 from .._host.door import check_patch, finite_array
 from .._host.errors import MeshError, place_of
+from .holes import filled
 from .periodic import Pairing
 from .symmetry import Plane
 from .walls import AbstractWall, Faceted, Flat, FlatFaces, Round, Track
@@ -159,14 +160,21 @@ def check_repeated(
 
 
 def wall_of(
-    slide: Slide, nodes: Int[np.ndarray, " k"], points: np.ndarray, faces: Mapping[str, np.ndarray] | None
+    slide: Slide,
+    nodes: Int[np.ndarray, " k"],
+    points: np.ndarray,
+    faces: Mapping[str, np.ndarray] | None,
+    moving: np.ndarray | Sequence[int] = (),
 ) -> AbstractWall:
-    """Makes the wall of a sliding patch. Raises `ValueError`, with the worst node, where its nodes do not lie on it."""
+    """Makes the wall of a sliding patch; its own faces go on below bodies whose nodes are `moving`.
+
+    Raises `ValueError`, with the worst node, where its nodes do not lie on it.
+    """
     exact, dimension = points.astype(float), points.shape[1]
     if not len(nodes):
         raise ValueError(f"{slide.name} has no nodes.")
     if slide.on is None:
-        return _of_faces(slide, nodes, exact, faces)
+        return _of_faces(slide, nodes, exact, faces, np.isin(nodes, moving))
     if isinstance(slide.on, Plane):
         if len(slide.on.normal) != dimension:
             raise ValueError(
@@ -226,7 +234,11 @@ def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
 
 
 def _of_faces(
-    slide: Slide, nodes: np.ndarray, points: np.ndarray, faces: Mapping[str, np.ndarray] | None
+    slide: Slide,
+    nodes: np.ndarray,
+    points: np.ndarray,
+    faces: Mapping[str, np.ndarray] | None,
+    moves: np.ndarray,
 ) -> AbstractWall:
     if faces is None:
         raise ValueError(
@@ -244,6 +256,7 @@ def _of_faces(
     elements = np.concatenate(pieces)
     if not len(elements):
         raise ValueError(f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on.")
+    elements = filled(elements, points[nodes], moves)
     try:
         plane = Plane.through(points, nodes)
         return FlatFaces(plane.normal, plane.origin, nodes, points[nodes], elements)

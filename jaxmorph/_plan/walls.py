@@ -96,7 +96,7 @@ class FlatFaces(Flat):
             places, ends = x @ along, ends[:, 0] @ along
             return (places < ends.min()) | (places > ends.max())
         axes = np.linalg.svd(normal[None])[2][1:]
-        return ~_inside(x @ axes.T, ends @ axes.T)
+        return ~inside(x @ axes.T, ends @ axes.T)
 
     def renumbered(self, place):
         return FlatFaces(self.normal, self.origin, place[np.asarray(self.nodes)], self.vertices, self.faces)
@@ -263,7 +263,7 @@ def _off_edges(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return least
 
 
-def _inside(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def inside(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Tells which points (k, 2) lie within closed lines of edges (r, 2, 2), or on them."""
     crossed = np.zeros(len(x), dtype=bool)
     for (a, b), (c, d) in ends:
