@@ -1,5 +1,7 @@
 """Derivatives of every measure on every type of cell, by every component of the corners: sound, inverted, flat and collapsed."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -73,11 +75,13 @@ def test_component_by_component(name):
     """
     mesh, axis = neighbours(name)
 
-    @jax.jit
-    def measured(points):
+    quickly = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # each runs a few times
+
+    def measures(points):
         return by_quality(mesh, points, name in CHEAP) | by_smooth_measures(mesh, points, name in SOLIDS)
 
-    ways = [jax.jit(jax.jacrev(measured)), *([jax.jit(jax.jacfwd(measured))] if name in CHEAP else [])]
+    measured = quickly(measures)
+    ways = [quickly(jax.jacrev(measures)), *([quickly(jax.jacfwd(measures))] if name in CHEAP else [])]
     sound, rough = states(mesh, axis)
     for state, points in sound.items():
         jacobians = [way(points) for way in ways]
