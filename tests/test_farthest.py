@@ -6,6 +6,7 @@ from scipy.spatial.distance import cdist
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._host.farthest import farthest
 
 
 def uneven(dimension, count=600):
@@ -88,3 +89,7 @@ def test_hardly_any_points():
 def test_what_makes_no_sense(arguments, message):
     with pytest.raises(ValueError, match=message):
         jm.FarthestPoints(**arguments)
+
+
+def test_points_in_one_place_without_reach():
+    np.testing.assert_array_equal(farthest(np.zeros((3, 2)), 2, 0.0, reach=np.zeros(3)), [0])

@@ -65,7 +65,10 @@ def farthest(
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
     least, weight = closest**2, 1.0
     if np.ndim(reach):
-        weight, least = 1 / np.maximum(reach, closest) ** 2, 1.0
+        weight, least = (
+            1 / np.maximum(reach, max(closest, 1e-100)) ** 2,
+            1.0,
+        )  # finite where all points are in one place
     chosen = []
     outermost = ((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax(keepdims=True)
     for node in (outermost if first is None else first).tolist():
