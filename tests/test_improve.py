@@ -19,6 +19,7 @@ from jaxmorph._kernels.values import as_jax
 from jaxmorph._plan.periodic import Pairing
 from jaxmorph._plan.walls import Flat, Track
 from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
+from jaxmorph._quality.smooth import positive_part
 from jaxmorph._quality.vector import corners
 
 
@@ -92,6 +93,14 @@ def test_a_right_triangle_has_the_mean_ratio_of_the_books():
     mesh = cell("triangle")
     value = mean_energy(mesh, np.array([[0.0, 0], [1, 0], [0, 1]]), size_weight=0.0)
     np.testing.assert_allclose(1 / (value + 1), np.sqrt(3) / 2, rtol=1e-14)
+
+
+@pytest.mark.parametrize("softness", [0.5, 2.0])
+def test_the_positive_part_is_the_positive_root_of_its_equation(softness):
+    x = jnp.linspace(-3.0, 3.0, 7)
+    found = positive_part(x, softness)
+    assert (found > 0).all()
+    np.testing.assert_allclose(found * (found - x), np.full(7, softness**2 / 4), rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", list(IDEAL))
