@@ -75,7 +75,9 @@ def test_component_by_component(name):
     """
     mesh, axis = neighbours(name)
 
-    quickly = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # each runs a few times
+    quickly = functools.partial(
+        jax.jit, compiler_options={"xla_backend_optimization_level": 0}
+    )  # each runs a few times
 
     def measures(points):
         return by_quality(mesh, points, name in CHEAP) | by_smooth_measures(mesh, points, name in SOLIDS)

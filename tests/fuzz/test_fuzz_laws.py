@@ -11,6 +11,7 @@ import hypothesis
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.spatial
 from hypothesis import strategies
 
 import jaxmorph as jm
@@ -215,3 +216,55 @@ def test_cells_of_any_points(cloud, flipped):
             assert not np.isnan(getattr(report, name)).any(), name
     np.testing.assert_array_equal(report.volume_ratio, 1)
     np.testing.assert_array_equal(report.jacobian_ratio, 1)
+
+
+@strategies.composite
+def meshes(draw):
+    """Points, and cells that triangulate others: many are flat, inverted or cross; all may be numbered the other way round."""
+    cloud = draw(clouds(sizes=(6, 17)))
+    d = cloud.points.shape[1]
+    unit = np.random.default_rng(draw(strategies.integers(0, 2**16))).normal(size=cloud.points.shape)
+    cells = scipy.spatial.Delaunay(unit).simplices.astype(np.int64)
+    turned = cells[:, ::-1] if draw(strategies.booleans()) else cells
+    return cloud, jm.Mesh(cloud.points, {"triangle" if d == 2 else "tetra": turned})
+
+
+def answered(verb):
+    """The answer of a call, or None where a sentence says what to change."""
+    try:
+        return verb()
+    except ValueError as error:
+        return told(error)
+
+
+def check_mesh_laws(cloud: Cloud, mesh: jm.Mesh) -> bool:
+    """Checks that every verb answers in finite numbers and keeps what is given; False where `prepare` or `improve` refused."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        plan = answered(lambda: jm.prepare(mesh, cloud.moving, cloud.fixed))
+        if plan is not None:
+            moved = np.asarray(jm.deform(plan, cloud.u))
+            assert np.isfinite(moved).all()
+            np.testing.assert_array_equal(moved[cloud.moving], cloud.points[cloud.moving] + cloud.u)
+            assert not np.isnan(jm.quality(mesh, moved).skewness).any()
+            answered(lambda: str(jm.inspect(plan, cloud.u, mesh=mesh)))
+        found = answered(lambda: jm.improve(mesh, cloud.points, fixed=cloud.moving, max_steps=3))
+    if found is not None:
+        assert np.isfinite(found.points).all()
+        np.testing.assert_array_equal(np.asarray(found.points)[cloud.moving], cloud.points[cloud.moving])
+        assert int(found.before) == 0
+    return plan is not None and found is not None
+
+
+def test_meshes_of_any_cells():
+    held = []
+
+    @seeded
+    @examples(COUNT // 4)
+    @hypothesis.given(meshes())
+    def law(case):
+        held.append(check_mesh_laws(*case))
+
+    law()
+    print(f"{sum(held)} of {len(held)} meshes were taken")
+    assert any(held) or COUNT < 20, "all meshes were refused: no law was tried"
