@@ -83,6 +83,11 @@ for wrong in (
     lambda: mpi.prepare(comm, points[nodes], nodes, moving + 1000 * comm.rank, fixed),
     lambda: mpi.prepare(comm, points[nodes][: 0 if comm.rank else None], nodes[: 0 if comm.rank else None], [], []),
     lambda: mpi.prepare(comm, points[nodes], nodes, np.isin(nodes, wall), fixed),
+    lambda: mpi.prepare(comm, None if comm.rank else points[nodes], nodes, moving, fixed),
+    lambda: mpi.prepare(comm, points[nodes], nodes, moving, fixed, symmetry="symmetry" if comm.rank else ()),
+    lambda: mpi.prepare("world", points[nodes], nodes, moving, fixed),
+    lambda: piece.pullback(u, {} if comm.rank else weight[nodes]),
+    lambda: piece.summary(None if comm.rank else jm.quality(part, moved)),
 ):
     try:
         wrong()

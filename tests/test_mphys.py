@@ -64,11 +64,13 @@ def test_builders_pass_openmdaos_check(plan):
             np.testing.assert_allclose(entry["J_rev"], entry["J_fd"], atol=1e-8)
 
 
-def test_a_mesh_in_2d_is_refused():
+def test_what_is_no_plan_and_a_mesh_in_2d_are_refused():
     from jaxmorph.integrations.mphys import VolumeBuilder
 
     mesh = cases.naca0015(points=300)
     flat = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
+    with pytest.raises(ValueError, match="`plan` must be"):
+        VolumeBuilder(None)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="this mesh is in 2-D"):
         VolumeBuilder(flat)
 

@@ -14,6 +14,7 @@ import openmdao.api as om
 from jaxtyping import Array, Float, PyTree
 
 import jaxmorph as jm
+from jaxmorph._host.door import check
 
 from ._traced import TracedComponent
 from .openmdao import add_parameters, first_parameters, from_inputs
@@ -61,6 +62,7 @@ class VolumeBuilder(Builder):
 
     def __init__(self, plan: jm.Plan):
         super().__init__()
+        check("plan", plan, jm.Plan, VolumeBuilder)
         if plan.points.shape[1] != 3:
             raise ValueError(f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D.")
         self.plan = plan

@@ -13,8 +13,11 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
+from jaxmorph._host.door import check, shown
 from jaxmorph._host.ranks import together
 from jaxmorph._plan.symmetry import facing
+
+ROWS = Real[ArrayLike, "k d"] | Sequence[Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +64,7 @@ class Piece:
         u = self.gathered(u)
 
         def of_piece() -> np.ndarray:
+            check("cotangent", cotangent, ROWS, Piece.pullback)
             values = np.asarray(cotangent, dtype=float)
             if values.shape != self.plan.points.shape:
                 raise ValueError(f"`cotangent` has shape {values.shape}; this piece has {self.plan.points.shape}.")
@@ -74,6 +78,7 @@ class Piece:
         """Gathers the displacements of all moving nodes from those that each process has."""
 
         def checked() -> np.ndarray:
+            check("u", u, ROWS, Piece.deform)
             values = np.asarray(u, dtype=self.plan.points.dtype)
             expected = (len(self.moving), self.plan.points.shape[1])
             if values.shape != expected:
@@ -91,6 +96,7 @@ class Piece:
 
     def summary(self, report: jm.QualityReport) -> "Summary":
         """Sums up the reports of all pieces, `quality(piece, points)` of each: every cell is in one of them."""
+        together(self.comm, lambda: check("report", report, jm.QualityReport, Piece.summary))
         return _summed(self.comm, report)
 
 
@@ -143,7 +149,13 @@ def prepare(
     different places.
     """
 
+    if not hasattr(comm, "allgather"):
+        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
+
     def checked() -> tuple[np.ndarray, ...]:
+        check("points", points, ROWS, prepare)
+        check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
+        check("is_open", is_open, bool, prepare)
         x, ids = np.asarray(points), np.asarray(nodes)
         if x.ndim != 2 or ids.shape != (len(x),) or ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
             raise ValueError(f"`nodes` must be one id for each of {len(x)} points, no id twice.")
