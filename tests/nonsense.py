@@ -33,8 +33,21 @@ BUILT = {
 """Classes whose constructors the library alone calls."""
 
 CONTRACT = {
-    *("__call__", "at", "beside", "boxes", "carry", "carry_place", "check", "closest", "connect", "entries", "equals"),
     *(
+        "__call__",
+        "at",
+        "beside",
+        "boxes",
+        "carry",
+        "carry_place",
+        "check",
+        "closest",
+        "connect",
+        "dense_count",
+        "entries",
+    ),
+    *(
+        "equals",
         "evaluate",
         "field",
         "fit",
@@ -42,6 +55,7 @@ CONTRACT = {
         "given",
         "height",
         "holds",
+        "iterative",
         "local",
         "masses",
         "matched",
