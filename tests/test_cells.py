@@ -217,6 +217,28 @@ def test_a_solve_that_does_not_converge_is_factored_or_no_answer(monkeypatch):
     linear._kept.clear()
 
 
+def test_a_right_side_that_is_not_finite_changes_no_later_solve(monkeypatch):
+    pytest.importorskip("pyamg")
+    monkeypatch.setattr(linear, "DIRECT", 0)
+    rng = np.random.default_rng(0)
+    pairs, right = np.stack([np.arange(19), np.arange(1, 20)], axis=1), rng.normal(size=(20, 3))
+    system = pairs, -np.ones(19), np.full(20, 2.01), np.zeros(0), np.ones((20, 3), bool)
+    first = linear.solve(*system, right)
+    assert np.isnan(linear.solve(*system, np.where(right == right[3, 1], np.nan, right))).any()
+    np.testing.assert_array_equal(linear.solve(*system, right), first)
+    linear._kept.clear()
+
+
+def test_a_dense_system_is_solved_without_multigrid():
+    """Where a row has hundreds of entries, unknowns are far smaller than right sides: the residual alone tells the end."""
+    points = np.random.default_rng(0).uniform(size=(300, 3))
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    matrix = np.maximum(1 - apart / 1.5, 0) ** 4 * (4 * apart / 1.5 + 1) + 1e-3 * np.eye(300)  # Wendland's C2
+    right = np.sin(3 * points[:, 0])
+    x = multigrid.conjugate_gradients(matrix, right, None, np.ones(300))
+    np.testing.assert_allclose(matrix @ x, right, rtol=0, atol=1e-8)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [jm.Laplacian(), jm.LinearElasticity(jm.ByDistance(1.0))])
 def test_thin_layers_of_soft_and_stiff_cells_are_solved_as_by_factors(method, monkeypatch):

@@ -204,6 +204,19 @@ def test_a_patch_that_lies_in_several_planes():
         moved = jm.deform(jm.prepare(mesh, "inlet", "outlet", symmetry=name, free="sides"), u)
         expected = jm.deform(jm.prepare(mesh, "inlet", "outlet", symmetry=planes, free="sides"), u)
         np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
+    few = np.round(
+        points @ np.array([[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]]) + 1 / 3, 8
+    )  # inclined, as a file has it
+    planes = jm.prepare(mesh.moved(few), "inlet", "outlet", symmetry="front and back", free="sides").images
+    assert planes is not None
+    assert sorted(float(abs(plane.normal @ [0, 0.6, -0.8])) for plane in planes.planes) == pytest.approx(
+        [1, 1], abs=1e-7
+    )
+    slim = jm.Mesh(
+        points[:, [1, 0, 2]][ids[:2, :, :2].ravel()], {"hexahedron": [[0, 4, 6, 2, 1, 5, 7, 3]]}, {"all": range(8)}
+    )
+    with pytest.raises(ValueError, match="do not lie in one plane"):
+        jm.prepare(slim, [0], symmetry="all")
     bent = points.copy()
     bent[ids[3, 0, 1], 1] -= 0.01
     with pytest.raises(ValueError, match=r"do not lie in one plane: node \d+ at"):

@@ -65,7 +65,7 @@ def check_solver(unknowns: int, dimension: int) -> None:
 
 
 def _solved(pairs, values, diagonal, masses, free, right, multigrid: bool) -> np.ndarray:
-    key = (pairs, values, diagonal, masses, free)
+    key = (pairs, values, diagonal, masses, free, np.array(multigrid))
     with _lock:
         apply = next((apply for old, apply in _kept if all(map(_equal, old, key))), None)
     if apply is None:
@@ -150,15 +150,17 @@ def _of_matrix(matrix: Any, d: int, multigrid: bool) -> Callable[[np.ndarray], n
     scaled = _scaled(matrix, scale)
     if d == 2 or matrix.shape[0] <= DIRECT:
         return _factored(scaled, scale)
-    cycle = _cycle(scaled, scale) if multigrid else lambda residual: residual
+    cycle = _cycle(scaled, scale) if multigrid else None
     factors: list[Callable[[np.ndarray], np.ndarray]] = []
 
     def apply(right):
+        if not np.isfinite(right).all():
+            return np.full_like(right, np.nan)
         if not factors:
             columns = right.reshape(len(scale), -1).T
             parts = [conjugate_gradients(scaled, column * scale, cycle, scale) * scale for column in columns]
             x = np.stack(parts, axis=1).reshape(right.shape)
-            if np.isfinite(x).all() or len(scale) > RESORT:
+            if np.isfinite(x).all() or len(scale) > RESORT or cycle is None:
                 return x
             factors.append(_factored(scaled, scale))
         return factors[0](right)

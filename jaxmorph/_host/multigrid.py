@@ -73,7 +73,11 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
     options: dict[str, Any] = {"strength": ("symmetric", {"theta": STRONG}), "max_coarse": COARSEST}
     options["smooth"] = ("jacobi", {"omega": 4 / 3, "weighting": "local", "filter_entries": True})
     options |= dict.fromkeys(("improve_candidates", "presmoother", "postsmoother"))
-    *fine, last = pyamg.smoothed_aggregation_solver(matrix, B=mode[:, None], **options).levels
+    levels = pyamg.smoothed_aggregation_solver(matrix, B=mode[:, None], **options).levels
+    if levels[-1].A.shape[0] < 2 or len(levels) == 1:  # equal cells have many neighbours, each of them weak
+        options["strength"] = ("symmetric", {"theta": 0.0})
+        levels = pyamg.smoothed_aggregation_solver(matrix, B=mode[:, None], **options).levels
+    *fine, last = levels
     return Hierarchy([_level(each) for each in fine], np.linalg.pinv(last.A.toarray(), hermitian=True))
 
 
@@ -95,18 +99,22 @@ def by_component(cycles: Sequence[Hierarchy]) -> Callable[[np.ndarray], np.ndarr
 
 
 def conjugate_gradients(
-    matrix: Any, right: np.ndarray, cycle: Callable[[np.ndarray], np.ndarray], scale: np.ndarray
+    matrix: Any,
+    right: np.ndarray,
+    cycle: Callable[[np.ndarray], np.ndarray] | None,
+    scale: np.ndarray,
 ) -> np.ndarray:
     """Solves for one right side (k,); NaN where that does not converge, or the matrix is not positive.
 
     `scale` (k,) times the unknowns are those that are wanted. What the cycle makes of the residual is as large as their
-    error. The residual alone is not enough: one small beside that of stiff cells moves soft ones far.
+    error. The residual alone is not enough: one small beside that of stiff cells moves soft ones far. Without a cycle it has to do.
     """
     x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
     enough = ACCURACY**2 * _dot(right, right)
-    for _ in range(LIMIT):
-        steep = cycle(residual)
-        if _dot(residual, residual) <= enough and _largest(scale * steep) <= ACCURACY * _largest(scale * x):
+    for _ in range(LIMIT if cycle else 2 * LIMIT):
+        steep = cycle(residual) if cycle else residual
+        is_small = _dot(residual, residual) <= enough
+        if is_small and (cycle is None or _largest(scale * steep) <= ACCURACY * _largest(scale * x)):
             return x
         share = _dot(residual, steep)
         along = steep + share / before * along

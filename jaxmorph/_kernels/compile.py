@@ -38,7 +38,7 @@ def compiled(function: Function) -> Function:
     plain = eqx.filter_jit(function)
 
     @functools.cache
-    def direct(only_arrays: bool, is_quick: bool) -> Callable:
+    def direct(only_arrays: bool, is_quick: bool, for_cpu: bool) -> Callable:  # `for_cpu`: what is traced differs
         compile: Any = (
             jax.jit if only_arrays else eqx.filter_jit
         )  # the first is quicker to call; the second knows static arguments
@@ -54,9 +54,10 @@ def compiled(function: Function) -> Function:
             return function(*arguments, **keywords)  # traced into the program of a direct call
         if not _is_direct(arrays):
             return plain(*arguments, **keywords)
-        token = _is_for_cpu.set(any(isinstance(leaf, jax.Array) for leaf in arrays))
+        for_cpu = any(isinstance(leaf, jax.Array) for leaf in arrays)
+        token = _is_for_cpu.set(for_cpu)
         try:
-            return direct(len(arrays) == len(leaves), _is_quick.get())(*arguments, **keywords)
+            return direct(len(arrays) == len(leaves), _is_quick.get(), for_cpu)(*arguments, **keywords)
         finally:
             _is_for_cpu.reset(token)
 

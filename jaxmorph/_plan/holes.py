@@ -6,23 +6,55 @@ from scipy.spatial import Delaunay, QhullError
 
 from .walls import inside
 
+CONTINUES = 0.5
+"""Least cosine between a hole's new faces and those around it: 60 degrees. The rim of a dome, or a tube's end, is no hole."""
+
 
 def filled(
     faces: Int[np.ndarray, "e d"], vertices: Float[np.ndarray, "v d"], moves: Bool[np.ndarray, " v"]
 ) -> Int[np.ndarray, "f d"]:
     """Adds faces between the vertices around each hole whose rim moves; the others stay open. A triangle's order is kept.
 
-    In 2-D two ends that move are joined. The faces are those of a Delaunay triangulation in the rim's mean plane.
+    New faces go on in the direction of those around them. In 2-D a line joins two ends that move. In 3-D the faces are those of a
+    Delaunay triangulation in the rim's mean plane.
     """
     if faces.shape[1] == 2:
-        ends, counts = np.unique(faces, return_counts=True)
-        ends = ends[(counts == 1) & moves[ends]]
-        if len(ends) != 2:
-            return faces
-        first = ends[np.argsort(~np.isin(ends, faces[:, 1]), kind="stable")]  # where a face ends, the new one starts
-        return np.concatenate([faces, first[None]])
-    new = [_between(loop, vertices[loop]) for loop in _loops(faces, moves)]
+        return np.concatenate([faces, _joined(faces, vertices, moves)]).astype(faces.dtype)
+    loops = (loop for loop in _loops(faces, moves) if _goes_on(loop, faces, vertices))
+    new = [_between(loop, vertices[loop]) for loop in loops]
     return np.concatenate([faces, *new]).astype(faces.dtype)
+
+
+def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Lists lines (k, 2) from ends that move to the nearest start that lies ahead."""
+    along = np.diff(vertices[faces], axis=1)[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    last = np.flatnonzero(~np.isin(faces[:, 1], faces[:, 0]) & moves[faces[:, 1]])
+    first = np.flatnonzero(~np.isin(faces[:, 0], faces[:, 1]) & moves[faces[:, 0]])
+    gap = vertices[faces[first, 0]][None] - vertices[faces[last, 1]][:, None]
+    size = np.linalg.norm(gap, axis=2)
+    ahead = np.minimum(np.sum(gap * along[last][:, None], axis=2), np.sum(gap * along[first][None], axis=2))
+    size = np.where((size > 0) & (ahead > CONTINUES * size), size, np.inf)
+    lines = []
+    while np.isfinite(size).any():
+        end, start = np.unravel_index(size.argmin(), size.shape)
+        lines.append([faces[last[end], 1], faces[first[start], 0]])
+        size[end], size[:, start] = np.inf, np.inf
+    return np.array(lines, dtype=faces.dtype).reshape(-1, 2)
+
+
+def _goes_on(loop: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> bool:
+    """Tells whether faces across a loop would look where those beside it do."""
+    beside = vertices[faces[np.isin(faces, loop).sum(axis=1) > 1]]
+    normals = np.cross(beside[:, 1] - beside[:, 0], beside[:, 2] - beside[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    across = _area(vertices[loop])
+    return bool((normals @ across).mean() > CONTINUES * np.linalg.norm(across))
+
+
+def _area(rim: np.ndarray) -> np.ndarray:
+    """Computes twice the area vector of a loop of points (k, 3)."""
+    return np.cross(rim - rim[0], np.roll(rim, -1, axis=0) - rim[0]).sum(axis=0)
 
 
 def _loops(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
@@ -45,8 +77,7 @@ def _loops(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
 
 def _between(loop: np.ndarray, rim: np.ndarray) -> np.ndarray:
     """Makes triangles (k, 3) between the nodes of a loop, in its order."""
-    after = np.roll(rim, -1, axis=0)
-    normal = np.cross(rim - rim[0], after - rim[0]).sum(axis=0)
+    normal = _area(rim)
     axes = np.linalg.svd(normal[None])[2][1:]
     flat = (rim - rim.mean(axis=0)) @ axes.T
     try:

@@ -155,7 +155,7 @@ def _cells(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:
 def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray, "n p"] | None]:
     """Returns the surface that a method sees, its images, and which points lie on which plane.
 
-    Parallel planes make no images where their nodes are guided.
+    Parallel planes make no images where all of their nodes are on the surface.
     """
     points, nodes, moving, faces = named.points, named.nodes, len(named.moving), named.surface_faces
     if not named.planes and not named.pairings:
@@ -165,7 +165,9 @@ def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray
     on_plane = np.zeros((len(points), len(named.planes)), dtype=bool)
     for k, plane in enumerate(named.planes):
         on_plane[:, k] = plane.holds(points)
-    mirrored = ~facing(named.planes) | (len(named.guided) == 0)
+    listed = np.zeros(len(points), dtype=bool)
+    listed[nodes] = True
+    mirrored = ~facing(named.planes) | (on_plane & ~listed[:, None]).any(axis=0)
     images, copies = images_of(named.planes, mirrored, named.pairings, on_plane, nodes, moving)
     everything = np.asarray(images.points(jnp.asarray(points[nodes])))
     faces = None if faces is None else {kind: copies.faces(corners) for kind, corners in faces.items()}

@@ -102,7 +102,7 @@ def planes_through(
     """Finds the planes in which a patch lies, front and back for example, by boundary faces (e, corners) of the mesh.
 
     The plane with most of the nodes comes first, then that with most of those that are left. Raises what `Plane.through` does
-    where a few planes do not hold all nodes.
+    where a few planes do not hold all nodes, or others would as well.
     """
     try:
         return (Plane.through(points, nodes),)
@@ -111,21 +111,28 @@ def planes_through(
         held[nodes] = True
         sides = [np.asarray(corners)[held[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
         planes: list[Plane] = []
+        first: list[Plane] = []
         while held.any():
-            candidates = _candidates(points.astype(float), sides) if len(planes) < MOST else []
-            counts = [int(held[plane.holds(points)].sum()) for plane in candidates]
-            if not counts or max(counts) < points.shape[1]:
+            candidates = _candidates(points.astype(float), sides, held) if len(planes) < MOST else []
+            counts = np.array([held[plane.holds(points)].sum() for plane in candidates], dtype=int)
+            if not len(counts) or counts.max() < points.shape[1]:
                 raise error from None
-            chosen = candidates[int(np.argmax(counts))].holds(points)
+            best = [candidates[k] for k in np.flatnonzero(counts == counts.max())]
+            first = first or best
+            chosen = best[0].holds(points)
             on = nodes[chosen[nodes]]
             planes.append(Plane.through(points, on))
             held[on] = False
             sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
+        if not all(any(plane.equals(other, points) for other in planes) for plane in first):
+            raise error from None  # one cell wide and high: nodes do not tell which sides are meant
         return tuple(planes)
 
 
-def _candidates(points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray, "_ d"]]) -> list[Plane]:
-    """Lists the planes of most of the faces, the most frequent ones."""
+def _candidates(
+    points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray, "_ d"]], held: Bool[np.ndarray, " n"]
+) -> list[Plane]:
+    """Lists the planes of most of the faces, the most frequent ones, each through all `held` nodes that are near it."""
     corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *faces])]
     edges = np.diff(corners, axis=1)
     normal = edges[:, 0, ::-1] * [1, -1] if points.shape[1] == 2 else np.cross(edges[:, 0], edges[:, 1])
@@ -133,9 +140,17 @@ def _candidates(points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray
     normal, corners = normal[size > 0] / size[size > 0, None], corners[size > 0, 0]
     extent = np.ptp(points, axis=0).max()
     height = np.sum(normal * (corners - points.mean(axis=0)), axis=1) / extent
-    keys = np.round(np.concatenate([normal, height[:, None]], axis=1), 6) + 0.0
+    keys = np.round(np.concatenate([normal, height[:, None]], axis=1), 4) + 0.0
     _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
-    return [Plane(normal[k], corners[k]) for k in first[np.argsort(-count, kind="stable")[: 2 * MOST]]]
+    fitted = []
+    for k in first[np.argsort(-count, kind="stable")[: 2 * MOST]]:
+        plane = Plane(normal[k], corners[k])
+        near = np.flatnonzero(held & (np.abs(plane.height(points)) <= 1e-3 * extent))
+        try:
+            fitted.append(Plane.through(points, near))  # a face's own plane is tilted by the digits of its corners
+        except ValueError:
+            fitted.append(plane)
+    return fitted
 
 
 def tolerance(points: np.ndarray) -> float:

@@ -242,7 +242,7 @@ def _turns(
 ) -> Float[np.ndarray, " k"] | None:
     """Finds the sign that makes cells positive where the mesh has them: by neighbours, and by the volume that they enclose.
 
-    None where all are.     A motion that turns a part of the mesh inside out leaves no neighbour to tell so.
+    None where all are. A motion that turns a part of the mesh inside out leaves no neighbour to tell so.
     """
     if points is not mesh.points and not np.array_equal(points, np.asarray(mesh.points)):
         volume = _Shape.measured(sides, np.asarray(mesh.points, dtype=float)).volume

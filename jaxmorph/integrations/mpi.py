@@ -152,7 +152,7 @@ def prepare(
     if not hasattr(comm, "allgather"):
         raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
 
-    def checked() -> tuple[np.ndarray, ...]:
+    def checked() -> tuple[Any, ...]:
         check("points", points, ROWS, prepare)
         check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
         check("is_open", is_open, bool, prepare)
@@ -162,13 +162,18 @@ def prepare(
         if not len(x) or x.dtype.kind not in "fiu" or not np.isfinite(x).all() or (ids < 0).any():
             raise ValueError("a piece needs at least one point, finite coordinates, and ids from 0 on.")
         planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
-        between = [plane.holds(x) for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
-        guided = np.any(between, axis=0) if between else np.zeros(len(x), dtype=bool)
-        outermost = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
-        outermost = x[outermost[~guided[outermost]]]
-        return x, ids.astype(np.int64), outermost, guided, *(_rows(each, len(x)) for each in (moving, fixed))
+        for plane in planes:
+            if len(plane.normal) != x.shape[1]:
+                raise ValueError(f"a symmetry plane has {len(plane.normal)} components, the points {x.shape[1]}.")
+        planes = [plane for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
+        lists = (_rows(each, len(x)) for each in (moving, fixed))
+        return x, ids.astype(np.int64), planes, np.unique([x.argmin(axis=0), x.argmax(axis=0)]), *lists
 
-    x, ids, outermost, guided, moves, held = together(comm, checked)
+    x, ids, planes, ends, moves, held = together(comm, checked)
+    extent = np.concatenate(comm.allgather(x[ends]))  # a plane holds nodes to a share of the whole mesh's size
+    between = [plane.holds(np.concatenate([x, extent]))[: len(x)] for plane in planes]
+    guided = np.any(between, axis=0) if between else np.zeros(len(x), dtype=bool)
+    outermost = x[ends[~guided[ends]]]
     shares = comm.allgather((ids[moves], x[moves], ids[held], x[held], ids[guided], x[guided]))
     moving_ids, moving_points = _union([share[:2] for share in shares])
     fixed_ids, fixed_points = _union([share[2:4] for share in shares])  # all processes see the same, and raise together
