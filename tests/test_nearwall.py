@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import body, few
 from scipy.spatial.distance import cdist
 from test_naca4 import cusped
 
@@ -262,3 +263,17 @@ def test_the_nearest_nodes_of_two_walls_are_those_of_all_distances(walls):
     np.testing.assert_array_equal(rows[:, 0], first[near])
     within = other.min(axis=1) < bound
     np.testing.assert_array_equal(rows[:, -1], np.where(within, other.argmin(axis=1), first)[near])
+
+
+def test_a_reconstruction_takes_the_displacement_where_its_correction_does():
+    """Sources of the correction, not of the coarse field: a layer around it would begin from them."""
+    mesh = body(2)
+    method = jm.SurfaceReconstruction(few(), jm.RBF.classic())
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=method)
+    coarse = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=few())
+    count = len(plan.surface_nodes)
+    assert len(coarse.sources) < count
+    np.testing.assert_array_equal(np.sort(plan.method.matched(plan.surface.ids)), np.arange(count))
+    u = np.random.default_rng(0).normal(size=(len(mesh.moving), 2))
+    field = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.RBF.classic())
+    np.testing.assert_allclose(field.offset(u), 0, rtol=0, atol=1e-9)  # it takes all of them
