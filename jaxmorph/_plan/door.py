@@ -15,7 +15,7 @@ from .._mesh.mesh import Mesh
 from .faces import FreeFaces, OuterFaces, free_faces, outer_faces
 from .periodic import Pairing, Periodic, check_pairings, merged, paired
 from .slide import Slide, check_repeated, tracks_of, wall_of
-from .symmetry import Plane, planes_through
+from .symmetry import Plane, check_dimension, planes_through
 from .walls import AbstractWall, Flat, Track
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
@@ -287,16 +287,13 @@ def walls_of(
 
     It takes and refuses what `prepare` does.
     """
-    points, d = np.asarray(mesh.points), mesh.points.shape[1]
+    points = np.asarray(mesh.points)
     _check_named_once(sliding, symmetry=symmetry)
     outer = outer_faces(mesh)
     walls = _walls(sliding, points, mesh, {"fixed": np.asarray(fixed)}, None if outer is None else outer.corners)
     planes = _planes(symmetry, points, mesh)
+    check_dimension(planes, mesh.points.shape[1])
     for plane in planes:
-        if len(plane.normal) != d:
-            raise ValueError(
-                f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has {d} dimensions."
-            )
         walls.append((Flat(plane.normal, plane.origin), np.flatnonzero(plane.holds(points))))
     pairings = _pairings(periodic, points, mesh)
     check_pairings(pairings, planes, float(np.ptp(points, axis=0).max()))

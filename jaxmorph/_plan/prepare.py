@@ -23,7 +23,7 @@ from .images import Images, images_of
 from .periodic import Periodic, check_pairings
 from .plan import Guide, Plan, SurfacePart, VolumePart, refitted
 from .slide import Slide
-from .symmetry import Plane, check_planes, facing
+from .symmetry import Plane, check_planes, facing, on_facing
 
 FEW = 50_000, 2_000
 """Points, and surface nodes, up to which compilation takes longer than what `prepare` computes with it once."""
@@ -93,14 +93,9 @@ def between_planes(named: Boundary, method: AbstractMethod | None) -> Boundary:
         check_planes(named.planes, named.points)
     if method is not None and method.needs_cells:
         return named
-    on = [
-        plane.holds(named.points)
-        for plane, has_other in zip(named.planes, facing(named.planes), strict=True)
-        if has_other
-    ]
-    if not on:
+    others = np.setdiff1d(np.flatnonzero(on_facing(named.planes, named.points)), named.nodes)
+    if not len(others):
         return named
-    others = np.setdiff1d(np.flatnonzero(np.any(on, axis=0)), named.nodes)
     return dataclasses.replace(named, guided=np.union1d(named.guided, others))
 
 

@@ -160,18 +160,22 @@ def tolerance(points: np.ndarray) -> float:
 
 def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
     """Raises `ValueError` for planes of another dimension, neither parallel nor at right angles, or that do not bound the mesh."""
-    dimension = points.shape[1]
-    for plane in planes:
-        if len(plane.normal) != dimension:
-            raise ValueError(
-                f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has {dimension} dimensions."
-            )
+    check_dimension(planes, points.shape[1])
     normals = np.stack([plane.normal for plane in planes])
     cosines = np.abs(normals @ normals.T)
     if np.minimum(cosines, np.abs(cosines - 1)).max() > 1e-9:
         raise ValueError("several symmetry planes must be parallel or at right angles to each other.")
     for plane in planes:
         _check_bounds(plane, points)
+
+
+def check_dimension(planes: Sequence[Plane], dimension: int) -> None:
+    """Raises `ValueError` for planes of another dimension than the mesh's."""
+    for plane in planes:
+        if len(plane.normal) != dimension:
+            raise ValueError(
+                f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has {dimension} dimensions."
+            )
 
 
 def _check_bounds(plane: Plane, points: np.ndarray) -> None:
@@ -204,6 +208,15 @@ def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
     if not planes:
         return np.zeros(0, dtype=bool)
     return np.any(_parallel(np.stack([plane.normal for plane in planes])), axis=1)
+
+
+def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
+    """Marks the points on planes that have another one parallel to them."""
+    on = np.zeros(len(points), dtype=bool)
+    for plane, has_other in zip(planes, facing(planes), strict=True):
+        if has_other:
+            on |= plane.holds(points)
+    return on
 
 
 def combinations(normals: Float[np.ndarray, "p d"], mirrored: Bool[np.ndarray, " p"]) -> list[tuple[bool, ...]]:

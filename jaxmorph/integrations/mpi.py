@@ -15,7 +15,7 @@ from jaxtyping import ArrayLike, Bool, Float, Int, Real
 import jaxmorph as jm
 from jaxmorph._host.door import check, shown
 from jaxmorph._host.ranks import together
-from jaxmorph._plan.symmetry import facing
+from jaxmorph._plan.symmetry import check_dimension, on_facing
 
 ROWS = Real[ArrayLike, "k d"] | Sequence[Any]
 
@@ -162,17 +162,13 @@ def prepare(
         if not len(x) or x.dtype.kind not in "fiu" or not np.isfinite(x).all() or (ids < 0).any():
             raise ValueError("a piece needs at least one point, finite coordinates, and ids from 0 on.")
         planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
-        for plane in planes:
-            if len(plane.normal) != x.shape[1]:
-                raise ValueError(f"a symmetry plane has {len(plane.normal)} components, the points {x.shape[1]}.")
-        planes = [plane for plane, has_other in zip(planes, facing(planes), strict=True) if has_other]
+        check_dimension(planes, x.shape[1])
         lists = (_rows(each, len(x)) for each in (moving, fixed))
         return x, ids.astype(np.int64), planes, np.unique([x.argmin(axis=0), x.argmax(axis=0)]), *lists
 
     x, ids, planes, ends, moves, held = together(comm, checked)
     extent = np.concatenate(comm.allgather(x[ends]))  # a plane holds nodes to a share of the whole mesh's size
-    between = [plane.holds(np.concatenate([x, extent]))[: len(x)] for plane in planes]
-    guided = np.any(between, axis=0) if between else np.zeros(len(x), dtype=bool)
+    guided = on_facing(planes, np.concatenate([x, extent]))[: len(x)]
     outermost = x[ends[~guided[ends]]]
     shares = comm.allgather((ids[moves], x[moves], ids[held], x[held], ids[guided], x[guided]))
     moving_ids, moving_points = _union([share[:2] for share in shares])
