@@ -135,22 +135,8 @@ def choose(
     """
     named = boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
     named.warn_of_free_faces()
-    motions, expected = np.asarray(motions, dtype=float), (len(named.moving), mesh.points.shape[1])
-    if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):
-        raise ValueError(
-            f"`motions` has shape {motions.shape}; expected (s, {expected[0]}, {expected[1]}), not all zero."
-        )
-    if not np.isfinite(motions).all():
-        raise ValueError(f"{(~np.isfinite(motions)).sum()} components of `motions` are not finite.")
-    if not len(leaves):
-        raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
-    for name, method in (methods or {}).items():
-        if not isinstance(name, str):
-            raise ValueError(f"a name in `methods` is {name!r}; names are words, as in methods={{'soft': ...}}.")
-        check_kind(method, AbstractMethod, f'methods["{name}"]', "jm.LinearElasticity()")
-    for each in leaves:
-        whole("leaves", each)
-    between("tolerance", tolerance, 0, ends="[)")
+    motions = _checked_motions(motions, (len(named.moving), mesh.points.shape[1]))
+    _check_tries(leaves, tolerance, methods)
     known = named.alone() if len(named.guided) else named
     surface, images, _ = surface_of(known)
     columns = _columns(motions, len(known.nodes), images)
@@ -172,6 +158,29 @@ def choose(
         raise refused or ValueError("every candidate was refused.")
     chosen = _best(rows, radial, tolerance)
     return Choice(plans[chosen].method, plans[chosen], tuple(rows), chosen)
+
+
+def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
+    motions = np.asarray(motions, dtype=float)
+    if motions.ndim != 3 or motions.shape[1:] != expected or not np.any(motions):
+        raise ValueError(
+            f"`motions` has shape {motions.shape}; expected (s, {expected[0]}, {expected[1]}), not all zero."
+        )
+    if not np.isfinite(motions).all():
+        raise ValueError(f"{(~np.isfinite(motions)).sum()} components of `motions` are not finite.")
+    return motions
+
+
+def _check_tries(leaves: Sequence[int], tolerance: float, methods: Mapping[str, AbstractMethod] | None) -> None:
+    if not len(leaves):
+        raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
+    for each in leaves:
+        whole("leaves", each)
+    between("tolerance", tolerance, 0, ends="[)")
+    for name, method in (methods or {}).items():
+        if not isinstance(name, str):
+            raise ValueError(f"a name in `methods` is {name!r}; names are words, as in methods={{'soft': ...}}.")
+        check_kind(method, AbstractMethod, f'methods["{name}"]', "jm.LinearElasticity()")
 
 
 def _tries(leaves: Sequence[int]) -> list[tuple[bool, int, bool]]:

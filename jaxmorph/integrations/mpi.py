@@ -151,40 +151,13 @@ def prepare(
 
     if not hasattr(comm, "allgather"):
         raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
-
-    def checked() -> tuple[Any, ...]:
-        check("points", points, ROWS, prepare)
-        check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
-        check("is_open", is_open, bool, prepare)
-        x, ids = np.asarray(points), np.asarray(nodes)
-        if x.ndim != 2 or ids.shape != (len(x),) or ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
-            raise ValueError(f"`nodes` must be one id for each of {len(x)} points, no id twice.")
-        if not len(x) or x.dtype.kind not in "fiu" or not np.isfinite(x).all() or (ids < 0).any():
-            raise ValueError("a piece needs at least one point, finite coordinates, and ids from 0 on.")
-        planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
-        check_dimension(planes, x.shape[1])
-        lists = (_rows(each, len(x)) for each in (moving, fixed))
-        return x, ids.astype(np.int64), planes, np.unique([x.argmin(axis=0), x.argmax(axis=0)]), *lists
-
-    x, ids, planes, ends, moves, held = together(comm, checked)
-    extent = np.concatenate(comm.allgather(x[ends]))  # a plane holds nodes to a share of the whole mesh's size
-    guided = on_facing(planes, np.concatenate([x, extent]))[: len(x)]
-    outermost = x[ends[~guided[ends]]]
-    shares = comm.allgather((ids[moves], x[moves], ids[held], x[held], ids[guided], x[guided]))
-    moving_ids, moving_points = _union([share[:2] for share in shares])
-    fixed_ids, fixed_points = _union([share[2:4] for share in shares])  # all processes see the same, and raise together
-    guided_ids, guided_points = _union([share[4:] for share in shares])
-    rest = ~np.isin(fixed_ids, moving_ids)
-    others = ~np.isin(guided_ids, np.concatenate([moving_ids, fixed_ids]))
-    m, count = len(moving_ids), len(moving_ids) + int(rest.sum())
-    lists = np.arange(m), np.arange(m, count)
-    outermost = np.concatenate(comm.allgather(outermost))
-    everything = np.concatenate([moving_points, fixed_points[rest], guided_points[others], outermost])
-    names = np.concatenate([moving_ids, fixed_ids[rest], guided_ids[others], np.full(len(outermost), -1)])
+    piece = together(comm, lambda: _given(points, nodes, moving, fixed, symmetry, is_open))
+    everything, names, m, count = _surface(comm, piece)
 
     def half() -> jm.SurfaceHalf | None:
         if comm.rank:
             return None
+        lists = np.arange(m), np.arange(m, count)
         try:
             return jm.prepare_surface(
                 everything, *lists, nodes=names, method=method, symmetry=symmetry, is_open=is_open
@@ -194,8 +167,56 @@ def prepare(
 
     shared = comm.bcast(together(comm, half))
     assert shared is not None
-    plan = together(comm, lambda: shared.attach(x, ids))
-    return Piece(comm, plan, ids, moves, np.searchsorted(moving_ids, ids[moves]), *_owned(comm, ids))
+    plan = together(comm, lambda: shared.attach(piece.points, piece.nodes))
+    rows = np.searchsorted(names[:m], piece.nodes[piece.moving])
+    return Piece(comm, plan, piece.nodes, piece.moving, rows, *_owned(comm, piece.nodes))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Given:
+    """Holds what one process gave of its piece, checked."""
+
+    points: np.ndarray
+    nodes: np.ndarray
+    moving: np.ndarray
+    fixed: np.ndarray
+    planes: list[jm.Plane]
+
+
+def _given(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any, is_open: Any) -> _Given:
+    check("points", points, ROWS, prepare)
+    check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
+    check("is_open", is_open, bool, prepare)
+    x, ids = np.asarray(points), np.asarray(nodes)
+    if x.ndim != 2 or ids.shape != (len(x),) or ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
+        raise ValueError(f"`nodes` must be one id for each of {len(x)} points, no id twice.")
+    if not len(x) or x.dtype.kind not in "fiu" or not np.isfinite(x).all() or (ids < 0).any():
+        raise ValueError("a piece needs at least one point, finite coordinates, and ids from 0 on.")
+    planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
+    check_dimension(planes, x.shape[1])
+    return _Given(x, ids.astype(np.int64), _rows(moving, len(x)), _rows(fixed, len(x)), planes)
+
+
+def _surface(comm: Any, piece: _Given) -> tuple[np.ndarray, np.ndarray, int, int]:
+    """Gathers the points that the surface's half needs: moving, fixed, on parallel planes, outermost; their ids, -1 for the last.
+
+    The first m move and those up to `count` are fixed. All processes see the same, and raise together.
+    """
+    x, ids = piece.points, piece.nodes
+    ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
+    extent = np.concatenate(comm.allgather(x[ends]))  # a plane holds nodes to a share of the whole mesh's size
+    guided = on_facing(piece.planes, np.concatenate([x, extent]))[: len(x)]
+    kinds = piece.moving, piece.fixed, np.flatnonzero(guided)
+    shares = comm.allgather([(ids[rows], x[rows]) for rows in kinds])
+    (moving, at_moving), (fixed, at_fixed), (on_planes, at_planes) = (
+        _union(each) for each in zip(*shares, strict=True)
+    )
+    rest = ~np.isin(fixed, moving)
+    others = ~np.isin(on_planes, np.concatenate([moving, fixed]))
+    outermost = np.concatenate(comm.allgather(x[ends[~guided[ends]]]))
+    everything = np.concatenate([at_moving, at_fixed[rest], at_planes[others], outermost])
+    names = np.concatenate([moving, fixed[rest], on_planes[others], np.full(len(outermost), -1)])
+    return everything, names, len(moving), len(moving) + int(rest.sum())
 
 
 def _rows(values: Any, n: int) -> np.ndarray:
