@@ -12,7 +12,7 @@ from test_slide import ring
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._improve.improve import _prepared
+from jaxmorph._improve.improve import _kept, _prepared
 from jaxmorph._improve.systems import pattern, solve
 from jaxmorph._improve.ways import Ways
 from jaxmorph._kernels.values import as_jax
@@ -121,7 +121,7 @@ def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
     """At the target the Hessian is positive: blocks add up to it, and the host solves with it."""
     mesh = grid(3, dimension)
     n = len(mesh.points)
-    distortion, pairs = _prepared(mesh, jnp.float64, None, False, 0.5)
+    distortion, pairs = _prepared(mesh, jnp.float64, _kept(mesh, None, (), (), ()), False, 0.5)
     base, y = jnp.asarray(mesh.points), jnp.zeros_like(jnp.asarray(mesh.points))
     dense = np.asarray(jax.hessian(lambda y: distortion(y, base))(y)).reshape(n * dimension, -1)
     blocks = np.asarray(distortion.blocks(y, base))
@@ -154,7 +154,7 @@ def test_it_finds_scipys_minimum_and_untangles(dimension):
     assert float(result.residual) < 1e-6
     assert np.array_equal(np.asarray(result.points)[~inner], points[~inner])
     assert "0 are now" in str(result)
-    distortion, _ = _prepared(mesh, jnp.float64, None, False, 0.5)
+    distortion, _ = _prepared(mesh, jnp.float64, _kept(mesh, None, (), (), ()), False, 0.5)
     found = jnp.asarray(result.points)
     sharp = _softened(distortion, 1e-3)
     value_and_grad = jax.jit(jax.value_and_grad(lambda y: sharp(y.reshape(found.shape), found)))
@@ -296,7 +296,7 @@ def test_second_derivatives_on_curved_walls_and_of_pairs():
     """Blocks add up to the Hessian, with the walls' curvature in it; what is off a wall or follows a partner has none."""
     mesh, _, _, wrapped = quarter()
     base, rng = jnp.asarray(mesh.points + 0.05 * np.sin(3 * mesh.points[:, ::-1])), np.random.default_rng(0)
-    distortion, pairs = _prepared(mesh, jnp.float64, None, False, 0.5, (), *wrapped.values())
+    distortion, pairs = _prepared(mesh, jnp.float64, _kept(mesh, None, (), *wrapped.values()), False, 0.5)
     ways = distortion.ways
     assert ways is not None
     distortion = eqx.tree_at(lambda it: it.ways, distortion, eqx.filter_jit(ways.at)(base))

@@ -177,24 +177,53 @@ def test_advice_where_the_displacement_is_steep():
     assert jm.inspect(jm.prepare(mesh, "airfoil", "farfield", method=FOLLOWS), wave).advice == ()
 
 
-@pytest.mark.slow
-def test_improving_keeps_a_surface_inside_of_the_mesh_where_it_was_sent():
+def square():
+    """A unit-spaced square of 8 x 8 quads with its sides, and three nodes in its middle, which a motion turns by 95 degrees."""
     x, y = np.meshgrid(np.arange(9.0), np.arange(9.0))
     points = np.stack([x.ravel(), y.ravel()], axis=1)
     corner = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
     cells = np.stack([corner, corner + 1, corner + 10, corner + 9], axis=1)
-    rim = np.flatnonzero((points == 0).any(axis=1) | (points == 8).any(axis=1))
-    mesh = jm.Mesh(points, {"quad": cells}, {"rim": rim})
+    sides = {f"{'xy'[axis]}{end}": np.flatnonzero(points[:, axis] == end) for axis in (0, 1) for end in (0, 8)}
     moving = np.array([39, 40, 41])
-    plan = jm.prepare(mesh, moving, "rim")
+    arms = points[moving] - points[40]
 
     def turned(t):
-        c, s = np.cos(np.deg2rad(150) * t), np.sin(np.deg2rad(150) * t)
-        return (points[moving] - points[40]) @ np.array([[c, s], [-s, c]]) - (points[moving] - points[40])
+        c, s = np.cos(np.deg2rad(95) * t), np.sin(np.deg2rad(95) * t)
+        return arms @ np.array([[c, s], [-s, c]]) - arms
 
+    return jm.Mesh(points, {"quad": cells}, sides), moving, turned
+
+
+@pytest.mark.slow
+def test_improving_keeps_a_surface_inside_of_the_mesh_where_it_was_sent():
+    mesh, moving, turned = square()
+    plan = jm.prepare(mesh, moving, tuple(mesh.patches))
     steps = jm.fewest_steps(plan, mesh, turned, max_steps=2, improve=True)
     wall = np.asarray(steps.points)[plan.moving]
-    np.testing.assert_allclose(wall, points[moving] + turned(steps.fraction), atol=1e-12)
+    np.testing.assert_allclose(wall, mesh.points[moving] + turned(steps.fraction), atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("by", ["sliding", "periodic", "symmetry"])
+def test_improving_lets_the_boundary_of_a_plan_slide_and_repeat(by):
+    """As `improve` does when it is told the same: nodes move along the line x = 0, or as their partners on x = 8 do."""
+    mesh, moving, turned = square()
+    given = {"sliding": "x0", "symmetry": jm.Plane((1, 0), (0, 0)), "periodic": jm.Periodic("x0", "x8")}[by]
+    held = ("y0", "y8") if by == "periodic" else ("y0", "y8", "x8")
+    plan = jm.prepare(mesh, moving, held, **{by: given})
+    steps = jm.fewest_steps(plan, mesh, turned, max_steps=2, improve=True)
+    assert steps.fraction == 1
+    assert steps.improvement is not None
+    start, found = (np.asarray(each) for each in (jm.replay(steps.plans, steps.path), steps.points))
+    side, fixed = mesh.patch("x0"), np.append(mesh.patch(*held), moving)
+    assert np.abs(found - start)[side].max() > 1e-3
+    np.testing.assert_array_equal(found[fixed], start[fixed])
+    if by == "periodic":
+        np.testing.assert_array_equal(found[side] + [8, 0], found[mesh.patch("x8")])
+    else:
+        np.testing.assert_array_equal(found[side, 0], 0)
+    alone = jm.improve(mesh, start, fixed=fixed, **{by: given}).points
+    np.testing.assert_allclose(found, alone, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,10 @@ import dataclasses
 from collections.abc import Callable
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.door import between, checked, finite_array, whole
-from .._improve.improve import Improvement
-from .._improve.improve import improve as improved
+from .._improve.improve import Improvement, improve_of
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan
 from .._plan.steps import march
@@ -53,9 +51,9 @@ def fewest_steps(
     of its initial value. When even `max_steps` steps are not good, the result holds the largest fraction of the motion
     that they reach, by bisection to 1/1000, and its `fraction` is below 1.
 
-    With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets are the cells of `mesh`. If
-    that is not good either, the largest fraction is sought beyond the one that steps alone reach, to 1/100. Each trial then
-    costs a march and an improvement: seconds for 10,000 cells.
+    With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets are the cells of `mesh`. Nodes
+    slide and repeat there as the plan has them. If that is not good either, the largest fraction is sought beyond the one that
+    steps alone reach, to 1/100. Each trial then costs a march and an improvement: seconds for 10,000 cells.
 
     **Arguments:**
 
@@ -77,17 +75,13 @@ def fewest_steps(
     if tuple(mesh.points.shape) != plan.points.shape:
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
 
-    planes = () if plan.images is None else plan.images.planes
-    expected, held = (plan.n_moving, plan.points.shape[1]), mesh
-    if improve:  # the surface may be of no patch, inside of the mesh
-        surface = np.unique(np.concatenate([plan.moving, plan.fixed, plan.guided]))
-        held = Mesh(mesh.points, mesh.cells, {**mesh.patches, "surface of the plan": surface})
+    expected = (plan.n_moving, plan.points.shape[1])
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
         parts = [motion(fraction * (j + 1) / count) for j in range(count)]
         path = jnp.stack([jnp.asarray(finite_array("motion(t)", each, expected)) for each in parts])
         plans, points = march(plan, path)
-        improvement = improved(held, points, symmetry=planes) if mend else None
+        improvement = improve_of(plan, mesh, points) if mend else None
         points = points if improvement is None else improvement.points
         return Steps(count, fraction, points, quality(mesh, points), plans, path, improvement)
 

@@ -1,5 +1,6 @@
 """Better cells for given boundary nodes: inner nodes where the distortion of all cells is least."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,8 +21,11 @@ from .._kernels.values import as_jax, is_known
 from .._mesh.mesh import Mesh
 from .._plan.door import node_ids, walls_of
 from .._plan.periodic import Pairing, Periodic
+from .._plan.plan import Plan
+from .._plan.prepare import boundary_of
 from .._plan.slide import Slide, check_repeated, tracks_of
 from .._plan.symmetry import Plane
+from .._plan.walls import Flat, Track
 from .._quality.distortion import node_scales, target
 from .._quality.quality import quality
 from .._quality.vector import corners
@@ -62,6 +66,15 @@ class Improvement(eqx.Module):
             f"{int(self.before)} of {self.cells} cells were inverted, {int(self.after)} are now; "
             f"mean distortion {float(self.energy):.3g} after {int(self.steps)} steps, {how}"
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class Kept:
+    """Names the nodes that are `held`, and along what others are led: `tracks` and `pairings`, of node ids."""
+
+    held: np.ndarray
+    tracks: tuple[Track, ...]
+    pairings: tuple[Pairing, ...]
 
 
 @checked
@@ -127,9 +140,22 @@ def improve(
     """
     start = jnp.asarray(points)
     _check(mesh, start, fixed, size_weight, tolerance, max_steps)
-    base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
-        distortion, blocks = _prepared(mesh, base.dtype, fixed, ideal, size_weight, symmetry, sliding, periodic)
+        kept = _kept(mesh, fixed, symmetry, sliding, periodic)
+    return _improved(mesh, start, kept, (ideal, size_weight), (tolerance, max_steps, progress))
+
+
+def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
+    """Improves the deformed mesh of a plan: its data stay, nodes slide along its walls and planes, and its pairs move alike."""
+    return _improved(mesh, points, _kept_of(plan, mesh), (False, 0.5), (0.03, 60, None))
+
+
+def _improved(mesh: Mesh, start: Array, kept: Kept, energy: tuple, search: tuple) -> Improvement:
+    """Improves a mesh; `energy` is ideal and size_weight, `search` tolerance, max_steps and progress."""
+    tolerance, max_steps, progress = search
+    base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
+    with jax.ensure_compile_time_eval():
+        distortion, blocks = _prepared(mesh, base.dtype, kept, *energy)
     softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
     if distortion.ways is not None:
         distortion = eqx.tree_at(lambda it: it.ways, distortion, _ways_at(distortion.ways, held))
@@ -220,20 +246,39 @@ def _check(mesh: Mesh, points, fixed, size: float, tolerance: float, max_steps: 
     whole("max_steps", max_steps)
 
 
-def _prepared(mesh: Mesh, dtype, fixed, ideal: bool, size: float, symmetry=(), sliding=(), periodic=()):
+def _kept(mesh: Mesh, fixed, symmetry, sliding, periodic) -> Kept:
+    """Finds what is held of a mesh, and along what."""
+    walls, pairings = walls_of(mesh, symmetry, sliding, periodic, () if fixed is None else fixed)
+    tracks, corners = tracks_of(walls, (), np.asarray(mesh.points))
+    ways = [nodes for _, nodes in walls]
+    ways += [np.append(side, each.alone) for each in pairings for side in (each.first, each.second)]
+    held = _boundary(mesh, ways) if fixed is None else np.asarray(fixed, dtype=int)
+    return Kept(np.append(held, corners), tracks, pairings)
+
+
+def _kept_of(plan: Plan, mesh: Mesh) -> Kept:
+    """Finds what a plan holds, and along what; boundary nodes that it leaves free are held."""
+    named = boundary_of(plan)
+    flat = [(Flat(plane.normal, plane.origin), np.flatnonzero(plane.holds(named.points))) for plane in named.planes]
+    sliding = np.concatenate([np.zeros(0, dtype=int), *(track.rows for track in named.tracks)])
+    flat = [(wall, np.setdiff1d(nodes, sliding)) for wall, nodes in flat]
+    tracks, corners = tracks_of(flat, (), named.points)
+    data = np.concatenate([named.moving, named.fixed])
+    joined = [pairing.nodes for pairing in named.pairings]
+    known = np.concatenate([data, sliding, *joined, *(nodes for _, nodes in flat)])
+    held = np.concatenate([_boundary(mesh, [known]), data, corners])
+    return Kept(held, (*named.tracks, *tracks), named.pairings)
+
+
+def _prepared(mesh: Mesh, dtype, kept: Kept, ideal: bool, size: float):
     """Prepares the energy, and on the host the pattern of its Hessian."""
     n, d = mesh.points.shape
     cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, d).items()}
-    walls, pairings = walls_of(mesh, symmetry, sliding, periodic, () if fixed is None else fixed)
-    tracks, corner = tracks_of(walls, (), np.asarray(mesh.points))
-    ways = [nodes for _, nodes in walls]
-    ways += [np.append(side, each.alone) for each in pairings for side in (each.first, each.second)]
-    held = _boundary(mesh, cells, ways) if fixed is None else np.asarray(fixed, dtype=int)
+    tracks, pairings = kept.tracks, kept.pairings
     free = np.zeros(n, dtype=bool)
     free[np.concatenate([ids.ravel() for ids in cells.values()])] = True
-    free[held] = False
-    free[corner] = False
-    check_repeated(tracks, corner, pairings, np.asarray(mesh.points), free)
+    free[kept.held] = False
+    check_repeated(tracks, kept.held, pairings, np.asarray(mesh.points), free)
     leads, leading = _leads(pairings, free), bool(tracks or pairings)
     distortion = _energy(
         {kind: jnp.asarray(ids) for kind, ids in cells.items()},
@@ -264,8 +309,9 @@ def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[
     return Distortion(cells, targets, scale, free, jnp.ones((), reference.dtype), ways, float(size))
 
 
-def _boundary(mesh: Mesh, cells: dict[str, np.ndarray], ways: Sequence[np.ndarray]) -> np.ndarray:
+def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:
     """Lists the nodes of patches, and of faces that only one cell has, but for those of one wall or periodic side."""
+    cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()}
     behind, _ = neighbours(cells)
     walls = [np.isin(np.arange(len(mesh.points)), nodes) for nodes in ways]
     nodes, first = [np.asarray(ids) for ids in mesh.patches.values()], 0
