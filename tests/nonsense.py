@@ -536,6 +536,7 @@ TABLE: dict[str, dict[str, Argument]] = {
     "io.check_sensitivity_output": {"path": path("a.csv")},
     "io.global_nodes": {"mesh": instance(Lazy(lambda: decomposed().read(0)), jm.Mesh) + {"another": MESH}},
     "io.periodic": {"mesh": mesh() - "empty"},
+    "io.symmetry": {"mesh": mesh() - "empty"},
     "io.read": {"path": path("a.vtu") - "folder"},
     "io.read_box": {
         "source": Argument(

@@ -11,6 +11,7 @@ from test_openfoam import HEXAHEDRON
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph.cli import main
 
 ANGLE = np.radians(2.5)
 PRISM = ((0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4), (0, 2, 1), (3, 4, 5))
@@ -89,6 +90,25 @@ def test_a_patch_named_axis_is_joined_or_refused(pipe):
     boundary.write_text(re.sub(r"\bwall\b", "axis", text, count=1))
     with pytest.raises(ValueError, match="pipe: the patch axis has faces"):
         io.read(case)
+
+
+@pytest.mark.slow
+def test_the_axis_needs_no_flag(pipe, tmp_path, capsys):
+    """Nodes on the axis move along it alone, and a mesh of which no patch is left to stay needs no fixed one."""
+    mesh = io.read(pipe[0])
+    assert io.symmetry(mesh) == ("axis",)
+    flags = "--moving wall --translate 0.1 0.05 --method rbf".split()
+    argv = ["deform", str(pipe[0]), str(tmp_path / "moved"), *flags]
+    assert main([*argv, "--fixed", "ends"]) == 0
+    said = capsys.readouterr().out
+    assert "symmetry axis: 3 nodes" in said
+    moved = np.asarray(io.read(tmp_path / "moved").points) - mesh.points
+    axis = mesh.patch("axis")
+    assert np.all(moved[axis, 1] == 0)
+    assert np.abs(moved[axis, 0]).max() > 1e-3
+    argv[2:5] = [str(tmp_path / "all"), "--moving", "wall", "ends"]
+    assert main(argv) == 0
+    assert "fixed    no patch: 0 nodes" in capsys.readouterr().out
 
 
 @pytest.mark.slow

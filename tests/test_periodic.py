@@ -149,3 +149,23 @@ def test_what_is_not_periodic():
         jm.prepare(points, moving, fixed, method=TPS, periodic=jm.Periodic(sides[0], sides[0]))
     with pytest.raises(ValueError, match=r"pairs such as jm.Periodic\('lower', 'upper'"):
         jm.prepare(points, moving, fixed, method=TPS, periodic="lower")
+
+
+@pytest.mark.parametrize("method", [jm.RBF.classic(jm.WendlandC2(1.0)), jm.CompactRBF(1.0)])
+def test_where_an_image_stands_on_a_node_the_node_counts(method):
+    """A wall's image falls on another wall, but for the digits of a file: the field is that of places that coincide."""
+
+    def deformed(off):
+        x, y = np.meshgrid(*[np.arange(6) / 5] * 2)
+        points = np.stack([x.ravel(), y.ravel()], axis=1)
+        low, high, left = points[:, 1] == 0, points[:, 1] == 1, points[:, 0] < 0.5
+        points[high & left, 1] += off
+        pairs = jm.Periodic(np.flatnonzero(low & ~left), np.flatnonzero(high & ~left))
+        moving, fixed = np.flatnonzero(low & left), np.flatnonzero(high & left)
+        plan = jm.prepare(points, moving, fixed, periodic=pairs, method=method)
+        u = 0.05 * np.stack([0 * points[moving, 0], np.sin(6 * points[moving, 0])], axis=1)
+        return np.asarray(jm.deform(plan, u)) - points
+
+    exact = deformed(0)
+    assert 0.04 < np.abs(exact).max() < 0.051
+    np.testing.assert_allclose(deformed(3e-12), exact, rtol=0, atol=1e-9)

@@ -8,10 +8,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from scipy.spatial import KDTree
 
 from .._kernels.values import as_jax
 from .periodic import Pairing
-from .symmetry import Plane, combinations
+from .symmetry import Plane, combinations, tolerance
 
 
 class Images(eqx.Module):
@@ -123,19 +124,37 @@ def copies(
     pairings: Sequence[Pairing],
     on_plane: Bool[np.ndarray, "o p"],
     moving: int,
+    points: Float[np.ndarray, "o d"],
 ) -> Copies:
-    """Finds the images of own rows, the first `moving` of them moving; `pairings` are of own rows.
+    """Finds the images of own rows at `points`, the first `moving` of them moving; `pairings` are of own rows.
 
-    The planes that are not `mirrored` make none.
+    The planes that are not `mirrored` make none, nor does a row whose image stands where another row does.
 
     The nearest come first. A place has a number made of its root, of how often it is transformed, and in which planes mirrored.
     """
-    count, size = on_plane.shape
     flags = combinations(np.stack([plane.normal for plane in planes]), mirrored) if planes else [()]
     powers = [pairing.powers for pairing in pairings]
     elements = sorted(
         itertools.product(itertools.product(*powers), flags), key=lambda each: sum(map(abs, each[0]))
     )  # stable: as they come among those as near
+    matrices, shifts = map(np.stack, zip(*(_transform(planes, pairings, *each) for each in elements), strict=True))
+    places, roots = _numbered(elements, pairings, on_plane)
+    if pairings:
+        places = _joined(places, np.einsum("tij,oj->toi", matrices, points.astype(float)) + shifts[:, None], points)
+    rows, kind = _once(places, moving)
+    lying = [np.union1d(side, each.alone) for each in pairings for side in (each.first, each.second)]
+    sides = np.zeros((len(points), len(lying)), dtype=bool)
+    for column, rows_there in zip(sides.T, lying, strict=True):
+        column[rows_there] = True
+    taken = np.array([each for each, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
+    return Copies(places, roots, rows, kind, int((rows < moving).sum()), matrices, shifts, taken, sides)
+
+
+def _numbered(
+    elements: Sequence[tuple], pairings: Sequence[Pairing], on_plane: Bool[np.ndarray, "o p"]
+) -> tuple[Int[np.ndarray, "t o"], Int[np.ndarray, " o"]]:
+    """Numbers the place of each row's image by each transform; finds the row for which each row stands."""
+    count, size = on_plane.shape
     roots, radix = np.arange(count), 1 << size
     places = np.array([[np.array(flag, dtype=np.int64) @ (1 << np.arange(size))] for _, flag in elements])
     places = places & ~(on_plane @ (1 << np.arange(size)))[None]
@@ -150,20 +169,34 @@ def copies(
         to_first = np.arange(count)
         to_first[pairing.second] = pairing.first
         roots = to_first[roots]
-    places = places + radix * roots[None]
-    kind, rows = np.divmod(np.arange(places.size), count)
-    moves = rows < moving
-    order = np.concatenate([np.flatnonzero(moves), np.flatnonzero(~moves)])
-    order = order[np.sort(np.unique(places.ravel()[order], return_index=True)[1])]
-    matrices, shifts = zip(*(_transform(planes, pairings, *element) for element in elements), strict=True)
-    lying = [np.union1d(side, each.alone) for each in pairings for side in (each.first, each.second)]
-    sides = np.zeros((count, len(lying)), dtype=bool)
-    for column, rows_there in zip(sides.T, lying, strict=True):
-        column[rows_there] = True
-    extended = int((rows[order] < moving).sum())
-    taken = np.array([each for each, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
-    transforms = np.stack(matrices), np.stack(shifts), taken
-    return Copies(places, roots, rows[order], kind[order], extended, *transforms, sides)
+    return places + radix * roots[None], roots
+
+
+def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], points: np.ndarray) -> np.ndarray:
+    """Gives one number to places that coincide, as where walls meet a periodic side; nodes that coincide keep their own."""
+    numbers, first = np.unique(places, return_index=True)
+    count = len(points)
+    first = np.sort(first)  # own rows come before images
+    kind = first // count
+    pairs = KDTree(at.reshape(-1, at.shape[-1])[first]).query_pairs(tolerance(points), output_type="ndarray")
+    pairs = np.sort(pairs, axis=1)
+    pairs = pairs[kind[pairs[:, 0]] != kind[pairs[:, 1]]]
+    one = numbers.copy()
+    flat = places.ravel()
+    for earlier, later in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
+        into, other = np.searchsorted(numbers, flat[first[[earlier, later]]])
+        if one[other] == numbers[other]:
+            one[other] = one[into]
+    return one[np.searchsorted(numbers, places)]
+
+
+def _once(places: Int[np.ndarray, "t o"], moving: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lists row and transform of each place once: moving ones, then the others, own rows before their images."""
+    count = places.shape[1]
+    first = np.sort(np.unique(places, return_index=True)[1])
+    kind, rows = np.divmod(first, count)
+    order = np.argsort(rows >= moving, kind="stable")
+    return rows[order], kind[order]
 
 
 def _transform(planes: Sequence[Plane], pairings: Sequence[Pairing], powers, flags) -> tuple[np.ndarray, np.ndarray]:
@@ -187,12 +220,13 @@ def images_of(
     on_plane: Bool[np.ndarray, "n p"],
     nodes: np.ndarray,
     moving: int,
+    points: Float[np.ndarray, "n d"],
 ) -> tuple[Images, Copies]:
-    """Makes the images of the surface's `nodes`, the first `moving` of them moving, and lists where they stand."""
+    """Makes the images of the surface's `nodes` among `points`, the first `moving` of them moving, and lists where they stand."""
     place = np.full(len(on_plane), -1, dtype=np.int32)
     place[nodes] = np.arange(len(nodes))
     rows = [pairing.renumbered(place) for pairing in pairings]
-    made = copies(planes, mirrored, rows, on_plane[nodes], moving)
+    made = copies(planes, mirrored, rows, on_plane[nodes], moving, points[nodes])
     dimension = made.shifts.shape[1]
     normals = np.stack([plane.normal for plane in planes]) if planes else np.zeros((0, dimension))
     origins = np.stack([plane.origin for plane in planes]) if planes else np.zeros((0, dimension))

@@ -163,7 +163,7 @@ def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray
     listed = np.zeros(len(points), dtype=bool)
     listed[nodes] = True
     mirrored = ~facing(named.planes) | (on_plane & ~listed[:, None]).any(axis=0)
-    images, copies = images_of(named.planes, mirrored, named.pairings, on_plane, nodes, moving)
+    images, copies = images_of(named.planes, mirrored, named.pairings, on_plane, nodes, moving, points)
     everything = np.asarray(images.points(jnp.asarray(points[nodes])))
     faces = None if faces is None else {kind: copies.faces(corners) for kind, corners in faces.items()}
     ids = np.where(copies.kind == 0, nodes[copies.rows], -1)

@@ -99,7 +99,10 @@ def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndar
         largest = way[np.searchsorted(patches.nodes, nodes)].max()
         _wrapped(out, f"moving   {', '.join(names)}: {count(len(nodes), 'node')}, by up to {largest:.4g}")
     fixed = np.setdiff1d(patches.fixed_nodes, patches.nodes)
-    _wrapped(out, f"fixed    {', '.join(request.surface.fixed)}: {count(len(fixed), 'node')}")
+    names = ", ".join(request.surface.fixed) or "no patch"
+    _wrapped(out, f"fixed    {names}: {count(len(fixed), 'node')}")
+    if patches.symmetry:
+        _wrapped(out, f"symmetry {', '.join(patches.symmetry)}: {count(len(mesh.patch(*patches.symmetry)), 'node')}")
     if patches.sliding:
         _wrapped(out, f"sliding  {', '.join(patches.sliding)}: {count(len(mesh.patch(*patches.sliding)), 'node')}")
     for pair in patches.periodic:

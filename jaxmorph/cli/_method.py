@@ -1,5 +1,6 @@
 """The method and the boundary that the command line asks for."""
 
+import contextlib
 import dataclasses
 from collections.abc import Callable
 
@@ -138,15 +139,15 @@ class Patches:
 def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
     """Looks up the patches that the names mean. A pattern for fixed patches leaves out those that move or slide.
 
+    Symmetry patches and periodic pairs of the file are taken where no name says otherwise.
+
     Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat where they slide.
     """
     known = ", ".join(mesh.patches) or "none"
-    for option, names, do in (("--moving", surface.moving, "move"), ("--fixed", surface.fixed, "stay")):
-        if not names and do == "stay" and surface.sliding:
-            continue
-        if not names:
-            raise ValueError(f"{option} is missing: name the patches that {do}; this mesh has: {known}.")
-        if not len(mesh.patch(*names)):
+    if not surface.moving:
+        raise ValueError(f"--moving is missing: name the patches that move; this mesh has: {known}.")
+    for option, names in (("--moving", surface.moving), ("--fixed", surface.fixed)):
+        if names and not len(mesh.patch(*names)):
             raise ValueError(f"{option} {' '.join(names)}: there are no nodes in it.")
     moving, symmetry = mesh.patch_names(*surface.moving), mesh.patch_names(*surface.symmetry)
     sliding, free = mesh.patch_names(*surface.sliding), mesh.patch_names(*surface.free)
@@ -165,6 +166,13 @@ def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
             planes += planes_of(mesh, name)
         except ValueError as error:
             raise ValueError(f"--symmetry {name}: {error}") from None
+    for name in io.symmetry(mesh):
+        with contextlib.suppress(ValueError):  # on a bent one no node slides: it is in no list
+            if name not in {*elsewhere, *fixed, *free}:
+                planes, symmetry = [*planes, *planes_of(mesh, name)], (*symmetry, name)
+    named = {*elsewhere, *symmetry, *fixed, *free}
+    if not fixed and not sliding and any(len(nodes) for name, nodes in mesh.patches.items() if name not in named):
+        raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {known}.")
     return Patches(mesh, moving, fixed, symmetry, free, tuple(planes), sliding, periodic)
 
 

@@ -20,7 +20,7 @@ class Source:
 
     It is compared by identity, so that it can be a static field of a pytree however large `content` is. `polyhedra`, `cell_ids`,
     `between` and `groups` are those of `Mesh`. `node_ids` are the numbers that files give to its nodes, None for 0, 1, 2, ...
-    `periodic` are the pairs of patches that the file names as such.
+    `periodic` are the pairs of patches that the file names as such, `symmetry` the patches that lie in symmetry planes.
     """
 
     path: pathlib.Path
@@ -32,6 +32,7 @@ class Source:
     periodic: tuple[Periodic, ...] = ()
     between: np.ndarray | None = None
     node_ids: np.ndarray | None = None
+    symmetry: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Source({str(self.path)!r}, {self.format})"

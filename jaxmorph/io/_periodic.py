@@ -1,4 +1,4 @@
-"""Periodic patches, as files name them."""
+"""Periodic and symmetry patches, as files name them."""
 
 import jaxmorph as jm
 
@@ -17,3 +17,16 @@ def periodic(mesh: jm.Mesh) -> tuple[jm.Periodic, ...]:
     **Returns:** pairs for `prepare(..., periodic=)`; none for other formats.
     """
     return mesh.source.periodic if isinstance(mesh.source, Source) else ()
+
+
+@checked
+def symmetry(mesh: jm.Mesh) -> tuple[str, ...]:
+    """Lists the symmetry patches that a mesh's file names: `symmetry` and `symmetryPlane` of an OpenFOAM case, the axis of wedges.
+
+    **Arguments:**
+
+    - `mesh`: what `read` returned.
+
+    **Returns:** names for `prepare(..., symmetry=)`; none for other formats.
+    """
+    return mesh.source.symmetry if isinstance(mesh.source, Source) else ()

@@ -94,8 +94,11 @@ def read(path: pathlib.Path) -> Mesh:
     if plane is not None and len(between):
         between = plane.edges(between)
     content = _CaseContent(file, points, topology, plane, shared)
+    planes = [each.name for each in boundary if each.type in ("symmetry", "symmetryPlane") and each.count]
+    planes += ["axis"] * (isinstance(plane, Sector) and bool(plane.on_axis.any()))
     between = between if len(between) else None
-    source = Source(file.path, NAME, content, whole, ids, groups, () if len(divided) else pairs, between)
+    pairs = () if len(divided) else pairs
+    source = Source(file.path, NAME, content, whole, ids, groups, pairs, between, symmetry=tuple(planes))
     return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
 
 

@@ -40,6 +40,7 @@ class Side:
     - `patches`: the nodes of each patch by name.
     - `groups`: the groups of patches by name.
     - `pairs`: pairs of cyclic patches.
+    - `symmetry`: patches in symmetry planes.
     """
 
     nodes: np.ndarray
@@ -48,6 +49,7 @@ class Side:
     patches: Mapping[str, np.ndarray]
     groups: Mapping[str, tuple[str, ...]]
     pairs: tuple[tuple[str, str], ...]
+    symmetry: tuple[str, ...]
 
 
 class Decomposed:
@@ -136,6 +138,7 @@ class Decomposed:
             {name: ids[np.asarray(each)] for name, each in mesh.patches.items()},
             mesh.source.groups,
             tuple((each.name, each.neighbour) for each in boundary if each.type == "cyclic"),
+            mesh.source.symmetry,
         )
 
     @checked
@@ -177,7 +180,8 @@ class Decomposed:
         pairs = {frozenset(pair): pair for side in sides for pair in reversed(side.pairs)}
         periodic = tuple(Periodic(*pair) for pair in pairs.values() if all(len(patches_of_all[name]) for name in pair))
         groups = {name: each for side in sides for name, each in side.groups.items()}
-        source = Source(self.path, NAME, None, groups=groups, periodic=periodic, node_ids=nodes)
+        flat = tuple(dict.fromkeys(name for side in sides for name in side.symmetry))
+        source = Source(self.path, NAME, None, groups=groups, periodic=periodic, node_ids=nodes, symmetry=flat)
         return Mesh(points, cells, patches_of_all, source=source)
 
     @checked
