@@ -97,7 +97,7 @@ def test_the_axis_needs_no_flag(pipe, tmp_path, capsys):
     """Nodes on the axis move along it alone, and a mesh of which no patch is left to stay needs no fixed one."""
     mesh = io.read(pipe[0])
     assert io.symmetry(mesh) == ("axis",)
-    flags = "--moving wall --translate 0.1 0.05 --method rbf".split()
+    flags = ["--moving", "wall", "--translate", "0.1", "0.05", "--method", "rbf"]
     argv = ["deform", str(pipe[0]), str(tmp_path / "moved"), *flags]
     assert main([*argv, "--fixed", "ends"]) == 0
     said = capsys.readouterr().out
