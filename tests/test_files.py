@@ -170,6 +170,12 @@ def test_a_name_is_a_path_with_one_of_the_endings(tmp_path):
         output_path(tmp_path / "a.gif", ".png", ".html")
 
 
+def test_a_name_that_ends_as_a_folder_is_no_file(tmp_path):
+    with pytest.raises(ValueError, match=r"a\.su2/: ends as a folder does; it is a file that is written"):
+        io.write(f"{tmp_path}/a.su2/", small())
+    assert not list(tmp_path.iterdir())
+
+
 @posix
 def test_an_error_of_the_system_names_the_output(tmp_path):
     """Not the temporary file, and not nothing; an error about another file keeps its name."""

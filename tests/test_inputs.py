@@ -102,3 +102,10 @@ def test_points_whose_volumes_overflow_are_refused(dtype, size):
     points = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], dtype)
     with pytest.raises(ValueError, match=rf"3 of 4 points are too far out for {dtype.__name__}, first node 1 "):
         jm.prepare(dtype(size) * points, [0, 1])
+
+
+@pytest.mark.parametrize(("dtype", "size"), [(np.float64, 1e-110), (np.float32, 1e-14)])
+def test_points_whose_volumes_underflow_are_refused(dtype, size):
+    points = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], dtype)
+    with pytest.raises(ValueError, match=rf"all 4 points lie within 1e-\d+, too near each other for {dtype.__name__}"):
+        jm.prepare(dtype(size) * points, [0, 1])

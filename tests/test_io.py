@@ -301,6 +301,26 @@ def test_sections_of_gmsh_are_told_from_words_in_comments(tmp_path, version, bin
     np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, mesh.points + 1)
 
 
+@pytest.mark.parametrize(
+    ("before", "line", "mark"),
+    [("// a ring\n", 1, ""), ("\n", 1, ""), ("\ufeff", 1, r" .* byte order mark"), ("", 0, "")],
+)
+def test_what_stands_before_the_format_of_a_gmsh_file_is_told(tmp_path, before, line, mark):
+    """Sections of comments may stand there, as meshio has it; anything else is shown."""
+    mesh, comment = ring(), b"$Comments\na ring\n$EndComments\n"
+    io.write(tmp_path / "plain.msh", mesh)
+    data = (tmp_path / "plain.msh").read_bytes()
+    (tmp_path / "a.msh").write_bytes(comment + before.encode() + data)
+    if not line:
+        np.testing.assert_array_equal(io.read(tmp_path / "a.msh").points, mesh.points)
+        return
+    with pytest.raises(ValueError, match=r"a\.msh, line 4: not a \.msh file; \$MeshFormat is expected here"):
+        io.read(tmp_path / "a.msh")
+    (tmp_path / "b.msh").write_bytes(before.encode() + data)
+    with pytest.raises(ValueError, match=rf"b\.msh, line {line}: not a \.msh file; .*{mark}"):
+        io.read(tmp_path / "b.msh")
+
+
 @pytest.mark.parametrize("binary", [False, True])
 def test_files_of_gmsh_4_0_are_read_and_moved(tmp_path, binary):
     square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])

@@ -30,7 +30,7 @@ WORDS = {
     types.NoneType: "None",
     type: "a class",
 }
-KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "biufcV"}
+KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "fiubcV"}
 """Letters of NumPy for what arrays of an annotation may hold: whole numbers count as real ones, V is bfloat16 and its kin."""
 
 

@@ -39,9 +39,14 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
     """Checks the name of a file, or of a folder, to write, before any work; returns it as a path.
 
     It raises `ValueError` for a name that ends in none of `endings`, where there are any, and for a folder that is not there. Also
-    for what cannot be replaced by a file: a folder, a device, a pipe.
+    for what cannot be replaced by a file: a folder, a name that ends as one does, a device, a pipe.
     """
+    is_slashed = os.fspath(path).endswith(os.sep)
     path = _without_null(path)
+    if is_slashed and not folder:
+        raise ValueError(
+            f"{path}{os.sep}: ends as a folder does; it is a file that is written: leave the {os.sep} out."
+        )
     if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path}: the name should end in {' or '.join(endings)}.")
     if not path.parent.is_dir():

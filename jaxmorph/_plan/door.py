@@ -193,6 +193,12 @@ def checked_points(points: Any) -> np.ndarray:
             "volumes overflow. Choose another unit of length.",
             far,
         )
+    extent = float(np.ptp(array, axis=0).max(initial=0)) if len(array) else 0.0
+    if 0 < extent < np.finfo(array.dtype).tiny ** (1 / 3):
+        raise ValueError(
+            f"all {len(array)} points lie within {extent:.3g}, too near each other for {array.dtype}: volumes underflow. "
+            "Choose another unit of length."
+        )
     return array
 
 

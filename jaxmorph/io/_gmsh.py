@@ -3,6 +3,7 @@
 meshio's own writer would lose bounding boxes, second physical groups and comments of a file it has read.
 """
 
+import codecs
 import dataclasses
 import pathlib
 import struct
@@ -39,6 +40,7 @@ def read(path: pathlib.Path) -> Mesh:
     A group without a name is `physical_` and its tag.
     """
     data = path.read_bytes()
+    _check_start(path, data)
     _check_sections(path, data)
     _check_tags(path, data)
     mesh = load(path, ".msh", meshio.gmsh.read)
@@ -113,11 +115,25 @@ def _sections(data: bytes) -> Iterator[tuple[bytes, int, int]]:
     """Yields the name of each section, where its lines begin, and where its `$End...` stands; `ValueError` for one without."""
     at = data.index(b"$MeshFormat")
     while (at := data.find(b"$", at)) >= 0:
-        start = data.index(b"\n", at) + 1
+        start = data.find(b"\n", at) + 1
         name = data[at + 1 : start].strip()
-        stop = data.index(b"$End" + name, start)
+        stop = data.find(b"$End" + name, start)
+        if start == 0 or stop < 0:
+            raise ValueError(f"${name.decode(errors='replace')[:40]} has no end: the file is cut short")
         yield name, start, stop
         at = stop + 4 + len(name)
+
+
+def _check_start(path: pathlib.Path, data: bytes) -> None:
+    """Raises `ValueError` where anything but sections of comments stands before `$MeshFormat`: meshio would not go on."""
+    at, number = 0, 1
+    while (line := data[at : data.find(b"\n", at) + 1 or None]).strip() == b"$Comments":
+        after = data.find(b"\n", data.find(b"$EndComments", at)) + 1
+        at, number = after or len(data), number + data.count(b"\n", at, after)
+    if line.strip() != b"$MeshFormat":
+        mark = " The file begins with a byte order mark: save it without." if data.startswith(codecs.BOM_UTF8) else ""
+        first = line.decode(errors="replace").strip()[:40]
+        raise ValueError(f"{path}, line {number}: not a .msh file; $MeshFormat is expected here, not {first!r}.{mark}")
 
 
 class _Parametric(ValueError):

@@ -25,7 +25,8 @@ def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.
             mesh = reader(str(path))
     except (Exception, SystemExit) as error:
         detail = " ".join(f"{error or output.getvalue()}".split())[:120]
-        message = f"{path}: not a {name} file, or a damaged one ({type(error).__name__}{detail and ': '}{detail})."
+        reason = f"{type(error).__name__}: {detail}" if detail else "meshio gives no reason"
+        message = f"{path}: not a {name} file, or a damaged one ({reason})."
         raise ValueError(message) from error
     printed = " ".join(output.getvalue().split())
     if "cannot handle" in printed:  # meshio leaves such cells out

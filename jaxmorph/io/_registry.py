@@ -109,8 +109,8 @@ def write(
     **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a wrong length, points
     that are not finite, and what the format cannot say.
     """
-    path = pathlib.Path(path)
     chosen = _checked(path, mesh)
+    path = pathlib.Path(path)
     arrays = dict(point_data or {}), dict(cell_data or {})
     if any(arrays) and not chosen.holds_arrays:
         raise ValueError(
@@ -142,12 +142,12 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
     **Raises:** `ValueError` for an unknown ending, a folder that does not exist, and the file that the mesh was read
     from.
     """
-    return _checked(pathlib.Path(path), mesh).holds_arrays
+    return _checked(path, mesh).holds_arrays
 
 
-def _checked(path: pathlib.Path, mesh: Mesh) -> Format:
-    chosen = format_of(path)
-    files.output_path(path, folder=chosen.is_folder)
+def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
+    chosen = format_of(pathlib.Path(name))
+    path = files.output_path(name, folder=chosen.is_folder)
     if chosen.is_folder:
         cast(FolderCodec, chosen.codec()).check(path, mesh)
     if isinstance(mesh.source, Source) and _same_file(path, mesh.source.path):
