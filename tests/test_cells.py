@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, motion
+from scipy import sparse
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -189,7 +190,7 @@ def test_wrong_uses_are_told():
     with pytest.raises(ValueError, match=r"`stiffening` must be a stiffness object such as stiffening=jm.ByVolume"):
         jm.LinearElasticity("volume")  # pyright: ignore[reportArgumentType]
     method = jm.LinearElasticity(jm.ByVolume(3e4))
-    with pytest.raises(ValueError, match=r"stiffness of LinearElasticity is not finite"):
+    with pytest.raises(ValueError, match=r"unknowns of LinearElasticity .* stiffness is not finite"):
         jm.prepare(mesh, ids[:, 0], ids[:, -1], method=method, free=ids.ravel())
 
 
@@ -215,6 +216,41 @@ def test_a_solve_that_does_not_converge_is_factored_or_no_answer(monkeypatch):
     monkeypatch.setattr(linear, "RESORT", 0)
     assert np.isnan(linear.solve(*system, right)).all()
     linear._kept.clear()
+
+
+@pytest.mark.parametrize("join", [0.0, 1e-3])
+def test_unknowns_that_nothing_joins_are_solved_by_sparse_factors(join):
+    """No negative entry: the last level is the matrix itself."""
+    pytest.importorskip("pyamg")
+    n = 2 * multigrid.COARSEST
+    matrix = sparse.csr_matrix(np.eye(n) + join * (np.eye(n, k=1) + np.eye(n, k=-1)))
+    cycle = multigrid.hierarchy(matrix, np.ones(n))
+    right = np.random.default_rng(0).normal(size=n)
+    assert not cycle.levels
+    np.testing.assert_allclose(matrix @ cycle(right), right, rtol=0, atol=1e-12)
+
+
+def test_thin_layers_of_hexahedra_take_few_steps(monkeypatch):
+    """Laplace's equation on layers from 1e-6 to 1e-2 thick, a twelfth wide: where isotropic aggregates take 67 steps."""
+    pytest.importorskip("pyamg")
+
+    def in_one_direction(lengths):
+        """Stiffness and masses of linear elements."""
+        a, b = lengths[:-1], lengths[1:]
+        beside, after = np.diag(b[:-1], -1), np.diag(1 / b[:-1], -1)
+        return np.diag(1 / a + 1 / b) - after - after.T, (np.diag(2 * (a + b)) + beside + beside.T) / 6
+
+    (wide, wide_mass), (thin, thin_mass) = (
+        in_one_direction(each) for each in (np.full(12, 1 / 12), 1e-6 * 1.5 ** np.arange(20))
+    )
+    along = sparse.kron(wide, wide_mass) + sparse.kron(wide_mass, wide)
+    matrix = (sparse.kron(thin, sparse.kron(wide_mass, wide_mass)) + sparse.kron(thin_mass, along)).tocsr()
+    root = np.sqrt(matrix.diagonal())
+    scaled = (sparse.diags(1 / root) @ matrix @ sparse.diags(1 / root)).tocsr()
+    right = np.random.default_rng(0).normal(size=len(root))
+    monkeypatch.setattr(multigrid, "LIMIT", 25)
+    x = multigrid.conjugate_gradients(scaled, right, multigrid.hierarchy(scaled, root), 1 / root)
+    np.testing.assert_allclose(scaled @ x, right, rtol=0, atol=1e-7)
 
 
 def test_a_right_side_that_is_not_finite_changes_no_later_solve(monkeypatch):

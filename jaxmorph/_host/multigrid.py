@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.sparse import linalg
 
 ACCURACY = 1e-9
 """Residual, relative to the right side, and error, relative to the solution, at which conjugate gradients stop."""
@@ -19,11 +20,15 @@ LIMIT = 500
 SPREAD = 10
 """Largest eigenvalue over the smallest one that the smoother is made for."""
 
-STRONG = 0.08
-"""Least entry, relative to the diagonal, by which unknowns are joined: along thin layers, they are not."""
+STRONG = 0.3
+"""Least entry, relative to the most negative one of its row, by which unknowns are joined.
+
+In a thin layer of hexahedra a node's neighbour across it has -16/36, the nodes beside that one -4/36, and those beside
+the node itself a positive entry. Only lines across the layer are joined.
+"""
 
 COARSEST = 90
-"""Unknowns of the last level: few enough for a BLAS to take no threads."""
+"""Unknowns of the last level that are solved by a dense inverse: few enough for a BLAS to take no threads."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,15 +55,15 @@ class Level:
 
 @dataclasses.dataclass(frozen=True)
 class Hierarchy:
-    """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996): levels, and the inverse of the last matrix."""
+    """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996): levels, and the solver of the last matrix."""
 
     levels: Sequence[Level]
-    last: np.ndarray
+    last: Callable[[np.ndarray], np.ndarray]
 
     def __call__(self, right: np.ndarray, depth: int = 0) -> np.ndarray:
         """Solves roughly for one right side (k,)."""
         if depth == len(self.levels):
-            return self.last @ right
+            return self.last(right)
         level = self.levels[depth]
         x = level.smoothed(right)
         x += level.prolongation @ self(level.restriction @ (right - level.matrix @ x), depth + 1)
@@ -70,15 +75,24 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
     import pyamg  # pyright: ignore[reportMissingImports]
 
     # local weights are a bound, too: others come from random vectors
-    options: dict[str, Any] = {"strength": ("symmetric", {"theta": STRONG}), "max_coarse": COARSEST}
+    options: dict[str, Any] = {"strength": ("classical", {"theta": STRONG, "norm": "min"}), "max_coarse": COARSEST}
     options["smooth"] = ("jacobi", {"omega": 4 / 3, "weighting": "local", "filter_entries": True})
     options |= dict.fromkeys(("improve_candidates", "presmoother", "postsmoother"))
     levels = pyamg.smoothed_aggregation_solver(matrix, B=mode[:, None], **options).levels
-    if levels[-1].A.shape[0] < 2 or len(levels) == 1:  # equal cells have many neighbours, each of them weak
-        options["strength"] = ("symmetric", {"theta": 0.0})
-        levels = pyamg.smoothed_aggregation_solver(matrix, B=mode[:, None], **options).levels
+    while len(levels) > 1 and levels[-1].A.shape[0] < 2:  # no unknowns were joined: an empty level
+        levels.pop()
     *fine, last = levels
-    return Hierarchy([_level(each) for each in fine], np.linalg.pinv(last.A.toarray(), hermitian=True))
+    return Hierarchy([_level(each) for each in fine], _last(last.A))
+
+
+def _last(matrix: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes the solver of the last level: by sparse factors where unknowns that nothing joins have left it large."""
+    if matrix.shape[0] <= COARSEST:
+        return np.linalg.pinv(matrix.toarray(), hermitian=True).__matmul__
+    try:
+        return linalg.splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A").solve
+    except RuntimeError:  # singular
+        return lambda right: np.full_like(right, np.nan)
 
 
 def _level(given: Any) -> Level:
