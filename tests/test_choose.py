@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.interpolate
+import scipy.spatial
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -184,3 +185,21 @@ def test_camber_asks_for_the_cells_and_half_a_turn_for_a_rigid_blend(problem, mo
 def test_wrong_motions_are_named(problem, motions):
     with pytest.raises(ValueError, match="motions"):
         jm.choose(*problem[:3], motions)
+
+
+@pytest.mark.slow
+def test_where_sources_determine_no_field_other_methods_are_left():
+    """Two nodes span no plane, and the moving one alone has no extent to take a radius from."""
+    points = np.random.default_rng(0).random((12, 2))
+    mesh = jm.Mesh(points, {"triangle": scipy.spatial.Delaunay(points).simplices})
+    motions = np.full((1, 1, 2), 1e-3)
+    keywords = {"leaves": (2,), "methods": {"by distance": jm.InverseDistance()}}
+    with pytest.warns(UserWarning, match="boundary faces"):
+        found = jm.choose(mesh, [0], [1], motions, **keywords)
+    assert isinstance(found.method, jm.InverseDistance)
+    assert all("do not span 2 dimensions" in row["refused"] for row in found.table[:-1])
+    with pytest.warns(UserWarning, match="boundary faces"):
+        found = jm.choose(mesh, [0], [1, 2, 5, 7], motions, **keywords)
+    assert all("convex hull" in row["refused"] for row in found.table[:-1])
+    with pytest.warns(UserWarning, match="faces"), pytest.raises(ValueError, match="do not span 2 dimensions"):
+        jm.choose(mesh, [0], [1], motions, leaves=(2,), methods={})

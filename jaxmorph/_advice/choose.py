@@ -142,8 +142,13 @@ def choose(
     columns = _columns(motions, len(known.nodes), images)
     rows, plans, refused = [], [], None
     for is_fit, count, with_radius in _tries(leaves):
-        coarse, row = _candidate(surface, columns, count, with_radius)
-        plan = tried(named, SurfaceReconstruction(FittedRBF(coarse) if is_fit else coarse, NearWall()))
+        row: dict[str, Any] = dict.fromkeys(("sources", "radius", "error", "rounding")) | {"leaves": count}
+        try:
+            coarse, found = _candidate(surface, columns, count, with_radius)
+            row |= found
+            plan = tried(named, SurfaceReconstruction(FittedRBF(coarse) if is_fit else coarse, NearWall()))
+        except ValueError as error:  # sources that determine no field
+            plan = error
         refused = plan if isinstance(plan, Exception) else refused
         if is_fit:
             row |= {"error": _left(plan, motions), "rounding": None}
@@ -209,12 +214,14 @@ def _candidate(surface: Surface, columns: np.ndarray, count: int, with_radius: b
     )
     radius = None
     if with_radius:
-        extent = float(np.ptp(surface.points[: surface.moving], axis=0).max())
+        moving, whole = (
+            float(np.ptp(points, axis=0).max()) for points in (surface.points[: surface.moving], surface.points)
+        )
+        extent = moving or whole
         radius = extent * math.exp(float(_log_radius(rbf, ids, points, values, jnp.asarray(extent))))
         rbf = eqx.tree_at(lambda it: it.basis, rbf, WendlandC2(radius))
     missed, rounding = _errors(rbf, ids, points, values)
     return rbf, {
-        "leaves": count,
         "sources": len(ids),
         "radius": radius,
         "error": float(missed),

@@ -268,3 +268,23 @@ def test_meshes_of_any_cells():
     law()
     print(f"{sum(held)} of {len(held)} meshes were taken")
     assert any(held) or COUNT < 20, "all meshes were refused: no law was tried"
+
+
+@seeded
+@examples(COUNT // 20)
+@hypothesis.given(meshes())
+def test_advice_on_any_cells(case):
+    """What `choose` and `fewest_steps` give is finite and keeps the wall, or a sentence says what to change."""
+    cloud, mesh = case
+    rivals = {"graph": jm.DelaunayGraph(), "inverse distances": jm.InverseDistance()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        found = answered(lambda: jm.choose(mesh, cloud.moving, cloud.fixed, cloud.u[None], leaves=(4,), methods=rivals))
+        plan = answered(lambda: jm.prepare(mesh, cloud.moving, cloud.fixed))
+        if found is not None:
+            moved = np.asarray(jm.deform(found.plan, cloud.u))
+            assert np.isfinite(moved).all()
+            np.testing.assert_array_equal(moved[cloud.moving], cloud.points[cloud.moving] + cloud.u)
+        if plan is not None:
+            steps = answered(lambda: jm.fewest_steps(plan, mesh, lambda share: share * cloud.u, max_steps=2))
+            assert steps is None or np.isfinite(steps.points).all()
