@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from jaxmorph._plan.holes import filled
 from jaxmorph._plan.slide import _around
 from jaxmorph._plan.walls import Faceted, Flat, Round, Track, rim
 
@@ -97,3 +98,17 @@ def test_faces_are_reached_at_their_nearest_point(d):
 def test_the_rim_of_a_strip():
     assert sorted(rim(np.asarray(faceted(2).faces)).ravel().tolist()) == [0, 6]
     assert len(rim(np.asarray(faceted(3).faces))) == 2 * (2 + 3)
+
+
+def test_holes_whose_rims_share_a_node_are_filled_apart():
+    """Two squares that touch at a corner are left out of a plane: with the new faces all of it is covered once."""
+    x, y = np.meshgrid(*[np.arange(6.0)] * 2, indexing="ij")
+    vertices, ids = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3), np.arange(36).reshape(6, 6)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    left = np.delete(quads, [6, 12], axis=0)
+    moves = np.isin(np.arange(36), quads[[6, 12]])
+    faces = filled(np.concatenate([left[:, :3], left[:, [0, 2, 3]]]), vertices, moves)
+    first, second, third = (vertices[faces[:, k]] for k in range(3))
+    area = np.cross(second - first, third - first)[:, 2] / 2
+    assert area.min() > 0
+    assert area.sum() == 25

@@ -28,7 +28,7 @@ def filled(
 def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """Lists lines (k, 2) from ends that move to the nearest start that lies ahead."""
     along = np.diff(vertices[faces], axis=1)[:, 0]
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    along = _unit(along)  # zero for a face of two nodes at one place
     last = np.flatnonzero(~np.isin(faces[:, 1], faces[:, 0]) & moves[faces[:, 1]])
     first = np.flatnonzero(~np.isin(faces[:, 0], faces[:, 1]) & moves[faces[:, 0]])
     gap = vertices[faces[first, 0]][None] - vertices[faces[last, 1]][:, None]
@@ -43,13 +43,18 @@ def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.nd
     return np.array(lines, dtype=faces.dtype).reshape(-1, 2)
 
 
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Scales vectors to length one; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1)
+
+
 def _goes_on(loop: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> bool:
     """Tells whether faces across a loop would look where those beside it do."""
     beside = vertices[faces[np.isin(faces, loop).sum(axis=1) > 1]]
     normals = np.cross(beside[:, 1] - beside[:, 0], beside[:, 2] - beside[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     across = _area(vertices[loop])
-    return bool((normals @ across).mean() > CONTINUES * np.linalg.norm(across))
+    return bool((_unit(normals) @ across).mean() > CONTINUES * np.linalg.norm(across))
 
 
 def _area(rim: np.ndarray) -> np.ndarray:
@@ -63,16 +68,23 @@ def _loops(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
     size = int(faces.max()) + 1
     key, back = edges @ np.array([size, 1]), edges @ np.array([1, size])
     rim = edges[~np.isin(back, key) & moves[edges].all(axis=1)]
-    follows, loops = dict(zip(rim[:, 1].tolist(), rim[:, 0].tolist(), strict=True)), []
+    follows: dict[int, list[int]] = {}
+    for node, end in rim.tolist():
+        follows.setdefault(end, []).append(node)
+    loops = []
     while follows:
-        start, node = follows.popitem()
-        loop = [start]
-        while node in follows:
-            loop.append(node)
-            node = follows.pop(node)
-        if node == start and len(loop) > 2:
-            loops.append(np.array(loop))
-    return loops
+        path = [next(iter(follows))]
+        while path[-1] in follows:
+            ways = follows[path[-1]]
+            node = ways.pop()
+            if not ways:
+                del follows[path[-1]]
+            if node in path:  # rims that share a node are cut apart there
+                start = path.index(node)
+                loops.append(np.array(path[start:]))
+                path = path[:start]
+            path.append(node)
+    return [loop for loop in loops if len(loop) > 2]
 
 
 def _between(loop: np.ndarray, rim: np.ndarray) -> np.ndarray:

@@ -123,7 +123,7 @@ def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.n
         place = place_of(points[nodes[worst_first[0]]])
         raise MeshError(
             f"two sliding patches, or one and a symmetry plane, meet at {len(wrong)} nodes without an edge between them, the worst "
-            f"is node {{node}} at ({place}). Let them slide as one, jm.Slide((first, second)).",
+            f"is node {{node}} at ({place}). Let them slide as one, jm.Slide((first, second)), or leave one out.",
             nodes[worst_first],
         )
 
@@ -256,6 +256,9 @@ def _of_faces(
     elements = np.concatenate(pieces)
     if not len(elements):
         raise ValueError(f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on.")
+    if not np.ptp(points[nodes], axis=0).max() > 0:
+        place = place_of(points[nodes[0]])
+        raise MeshError(f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.", nodes)
     elements = filled(elements, points[nodes], moves)
     try:
         plane = Plane.through(points, nodes)
