@@ -1,9 +1,12 @@
 """What single precision is worth: points and gradients of `deform` on the paper's two meshes, against double precision.
 
-python benchmarks/precision.py
+python benchmarks/precision.py [--sums]
 
 Errors are the largest of all components, relative to the largest component: of the points' displacements, and of the gradient
 with respect to u for random cotangents (smooth ones hide errors). The solve is in double precision where JAX's x64 mode is on.
+
+With `--sums`, the solve and the distances are in double precision, and the thin plate splines are evaluated and summed in single
+precision. That is the sum that a GPU without fast double precision would take.
 """
 
 import subprocess
@@ -59,7 +62,43 @@ def without_x64() -> dict[str, np.ndarray]:
         return dict(np.load(file.name))
 
 
+def summed(distance: np.ndarray, weights: np.ndarray, dtype) -> np.ndarray:
+    """Sums thin plate splines of distances (n, s) with weights (s, d) in one precision."""
+    distance, weights = distance.astype(dtype), weights.astype(dtype)
+    return (distance**2 * np.log(np.where(distance > 0, distance, 1))) @ weights
+
+
+def sums() -> None:
+    """Compares sums in single precision with those in double precision, over the default's sources."""
+    rows = []
+    for case, mesh, moving, u in problems():
+        points = np.asarray(mesh.points, float)
+        plan = jm.prepare(points, mesh.patch(moving), mesh.patch("farfield"))
+        at = np.asarray(plan.sources)
+        values = np.zeros_like(points)
+        values[mesh.patch(moving)] = u
+        terms = np.column_stack([np.ones(len(at)), points[at]])
+        kernel = summed(np.linalg.norm(points[at][:, None] - points[at], axis=2), np.eye(len(at)), float)
+        zeros = np.zeros((terms.shape[1], terms.shape[1]))
+        system = np.block([[kernel, terms], [terms.T, zeros]])
+        weights = np.linalg.solve(system, np.concatenate([values[at], zeros[:, : points.shape[1]]]))[: len(at)]
+        wall = points[mesh.patch(moving)]
+        near = ((points >= wall.min(axis=0)) & (points <= wall.max(axis=0))).all(axis=1)
+        wrong = []
+        for part in np.array_split(points, 1 + len(points) // 4096):
+            apart = np.linalg.norm(part[:, None] - points[at], axis=2)
+            wrong.append(np.abs(summed(apart, weights, np.float32) - summed(apart, weights, float)).max(axis=1))
+        error = np.concatenate(wrong) / np.abs(u).max()
+        rows.append((case, str(len(at)), f"{error.max():.0e}", f"{error[near].max():.0e}"))
+    table(rows, ("what", "sources", "largest error over largest displacement", "within the wall's box"))
+
+
 if __name__ == "__main__":
+    if "--sums" in sys.argv:
+        jax.config.update("jax_enable_x64", True)
+        about(dtype="sums in float32, all else in float64")
+        sums()
+        sys.exit()
     if len(sys.argv) > 1:
         np.savez(sys.argv[1], **results(np.float32))  # pyright: ignore[reportArgumentType]
         sys.exit()

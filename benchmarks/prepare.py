@@ -20,8 +20,8 @@ from jaxmorph import cases
 PARTS = {
     "walls": ("walls.py", "walls"),
     "near_walls": ("neighbours.py", "near_walls"),
+    "graph": ("graph.py", "graph_of"),
     "locate": ("graph.py", "locate"),
-    "refit": ("plan.py", "refit"),
 }
 
 

@@ -230,7 +230,8 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
         )
     vectors = np.asarray(plan.of_surface(u))
     is_fixed = np.isin(nodes, plan.fixed)
-    size = np.asarray(scipy.spatial.KDTree(points).query(points[nodes], k=2)[0])[:, 1]
+    tree = scipy.spatial.KDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
+    size = np.asarray(tree.query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
     pairs = _torn(points[nodes], vectors, is_fixed)
     torn = nodes[pairs].reshape(-1, 2)
