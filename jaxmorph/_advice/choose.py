@@ -144,8 +144,8 @@ def choose(
     for is_fit, count, with_radius in _tries(leaves):
         row: dict[str, Any] = dict.fromkeys(("sources", "radius", "error", "rounding")) | {"leaves": count}
         try:
-            coarse, found = _candidate(surface, columns, count, with_radius)
-            row |= found
+            coarse, facts = _candidate(surface, columns, count, with_radius)
+            row |= facts
             plan = tried(named, SurfaceReconstruction(FittedRBF(coarse) if is_fit else coarse, NearWall()))
         except ValueError as error:  # sources that determine no field
             plan = error
