@@ -18,7 +18,7 @@ from .rbf import RBF, RBFFactors
 from .solvers import Direct
 from .system import polynomial
 
-ELL, MU = {2: 0.17, 3: 0.1}, {2: 0.1, 3: 0.25}
+ELL, MU = {2: 0.17, 3: 0.1}, {2: 0.1, 3: 0.4}
 """Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall.
 
 A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
@@ -68,7 +68,7 @@ class FittedRBF(AbstractMethod):
       follows the skin. It is nowhere more than 0.2 of the distance to the nearest node that is held or of another wall.
       Default 0.17 of each wall's mean chord, half of its perimeter; in 3-D 0.1 of half of its area over its span.
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of each wall's mean chord, in 3-D
-      0.25.
+      0.4.
 
     Walls of more than 4,096 nodes or edges are sampled.
 
