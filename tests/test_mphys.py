@@ -64,15 +64,37 @@ def test_builders_pass_openmdaos_check(plan):
             np.testing.assert_allclose(entry["J_rev"], entry["J_fd"], atol=1e-8)
 
 
-def test_what_is_no_plan_and_a_mesh_in_2d_are_refused():
-    from jaxmorph.integrations.mphys import VolumeBuilder
+def set_up(called, options):
+    problem = om.Problem(reports=False)
+    problem.model.add_subsystem("a", called(**options))
+    problem.setup()
 
-    mesh = cases.naca0015(points=300)
-    flat = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"), method=jm.DelaunayGraph())
-    with pytest.raises(ValueError, match="`plan` must be"):
-        VolumeBuilder(None)  # pyright: ignore[reportArgumentType]
+
+def test_nonsense_is_refused_by_name(plan):
+    """The table holds each class of both modules; options of OpenMDAO are judged by OpenMDAO, which names them."""
+    from jaxmorph.integrations import mphys, openmdao
+
+    bend = shapes.FreeForm([-3.0] * 3, 7 * np.eye(3), (2, 2, 2))
+    made = {"shape": bend, "parameters": bend.neutral(), "plan": plan, "flat": False, "positions": False}
+    table = {
+        openmdao.MeshDeformation: ("plan", "flat", "units"),
+        openmdao.ShapeDisplacement: ("shape", "plan", "parameters", "positions", "flat", "units"),
+        mphys.ShapeBuilder: ("shape", "parameters"),
+        mphys.VolumeBuilder: ("plan",),
+    }
+    built = {mphys.Geometry, mphys.Volume}
+    classes = [each for module in (openmdao, mphys) for each in vars(module).values() if isinstance(each, type)]
+    own = [each for each in classes if each.__module__.startswith("jaxmorph.integrations.")]
+    assert {each for each in own if not each.__name__.startswith(("_", "Traced"))} - built == set(table)
+    for called, names in table.items():
+        good = {name: made[name] for name in names if name in made}
+        for name in names:
+            for nonsense in (3j, "nonsense", object(), jm.Plan):
+                with pytest.raises((ValueError, TypeError), match=f"`{name}`|option '{name}'|{name} '"):
+                    set_up(called, good | {name: nonsense})
+    flat = jm.prepare(np.eye(3, 2), [0], [1], method=jm.InverseDistance())
     with pytest.raises(ValueError, match="this mesh is in 2-D"):
-        VolumeBuilder(flat)
+        mphys.VolumeBuilder(flat)
 
 
 @pytest.mark.slow

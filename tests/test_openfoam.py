@@ -214,8 +214,11 @@ def test_what_is_refused(tmp_path):
     foam.write_case(tmp_path / "line", points, cells, [("sides", "empty", lambda face: True)])
     oblique = points + points[:, [2, 0, 1]]
     foam.write_case(tmp_path / "oblique", oblique, cells, patches)
+    across = [("sides", "patch", patches[0][2]), ("far", "empty", patches[1][2]), patches[2]]
+    foam.write_case(tmp_path / "across", points, cells, across)
     (tmp_path / "nothing").mkdir()
     for name, message in (
+        ("across", "across: patches of type empty have 0 faces in front of 29 cells, not one each: .* another type"),
         ("wedge", r"patches of type wedge \(w\)"),
         ("oblique", "two planes across 0 of the axes"),
         ("nothing", "there is no folder constant/polyMesh"),

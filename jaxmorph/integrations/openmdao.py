@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, PyTree
 
 import jaxmorph as jm
 from jaxmorph import shapes
+from jaxmorph._host.door import shown
 
 from ._traced import TracedComponent
 
@@ -95,11 +96,14 @@ class ShapeDisplacement(TracedComponent):
 def first_parameters(shape: Any, given: PyTree) -> PyTree:
     """Returns the given parameters, or neutral ones for None.
 
-    **Raises:** `ValueError` for a plain function and None.
+    **Raises:** `ValueError` for what is no function, for a plain function and None, and for what the shape does not take.
     """
+    if isinstance(shape, type) or not callable(shape):
+        raise ValueError(f"`shape` must be a shape or a function of positions and parameters, not {shown(shape)}.")
     if given is None and not hasattr(shape, "neutral"):
         raise ValueError("`parameters` is missing: a plain function does not tell its own. Or take `shapes.Function`.")
-    return shape.neutral() if given is None else given
+    shapes.names(given)  # refuses leaves that are no numbers
+    return shape.neutral() if given is None else given  # pyright: ignore[reportFunctionMemberAccess]
 
 
 def add_parameters(component: Any, parameters: PyTree, **options: Any) -> dict[str, Float[np.ndarray, "..."]]:

@@ -100,13 +100,13 @@ def plane_cells(
     """
     is_front = np.zeros(len(points), bool)
     is_front[plane.front] = True
-    front = empty[is_front[faces.labels[faces.starts[empty]]]]
+    front = empty[np.logical_and.reduceat(is_front[faces.labels], faces.starts[:-1])[empty]]
     front = front[np.argsort(faces.owner[front], kind="stable")]
     owner, sizes = faces.owner[front], faces.sizes[front]
     if not np.array_equal(owner, np.arange(faces.owner.max() + 1)):
         raise ValueError(
-            f"patches of type {plane.patch_type}, but {len(front)} faces in front are not those of {faces.owner.max() + 1} "
-            "cells, one each."
+            f"patches of type {plane.patch_type} have {len(front)} faces in front of {faces.owner.max() + 1} cells, not one each: "
+            "the mesh is not one layer of cells between them. Give these patches another type, such as patch."
         )
     corners = {"triangle": faces.corners(front[sizes == 3], 3), "quad": faces.corners(front[sizes == 4], 4)}
     ids = {"triangle": owner[sizes == 3], "quad": owner[sizes == 4]}
