@@ -2,6 +2,7 @@
 
 import functools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -104,8 +105,33 @@ def test_points_whose_volumes_overflow_are_refused(dtype, size):
         jm.prepare(dtype(size) * points, [0, 1])
 
 
+@pytest.mark.parametrize(("dtype", "size", "within"), [(np.float64, 3e-99, 1e-9), (np.float32, 3e-9, 1e-4)])
+def test_points_just_far_enough_from_each_other_move_as_larger_ones(dtype, size, within):
+    points = np.random.default_rng(0).random((60, 3)).astype(dtype)
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]], dtype)
+    points, u = np.concatenate([corners, points]), dtype(0.2) * np.ones((1, 3), dtype)
+
+    def moved(scale):
+        plan = jm.prepare(dtype(scale) * points, [0], np.arange(1, 8), method=jm.DelaunayGraph())
+        return np.asarray(jm.deform(plan, dtype(scale) * u)) / dtype(scale)
+
+    np.testing.assert_allclose(moved(size), moved(1), rtol=0, atol=within)
+
+
 @pytest.mark.parametrize(("dtype", "size"), [(np.float64, 1e-110), (np.float32, 1e-14)])
 def test_points_whose_volumes_underflow_are_refused(dtype, size):
     points = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], dtype)
     with pytest.raises(ValueError, match=rf"all 4 points lie within 1e-\d+, too near each other for {dtype.__name__}"):
         jm.prepare(dtype(size) * points, [0, 1])
+
+
+def test_limits_are_those_of_the_precision_that_jax_computes_in():
+    points = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(ValueError, match="too near each other for float32"):
+            jm.prepare(1e-20 * points, [0, 1])
+        with pytest.raises(ValueError, match="too far out for float32"):
+            jm.prepare(1e20 * points, [0, 1])
+    finally:
+        jax.config.update("jax_enable_x64", True)

@@ -90,7 +90,7 @@ def test_nonsense_is_refused_by_name(plan):
         good = {name: made[name] for name in names if name in made}
         for name in names:
             for nonsense in (3j, "nonsense", object(), jm.Plan):
-                with pytest.raises((ValueError, TypeError), match=f"`{name}`|option '{name}'|{name} '"):
+                with pytest.raises((ValueError, TypeError), match=f"`{name}`|[Oo]ption '{name}'|The {name} '"):
                     set_up(called, good | {name: nonsense})
     flat = jm.prepare(np.eye(3, 2), [0], [1], method=jm.InverseDistance())
     with pytest.raises(ValueError, match="this mesh is in 2-D"):

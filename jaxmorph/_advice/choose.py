@@ -142,7 +142,7 @@ def choose(
     columns = _columns(motions, len(known.nodes), images)
     rows, plans, refused = [], [], None
     for is_fit, count, with_radius in _tries(leaves):
-        row: dict[str, Any] = dict.fromkeys(("sources", "radius", "error", "rounding")) | {"leaves": count}
+        row: dict[str, Any] = {"leaves": count} | dict.fromkeys(("sources", "radius", "error", "rounding"))
         try:
             coarse, facts = _candidate(surface, columns, count, with_radius)
             row |= facts
@@ -151,7 +151,7 @@ def choose(
             plan = error
         refused = plan if isinstance(plan, Exception) else refused
         if is_fit:
-            row |= {"error": _left(plan, motions), "rounding": None}
+            row |= {"error": _left(plan, motions) if isinstance(plan, Plan) else None, "rounding": None}
         name = "fitted" if is_fit else "Wendland C2" if with_radius else "thin plate"
         rows.append({"method": name} | row | {"fit": is_fit} | judged(mesh, plan, motions))
         plans.append(plan if isinstance(plan, Plan) else None)
@@ -214,10 +214,10 @@ def _candidate(surface: Surface, columns: np.ndarray, count: int, with_radius: b
     )
     radius = None
     if with_radius:
-        moving, whole = (
+        of_moving, of_all = (
             float(np.ptp(points, axis=0).max()) for points in (surface.points[: surface.moving], surface.points)
         )
-        extent = moving or whole
+        extent = of_moving or of_all
         radius = extent * math.exp(float(_log_radius(rbf, ids, points, values, jnp.asarray(extent))))
         rbf = eqx.tree_at(lambda it: it.basis, rbf, WendlandC2(radius))
     missed, rounding = _errors(rbf, ids, points, values)
@@ -253,10 +253,8 @@ def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Arra
     return jnp.sqrt(jnp.mean(missed**2)), unit * jnp.max(jnp.sum(jnp.abs(field.beta), axis=1))
 
 
-def _left(plan: Plan | Exception, motions: np.ndarray) -> float:
+def _left(plan: Plan, motions: np.ndarray) -> float:
     """Measures the root mean square of what the coarse field leaves to the correction, over surface and motions."""
-    if isinstance(plan, Exception):
-        return math.nan
     left = np.stack([np.asarray(plan.offset(jnp.asarray(u, plan.points.dtype))) for u in motions])
     return float(np.sqrt(np.mean(left**2)) / np.abs(motions).max())
 

@@ -29,6 +29,14 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
     return path
 
 
+def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
+    """Returns the name of a file to write as a path. Raises `ValueError` for one with a null byte, or that ends as a folder's."""
+    name = os.fspath(path)
+    if name.endswith((os.sep, os.altsep or os.sep)):
+        raise ValueError(f"{name}: ends as a folder does; it is a file that is written: leave the {name[-1]} out.")
+    return _without_null(path)
+
+
 def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
     if "\0" in os.fspath(path):
         raise ValueError(f"{os.fspath(path)!r}: a name of a file holds no null byte.")
@@ -41,12 +49,7 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
     It raises `ValueError` for a name that ends in none of `endings`, where there are any, and for a folder that is not there. Also
     for what cannot be replaced by a file: a folder, a name that ends as one does, a device, a pipe.
     """
-    is_slashed = os.fspath(path).endswith(os.sep)
-    path = _without_null(path)
-    if is_slashed and not folder:
-        raise ValueError(
-            f"{path}{os.sep}: ends as a folder does; it is a file that is written: leave the {os.sep} out."
-        )
+    path = _without_null(path) if folder else file_path(path)
     if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path}: the name should end in {' or '.join(endings)}.")
     if not path.parent.is_dir():

@@ -36,6 +36,9 @@ from .ways import Ways
 QUARTER = 0.05
 """Cosine between a wall's normals, where a node starts and where it ends, below which the end is taken for no minimum."""
 
+SIZE_WEIGHT, SETTLED, MOST_STEPS = 0.5, 0.03, 60
+"""Defaults of `improve`: `size_weight`, `tolerance` and `max_steps`."""
+
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 """Softness of the barrier in the last stage, its largest share from one stage to the next, and how many there are at most."""
 
@@ -87,9 +90,9 @@ def improve(
     periodic: Periodic | Sequence[Periodic] = (),
     sliding: Slide | str | Sequence[Slide | str] = (),
     ideal: bool = False,
-    size_weight: float = 0.5,
-    tolerance: float = 0.03,
-    max_steps: int = 60,
+    size_weight: float = SIZE_WEIGHT,
+    tolerance: float = SETTLED,
+    max_steps: int = MOST_STEPS,
     progress: Callable[[float, float], None] | None = None,
 ) -> Improvement:
     """Moves the inner nodes of a mesh from `points` to where the cells are least distorted; untangles inverted cells.
@@ -142,20 +145,28 @@ def improve(
     _check(mesh, start, fixed, size_weight, tolerance, max_steps)
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
         kept = _kept(mesh, fixed, symmetry, sliding, periodic)
-    return _improved(mesh, start, kept, (ideal, size_weight), (tolerance, max_steps, progress))
+    return _improved(mesh, start, kept, ideal, size_weight, tolerance, max_steps, progress)
 
 
 def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
     """Improves the deformed mesh of a plan: its data stay, nodes slide along its walls and planes, and its pairs move alike."""
-    return _improved(mesh, points, _kept_of(plan, mesh), (False, 0.5), (0.03, 60, None))
+    return _improved(mesh, points, _kept_of(plan, mesh))
 
 
-def _improved(mesh: Mesh, start: Array, kept: Kept, energy: tuple, search: tuple) -> Improvement:
-    """Improves a mesh; `energy` is ideal and size_weight, `search` tolerance, max_steps and progress."""
-    tolerance, max_steps, progress = search
+def _improved(
+    mesh: Mesh,
+    start: Array,
+    kept: Kept,
+    ideal: bool = False,
+    size_weight: float = SIZE_WEIGHT,
+    tolerance: float = SETTLED,
+    max_steps: int = MOST_STEPS,
+    progress: Callable[[float, float], None] | None = None,
+) -> Improvement:
+    """Improves a mesh, as `improve` does with these arguments."""
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
     with jax.ensure_compile_time_eval():
-        distortion, blocks = _prepared(mesh, base.dtype, kept, *energy)
+        distortion, blocks = _prepared(mesh, base.dtype, kept, ideal, size_weight)
     softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
     if distortion.ways is not None:
         distortion = eqx.tree_at(lambda it: it.ways, distortion, _ways_at(distortion.ways, held))

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Int
 
@@ -164,6 +165,10 @@ def boundary(
     return named if patches is None else named.with_faces_of(patches, outer, free)
 
 
+SMALL = 1e4
+"""Least extent of a mesh, in lengths whose cube is the least normal number: cells are smaller than the mesh."""
+
+
 def checked_points(points: Any) -> np.ndarray:
     """Returns coordinates as a NumPy array (n, d) of float32 or float64. Raises `ValueError` for anything else."""
     if isinstance(points, str | bytes) or points is None:
@@ -185,18 +190,19 @@ def checked_points(points: Any) -> np.ndarray:
         raise MeshError(
             f"{(~finite).sum()} of {len(array)} points are not finite, first node {{node}}.", np.flatnonzero(~finite)
         )
+    dtype = jax.dtypes.canonicalize_dtype(array.dtype)  # what is computed in
     size = np.abs(array).max(axis=1, initial=0)
-    far = np.flatnonzero(size > np.finfo(array.dtype).max ** (1 / 3))
+    far = np.flatnonzero(size > np.finfo(dtype).max ** (1 / 3))
     if len(far):
         raise MeshError(
-            f"{len(far)} of {len(array)} points are too far out for {array.dtype}, first node {{node}} at {size[far[0]]:.3g}: "
+            f"{len(far)} of {len(array)} points are too far out for {dtype}, first node {{node}} at {size[far[0]]:.3g}: "
             "volumes overflow. Choose another unit of length.",
             far,
         )
     extent = float(np.ptp(array, axis=0).max(initial=0)) if len(array) else 0.0
-    if 0 < extent < np.finfo(array.dtype).tiny ** (1 / 3):
+    if 0 < extent < SMALL * float(np.finfo(dtype).tiny) ** (1 / 3):
         raise ValueError(
-            f"all {len(array)} points lie within {extent:.3g}, too near each other for {array.dtype}: volumes underflow. "
+            f"all {len(array)} points lie within {extent:.3g}, too near each other for {dtype}: volumes underflow. "
             "Choose another unit of length."
         )
     return array

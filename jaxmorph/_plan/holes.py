@@ -73,16 +73,19 @@ def _loops(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
         follows.setdefault(end, []).append(node)
     loops = []
     while follows:
-        path = [next(iter(follows))]
+        path, place = [next(iter(follows))], {next(iter(follows)): 0}
         while path[-1] in follows:
             ways = follows[path[-1]]
             node = ways.pop()
             if not ways:
                 del follows[path[-1]]
-            if node in path:  # rims that share a node are cut apart there
-                start = path.index(node)
+            if node in place:  # rims that share a node are cut apart there
+                start = place[node]
                 loops.append(np.array(path[start:]))
+                for left in path[start:]:
+                    del place[left]
                 path = path[:start]
+            place[node] = len(path)
             path.append(node)
     return [loop for loop in loops if len(loop) > 2]
 

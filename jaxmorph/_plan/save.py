@@ -11,7 +11,6 @@ import hashlib
 import json
 import math
 import os
-import pathlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._host.door import checked
-from .._host.files import complete, input_path, read_arrays
+from .._host.files import complete, file_path, input_path, read_arrays
 from .halves import SurfaceHalf
 from .known import known_classes
 from .plan import Plan
@@ -50,7 +49,7 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
     own that is called like one of jaxmorph's. Also for a plan laid over devices: save the one that `prepare` returned,
     and `shard` what is loaded.
     """
-    path = pathlib.Path(path)
+    path = file_path(path)
     if not _is_plans(plan):
         raise ValueError(f"a {type(plan).__name__} is not a plan, nor the plans of several steps.")
     writer = _Writer()

@@ -41,7 +41,7 @@ With --decomposed the parts processor* of an OpenFOAM case go one by one, under
 mpiexec (jaxmorph[mpi]) several at a time; OUT has them all, or is not written.
 
 Cyclic patches of an OpenFOAM case, and periodic interfaces of a CGNS file, are
-periodic where no flag names them. So nodes of a case's symmetry and
+periodic where no flag names them. Likewise nodes of a case's symmetry and
 symmetryPlane patches, and of the axis between wedges, stay in their plane.
 --fixed may be left out where no patch is left to stay.
 

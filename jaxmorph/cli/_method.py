@@ -12,6 +12,7 @@ from jaxmorph import io
 from jaxmorph._plan.door import boundary, planes_of
 from jaxmorph._plan.faces import FreeFaces, OuterFaces
 from jaxmorph._plan.halves import half_of
+from jaxmorph._plan.symmetry import check_planes
 
 from ._requests import Method, PatchNames
 
@@ -166,10 +167,19 @@ def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
             planes += planes_of(mesh, name)
         except ValueError as error:
             raise ValueError(f"--symmetry {name}: {error}") from None
+    by_file = []
     for name in io.symmetry(mesh):
         with contextlib.suppress(ValueError):  # on a bent one no node slides: it is in no list
             if name not in {*elsewhere, *fixed, *free}:
-                planes, symmetry = [*planes, *planes_of(mesh, name)], (*symmetry, name)
+                planes += planes_of(mesh, name)
+                by_file.append(name)
+    symmetry = (*symmetry, *by_file)
+    if by_file:
+        try:
+            check_planes(planes, np.asarray(mesh.points))
+        except ValueError as error:
+            names = " ".join(by_file)
+            raise ValueError(f"{file} has the symmetry patches {names}: {error} Hold them, --fixed {names}.") from None
     named = {*elsewhere, *symmetry, *fixed, *free}
     if not fixed and not sliding and any(len(nodes) for name, nodes in mesh.patches.items() if name not in named):
         raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {known}.")

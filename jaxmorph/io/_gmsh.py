@@ -6,6 +6,7 @@ meshio's own writer would lose bounding boxes, second physical groups and commen
 import codecs
 import dataclasses
 import pathlib
+import re
 import struct
 from collections.abc import Iterator
 from typing import Any
@@ -128,7 +129,8 @@ def _check_start(path: pathlib.Path, data: bytes) -> None:
     """Raises `ValueError` where anything but sections of comments stands before `$MeshFormat`: meshio would not go on."""
     at, number = 0, 1
     while (line := data[at : data.find(b"\n", at) + 1 or None]).strip() == b"$Comments":
-        after = data.find(b"\n", data.find(b"$EndComments", at)) + 1
+        ended = re.compile(rb"^[ \t]*\$EndComments[ \t\r]*$", re.MULTILINE).search(data, at)
+        after = data.find(b"\n", ended.end()) + 1 if ended else 0
         at, number = after or len(data), number + data.count(b"\n", at, after)
     if line.strip() != b"$MeshFormat":
         mark = " The file begins with a byte order mark: save it without." if data.startswith(codecs.BOM_UTF8) else ""
