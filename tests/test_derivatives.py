@@ -43,7 +43,7 @@ def check_base(plan, u, places):
     np.testing.assert_allclose(found[nodes, axes], expected, rtol=1e-6, atol=1e-6 * np.abs(found).max())
 
 
-@pytest.mark.parametrize("planes", [3])
+@pytest.mark.parametrize("planes", [1, 2, 3])
 def test_symmetry_planes(planes):
     part, role, *_ = whole_and_part(3, planes)
     moving, fixed, inner = (np.flatnonzero(role == k) for k in (1, 2, 0))
