@@ -16,6 +16,7 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.adjacency import handedness, neighbours
 from jaxmorph._host.topology import FACES
+from jaxmorph._kernels.compile import UNTUNED
 from jaxmorph._quality import blocks
 
 HEXAHEDRON = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
@@ -408,7 +409,7 @@ def test_derivatives_are_finite_on_degenerate_cells(kind, dtype):
     corners = np.concatenate(shapes)
     mesh = jm.Mesh(corners, {kind: np.arange(len(corners)).reshape(len(shapes), -1)})
 
-    @functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # it runs twice
+    @functools.partial(jax.jit, compiler_options=UNTUNED)  # it runs twice
     def pulled(undeformed, points, rows):
         def measures(points):
             report = jm.quality(mesh.moved(undeformed), points)

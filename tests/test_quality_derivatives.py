@@ -10,6 +10,7 @@ from richardson import jacobian
 from test_smooth_quality import pair
 
 import jaxmorph as jm
+from jaxmorph._kernels.compile import UNTUNED
 from jaxmorph._kernels.values import largest, smallest
 from jaxmorph._quality.distortion import IDEAL
 from jaxmorph._quality.report import MEASURES
@@ -22,7 +23,7 @@ EXTREMES = (
 )
 CHEAP = ("triangle", "quad", "line")
 """Those that compile in seconds, for which forward mode, and the measures of a mesh alone, are tried too."""
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+QUICK = UNTUNED | {"xla_cpu_use_fusion_emitters": False}
 """Each program runs a few times."""
 SMOOTH = ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio")
 

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._kernels.compile import UNTUNED
 from jaxmorph._plan.slide import wall_of
 
 TPS = full(jm.ThinPlateSpline(), 1)
@@ -400,12 +401,12 @@ def quarter():
     return jm.Mesh(points, {"hexahedron": cells}, {name: nodes.ravel() for name, nodes in patches.items()})
 
 
-@functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # most of the time is compilation
+@functools.partial(jax.jit, compiler_options=UNTUNED)  # most of the time is compilation
 def tried(plan, u, w):
     return jm.deform(plan, u), jm.pullback(plan, u, w)
 
 
-@functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+@functools.partial(jax.jit, compiler_options=UNTUNED)
 def pushed(plan, u, v):
     return jax.jvp(lambda u: jm.deform(plan, u), (u,), (v,))[1]
 

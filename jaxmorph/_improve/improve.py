@@ -150,18 +150,18 @@ def improve(
 
 def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
     """Improves the deformed mesh of a plan: its data stay, nodes slide along its walls and planes, and its pairs move alike."""
-    return _improved(mesh, points, _kept_of(plan, mesh))
+    return _improved(mesh, points, _kept_of(plan, mesh), False, SIZE_WEIGHT, SETTLED, MOST_STEPS, None)
 
 
 def _improved(
     mesh: Mesh,
     start: Array,
     kept: Kept,
-    ideal: bool = False,
-    size_weight: float = SIZE_WEIGHT,
-    tolerance: float = SETTLED,
-    max_steps: int = MOST_STEPS,
-    progress: Callable[[float, float], None] | None = None,
+    ideal: bool,
+    size_weight: float,
+    tolerance: float,
+    max_steps: int,
+    progress: Callable[[float, float], None] | None,
 ) -> Improvement:
     """Improves a mesh, as `improve` does with these arguments."""
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
@@ -284,7 +284,7 @@ def _kept_of(plan: Plan, mesh: Mesh) -> Kept:
 def _prepared(mesh: Mesh, dtype, kept: Kept, ideal: bool, size: float):
     """Prepares the energy, and on the host the pattern of its Hessian."""
     n, d = mesh.points.shape
-    cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, d).items()}
+    cells = _cells(mesh)
     tracks, pairings = kept.tracks, kept.pairings
     free = np.zeros(n, dtype=bool)
     free[np.concatenate([ids.ravel() for ids in cells.values()])] = True
@@ -320,9 +320,13 @@ def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[
     return Distortion(cells, targets, scale, free, jnp.ones((), reference.dtype), ways, float(size))
 
 
+def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
+    return {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()}
+
+
 def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:
     """Lists the nodes of patches, and of faces that only one cell has, but for those of one wall or periodic side."""
-    cells = {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()}
+    cells = _cells(mesh)
     behind, _ = neighbours(cells)
     walls = [np.isin(np.arange(len(mesh.points)), nodes) for nodes in ways]
     nodes, first = [np.asarray(ids) for ids in mesh.patches.values()], 0

@@ -21,6 +21,9 @@ from .walls import AbstractWall, Flat, Track
 
 USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
 
+SMALL = 1e4
+"""Least extent of a mesh, in lengths whose cube is the least normal number: cells are smaller than the mesh."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Boundary:
@@ -163,10 +166,6 @@ def boundary(
     lists = moving, fixed, _guided(pairings, tracks, moving, fixed, points), planes, pairings, tracks
     named = Boundary(points, *lists, None, None, None)
     return named if patches is None else named.with_faces_of(patches, outer, free)
-
-
-SMALL = 1e4
-"""Least extent of a mesh, in lengths whose cube is the least normal number: cells are smaller than the mesh."""
 
 
 def checked_points(points: Any) -> np.ndarray:

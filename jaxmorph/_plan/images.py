@@ -181,10 +181,9 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
     pairs = KDTree(at.reshape(-1, at.shape[-1])[first]).query_pairs(tolerance(points), output_type="ndarray")
     pairs = np.sort(pairs, axis=1)
     pairs = pairs[kind[pairs[:, 0]] != kind[pairs[:, 1]]]
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     one = numbers.copy()
-    flat = places.ravel()
-    for earlier, later in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
-        into, other = np.searchsorted(numbers, flat[first[[earlier, later]]])
+    for into, other in np.searchsorted(numbers, places.ravel()[first[pairs]]):
         if one[other] == numbers[other]:
             one[other] = one[into]
     return one[np.searchsorted(numbers, places)]

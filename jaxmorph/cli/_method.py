@@ -167,23 +167,29 @@ def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
             planes += planes_of(mesh, name)
         except ValueError as error:
             raise ValueError(f"--symmetry {name}: {error}") from None
-    by_file = []
-    for name in io.symmetry(mesh):
-        with contextlib.suppress(ValueError):  # on a bent one no node slides: it is in no list
-            if name not in {*elsewhere, *fixed, *free}:
-                planes += planes_of(mesh, name)
-                by_file.append(name)
-    symmetry = (*symmetry, *by_file)
-    if by_file:
-        try:
-            check_planes(planes, np.asarray(mesh.points))
-        except ValueError as error:
-            names = " ".join(by_file)
-            raise ValueError(f"{file} has the symmetry patches {names}: {error} Hold them, --fixed {names}.") from None
+    names, more = _symmetry(mesh, {*elsewhere, *fixed, *free}, planes, file)
+    symmetry, planes = (*symmetry, *names), [*planes, *more]
     named = {*elsewhere, *symmetry, *fixed, *free}
     if not fixed and not sliding and any(len(nodes) for name, nodes in mesh.patches.items() if name not in named):
         raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {known}.")
     return Patches(mesh, moving, fixed, symmetry, free, tuple(planes), sliding, periodic)
+
+
+def _symmetry(mesh: jm.Mesh, named: set[str], planes: list[jm.Plane], file: object) -> tuple[list[str], list[jm.Plane]]:
+    """Lists the symmetry patches of the file that are in no other list, and their planes, which go with the other `planes`."""
+    names, lying = [], []
+    for name in io.symmetry(mesh):
+        with contextlib.suppress(ValueError):  # on a bent one no node slides: it is in no list
+            if name not in named:
+                lying += planes_of(mesh, name)
+                names.append(name)
+    if names:
+        try:
+            check_planes([*planes, *lying], np.asarray(mesh.points))
+        except ValueError as error:
+            those = " ".join(names)
+            raise ValueError(f"{file} has the symmetry patches {those}: {error} Hold them, --fixed {those}.") from None
+    return names, lying
 
 
 def _periodic(surface: PatchNames, mesh: jm.Mesh, named: set[str]) -> tuple[jm.Periodic, ...]:
