@@ -155,6 +155,20 @@ def test_a_sphere_moved_into_a_plane(ball, way, crosses):
     ).all()
 
 
+def test_walls_that_have_passed_through_another_one(squares, ball):
+    """Nothing crosses any more: a body beyond the outer boundary, and one within another body, in 2-D and 3-D."""
+    away = found(squares, "left", (-20.0, 0.25))
+    assert away.have_passed
+    assert away.patches == (("left", "outer"),)
+    assert away.nodes[0, 0] in squares.patch("left")
+    np.testing.assert_allclose(away.places[0], np.asarray(squares.points)[away.nodes[0, 0]] + (-20, 0.25))
+    assert "1 wall lies wholly on the other side of another one after the motion ('left' and 'outer')" in str(away)
+    swallowed = found(squares, "left", lambda base: 0.5 * (base - (3, 4)) + (6, 4) - base)
+    assert [set(pair) for pair in swallowed.patches] == [{"left", "right"}]
+    assert not found(squares, "left", lambda base: 0.5 * (base - (3, 4)) + (3, 4) - base)  # it shrinks where it is
+    assert found(ball, "ball", (0.1, 0.2, 50.0)).have_passed
+
+
 @pytest.mark.parametrize(
     "make", [lambda: cases.naca4("0012", points=600, sharp=True), lambda: cases.naca0015(points=600), cases.bricks]
 )

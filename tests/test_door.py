@@ -167,7 +167,7 @@ MISTAKES = {
     "points that are none": (lambda: jm.improve(MESH, MESH.points * np.nan), "points are not finite, first node 0"),
     "motions that are none": (
         lambda: jm.choose(MESH, "body", "far", np.full((1, 24, 2), np.nan)),
-        "48 components of `motions` are not finite",
+        "48 components of `motions` are not finite, the first in motion 0, of moving node 0",
     ),
     "a negative layer": (lambda: jm.NearWall(width=-1.0), "`width` must be a real number above 0 and finite, not -1.0"),
     "no layer": (lambda: jm.NearWall(width=0.0), "`width` must be a real number above 0 and finite, not 0.0"),
@@ -244,7 +244,7 @@ def test_nonsense_is_answered_by_what_was_given(tmp_path, case):
 
 def test_a_plan_saved_into_no_folder_names_its_file(tmp_path):
     plan = jm.prepare(np.asarray(MESH.points), MESH.patch("body"), MESH.patch("far"), method=jm.InverseDistance())
-    with pytest.raises(FileNotFoundError, match=r"no/a\.npz: there is no folder"):
+    with pytest.raises(ValueError, match=r"no/a\.npz: there is no folder"):
         jm.save(tmp_path / "no" / "a.npz", plan)
 
 

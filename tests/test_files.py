@@ -9,12 +9,12 @@ import subprocess
 import sys
 import threading
 
-import numpy as np
 import pytest
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._host.files import complete, output_path
+from jaxmorph.cli import main
 
 posix = pytest.mark.skipif(os.name != "posix", reason="links and modes of POSIX")
 
@@ -151,11 +151,6 @@ os.kill(os.getpid(), signal.SIGKILL)
     assert names(tmp_path) == ["a.txt", "case"]
 
 
-def test_a_missing_folder_is_told_by_the_name_of_the_output(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"a\.plan: there is no folder .*nowhere"):
-        jm.save(tmp_path / "nowhere" / "a.plan", jm.prepare(np.eye(3)[:, :2], [0, 1], [2], method=jm.DelaunayGraph()))
-
-
 @posix
 @pytest.mark.parametrize("name", ["a b.su2", "Flügel ñ.su2", "-a.su2", ".hidden.su2"])
 def test_names_with_blanks_and_letters_of_all_kinds(tmp_path, name):
@@ -174,6 +169,12 @@ def test_a_name_that_ends_as_a_folder_is_no_file(tmp_path):
     with pytest.raises(ValueError, match=r"a\.su2/: ends as a folder does; it is a file that is written"):
         io.write(f"{tmp_path}/a.su2/", small())
     assert not list(tmp_path.iterdir())
+
+
+def test_the_command_line_writes_no_file_to_a_name_that_ends_as_a_folder(capsys):
+    with pytest.raises(SystemExit):
+        main(["deform", "a.su2", "b.su2/", "--moving", "body"])
+    assert "b.su2/: ends as a folder does" in " ".join(capsys.readouterr().err.split())
 
 
 @posix

@@ -392,6 +392,8 @@ def test_text_of_vtk_that_was_cut_or_counts_wrong_is_refused(tmp_path):
     whole = (tmp_path / "a.vtk").read_bytes()
     for text, message in (
         (whole[: whole.index(b"FIELD")], "the file ends after 'POINT_DATA 48': it is cut short"),
+        (whole[: whole.index(b"CELL_TYPES")], r"Its last section is 'CELLS [\d ]+': is the file cut short there\?"),
+        (whole[: whole.index(b"POINTS")], "It holds no line that begins with POINTS"),
         (re.sub(rb"POINT_DATA \d+\n", b"", whole), "FIELD after CELL_TYPES, but neither POINT_DATA nor CELL_DATA"),
     ):
         (tmp_path / "b.vtk").write_bytes(text)

@@ -226,6 +226,10 @@ BAD = {
         "NDIME= 2\nNELEM= 0\nNPOIN= 1\n0.0 0.0 0 0 0\nNMARK= 0\n",
         "line 4: a point of 2 coordinates expected, found 5 numbers",
     ),
+    "a coordinate alone": (
+        "NDIME= 2\nNELEM= 0\nNPOIN= 1\n0.0\nNMARK= 0\n",
+        "2 coordinates expected, found 1 number\\.",
+    ),
     "two numbers more on all elements": (
         PLAIN.replace("9 0 1 4 3 0", "9 0 1 4 3 7 0").replace("4 1\n5 2 5 4 2", "4 7 1\n5 2 5 4 7 2"),
         "line 3: an element of type 9 has 4 nodes, found 7",

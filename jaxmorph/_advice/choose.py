@@ -171,8 +171,11 @@ def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
         raise ValueError(
             f"`motions` has shape {motions.shape}; expected (s, {expected[0]}, {expected[1]}), not all zero."
         )
-    if not np.isfinite(motions).all():
-        raise ValueError(f"{(~np.isfinite(motions)).sum()} components of `motions` are not finite.")
+    bad = np.argwhere(~np.isfinite(motions))
+    if len(bad):
+        raise ValueError(
+            f"{len(bad)} components of `motions` are not finite, the first in motion {bad[0, 0]}, of moving node {bad[0, 1]}."
+        )
     return motions
 
 

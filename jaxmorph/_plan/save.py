@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._host.door import checked
-from .._host.files import complete, file_path, input_path, read_arrays
+from .._host.files import complete, input_path, output_path, read_arrays
 from .halves import SurfaceHalf
 from .known import known_classes
 from .plan import Plan
@@ -46,10 +46,10 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
     - `plan`: a `Plan`, a sequence of them, or a `SurfaceHalf`.
 
     **Raises:** `ValueError`, with the place in the plan, for anything else (functions, say), and for a class of your
-    own that is called like one of jaxmorph's. Also for a plan laid over devices: save the one that `prepare` returned,
-    and `shard` what is loaded.
+    own that is called like one of jaxmorph's. Also for a `path` in a folder that is not there, or that is one. A plan laid
+    over devices is refused, too: save the one that `prepare` returned, and `shard` what is loaded.
     """
-    path = file_path(path)
+    path = output_path(path)
     if not _is_plans(plan):
         raise ValueError(f"a {type(plan).__name__} is not a plan, nor the plans of several steps.")
     writer = _Writer()

@@ -76,17 +76,30 @@ class Version(argparse.Action):
         parser.exit()
 
 
+def _output(name: str) -> Path:
+    """Reads the name of what is written. A path forgets the slash at its end, which the name of a file does not have."""
+    path = Path(name)
+    if name.endswith("/") and path.suffix.strip(".0123456789") and not path.is_dir():
+        from jaxmorph._host.files import file_path
+
+        try:
+            file_path(name)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+    return path
+
+
 def _deform(command: Parser) -> None:
     add = command.section()
     _input(add)
     what = "where to write it; the ending chooses the format; for a case a new one, or CASE/TIME"
-    add("output", everyday=True, metavar="OUT", type=Path, help=what)
+    add("output", everyday=True, metavar="OUT", type=_output, help=what)
     what = "IN is a decomposed OpenFOAM case: take its folders processor* part by part, under mpiexec several at a time"
     add("--decomposed", action="store_true", help=what)
     add("--job", metavar="FILE", type=Path, action=Job, help="read the flags from a TOML file")
-    add("--save-job", metavar="FILE", type=Path, help="write such a file of this run")
+    add("--save-job", metavar="FILE", type=_output, help="write such a file of this run")
     what = "draw before and after (.png), in 3-D also a page to turn and deform it (.html)"
-    add("--picture", everyday=True, metavar="FILE", type=Path, help=what)
+    add("--picture", everyday=True, metavar="FILE", type=_output, help=what)
     add = command.section("surface")
     what = 'patches that move: names, or patterns as "wing.*"'
     add("--moving", everyday=True, metavar="NAME", nargs="+", action=Moving, help=what)
@@ -111,7 +124,7 @@ def _modes(command: Parser) -> None:
     add = command.section()
     _input(add)
     what = "a time series, OUT.xdmf with OUT.h5, or OUT.pvd of .vtu files; else files OUT_0001, OUT_0002, ... of its ending"
-    add("output", everyday=True, metavar="OUT", type=Path, help=what)
+    add("output", everyday=True, metavar="OUT", type=_output, help=what)
     _surface(command)
     add = command.section("shapes")
     what = "displacements of the moving nodes: rows of node id, x, y[, z], or .npz"
@@ -131,7 +144,7 @@ def _sensitivity(command: Parser) -> None:
     what = "dJ/d(points) of all nodes: SU2's, OpenFOAM's, rows of node id and dJ/dx, dJ/dy[, dJ/dz], or .npz"
     add("sensitivity", everyday=True, metavar="SENS", type=Path, help=what)
     what = "where to write it: .csv or .npz; with --job .csv or .json"
-    add("output", everyday=True, metavar="OUT", type=Path, help=what)
+    add("output", everyday=True, metavar="OUT", type=_output, help=what)
     what = "a job of deform: go on to its design variables (IN is then its file)"
     add("--job", everyday=True, metavar="FILE", type=Path, help=what)
     _set(add)

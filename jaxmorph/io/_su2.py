@@ -129,7 +129,7 @@ def _points(keyword: _Keyword, d: int) -> np.ndarray:
         if wrong.size:
             count = block.counts[wrong[0]]
             others = f", {width} on the rows before" if count != width else ""
-            message = f"a point of {d} coordinates expected, found {count} numbers{others}."
+            message = f"a point of {d} coordinates expected, found {_numbers(int(count))}{others}."
             raise section.error(message, row + int(wrong[0]))
         indices = block.columns(slice(None), d, width)
         if (indices != np.floor(indices)).any():
@@ -203,9 +203,13 @@ def _corners(section: Section, block: Rows, rows: np.ndarray, kind: int, place: 
     if wrong.size:
         alone = counts[wrong[0] == rows][0] in (0, 1)  # right by itself
         others = "" if not alone else ", and an index as the rows before have" if extra else ", and no index before it"
-        message = f"an element of type {kind} has {corners} nodes{others}, found {block.counts[wrong[0]]} numbers."
+        message = f"an element of type {kind} has {corners} nodes{others}, found {_numbers(int(block.counts[wrong[0]]))}."
         raise section.error(message, row + int(wrong[0]))
     return block.columns(slice(None) if len(rows) == len(block.counts) else rows, 1, 1 + corners)
+
+
+def _numbers(count: int) -> str:
+    return f"{count} {'number' if count == 1 else 'numbers'}"
 
 
 def _check_count(keyword: _Keyword, stated: int, count: int, what: str) -> None:

@@ -1,6 +1,7 @@
 """VTK's unstructured grids, XML (.vtu) and legacy (.vtk), through meshio."""
 
 import pathlib
+import re
 from xml.etree import ElementTree
 
 from jaxmorph import Mesh
@@ -18,7 +19,12 @@ def read(path: pathlib.Path) -> Mesh:
     Patches are point arrays `patch:NAME`, as `write` leaves them, or come from numbers.
     """
     reader = meshio.vtu.read if path.suffix.lower() == ".vtu" else meshio.vtk.read
-    mesh = load(path, path.suffix.lower(), reader)
+    try:
+        mesh = load(path, path.suffix.lower(), reader)
+    except ValueError as error:
+        if reader is meshio.vtu.read:
+            raise
+        raise ValueError(f"{error} {_last_section(path)}") from error
     if reader is meshio.vtk.read:
         data = path.read_bytes()
         last = data.rstrip().rpartition(b"\n")[2]
@@ -31,6 +37,14 @@ def read(path: pathlib.Path) -> Mesh:
     elif b'"ascii"' in path.read_bytes():
         _check_counts(path)
     return to_mesh(path, mesh, Source(path, NAME, mesh))
+
+
+def _last_section(path: pathlib.Path) -> str:
+    """Says which section of a legacy file is the last one: there it is cut short, or damaged, more often than not."""
+    lines = re.findall(rb"^(?:POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA)\b[ \w]*$", path.read_bytes(), re.MULTILINE)
+    if not lines:
+        return "It holds no line that begins with POINTS."
+    return f"Its last section is {lines[-1].decode()!r}: is the file cut short there?"
 
 
 def _check_counts(path: pathlib.Path) -> None:
