@@ -198,14 +198,18 @@ def test_devices_pipes_and_folders_are_not_replaced(tmp_path):
     os.mkfifo(tmp_path / "pipe.su2")
     (tmp_path / "link.su2").symlink_to("/dev/null")
     (tmp_path / "folder.su2").mkdir()
-    for name in ("pipe", "link", "folder"):
-        path, message = tmp_path / f"{name}.su2", rf"{name}\.su2: is a (folder|device or a pipe)"
+    (tmp_path / "loop.su2").symlink_to("loop.su2")
+    for name in ("pipe", "link", "folder", "loop"):
+        path, message = (
+            tmp_path / f"{name}.su2",
+            rf"{name}\.su2: is a (folder|device or a pipe|symbolic link that leads back)",
+        )
         with pytest.raises(ValueError, match=message):
             io.write(path, small())
         with pytest.raises(ValueError, match=message), complete(path):
             pass
     assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
-    assert names(tmp_path) == ["folder.su2", "link.su2", "pipe.su2"]
+    assert names(tmp_path) == ["folder.su2", "link.su2", "loop.su2", "pipe.su2"]
 
 
 @posix

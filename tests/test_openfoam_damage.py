@@ -150,6 +150,41 @@ def test_a_damaged_gz_file(case):
         packed[place] ^= 0xFF
 
 
+def test_lists_without_their_counts_are_read(tmp_path):
+    """Of faces with four corners each, and of others."""
+    quads = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
+    brick = np.array([(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))])
+    shapes = {
+        "hexahedron": (brick, [quads.tolist()], [("all", "wall", lambda face: True)]),
+        "mixed": (*mixed(), PATCHES),
+    }
+    for shape, case in shapes.items():
+        foam.write_case(tmp_path / shape, *case)
+        right = io.read(tmp_path / shape)
+        for name in ("points", "faces", "owner", "neighbour", "boundary"):
+            changed(tmp_path / shape, name, r"\d+(?=\s*\()", "")
+        found = io.read(tmp_path / shape)
+        np.testing.assert_array_equal(found.points, right.points)
+        assert repr(found) == repr(right)
+
+
+@pytest.mark.parametrize("name", ["points", "faces", "owner", "neighbour", "boundary"])
+def test_a_count_of_many_digits_is_told_by_its_file(case, name):
+    changed(case, name, r"\d+(?=\s*\()", "9" * 100_000)
+    with pytest.raises(ValueError, match=f"{name}: a list.* expected"):
+        io.read(case)
+
+
+def test_a_packed_file_that_grows_without_end(case, monkeypatch):
+    monkeypatch.setattr("jaxmorph.io.openfoam.file.UNIFORM", 1000)
+    file = case / "constant" / "polyMesh" / "points"
+    head = file.read_text().split("}", 1)[0] + "}\n"
+    file.unlink()
+    file.with_name("points.gz").write_bytes(gzip.compress(head.encode() + b" " * 10**6))
+    with pytest.raises(ValueError, match=r"points\.gz: \d+ bytes become more than \d+ when unpacked"):
+        io.read(case)
+
+
 def test_a_list_of_equal_points_costs_nothing(case):
     file = case / "constant" / "polyMesh" / "points"
     file.write_text(file.read_text().split("}", 1)[0] + "}\n60000000{(0 0 0)}\n")

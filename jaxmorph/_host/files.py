@@ -117,6 +117,8 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
 
 
 def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -> None:
+    if target.is_symlink():
+        raise ValueError(f"{path}: is a symbolic link that leads back to itself; remove it, or give another name.")
     if folder or not target.exists() or target.is_file():
         return
     kind = "a folder" if target.is_dir() else "a device or a pipe"

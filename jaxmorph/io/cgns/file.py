@@ -25,7 +25,7 @@ from .polyhedra import Block
 from .zone import DIMENSION, TYPES, Connection, Content, Zone, children, data, word
 
 NAME = "CGNS"
-_FOREIGN = "{0}: {1}/{2} {3}. Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
+_FOREIGN = "{0}: {1} {2}. Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
 LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 
@@ -104,16 +104,16 @@ def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
     while groups:
         group = groups.pop()
         for name in group:
-            link = group.get(name, getlink=True)
+            link, place = group.get(name, getlink=True), f"{group.name.rstrip('/')}/{name}"[-200:]
             if isinstance(link, h5py.ExternalLink):
-                raise ValueError(_FOREIGN.format(path, group.name, name, f"is a link to {link.filename}"))
+                raise ValueError(_FOREIGN.format(path, place, f"is a link to {link.filename}"))
             if isinstance(link, h5py.SoftLink):
                 continue  # to a place of this file, which is looked at by itself
             child = group[name]
             if isinstance(child, h5py.Dataset):
                 if child.external or child.is_virtual:
                     other = child.external[0][0] if child.external else "other data sets"
-                    raise ValueError(_FOREIGN.format(path, group.name, name, f"keeps its values in {other}"))
+                    raise ValueError(_FOREIGN.format(path, place, f"keeps its values in {other}"))
             elif isinstance(child, h5py.Group):
                 address = h5o.get_info(child.id).addr
                 if address not in seen:  # groups may hold each other

@@ -2,6 +2,7 @@
 
 import dataclasses
 import gzip
+import io
 import pathlib
 import re
 import zlib
@@ -17,6 +18,10 @@ _COMMENT = re.compile(r"//[^\n]*|/\*.*?(?:\*/|\Z)", re.DOTALL)
 _WORD = re.compile(r'"[^"\n]*"|[(){};]|[^\s(){};"]+|"')
 UNIFORM = 2 * 10**8
 """Bytes that a list of equal elements may take, besides ten times its file's size."""
+UNPACKED = 100
+"""Bytes that one of a packed file may become, besides `UNIFORM`."""
+DIGITS = 19
+"""Digits that a number of elements may have."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
 """Makes the text of a list one of numbers between blanks."""
 
@@ -50,7 +55,7 @@ class FoamFile:
         Without it they are 32 and 64 bits, little-endian.
         """
         arch = self.header.get("arch", "")
-        match = re.search(rf"{what}=(\d+)", arch)
+        match = re.search(rf"{what}=(\d{{1,9}})", arch)
         width = int(match[1]) if match else {"label": 32, "scalar": 64}[what]
         if width not in (32, 64):
             raise self.error(f"{what}s of {width} bits are not known; arch is {arch!r}")
@@ -63,7 +68,7 @@ class FoamFile:
         """Finds the list that begins after `at` and the blanks and comments that follow."""
         at = _end_of_space(self.data, at)
         match = _COUNT.match(self.data, at)
-        if match is None or not match[0]:
+        if match is None or not match[0] or len(match[1]) > DIGITS:
             raise self.error(f"a list expected, found {self.data[at : at + 20]!r}")
         count = int(match[1]) if match[1] else -1
         return List(count if match[2] else 0, match.end(), match[2] == b"{")
@@ -132,7 +137,7 @@ class FoamFile:
     def _text_faces(self) -> tuple[np.ndarray, np.ndarray]:
         items = self.list_at(self.end)
         stop = self.data.rfind(b")", items.start)
-        labels = self._table(items, stop)
+        labels = self._table(items, stop) if items.count >= 0 else None
         if labels is not None:
             kind = np.int32 if labels.size < 2**31 - labels.shape[1] else np.int64
             return labels.ravel(), np.arange(0, labels.size + 1, labels.shape[1], dtype=kind)
@@ -212,7 +217,7 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
         path = path.with_name(f"{name}.gz")
     raw = path.read_bytes()
     try:
-        data = gzip.decompress(raw) if path.suffix == ".gz" else raw
+        data = _unpacked(path, raw) if path.suffix == ".gz" else raw
     except (OSError, EOFError, zlib.error) as error:
         raise ValueError(f"{path}: a damaged gzip file ({error}).") from error
     match = _HEADER.search(data, 0, 1 << 14)
@@ -220,6 +225,15 @@ def load(folder: pathlib.Path, name: str) -> FoamFile:
         raise ValueError(f"{path}: no FoamFile header; it is not a file of OpenFOAM.")
     header = {key: " ".join(values).strip('"') for key, values in _entries(_words(match[1])).items()}
     return FoamFile(path, raw, data, header, match.end())
+
+
+def _unpacked(path: pathlib.Path, raw: bytes) -> bytes:
+    limit = UNIFORM + UNPACKED * len(raw)
+    with gzip.GzipFile(fileobj=io.BytesIO(raw)) as packed:
+        data = packed.read(limit + 1)
+    if len(data) > limit:
+        raise ValueError(f"{path}: {len(raw)} bytes become more than {limit} when unpacked; no mesh does.")
+    return data
 
 
 @dataclasses.dataclass(frozen=True)
@@ -252,7 +266,7 @@ def patches(file: FoamFile) -> list[Patch]:
     its entries.
     """
     words = _words(file.data[file.end :])
-    stated = int(words[0]) if words and words[0].isdecimal() else None
+    stated = int(words[0]) if words and words[0].isdecimal() and len(words[0]) <= DIGITS else None
     at = 0 if stated is None else 1
     if words[at : at + 1] != ["("]:
         raise file.error("a list of patches expected, such as 1 ( wall { type wall; nFaces 4; startFace 8; } )")
