@@ -148,6 +148,27 @@ def test_polyhedra_are_judged_by_pieces_between_their_own_nodes(tmp_path):
         assert (int(jm.quality(mesh, moved).inverted) > 0) == inverted
 
 
+def test_pieces_of_a_polyhedron_may_coincide(tmp_path):
+    """A cube with four nodes on its edges: where two of its faces cut off the same triangle, a file with its points is read."""
+    unit = [(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    points = np.array([*unit, (0.5, 0, 0), (0.5, 1, 0), (0.5, 0, 1), (0.5, 1, 1)])
+    cell = [
+        [0, 3, 9, 2, 1, 8],
+        [4, 10, 5, 6, 11, 7],
+        [0, 8, 1, 5, 10, 4],
+        [1, 2, 6, 5],
+        [2, 9, 3, 7, 11, 6],
+        [3, 0, 4, 7],
+    ]
+    foam.write_case(tmp_path / "a", points, [cell], [("all", "wall", lambda face: True)])
+    moved = io.read(tmp_path / "a").moved(points + np.random.default_rng(9).integers(-4, 5, points.shape) / 8)
+    io.write(tmp_path / "b", moved)
+    found = io.read(tmp_path / "b")
+    pieces = np.sort(np.asarray(found.cells["tetra"]), axis=1)
+    assert len(np.unique(pieces, axis=0)) < len(pieces)
+    assert found.cell_counts == {"polyhedron": 1}
+
+
 def test_gates_measure_polyhedra_whole(tmp_path, capsys):
     """A cube against four bars of 1 x 0.5 x 0.5: line of centres (1, 0.25, 0.25), which passes 0.125 by a face's centre."""
     foam.write_case(tmp_path / "a", *split(), PATCHES)

@@ -65,15 +65,23 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     """
     path = files.input_path(path)
     mesh = format_of(path).codec().read(path)
+    _check_copies(path, mesh)
+    return mesh
+
+
+def _check_copies(path: pathlib.Path, mesh: Mesh) -> None:
+    """Raises `ValueError` for two cells with the same nodes. Pieces of polyhedra and polygons do not count: some may coincide."""
+    cut, first = None if mesh.polyhedra is None else np.isin(mesh.cell_ids, mesh.polyhedra.cut), 0
     for kind, corners in mesh.cells.items():
         corners = np.asarray(corners)
-        twice = repeated_cells(corners)
+        chosen = None if cut is None else np.flatnonzero(~cut[first : first + len(corners)])
+        first += len(corners)
+        twice = repeated_cells(corners) if chosen is None else chosen[repeated_cells(corners[chosen])]
         if len(twice):
             raise ValueError(
                 f"{path}: {len(twice)} cells of type {kind} have the nodes of another one, first cell {twice[0]} "
                 f"between nodes {corners[twice[0]].tolist()}: remove the copies."
             )
-    return mesh
 
 
 @checked

@@ -203,7 +203,9 @@ def _corners(section: Section, block: Rows, rows: np.ndarray, kind: int, place: 
     if wrong.size:
         alone = counts[wrong[0] == rows][0] in (0, 1)  # right by itself
         others = "" if not alone else ", and an index as the rows before have" if extra else ", and no index before it"
-        message = f"an element of type {kind} has {corners} nodes{others}, found {_numbers(int(block.counts[wrong[0]]))}."
+        message = (
+            f"an element of type {kind} has {corners} nodes{others}, found {_numbers(int(block.counts[wrong[0]]))}."
+        )
         raise section.error(message, row + int(wrong[0]))
     return block.columns(slice(None) if len(rows) == len(block.counts) else rows, 1, 1 + corners)
 
