@@ -21,8 +21,11 @@ def around(x, r, side):
     return np.stack([x, r * np.cos(ANGLE), side * r * np.sin(ANGLE)], axis=-1)
 
 
-def pipe_of():
-    """Cells of x from 0 to 2 and r from 0 to 1, two along and two across; those at the axis are prisms."""
+def pipe_of(is_cut=False):
+    """Cells of x from 0 to 2 and r from 0 to 1, two along and two across; those at the axis are prisms.
+
+    A cut at r = 0.4 gives both sides nodes of their own, at the same places.
+    """
     x, r = np.meshgrid([0.0, 1, 2], [0.0, 0.4, 1], indexing="ij")
     front, back = np.arange(9).reshape(3, 3), np.arange(9).reshape(3, 3)
     back[:, 1:] = 9 + np.arange(6).reshape(3, 2)
@@ -37,6 +40,12 @@ def pipe_of():
         brick = [a[1], b[1], b[2], a[2], c[1], d[1], d[2], c[2]]
         cells.append([[int(brick[k]) for k in face] for face in HEXAHEDRON])
     sides = {"front": set(front.ravel()), "back": set(back.ravel())}
+    if is_cut:
+        shared = np.concatenate([front[:, 1], back[:, 1]])
+        new = dict(zip(shared.tolist(), range(len(points), len(points) + 6), strict=True))
+        points = np.concatenate([points, points[shared]])
+        cells[1::2] = [[[new.get(k, k) for k in face] for face in cell] for cell in cells[1::2]]
+        sides = {name: ids | {new[k] for k in ids & set(new)} for name, ids in sides.items()}
     patches = [(name, "wedge", lambda face, ids=ids: set(face) <= ids) for name, ids in sides.items()]
     patches += [("wall", "wall", lambda face: bool((np.hypot(*points[face][:, 1:].T) > 0.99).all()))]
     patches += [("ends", "patch", lambda face: True)]
@@ -48,6 +57,18 @@ def pipe(tmp_path):
     points, cells, patches, x, r = pipe_of()
     foam.write_case(tmp_path / "pipe", points, cells, patches)
     return tmp_path / "pipe", x, r
+
+
+def test_sides_of_a_cut_through_a_wedge_stay_apart(tmp_path):
+    """Both sides have nodes at the same places: each node's partner is across its own cells."""
+    foam.write_case(tmp_path / "cut", *pipe_of(is_cut=True)[:3])
+    mesh = io.read(tmp_path / "cut")
+    points = np.asarray(mesh.points)
+    assert len(points) == 12
+    io.write(tmp_path / "moved", mesh.moved(points + (np.arange(12) > 8)[:, None] * np.array([0, 0.05])))
+    moved = np.asarray(io.read(tmp_path / "moved").points)
+    np.testing.assert_allclose(moved[:9], points[:9], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(moved[9:, 1], 0.45, rtol=0, atol=1e-12)
 
 
 def test_a_wedge_is_a_plane_mesh(pipe, tmp_path):

@@ -11,8 +11,9 @@ from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._host.topology import boundary_faces
 from jaxmorph._kernels.compile import UNTUNED
-from jaxmorph._plan.slide import wall_of
+from jaxmorph._plan.slide import tracks_of, walls_of_patch
 
 TPS = full(jm.ThinPlateSpline(), 1)
 AXIS = jm.Revolution((0, 0, 3))
@@ -221,27 +222,42 @@ def test_a_polygon_and_a_circle():
         jm.refit(on_circle, other.points)
 
 
+def test_sharp_edges_part_a_patch_and_the_apex_of_a_cone_stays():
+    """Elsewhere a cone has one normal; a disc has one at its middle, too."""
+    mesh, sides = box(), ["left", "right", "bottom", "top"]
+    around, lines = mesh.patch(*sides), boundary_faces(mesh.cells, len(mesh.points))
+    parts = walls_of_patch(jm.Slide("around"), around, mesh.points, lines)
+    assert {frozenset(nodes) for _, nodes in parts} == {frozenset(mesh.patch(name)) for name in sides}
+    assert set(tracks_of(parts, (), mesh.points)[1]) == set(np.flatnonzero((np.abs(mesh.points) == 4).all(axis=1)))
+    radius, angle = np.meshgrid(np.arange(3) / 2, np.arange(6) * np.pi / 3)
+    disc = np.stack([0 * radius, radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 3)
+    for height, stays in ((1, np.arange(0, 18, 3)), (0, [])):
+        points = disc + height * np.linalg.norm(disc, axis=1)[:, None] * np.eye(3)[:1]
+        walls = walls_of_patch(jm.Slide(np.arange(18), jm.Revolution((1, 0, 0))), np.arange(18), points, None)
+        np.testing.assert_array_equal(tracks_of(walls, (), points)[1], stays)
+
+
 def test_a_circle_in_single_precision_and_an_ellipse():
     mesh = ring()
     outer = mesh.patch("outer")
     single = jm.Mesh(mesh.points.astype(np.float32), mesh.cells, mesh.patches)
     slide = jm.Slide("outer", jm.Revolution())
-    wall = wall_of(slide, outer, np.asarray(single.points), None)
+    [(wall, _)] = walls_of_patch(slide, outer, np.asarray(single.points), None)
     farther = np.array([[3.0, 0.0], [0.0, 1.0]])
     np.testing.assert_allclose(wall.height(jnp.asarray(farther))[0], [1, -1], rtol=0, atol=1e-6)
     with pytest.raises(ValueError, match="does not lie on its surface"):
-        wall_of(slide, outer, mesh.points * [1, 1.1], None)
+        walls_of_patch(slide, outer, mesh.points * [1, 1.1], None)
 
 
 @pytest.mark.slow
 def test_a_face_without_area():
     """A pyramid of quads, each of which ends in the pole: one of its triangles has no area."""
-    points = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1]])
+    points = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 0.5]])
     quads = np.array([[k, (k + 1) % 4, 4, 4] for k in range(4)])
-    wall = wall_of(jm.Slide("pyramid"), np.arange(5), points, {"quad": quads})
+    [(wall, _)] = walls_of_patch(jm.Slide("pyramid"), np.arange(5), points, {"quad": quads})
     x = jnp.array([[0.05, 0.02, 1.5], [0.6, 0.6, 0.6]])
     place = wall.nearest(x)[0]
-    np.testing.assert_allclose(np.abs(place).sum(axis=1), 1, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.abs(place) @ np.array([1, 1, 2]), 1, rtol=0, atol=1e-12)
     assert np.isfinite(jax.grad(lambda x: wall.nearest(x)[0].sum())(x)).all()
 
 

@@ -15,7 +15,7 @@ from .._host.topology import solid
 from .._mesh.mesh import Mesh
 from .faces import FreeFaces, OuterFaces, free_faces, outer_faces
 from .periodic import Pairing, Periodic, check_pairings, merged, paired
-from .slide import Slide, check_repeated, tracks_of, wall_of
+from .slide import Slide, check_repeated, tracks_of, walls_of_patch
 from .symmetry import Plane, check_dimension, planes_through
 from .walls import AbstractWall, Flat, Track
 
@@ -332,7 +332,7 @@ def _walls(
     faces: Mapping[str, np.ndarray] | None,
 ) -> list[tuple[AbstractWall, np.ndarray]]:
     """Makes the walls of sliding patches, each with its nodes. Raises `ValueError` for a patch that is in a list as a whole."""
-    walls = []
+    walls, patches = [], []
     for each in slides(sliding):
         nodes = np.unique(_nodes(each.patch, "sliding", mesh, len(points)))
         for name, listed in lists.items():
@@ -343,9 +343,10 @@ def _walls(
                     "Leave them out of one of both.",
                     nodes,
                 )
-        if any(np.array_equal(nodes, other) for _, other in walls):
+        if any(np.array_equal(nodes, other) for other in patches):
             raise ValueError(f"{each.name} is given twice: its nodes slide along one surface. Leave one of both out.")
-        walls.append((wall_of(each, nodes, points, faces, lists.get("moving", ())), nodes))
+        patches.append(nodes)
+        walls += walls_of_patch(each, nodes, points, faces, lists.get("moving", ()))
     return walls
 
 

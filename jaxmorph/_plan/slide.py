@@ -5,12 +5,13 @@ from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int
-from scipy.sparse import csr_array
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
 
 from .._host.door import check_patch, finite_array
 from .._host.errors import MeshError, place_of
-from .holes import filled
+from .holes import CONTINUES, filled
 from .periodic import Pairing
 from .symmetry import Plane
 from .walls import AbstractWall, Faceted, Flat, FlatFaces, Round, Track
@@ -56,8 +57,8 @@ class Revolution:
 class Slide:
     """Lets the nodes of a patch move along its surface: blade tips along a shroud, a body along the sides of its box.
 
-    Nodes between two sliding patches, or a patch and a symmetry plane, stay on both; corners of the mesh are held. Moving
-    nodes of the patch stay on it too, fixed ones stay where they are.
+    Nodes between two sliding patches, or a patch and a symmetry plane, stay on both; corners of the mesh, and the apex of a
+    cone, are held. Moving nodes of the patch stay on it too, fixed ones stay where they are.
 
     On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces it has a kink wherever a
     node crosses an edge.
@@ -66,7 +67,7 @@ class Slide:
 
     - `patch`: name of a patch, several names, or ids of nodes.
     - `on`: the surface: a `Plane` (in 2-D a line), a `Revolution`, or None for the patch's own faces, which needs a mesh.
-      Faces in one plane are that plane. Default None.
+      Faces in one plane are that plane; edges that turn by more than 60 degrees part them, and keep their nodes. Default None.
     """
 
     patch: str | Sequence[str] | np.ndarray
@@ -90,18 +91,21 @@ def tracks_of(
 ) -> tuple[tuple[Track, ...], np.ndarray]:
     """Groups the nodes of sliding patches by the walls that keep them; returns the nodes that these hold, too.
 
-    Raises `ValueError` where two walls meet without an edge.
+    Corners and the apex of a cone are held. Raises `ValueError` where two walls meet without an edge.
     """
     n, dimension = points.shape
     on = np.zeros((n, len(walls) + len(planes)), dtype=bool)
-    for k, (_, nodes) in enumerate(walls):
+    apex = np.zeros(n, dtype=bool)
+    for k, (wall, nodes) in enumerate(walls):
         on[nodes, k] = True
-    slides = on.any(axis=1)
+        apex[nodes] |= wall.is_apex(points[nodes])
+    slides = on.any(axis=1) & ~apex
     for k, plane in enumerate(planes):
         on[:, len(walls) + k] = slides & plane.holds(points)
     every = [wall for wall, _ in walls] + [Flat(plane.normal, plane.origin) for plane in planes]
     groups, number = np.unique(on[slides], axis=0, return_inverse=True)
-    tracks, held = [], []
+    tracks: list[Track] = []
+    held: list[np.ndarray] = [np.flatnonzero(apex)]
     for k, group in enumerate(groups):
         nodes = np.flatnonzero(slides)[number.ravel() == k].astype(np.int32)
         chosen = tuple(wall for wall, is_on in zip(every, group, strict=True) if is_on)
@@ -111,7 +115,7 @@ def tracks_of(
             held.append(nodes)
             continue
         tracks.append(Track(nodes, chosen))
-    return tuple(tracks), np.concatenate([np.zeros(0, dtype=np.int64), *held])
+    return tuple(tracks), np.concatenate(held)
 
 
 def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.ndarray) -> None:
@@ -159,16 +163,16 @@ def check_repeated(
             )
 
 
-def wall_of(
+def walls_of_patch(
     slide: Slide,
     nodes: Int[np.ndarray, " k"],
     points: np.ndarray,
     faces: Mapping[str, np.ndarray] | None,
     moving: np.ndarray | Sequence[int] = (),
-) -> AbstractWall:
-    """Makes the wall of a sliding patch; its own faces go on below bodies whose nodes are `moving`.
+) -> list[tuple[AbstractWall, np.ndarray]]:
+    """Makes the walls of a sliding patch, each with its nodes; its own faces go on below bodies whose nodes are `moving`.
 
-    Raises `ValueError`, with the worst node, where its nodes do not lie on it.
+    Own faces are cut apart at sharp edges. Raises `ValueError`, with the worst node, where nodes do not lie on their wall.
     """
     exact, dimension = points.astype(float), points.shape[1]
     if not len(nodes):
@@ -184,7 +188,7 @@ def wall_of(
     else:
         wall = _of_revolution(slide, slide.on, exact[nodes])
     _check_on(slide, wall, nodes, exact)
-    return wall
+    return [(wall, nodes)]
 
 
 def _check_on(slide: Slide, wall: AbstractWall, nodes: np.ndarray, points: np.ndarray) -> None:
@@ -239,7 +243,7 @@ def _of_faces(
     points: np.ndarray,
     faces: Mapping[str, np.ndarray] | None,
     moves: np.ndarray,
-) -> AbstractWall:
+) -> list[tuple[AbstractWall, np.ndarray]]:
     if faces is None:
         raise ValueError(
             f"{slide.name} slides on its faces, which points alone do not have: pass the mesh with its cells, or a surface, "
@@ -260,19 +264,46 @@ def _of_faces(
         place = place_of(points[nodes[0]])
         raise MeshError(f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.", nodes)
     elements = filled(elements, points[nodes], moves)
-    try:
-        plane = Plane.through(points, nodes)
-        return FlatFaces(plane.normal, plane.origin, nodes, points[nodes], elements)
-    except ValueError:
-        pass
-    patch = points[nodes]
-    first, *others = (patch[elements[:, k]] for k in range(dimension))
+    if (flat := _flat(nodes, points, elements)) is not None:
+        return [(flat, nodes)]
+    first, *others = (points[nodes][elements[:, k]] for k in range(dimension))
     edges = [other - first for other in others]
-    normal = edges[0][:, ::-1] * [1, -1] if dimension == 2 else np.cross(edges[0], edges[1])
-    lengths = np.linalg.norm(normal, axis=1)
+    normals = edges[0][:, ::-1] * [1, -1] if dimension == 2 else np.cross(edges[0], edges[1])
+    lengths = np.linalg.norm(normals, axis=1)
     is_whole = lengths > 1e-14 * lengths.max()  # a quad that ends in a point has a triangle without area
     elements = elements[is_whole].astype(np.int32)
-    return Faceted(nodes, patch, elements, _around(elements, len(patch)))
+    part = _smooth_parts(elements, normals[is_whole] / lengths[is_whole, None])
+    if part.max() == 0 or np.isin(np.arange(len(nodes)), elements, invert=True).any():  # nodes of no face belong to all
+        return [(Faceted(nodes, points[nodes], elements, _around(elements, len(nodes))), nodes)]
+    walls = []
+    for number in range(part.max() + 1):
+        rows = np.unique(elements[part == number])
+        corners, ids = np.searchsorted(rows, elements[part == number]).astype(np.int32), nodes[rows]
+        flat = _flat(ids, points, corners)
+        walls.append((flat or Faceted(ids, points[ids], corners, _around(corners, len(ids))), ids))
+    return walls
+
+
+def _flat(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> FlatFaces | None:
+    try:
+        plane = Plane.through(points, nodes)
+    except ValueError:
+        return None
+    return FlatFaces(plane.normal, plane.origin, nodes, points[nodes], elements)
+
+
+def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "e d"]) -> Int[np.ndarray, " e"]:
+    """Numbers the parts of a patch's faces between edges (corners in 2-D) that turn by more than 60 degrees.
+
+    Faces that fold back onto each other are one part: both sides of a thin plate.
+    """
+    ids = np.repeat(np.arange(len(elements)), elements.shape[1])
+    touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)))
+    beside = (touch.T @ touch).tocoo()
+    cosine = np.sum(normals[beside.row] * normals[beside.col], axis=1)
+    joined = (cosine > CONTINUES - 1e-9) | (cosine < -SMOOTH)
+    graph = coo_array((joined[joined], (beside.row[joined], beside.col[joined])), shape=beside.shape)
+    return connected_components(graph, directed=False)[1]
 
 
 def _around(elements: np.ndarray, count: int) -> np.ndarray:

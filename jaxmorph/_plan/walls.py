@@ -48,6 +48,10 @@ class AbstractWall(eqx.Module):
         """Tells, on the host, which points are at or beyond an end of the wall; none where it goes on for ever."""
         return np.zeros(len(x), dtype=bool)
 
+    def is_apex(self, x: Float[np.ndarray, "k d"]) -> Bool[np.ndarray, " k"]:
+        """Tells, on the host, which points of the wall have no normal: the apex of a cone."""
+        return np.zeros(len(x), dtype=bool)
+
 
 class Flat(AbstractWall):
     """A plane, or a line in 2-D."""
@@ -144,6 +148,14 @@ class Round(AbstractWall):
             return np.zeros(len(x), dtype=bool)
         along, slack = (x - np.asarray(self.origin)) @ np.asarray(self.axis), 1e-9 * float(np.ptp(self.knots))
         return (along < self.knots[0] - slack) | (along > self.knots[-1] + slack)
+
+    def is_apex(self, x):
+        axis, arm = np.asarray(self.axis), x - np.asarray(self.origin)
+        is_disc = self.spline is None and abs(self.line[1]) < ALONG_AXIS
+        if is_disc or not axis.any():
+            return np.zeros(len(x), dtype=bool)
+        radius = np.linalg.norm(arm - (arm @ axis)[:, None] * axis, axis=1)
+        return radius <= ALONG_AXIS * np.ptp(x, axis=0).max()
 
 
 class Faceted(AbstractWall):

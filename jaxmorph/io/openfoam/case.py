@@ -280,7 +280,7 @@ def _in_sector(
 ) -> tuple[Mesh, np.ndarray | None, Polyhedra | None, Sector]:
     faces = topology.faces
     assert faces is not None
-    plane, is_first = sector(topology.nodes[wedges[0].name], topology.nodes[wedges[1].name], points)
+    plane, is_first = sector(faces, topology.nodes[wedges[0].name], topology.nodes[wedges[1].name], points)
     patch = wedges[0 if is_first else 1]
     front = np.arange(patch.start, patch.start + patch.count)
     if (faces.sizes[front] > 4).any():

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from jaxmorph._mesh.faces import Faces
+
 
 class Front:
     """Numbers nodes by their places in `front`, the case's ids of the nodes in front, which ascend."""
@@ -16,3 +18,16 @@ class Front:
     def edges(self, faces: np.ndarray) -> np.ndarray:
         """Returns the edges (k, 2) of the front in which faces (k, c) that join the two planes end."""
         return self.ids(faces).reshape(-1, 2)
+
+
+def behind(faces: Faces, front: np.ndarray, back: np.ndarray) -> np.ndarray:
+    """Finds, for each node, the one marked in `back` to which an edge leads from it, where `front` marks it; -1 elsewhere."""
+    corner = faces.labels
+    # the last label of a face is followed by its first
+    after = np.empty_like(corner)
+    after[:-1] = corner[1:]
+    after[faces.starts[1:] - 1] = corner[faces.starts[:-1]]
+    across = front[corner] & back[after]
+    partner = np.full(len(front), -1)
+    partner[corner[across]] = after[across]
+    return partner

@@ -8,7 +8,7 @@ import numpy as np
 from jaxmorph._mesh.faces import Faces
 from jaxmorph._mesh.polyhedra import Polyhedra, triangles
 
-from .front import Front
+from .front import Front, behind
 from .wedge import Sector
 
 TOLERANCE = 1e-6
@@ -70,15 +70,7 @@ def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Layer:
     is_high = points[:, normal] - low[normal] > high[normal] - points[:, normal]
     is_front = ~is_high if normal == 1 else is_high
     front = np.flatnonzero(is_front)
-    corner = faces.labels
-    # the last label of a face is followed by its first
-    after = np.empty_like(corner)
-    after[:-1] = corner[1:]
-    after[faces.starts[1:] - 1] = corner[faces.starts[:-1]]
-    across = is_front[corner] & ~is_front[after]
-    behind = np.full(len(points), -1)
-    behind[corner[across]] = after[across]
-    back = behind[front]
+    back = behind(faces, is_front, ~is_front)[front]
     if (back < 0).any() or len(np.unique(back)) != len(points) - len(front):
         raise ValueError(
             f"patches of type empty, but {len(front)} nodes in front and {len(points) - len(front)} behind are not pairs "

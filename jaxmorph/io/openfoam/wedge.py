@@ -4,9 +4,10 @@ import dataclasses
 from typing import ClassVar
 
 import numpy as np
-from scipy.spatial import KDTree
 
-from .front import Front
+from jaxmorph._mesh.faces import Faces
+
+from .front import Front, behind
 
 TOLERANCE = 1e-6
 """Distance that a node may be off its plane, as a share of the mesh's extent."""
@@ -63,10 +64,10 @@ class Sector(Front):
         return np.stack([(front + back) @ self.axis, front @ self.out + back @ self.out_behind], axis=1)
 
 
-def sector(first: np.ndarray, second: np.ndarray, points: np.ndarray) -> tuple[Sector, bool]:
+def sector(faces: Faces, first: np.ndarray, second: np.ndarray, points: np.ndarray) -> tuple[Sector, bool]:
     """Finds the planes of two wedge patches from their nodes; tells whether the first one is in front.
 
-    It raises `ValueError` where they are not planes at an angle, or their nodes are not pairs.
+    It raises `ValueError` where they are not planes at an angle, or their nodes are not pairs that edges join.
     """
     size = np.ptp(points, axis=0).max()
     first, second = np.unique(first), np.unique(second)
@@ -96,14 +97,20 @@ def sector(first: np.ndarray, second: np.ndarray, points: np.ndarray) -> tuple[S
         np.cross(outward[1], outward[0]) @ axis > 0
     )  # farther around the axis: seen from outside, (x, r) is right-handed
     front, back = (first, second) if is_first else (second, first)
-    out, behind = outward if is_first else outward[::-1]
-    places = [
-        np.stack([(points[n] - origin) @ axis, (points[n] - origin) @ o], axis=1)
-        for n, o in ((front, out), (back, behind))
-    ]
-    distance, nearest = map(np.asarray, KDTree(places[1]).query(places[0]))
-    if distance.max() > APART * size or len(np.unique(nearest)) < len(back):
+    out, out_behind = outward if is_first else outward[::-1]
+    on = np.zeros((2, len(points)), dtype=bool)
+    on[0, front], on[1, back] = True, True
+    partner = np.where(on.all(axis=0), np.arange(len(points)), behind(faces, on[0] & ~on[1], on[1] & ~on[0]))[front]
+    if (partner < 0).any() or len(np.unique(partner)) < len(back):
         raise ValueError(
-            f"patches of type wedge, but their {len(front)} and {len(back)} nodes are not pairs, by up to {distance.max():.3g}."
+            f"patches of type wedge, but their {len(front)} and {len(back)} nodes are not pairs joined by edges: there is more "
+            "than one layer of cells."
         )
-    return Sector(front, back[nearest], axis, origin, out, behind), bool(is_first)
+    places = [
+        np.stack([(points[nodes] - origin) @ axis, (points[nodes] - origin) @ away], axis=1)
+        for nodes, away in ((front, out), (partner, out_behind))
+    ]
+    distance = np.linalg.norm(places[0] - places[1], axis=1).max()
+    if distance > APART * size:
+        raise ValueError(f"patches of type wedge, but nodes of their planes are up to {distance:.3g} apart along them.")
+    return Sector(front, partner, axis, origin, out, out_behind), bool(is_first)
