@@ -43,7 +43,9 @@ def deform_parts(request: Deform, out: Output) -> int:
 
     def prepared() -> tuple[jm.SurfaceHalf, np.ndarray, str] | None:
         every = {k: side for each in gathered or () for k, side in each.items()}
-        return _prepared(request, case.surface([every[k] for k in range(len(case))]), out) if gathered else None
+        if not gathered:
+            return None
+        return prepared_half(request, case.surface([every[k] for k in range(len(case))]), out, "--decomposed")
 
     half, path, dtype = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
     verdicts: list[Verdict] = []
@@ -61,15 +63,16 @@ def deform_parts(request: Deform, out: Output) -> int:
             if judged.faults and not request.allow_inverted:
                 raise _Bad
     except _Bad:
-        _complain(request, judged, out)  # pyright: ignore[reportPossiblyUnboundVariable]
+        complain(request, judged, out)  # pyright: ignore[reportPossiblyUnboundVariable]
         out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
         return 1
-    _complain(request, judged, out)
+    complain(request, judged, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 1 if judged.faults else 0
 
 
-def _complain(request: Deform, judged: Verdicts, out: Output) -> None:
+def complain(request: Deform, judged: Verdicts, out: Output) -> None:
+    """Says the faults of all parts, with what to try."""
     for k, sentence in enumerate(judged.faults):
         hint = (
             f" Try {MORE if request.method.name == 'default' else '--method default'}."
@@ -114,16 +117,24 @@ def _checked(request: Deform) -> io.Decomposed:
     """Opens the case. Raises `ValueError` for a request that is sure to fail, before any work."""
     case = io.Decomposed(request.file)
     case.check_output(request.output)
-    if request.picture is not None or request.chunk is not None:
-        flag = "--picture" if request.picture is not None else "--chunk"
-        raise ValueError(f"{flag} is not for --decomposed, which never has the whole mesh: leave it away.")
-    if request.steps < 1:
-        raise ValueError(f"--steps must be 1 or more, found {request.steps}.")
+    check_flags(request, "--decomposed")
     return case
 
 
-def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray, str]:
-    """Prepares the surface and its motion, describes both, and warns of what no method moves well."""
+def check_flags(request: Deform, way: str) -> None:
+    """Raises `ValueError` for flags that need the whole mesh; `way` is the flag by which it comes in pieces."""
+    if request.picture is not None or request.chunk is not None:
+        flag = "--picture" if request.picture is not None else "--chunk"
+        raise ValueError(f"{flag} is not for {way}, which never has the whole mesh: leave it away.")
+    if request.steps < 1:
+        raise ValueError(f"--steps must be 1 or more, found {request.steps}.")
+
+
+def prepared_half(request: Deform, surface: jm.Mesh, out: Output, way: str) -> tuple[jm.SurfaceHalf, np.ndarray, str]:
+    """Prepares the surface and its motion, describes both, and warns of what no method moves well.
+
+    `way` is the flag by which the mesh comes in pieces.
+    """
     check_files(request, surface)
     patches = patches_of(request.surface, surface, request.file)
     wall = np.asarray(surface.points)[patches.nodes]
@@ -131,7 +142,7 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
     with out.progress("preparing the surface"):
         choice = named_method(request.method, wall)
         if choice.method.needs_cells:
-            raise ValueError(f"--decomposed is not for {request.method.name}, which solves for all nodes at once.")
+            raise ValueError(f"{way} is not for {request.method.name}, which solves for all nodes at once.")
         path = moves.path(wall, request.steps)
         out.say(f"{request.file.name}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
         described(request, patches, choice, path[-1], out)
@@ -154,14 +165,30 @@ def _moved(
     largest: int,
     verdicts: list[Verdict],
 ) -> jm.Mesh | None:
-    """Moves part `k` and judges it; nothing where a process has no part left.
-
-    It is filled up with copies of a node to the size of the largest part: all parts share compiled code.
-    """
+    """Moves part `k` and judges it; nothing where a process has no part left."""
     if k is None:
         return None
     mesh = case.read(k)
-    base, ids = np.asarray(mesh.points), io.global_nodes(mesh)
+    base = np.asarray(mesh.points)
+    points = moved_points(half, path, dtype, largest, base, io.global_nodes(mesh), f"processor{k}")
+    before = Judged(mesh, base)
+    verdicts.append(verdict(k, before, Judged(mesh, points, before), request.gates))
+    return mesh.moved(points)
+
+
+def moved_points(
+    half: jm.SurfaceHalf,
+    path: np.ndarray,
+    dtype: str,
+    largest: int,
+    base: np.ndarray,
+    ids: np.ndarray,
+    name: str,
+) -> np.ndarray:
+    """Moves the points `base` (k, d) of one piece, whose nodes are `ids` (k,) of the whole mesh; errors begin with `name`.
+
+    It is filled up with copies of a node to the size of the largest piece: all pieces share compiled code.
+    """
     is_inner = ~np.isin(ids, half.surface_nodes)
     more = largest - len(ids)
     rows = np.append(np.arange(len(ids)), np.full(more, is_inner.argmax()))
@@ -169,12 +196,9 @@ def _moved(
     try:
         plan = half.attach(base.astype(dtype)[rows], names)
     except jm.MeshError as error:
-        raise ValueError(f"processor{k}: {error.renumbered(rows)}") from None
+        raise ValueError(f"{name}: {error.renumbered(rows)}") from None
     points = jm.deform(plan, path[0]) if len(path) == 1 else jm.march(plan, path)[1]
     here = np.flatnonzero(np.isin(ids, half.moving))
     order = np.argsort(half.moving)
     of_moving = order[np.searchsorted(half.moving[order], ids[here])]
-    points = in_double(base, np.asarray(points)[: len(ids)], here, path[-1][of_moving], half.plan.method.exact)
-    before = Judged(mesh, base)
-    verdicts.append(verdict(k, before, Judged(mesh, points, before), request.gates))
-    return mesh.moved(points)
+    return in_double(base, np.asarray(points)[: len(ids)], here, path[-1][of_moving], half.plan.method.exact)

@@ -47,6 +47,7 @@ class Verdict:
     - `cells`, `faces_between`: cells, and faces that it shares with other parts.
     - `inverted`: inverted cells before and after; `spoilt`: those that the motion has inverted; `cell` is the worst of these.
     - `means`: sums of a measure times the volume, before and after, by name; `volume`: the sums of the volumes.
+    - `rows`: kinds and names of the measures; `rule`: by what cells are inverted.
     - `worst`: extremes by kind and name.
     - `gates`: what is beyond each gate.
     """
@@ -58,6 +59,8 @@ class Verdict:
     spoilt: int
     cell: Worst | None
     volume: tuple[float, float]
+    rows: tuple[tuple[str, str], ...]
+    rule: str
     means: Mapping[str, tuple[float, float]]
     worst: Mapping[tuple[str, str], Worst]
     gates: tuple[Beyond, ...]
@@ -68,7 +71,8 @@ def verdict(part: int, before: Judged, after: Judged, gates: Sequence[_gates.Gat
     both = before, after
     sizes = [np.abs(each.volume[each.counted]) for each in both]
     means, worst = {}, {}
-    for kind, name in ROWS:
+    rows = ROWS if before.by_faces else (*before.measures, *before.ratios)
+    for kind, name in rows:
         if kind == "mean":
             sums = [float(each.values(name) @ size) for each, size in zip(both, sizes, strict=True)]
             means[name] = sums[0], sums[1]
@@ -77,7 +81,9 @@ def verdict(part: int, before: Judged, after: Judged, gates: Sequence[_gates.Gat
     cell = None
     if len(after.spoilt):
         number = after.worst_spoilt()
-        cell = Worst(float(before.pyramid[number]), float(after.pyramid[number]), part, number, place(after, number))
+        heights = [each.pyramid if after.by_faces else each.report.jacobian_ratio for each in both]
+        old, new = (float(each[number]) for each in heights)
+        cell = Worst(old, new, part, number, place(after, number))
     beyond = [
         (_worst(part, gate.flag[:3], gate.measure, *both), *(len(gate.beyond(each)) for each in both)) for gate in gates
     ]
@@ -90,6 +96,8 @@ def verdict(part: int, before: Judged, after: Judged, gates: Sequence[_gates.Gat
         len(after.spoilt),
         cell,
         (float(sizes[0].sum()), float(sizes[1].sum())),
+        rows,
+        after.rule,
         means,
         worst,
         tuple(Beyond(*each) for each in beyond),
@@ -103,10 +111,11 @@ def _worst(part: int, kind: str, name: str, before: Judged, after: Judged) -> Wo
 
 @dataclasses.dataclass(frozen=True)
 class Verdicts:
-    """All parts' verdicts, and the gates they were judged by."""
+    """All parts' verdicts, the gates they were judged by, and what a part is called."""
 
     parts: Sequence[Verdict]
     gates: Sequence[_gates.Gate]
+    name: str = "processor"
 
     @property
     def cells(self) -> int:
@@ -135,9 +144,10 @@ class Verdicts:
             worst = min(
                 (part.cell for part in self.parts if part.cell is not None), key=lambda cell: -cell.badness("min")
             )
+            are = "is" if spoilt == 1 else "are"
             sentences.append(
-                f"{spoilt} of {count(self.cells, 'cell')} {'is' if spoilt == 1 else 'are'} inverted, the worst is {_where(worst)}, "
-                "by volumes and face pyramids."
+                f"{spoilt} of {count(self.cells, 'cell')} {are} inverted, the worst is {self._where(worst)}, "
+                f"by {self.parts[0].rule}."
             )
         for k, gate in enumerate(self.gates):
             beyond = [part.gates[k] for part in self.parts]
@@ -149,15 +159,17 @@ class Verdicts:
                 )
                 worst = _of_all(gate.flag[:3], [each.worst for each in beyond])
                 are = "cell is" if after == 1 else "cells are"
-                sentences.append(f"{after} of {self.cells} {are} beyond {limit}{old}, the worst is {_where(worst)}.")
+                sentences.append(
+                    f"{after} of {self.cells} {are} beyond {limit}{old}, the worst is {self._where(worst)}."
+                )
         return sentences
 
     @property
     def table(self) -> str:
         """Formats the quality before and after, with the worst cells after."""
-        title = f"quality of {self.cells} cells in {len(self.parts)} parts, inverted by volumes and face pyramids"
+        title = f"quality of {self.cells} cells in {len(self.parts)} parts, inverted by {self.parts[0].rule}"
         lines = [title, f"{'':<23}{'before':>12}{'after':>12}   worst cell after"]
-        for kind, name in ROWS:
+        for kind, name in self.parts[0].rows:
             label = f"{kind} {LABELS.get(name, name.replace('_', ' '))}"
             if kind == "mean":
                 before, after = self.mean(name)
@@ -165,7 +177,7 @@ class Verdicts:
             else:
                 worst = self.worst(kind, name)
                 old = "-" if name == "volume_ratio" else f"{worst.before + 0.0:.5g}"
-                lines.append(f"{label:<23}{old:>12}{worst.after + 0.0:>12.5g}   {_where(worst)}")
+                lines.append(f"{label:<23}{old:>12}{worst.after + 0.0:>12.5g}   {self._where(worst)}")
         lines.append(f"{'inverted cells':<23}{self._inverted(0):>12}{self._inverted(1):>12}")
         lines.append(f"{self.faces_between} faces between parts are not judged: their skewness and non-orthogonality.")
         return "\n".join(lines)
@@ -174,15 +186,16 @@ class Verdicts:
     def facts(self) -> dict[str, Any]:
         """Lists the numbers for output as JSON: `before`, `after`, and the gates."""
         sides: list[dict[str, Any]] = []
+        rows = self.parts[0].rows
         for when in (0, 1):
             side: dict[str, Any] = {"cells": self.cells, "inverted": self._inverted(when)}
-            side |= {f"mean_{name}": self.mean(name)[when] for kind, name in ROWS if kind == "mean"}
-            for kind, name in ROWS:
+            side |= {f"mean_{name}": self.mean(name)[when] for kind, name in rows if kind == "mean"}
+            for kind, name in rows:
                 if kind != "mean":
                     worst = self.worst(kind, name)
                     side[f"{kind}_{name}"] = (worst.before, worst.after)[when]
                     if when:
-                        side[f"worst_{name}"] = {"processor": worst.part, "cell": worst.cell}
+                        side[f"worst_{name}"] = {self.name: worst.part, "cell": worst.cell}
             sides.append(side)
         gates = []
         for k, gate in enumerate(self.gates):
@@ -193,6 +206,9 @@ class Verdicts:
         more = {"faces_between_parts": self.faces_between, "parts": len(self.parts)}
         return {"before": sides[0], "after": sides[1], "gates": gates, **more}
 
+    def _where(self, worst: Worst) -> str:
+        return f"{self.name}{worst.part} cell {worst.cell} near {worst.place}"
+
     def _inverted(self, when: int) -> int:
         return sum(part.inverted[when] for part in self.parts)
 
@@ -201,7 +217,3 @@ def _of_all(kind: str, worst: Sequence[Worst]) -> Worst:
     before = np.array([each.before for each in worst])
     start = before.max() if kind == "max" else before.min()
     return dataclasses.replace(max(worst, key=lambda each: each.badness(kind)), before=float(start))
-
-
-def _where(worst: Worst) -> str:
-    return f"processor{worst.part} cell {worst.cell} near {worst.place}"

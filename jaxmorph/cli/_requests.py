@@ -52,6 +52,7 @@ class Deform:
     dry_run: bool
     verbose: bool
     decomposed: bool = False
+    ranges: int | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,6 +133,7 @@ def _deform(arguments: argparse.Namespace) -> Deform:
         arguments.dry_run,
         arguments.verbose,
         arguments.decomposed,
+        arguments.ranges,
     )
 
 

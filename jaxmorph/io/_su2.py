@@ -5,7 +5,8 @@ A mesh that came from an SU2 file goes back into a copy of its text, with new co
 
 import dataclasses
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,46 @@ class _SU2Content:
     shape: tuple[int, int]
 
 
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Knows where a file's points, cells and markers stand, and reads them some rows at a time. `d` is the dimension."""
+
+    path: pathlib.Path
+    keywords: list[_Keyword]
+    d: int
+
+    @classmethod
+    def in_text(cls, path: pathlib.Path, text: Any) -> "Layout":
+        """Finds the keywords of a text without comments. Raises `ValueError` for several zones, and other dimensions."""
+        keywords = list(_keywords(path, text))
+        dimension = _only(path, keywords, "NDIME")
+        if (d := dimension.number()) not in (2, 3):
+            raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
+        for keyword in keywords:
+            if keyword.name == "NZONE" and keyword.number() > 1:
+                raise keyword.section.error(
+                    f"the file holds {keyword.number()} zones; one is read. Split it into one file for each zone."
+                )
+        return cls(path, keywords, d)
+
+    @property
+    def section(self) -> Section:
+        """The rows of points."""
+        return _only(self.path, self.keywords, "NPOIN").section
+
+    def points(self) -> Iterator[np.ndarray]:
+        """Yields points (k, d)."""
+        return _points(_only(self.path, self.keywords, "NPOIN"), self.d)
+
+    def cells(self, n: int) -> Iterator[dict[str, np.ndarray]]:
+        """Yields corners (k, corners) by type, of cells between `n` points."""
+        return _elements(_only(self.path, self.keywords, "NELEM"), n)
+
+    def markers(self, n: int) -> dict[str, np.ndarray]:
+        """Reads the nodes of each marker."""
+        return _markers(self.path, self.keywords, n)
+
+
 def read(path: pathlib.Path) -> Mesh:
     """Reads points in the order of the file; `patches` are the markers, those of one name together.
 
@@ -62,21 +103,12 @@ def read(path: pathlib.Path) -> Mesh:
     `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
-    keywords = list(_keywords(path, blank_comments(text)))
-    dimension = _only(path, keywords, "NDIME")
-    if (d := dimension.number()) not in (2, 3):
-        raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-    for keyword in keywords:
-        if keyword.name == "NZONE" and keyword.number() > 1:
-            raise keyword.section.error(
-                f"the file holds {keyword.number()} zones; one is read. Split it into one file for each zone."
-            )
-    points = _points(_only(path, keywords, "NPOIN"), d)
-    cells = _elements(_only(path, keywords, "NELEM"), len(points))
-    patches = _markers(path, keywords, len(points))
-    section = _only(path, keywords, "NPOIN").section
+    layout = Layout.in_text(path, blank_comments(text))
+    points = np.concatenate(list(layout.points()))
+    cells = _joined(layout.cells(len(points)))
+    section = layout.section
     content = _SU2Content(text, section.start, section.stop, points.shape)
-    return Mesh(points, cells, patches, source=Source(path, NAME, content))
+    return Mesh(points, cells, layout.markers(len(points)), source=Source(path, NAME, content))
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
@@ -95,7 +127,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         file.writelines(replace(content.text, part, points, lambda counts: counts >= d))
 
 
-def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:
+def _keywords(path: pathlib.Path, text: Any) -> Iterator[_Keyword]:
     lines = []
     at = text.find(b"=")
     while at >= 0:
@@ -120,9 +152,9 @@ def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:
     return named[0]
 
 
-def _points(keyword: _Keyword, d: int) -> np.ndarray:
+def _points(keyword: _Keyword, d: int) -> Iterator[np.ndarray]:
     n, section = keyword.number(least=1), keyword.section
-    parts, row, width = [], 0, 0
+    row, width = 0, 0
     for block in section.blocks(np.float64):
         width = width or int(block.counts[0])
         wrong = np.flatnonzero((block.counts < d) | (block.counts > d + 2) | (block.counts != width))
@@ -141,17 +173,24 @@ def _points(keyword: _Keyword, d: int) -> np.ndarray:
         if not finite.all():
             bad = int(np.argmin(finite))
             raise section.error(f"point {row + bad} is not finite: {points[bad].tolist()}.", row + bad)
-        parts.append(points.copy())
+        yield points.copy()
         row += len(points)
     _check_count(keyword, n, row, "points")
-    return np.concatenate(parts)
 
 
-def _elements(keyword: _Keyword, n: int) -> dict[str, np.ndarray]:
-    tables = _table(keyword, keyword.section, n, "elements")
-    if 1 in tables:
-        raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
-    return {TYPES[kind]: corners for kind, corners in tables.items()}
+def _elements(keyword: _Keyword, n: int) -> Iterator[dict[str, np.ndarray]]:
+    for tables in _tables(keyword, keyword.section, n, "elements"):
+        if 1 in tables:
+            raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
+        yield {TYPES[kind]: corners for kind, corners in tables.items()}
+
+
+def _joined(tables: Iterable[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    parts: dict[str, list[np.ndarray]] = {}
+    for table in tables:
+        for kind, corners in table.items():
+            parts.setdefault(kind, []).append(corners)
+    return {kind: np.concatenate(parts.pop(kind)) for kind in list(parts)}
 
 
 def _markers(path: pathlib.Path, keywords: list[_Keyword], n: int) -> dict[str, np.ndarray]:
@@ -163,19 +202,20 @@ def _markers(path: pathlib.Path, keywords: list[_Keyword], n: int) -> dict[str, 
             raise tag.section.error(f"MARKER_ELEMS= expected after the tag {tag.value!r}.")
         # a SEND_RECEIVE marker has one more keyword, SEND_TO=, before its rows
         section = rest[1].section if len(rest) > 1 and rest[1].name == "SEND_TO" else rest[0].section
-        tables = _table(rest[0], section, n, f"elements of marker {tag.value!r}")
-        patches.setdefault(tag.value, []).extend(corners.ravel() for corners in tables.values())
+        nodes = patches.setdefault(tag.value, [])
+        for table in _tables(rest[0], section, n, f"elements of marker {tag.value!r}"):
+            nodes.extend(corners.ravel() for corners in table.values())
     stated = _only(path, keywords, "NMARK")
     if stated.number() != len(tags):
         raise stated.section.error(f"NMARK= {stated.number()}, but {len(tags)} markers are in the file.")
     return {name: np.concatenate([*nodes, np.zeros(0, np.int64)]) for name, nodes in patches.items()}
 
 
-def _table(keyword: _Keyword, section: Section, n: int, what: str) -> dict[int, np.ndarray]:
-    """Reads corners (k, corners) by SU2's number of the type, in order of first appearance."""
-    parts: dict[int, list[np.ndarray]] = {}
+def _tables(keyword: _Keyword, section: Section, n: int, what: str) -> Iterator[dict[int, np.ndarray]]:
+    """Yields corners (k, corners) by SU2's number of the type, in order of first appearance."""
     row, extra = 0, None
     for block in section.blocks(np.int64):
+        table: dict[int, np.ndarray] = {}
         kinds = block.columns(slice(None), 0, 1).ravel()
         for kind in dict.fromkeys(kinds[np.sort(np.unique(kinds, return_index=True)[1])].tolist()):
             rows = np.flatnonzero(kinds == kind)
@@ -185,10 +225,10 @@ def _table(keyword: _Keyword, section: Section, n: int, what: str) -> dict[int, 
                 outside = int(np.argmax(((corners < 0) | (corners >= n)).any(axis=1)))
                 nodes = corners[outside].tolist()
                 raise section.error(f"nodes {nodes}, but there are points 0 to {n - 1}.", row + int(rows[outside]))
-            parts.setdefault(kind, []).append(corners.astype(np.int32 if n < 2**31 else np.int64))
+            table[kind] = corners.astype(np.int32 if n < 2**31 else np.int64)
         row += len(kinds)
+        yield table
     _check_count(keyword, keyword.number(), row, what)
-    return {kind: np.concatenate(parts.pop(kind)) for kind in list(parts)}
 
 
 def _corners(section: Section, block: Rows, rows: np.ndarray, kind: int, place: tuple[int, int]) -> np.ndarray:
