@@ -74,8 +74,13 @@ def main() -> None:
         return np.asarray(jm.shapes.rotate(base, np.radians(degrees), about=(0, 0))) + 2.5 * degrees / 60 - base
 
     held, slides = jm.prepare(mesh, "block", sides), jm.prepare(mesh, "block", sliding=sides)
+
+    def shifted(degrees):
+        return np.asarray(jm.shapes.rotate(base, np.radians(degrees), about=(0, 0))) + 5 - base
+
     for name, plan in (("held", held), ("slide", slides)):
         judge(f"block, sides {name}", mesh, plan, turned, 60, 2)
+        judge(f"block, shifted by 5, sides {name}", mesh, plan, shifted, 60, 2)
         farther = np.stack([turned(3.0 * k) + 2.5 * k / 20 for k in range(1, 21)])
         for steps, path in ((1, farther[-1:]), (20, farther)):
             points = np.asarray(jm.march(plan, path)[1])

@@ -56,10 +56,13 @@ def test_a_wall_sliding_along_a_held_boundary_is(mesh):
     held = airfoil[np.argsort(mesh.points[airfoil, 0])[:10]]
     moving = np.setdiff1d(airfoil, held)
     plan = jm.prepare(mesh.points, moving, np.concatenate([held, mesh.patch("farfield")]))
-    found = jm.inspect(plan, np.full((len(moving), 2), [0.5, 0.0]))
+    named = jm.Mesh(mesh.points, mesh.cells, {"held": held, "slid": moving})
+    found = jm.inspect(plan, np.full((len(moving), 2), [0.5, 0.0]), mesh=named)
     assert len(found.contradictions)
     assert (np.isin(found.contradictions, held).sum(axis=1) == 1).all()
-    assert "symmetry plane" in found.warnings[0]
+    assert sorted(found.torn) == ["held", "slid"]
+    assert "'held'" in found.warnings[0]
+    assert "`sliding`" in found.warnings[0]
 
 
 def test_shape_is_checked(mesh):

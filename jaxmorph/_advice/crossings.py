@@ -81,7 +81,7 @@ def crossings_of(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarr
     if not (cross := len(pairs) > 0):
         pairs = passed_pieces(before, after, faces, together)
         places = after[faces[pairs[:, 0], 0]]
-    first, second = (_names(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
+    first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
     return Crossings(nodes[faces[pairs, 0]], tuple(zip(first, second, strict=True)), places, not cross)
 
 
@@ -120,7 +120,7 @@ def _together(points: np.ndarray, distance: float) -> np.ndarray:
     return connected_components(joined, directed=False)[1]
 
 
-def _names(mesh: Mesh, faces: np.ndarray) -> list[str]:
+def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
     """Names for each face (k, corners) the smallest patch that has all of its nodes, "" where there is none."""
     names = np.full(len(faces), "", dtype=object)
     for name, nodes in sorted(mesh.patches.items(), key=lambda item: -len(item[1])):

@@ -18,7 +18,7 @@ from .._mesh.mesh import Mesh
 from .._methods.fitted import FittedRBF
 from .._plan.judge import ended, ends
 from .._plan.plan import Plan
-from .crossings import Crossings, crossings_of, simplices
+from .crossings import Crossings, crossings_of, names_of, simplices
 from .overshoot import overshoot
 
 PUT_BACK = 0.01
@@ -61,6 +61,7 @@ class Inspection:
     - `gap_node`: that node.
     - `largest`: the largest displacement of a moving node.
     - `reach`: how far from the surface a field of compact support reaches, `CompactRBF`; infinity for other methods.
+    - `torn`: the patches of the worst pair's two nodes, "" for none; empty without a mesh, and without such a pair.
     """
 
     offset: float
@@ -81,6 +82,7 @@ class Inspection:
     gap_node: int | None = None
     largest: float = 0.0
     reach: float = math.inf
+    torn: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -103,10 +105,11 @@ class Inspection:
             return ()
         first, second = self.contradictions[0]
         place = ", ".join(f"{x:.4g}" for x in self.near)
+        both = " and ".join(repr(name) if name else "no patch" for name in self.torn)
         return (
             f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the worst "
-            f"nodes {first} and {second} near ({place}). If a boundary slides along the moving one, make it a symmetry plane "
-            "or let it slide.",
+            f"nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). If a boundary slides along the moving one, "
+            "name it in `sliding` (--sliding) in place of `fixed`, or make it a symmetry plane.",
         )
 
     @property
@@ -159,7 +162,8 @@ class Inspection:
             share = share_left(before, before + vectors, wall, cut[0], TOUCHING * np.ptp(before, axis=0).max())
             if np.isfinite(share).any():
                 left, node = float(share.min()), int(nodes[share.argmin()])
-        return dataclasses.replace(self, crossings=crossed, gap_left=left, gap_node=node)
+        torn = tuple(names_of(mesh, self.contradictions[0][:, None])) if len(self.contradictions) else ()
+        return dataclasses.replace(self, crossings=crossed, gap_left=left, gap_node=node, torn=torn)
 
     def __str__(self) -> str:
         """Tells what no method moves well, then what another method may do better."""
