@@ -179,7 +179,8 @@ class Verdicts:
                 old = "-" if name == "volume_ratio" else f"{worst.before + 0.0:.5g}"
                 lines.append(f"{label:<23}{old:>12}{worst.after + 0.0:>12.5g}   {self._where(worst)}")
         lines.append(f"{'inverted cells':<23}{self._inverted(0):>12}{self._inverted(1):>12}")
-        lines.append(f"{self.faces_between} faces between parts are not judged: their skewness and non-orthogonality.")
+        seen = "skewness and non-orthogonality" if self.parts[0].rows == ROWS else "non-orthogonality"
+        lines.append(f"{self.faces_between} faces between parts are not judged: their {seen}.")
         return "\n".join(lines)
 
     @property
