@@ -24,6 +24,9 @@ class Graded(AbstractReduction):
     own nearest one: where boundaries touch, the spacing changes gradually from one to the other. Without another boundary it
     is the diagonal of all points.
 
+    A fixed wall that is farther away than it is long, a body for example, may be near later. It gets the sources that it would have
+    without another boundary; 512 at most on all such walls. The faces of the mesh tell what a wall is.
+
     **Arguments:**
 
     - `share`: relative, above 0; 0.25 in 2-D and 0.4 in 3-D by default.
@@ -37,6 +40,8 @@ class Graded(AbstractReduction):
     _: dataclasses.KW_ONLY
     most: int = 512
     separation: float = 1e-3
+
+    most_on_far_walls = 512
 
     def __post_init__(self):
         if self.share is not None:

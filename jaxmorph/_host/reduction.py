@@ -5,6 +5,7 @@ import dataclasses
 import heapq
 import itertools
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 import scipy.spatial
@@ -17,6 +18,9 @@ class AbstractReduction(abc.ABC):
 
     A reduction of your own is a frozen (hashable) dataclass with this one method, `__call__`.
     """
+
+    most_on_far_walls: ClassVar[int] = 0
+    """Sources that fixed walls get at most which are farther from the moving ones than they are long; 0: they are as all others."""
 
     @abc.abstractmethod
     def __call__(self, points: np.ndarray) -> np.ndarray: ...

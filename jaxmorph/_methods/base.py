@@ -103,6 +103,8 @@ class Surface:
         originals = rows[self.images[rows] == rows]
         closest = reduction.closest(self.points[originals])
         chosen = originals[reduction.beside(self.points[originals], others)]
+        far = self._on_far_walls(reduction, originals, others)
+        chosen = drop_close(self.points, np.append(chosen, far), closest) if len(far) else chosen
         images = np.flatnonzero(self.images != np.arange(len(self.points)))
         apart = np.full(len(self.points), np.inf)
         np.minimum.at(
@@ -113,6 +115,22 @@ class Surface:
             moved = free[KDTree(self.points[free]).query(self.points[near])[1]] if free.size else near[:0]
             chosen = drop_close(self.points, np.concatenate([moved, chosen[apart[chosen] > closest]]), closest)
         return rows[np.isin(self.images[rows], chosen)], closest
+
+    def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Chooses among the rows of each wall that is farther from the `others` (s, d) than it is long, as if there were no others.
+
+        It chooses none where these would be too many, and where no faces tell the walls.
+        """
+        chosen = [rows[:0]]
+        if not reduction.most_on_far_walls or self.faces is None or not len(rows):
+            return chosen[0]
+        wall, distance = self.walls[0][rows], KDTree(others).query(self.points[rows])[0]
+        for label in np.unique(wall):
+            members = np.flatnonzero(wall == label)
+            corners = self.points[rows[members]]
+            if distance[members].min() > np.linalg.norm(np.ptp(corners, axis=0)) > 0:
+                chosen.append(rows[members[reduction(corners)]])
+        return np.concatenate(chosen) if sum(map(len, chosen)) <= reduction.most_on_far_walls else chosen[0]
 
     def among(self, points: np.ndarray) -> tuple["Surface", np.ndarray]:
         """Returns the surface with each of its rows among the points: rows that are not (mirror images) are added at the end."""

@@ -1,0 +1,57 @@
+"""Large motions of one boundary past another: no cell inverts, and the surface is exact."""
+
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import cases
+
+STORE = {"wing": (-2.0, 2.0, 1.0, 1.5), "store": (-0.5, 0.5, 0.0, 0.5)}
+PASSING = {"upper": (-4.0, -3.0, 1.0, 2.0), "lower": (-0.5, 0.5, -2.0, -1.0)}
+
+
+def marched(mesh, moving, displacement, steps):
+    """The moved mesh's report, after the surface was found where it was sent."""
+    nodes = mesh.patch(moving)
+    rest = np.setdiff1d(mesh.patch(*mesh.patches), nodes)
+    path = np.linspace(0, 1, steps + 1)[1:, None, None] * displacement
+    points = jm.march(jm.prepare(mesh, nodes, rest), path)[1]
+    assert (np.asarray(points)[nodes] == np.asarray(mesh.points)[nodes] + path[-1]).all()
+    assert (np.asarray(points)[rest] == np.asarray(mesh.points)[rest]).all()
+    return jm.quality(mesh, points)
+
+
+def test_a_body_that_is_held_far_away_has_sources_of_its_own():
+    """They keep the field from pushing it along once the other body is near: by 0.02 of a step at most."""
+    mesh = cases.bodies(PASSING)
+    plan = jm.prepare(mesh, "upper", ("lower", "farfield"))
+    assert 4 <= np.isin(mesh.patch("lower"), plan.sources).sum() <= 16
+    u = np.broadcast_to([0.2, 0.0], (plan.n_moving, 2))
+    later = jm.march(plan, np.linspace(0, 1, 18)[1:, None, None] * np.broadcast_to([3.4, 0.0], u.shape))[0][-1]
+    off = np.linalg.norm(np.asarray(later.offset(u)), axis=1)
+    assert off[np.isin(np.asarray(later.surface_nodes), mesh.patch("lower"))].max() < 0.02 * 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("boxes", "moving", "way", "steps", "least"),
+    [(PASSING, "upper", (6.0, 0.0), 30, 0.15), (STORE, "store", (0.0, -3.4), 20, 0.05)],
+    ids=["passing", "store"],
+)
+def test_bodies_pass_and_leave(boxes, moving, way, steps, least):
+    mesh = cases.bodies(boxes)
+    report = marched(mesh, moving, np.broadcast_to(way, (len(mesh.patch(moving)), 2)), steps)
+    assert int(report.inverted) == 0
+    assert float(report.min_jacobian_ratio) > least
+
+
+@pytest.mark.slow
+def test_horns_of_ice_grow_on_an_airfoil():
+    """Two horns, 5 % of the chord high and 2 % wide."""
+    mesh = cases.naca0015(points=2000)
+    x, y = np.asarray(mesh.points)[mesh.patch("airfoil")].T
+    s = np.sign(y) * np.sqrt(np.maximum(x, 0))
+    horn = 0.05 * (np.exp(-(((s - 0.12) / 0.03) ** 2)) + 0.6 * np.exp(-(((s + 0.1) / 0.04) ** 2)))
+    report = marched(mesh, "airfoil", np.stack([-0.8 * horn, 0.6 * np.sign(y) * horn], axis=1), 5)
+    assert int(report.inverted) == 0
+    assert float(report.min_jacobian_ratio) > 0.8
