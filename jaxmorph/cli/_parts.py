@@ -196,7 +196,7 @@ class Verdicts:
                     worst = self.worst(kind, name)
                     side[f"{kind}_{name}"] = (worst.before, worst.after)[when]
                     if when:
-                        side[f"worst_{name}"] = {self.name: worst.part, "cell": worst.cell}
+                        side[f"worst_{name}"] = {self.name.strip(): worst.part, "cell": worst.cell}
             sides.append(side)
         gates = []
         for k, gate in enumerate(self.gates):
