@@ -13,8 +13,8 @@ WHOLE = 1e-3
 def passed_pieces(points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Finds pairs (k, 2) of pieces of which one was inside of the other before the motion and is not after it, or the reverse.
 
-    Pieces are faces that hang together, named by their first face. What lies inside is told by the winding number of a closed
-    piece, of faces that are seen from one side, about a node of the other one.
+    Pieces are faces that hang together, named by their first face. What lies inside is told by the winding number of a piece, whose
+    faces are seen from one side, about a node of the other one: it is whole for closed pieces, and others are left out.
 
     **Arguments:**
 
@@ -34,7 +34,7 @@ def passed_pieces(points: np.ndarray, moved: np.ndarray, faces: np.ndarray, plac
         others = np.flatnonzero((moves | moves[one]) & (np.arange(len(first)) != one))
         node = faces[first[others], 0]
         near = _in_box(points[node], points[rows]) | _in_box(moved[node], moved[rows])
-        if not near.any() or not _is_closed(place[rows]):
+        if not near.any():
             continue
         before, after = (_turns(each[node[near]], each[rows]) for each in (points, moved))
         is_whole = np.maximum(np.abs(before - np.round(before)), np.abs(after - np.round(after))) < WHOLE
@@ -49,16 +49,6 @@ def _pieces(labels: np.ndarray) -> np.ndarray:
     start, end = labels[:, :-1].ravel(), labels[:, 1:].ravel()
     joined = coo_array((np.ones(len(start), bool), (start, end)), (count, count))
     return np.unique(connected_components(joined, directed=False)[1][labels[:, 0]], return_inverse=True)[1]
-
-
-def _is_closed(labels: np.ndarray) -> bool:
-    """Tells whether as many faces come to each end, or side, as leave it."""
-    if labels.shape[1] == 2:
-        return np.array_equal(np.sort(labels[:, 0]), np.sort(labels[:, 1]))
-    sides = np.concatenate([labels[:, [k, (k + 1) % 3]] for k in range(3)])
-    sides = sides[sides[:, 0] != sides[:, 1]]
-    forth, back = (each[np.lexsort(each.T)] for each in (sides, sides[:, ::-1]))
-    return np.array_equal(forth, back)
 
 
 def _in_box(places: np.ndarray, corners: np.ndarray) -> np.ndarray:
