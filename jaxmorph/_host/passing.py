@@ -13,8 +13,8 @@ WHOLE = 1e-3
 def passed_pieces(points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Finds pairs (k, 2) of pieces of which one was inside of the other before the motion and is not after it, or the reverse.
 
-    Pieces are faces that hang together, named by their first face. What lies inside is told by the winding number of a piece, whose
-    faces are seen from one side, about a node of the other one: it is whole for closed pieces, and others are left out.
+    Pieces are faces that hang together, named by their first face. What lies inside is told by the winding number of a piece about
+    a node of the other one. It is whole for closed pieces, of faces seen from one side; others are left out.
 
     **Arguments:**
 
