@@ -1,8 +1,10 @@
-"""SU2 files by ranges: moved, judged and written as they are whole, whatever the size of a range."""
+"""SU2 and CGNS files by ranges: moved, judged and written as they are whole, whatever the size of a range."""
 
 import json
 import re
 
+import cgns
+import h5py
 import numpy as np
 import pytest
 from small import bricks
@@ -10,6 +12,8 @@ from small import bricks
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.cli import main
+from jaxmorph.io._boundary import patch_faces
+from jaxmorph.io.cgns import layout
 
 PATCHES = ["--moving", "floor", "--fixed", "rest"]
 TURN, LIFT = [*PATCHES, "--rotate", "6"], [*PATCHES, "--translate", "0", "0", "0.1", "--free", "sides"]
@@ -41,6 +45,25 @@ def ring(folder):
     return folder / "ring.su2"
 
 
+def as_cgns(file):
+    """The same mesh as a CGNS file of one zone: its cells MIXED, its boundary faces a section and a condition for each patch."""
+    mesh = io.read(file)
+    points = np.asarray(mesh.points)
+    codes = {"line": 3, "triangle": 5, "quad": 7, "hexahedron": 17}
+    mixed = [np.insert(np.asarray(each) + 1, 0, codes[kind], axis=1).ravel() for kind, each in mesh.cells.items()]
+    count = sum(map(len, mesh.cells.values()))
+    with h5py.File(file.with_suffix(".cgns"), "w", track_order=True) as new:
+        zone = cgns.zone(cgns.base(new, points.shape[1], points.shape[1]), "all", tuple(points.T), count)
+        cgns.elements(zone, "cells", 20, np.concatenate(mixed), 1, count)
+        start = count + 1
+        for name, faces in patch_faces(mesh).items():
+            for kind, corners in faces.items():
+                cgns.elements(zone, f"{name} {kind}", codes[kind], corners + 1, start, len(corners))
+                cgns.condition(zone, name, [[start], [start + len(corners) - 1]], None, "FaceCenter")
+                start += len(corners)
+    return file.with_suffix(".cgns")
+
+
 def facts(capsys, *arguments):
     """The exit status, and what the command says as JSON."""
     capsys.readouterr()
@@ -54,24 +77,24 @@ def numbers(said):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [ring, box])
+@pytest.mark.parametrize("make", [ring, box, lambda folder: as_cgns(box(folder))], ids=["ring", "box", "CGNS"])
 def test_ranges_move_and_judge_as_the_whole_does(tmp_path, capsys, make):
     file = make(tmp_path)
-    turn = TURN if make is ring else LIFT
-    status, whole = facts(capsys, "deform", file, tmp_path / "whole.su2", *turn)
+    turn, ending = TURN if make is ring else LIFT, file.suffix
+    first = {path.name for path in tmp_path.iterdir()}
+    status, whole = facts(capsys, "deform", file, tmp_path / f"whole{ending}", *turn)
     assert status == 0
-    expected, old = io.read(tmp_path / "whole.su2").points, io.read(file).points
+    expected, old = io.read(tmp_path / f"whole{ending}").points, io.read(file).points
     assert np.abs(expected - old).max() > 0.05
     for rows in (17, 1000):
-        status, said = facts(capsys, "deform", file, tmp_path / f"{rows}.su2", *turn, "--ranges", rows)
+        out = tmp_path / f"{rows}{ending}"
+        status, said = facts(capsys, "deform", file, out, *turn, "--ranges", rows)
         assert status == 0
-        np.testing.assert_allclose(io.read(tmp_path / f"{rows}.su2").points, expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(io.read(out).points, expected, rtol=0, atol=1e-12)
         np.testing.assert_allclose(numbers(said), numbers(whole), rtol=1e-9)
-        a, b = (re.sub(rb"[-+.\de]+(?=[ \n])", b"", path.read_bytes()) for path in (file, tmp_path / f"{rows}.su2"))
-        assert a == b
-    assert {path.name for path in tmp_path.iterdir()} == {file.name, "whole.su2", "17.su2", "1000.su2"} | (
-        {"plain.su2"} if make is box else set()
-    )
+        a, b = (re.sub(rb"[-+.\de]+(?=[ \n])", b"", path.read_bytes()) for path in (file, out))
+        assert a == b or ending == ".cgns"
+    assert {path.name for path in tmp_path.iterdir()} == first | {f"{name}{ending}" for name in ("whole", 17, 1000)}
 
 
 def test_the_surface_is_that_of_the_whole_mesh(tmp_path):
@@ -92,6 +115,34 @@ def test_the_surface_is_that_of_the_whole_mesh(tmp_path):
     mesh.write(tmp_path / "ranges.su2")
     io.write(tmp_path / "whole.su2", whole.moved(mesh.after))
     assert (tmp_path / "ranges.su2").read_bytes() == (tmp_path / "whole.su2").read_bytes()
+
+
+@pytest.mark.parametrize("make", [ring, box])
+def test_cgns_by_ranges_is_the_whole_file(tmp_path, make, monkeypatch):
+    """Surface, cells and what is written, whatever is read together."""
+    monkeypatch.setattr(layout, "ROWS", 7)
+    file = as_cgns(make(tmp_path))
+    whole, mesh = io.read(file), io.Ranges(file, 10)
+    np.testing.assert_array_equal(mesh.before, whole.points)
+    assert {name: each.tolist() for name, each in mesh.patches.items()} == {
+        name: np.unique(each).tolist() for name, each in whole.patches.items()
+    }
+    parts = [part for part, _ in mesh.cells()]
+    for kind, corners in whole.cells.items():
+        here = [io.global_nodes(part)[np.asarray(part.cells[kind])] for part in parts if kind in part.cells]
+        np.testing.assert_array_equal(np.concatenate(here), corners)
+    assert sum(map(len, mesh.surface().cells.values())) == sum(
+        map(len, io.Ranges(file.with_suffix(".su2"), 9).surface().cells.values())
+    )
+    for k in range(len(mesh)):
+        mesh.put(k, mesh.read(k) * (1 + (mesh.nodes(k) % 3 == 0)[:, None]))
+    mesh.write(tmp_path / "ranges.cgns")
+    io.write(tmp_path / "whole.cgns", whole.moved(np.array(mesh.after)))
+    assert (tmp_path / "ranges.cgns").read_bytes() == (tmp_path / "whole.cgns").read_bytes()
+    with h5py.File(file, "r+") as changed:
+        changed["Base/all/GridCoordinates/CoordinateX/ data"].write_direct(np.full(len(whole.points), 5.0))  # pyright: ignore
+    with pytest.raises(ValueError, match="has changed since"):
+        mesh.write(tmp_path / "ranges.cgns")
 
 
 def test_faces_between_ranges_are_counted(tmp_path):
@@ -140,5 +191,5 @@ def test_files_that_ranges_cannot_take(tmp_path):
     file.write_bytes(b"")
     with pytest.raises(ValueError, match="the file is empty"):
         io.Ranges(file, 9)
-    with pytest.raises(ValueError, match=r"SU2 files \(.su2\)"):
+    with pytest.raises(ValueError, match=r"SU2 and CGNS files \(.su2, .cgns\)"):
         io.Ranges(tmp_path / "a.vtu", 9)

@@ -96,7 +96,7 @@ def _deform(command: Parser) -> None:
     add("output", everyday=True, metavar="OUT", type=_output, help=what)
     what = "IN is a decomposed OpenFOAM case: take its folders processor* part by part, under mpiexec several at a time"
     add("--decomposed", action="store_true", help=what)
-    what = "never hold the whole of an SU2 file: read, move, judge and write it by ranges of N nodes, and of N cells"
+    what = "never hold the whole of an SU2 or CGNS file: read, move, judge and write it by ranges of N nodes, and of N cells"
     add("--ranges", metavar="N", type=int, help=what)
     add("--job", metavar="FILE", type=Path, action=Job, help="read the flags from a TOML file")
     add("--save-job", metavar="FILE", type=_output, help="write such a file of this run")

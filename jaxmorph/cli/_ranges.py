@@ -1,4 +1,4 @@
-"""`jaxmorph deform --ranges`: an SU2 file by ranges of nodes and of cells, which are never in memory together."""
+"""`jaxmorph deform --ranges`: an SU2 or CGNS file by ranges of nodes and of cells, which are never in memory together."""
 
 import numpy as np
 

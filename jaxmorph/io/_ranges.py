@@ -1,10 +1,10 @@
-"""Meshes of SU2 files by ranges: their cells, and all else but the surface, are never in memory together."""
+"""Meshes of SU2 and CGNS files by ranges: their cells, and all else but the surface, are never in memory together."""
 
-import mmap
 import os
 import pathlib
 import tempfile
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,12 +18,11 @@ from jaxmorph._host.walls import seen_from_outside
 
 from ._format import Source
 from ._registry import check_output
-from ._su2 import NAME, Layout
-from .text.sections import Uncommented, replace
+from ._su2 import Layout
 
 
 class Ranges:
-    """Reads and writes an SU2 file by ranges of nodes and of cells: memory is that of the surface and of one range.
+    """Reads and writes an SU2 or CGNS file by ranges of nodes and of cells: memory is that of the surface and of one range.
 
     Coordinates, before and after, stand in two temporary files without names: they are gone when the object is.
 
@@ -39,11 +38,11 @@ class Ranges:
 
     **Arguments:**
 
-    - `path`: the file.
+    - `path`: the file, .su2, or .cgns with one unstructured zone and no polyhedra.
     - `rows`: nodes, and cells, of a range. Default: 1,000,000.
     - `folder`: an existing folder for the temporary files, with room for twice the coordinates. Default: the system's.
 
-    **Raises:** `ValueError` for what `read` refuses in points and markers, and for a file that is no `.su2`.
+    **Raises:** `ValueError` for what `read` refuses in points and markers, and for other files.
     """
 
     @checked
@@ -51,15 +50,9 @@ class Ranges:
         self, path: str | os.PathLike[str], rows: int = 1_000_000, folder: str | os.PathLike[str] | None = None
     ):
         self.path, self.rows = input_path(path), whole("rows", rows)
-        if self.path.suffix.lower() != ".su2":
-            raise ValueError(f"{self.path}: SU2 files (.su2) are read by ranges; take --chunk for other formats.")
         if folder is not None and not pathlib.Path(folder).is_dir():
             raise ValueError(f"{folder}: there is no such folder for temporary files.")
-        with self.path.open("rb") as file:
-            if not file.read(1):
-                raise ValueError(f"{self.path}: the file is empty.")
-            self._text = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        self._layout = Layout.in_text(self.path, Uncommented(self._text))
+        self._layout = _layout(self.path)
         with tempfile.TemporaryFile(dir=folder) as before, tempfile.TemporaryFile(dir=folder) as after:
             for block in self._layout.points():
                 before.write(block.tobytes())
@@ -111,7 +104,12 @@ class Ranges:
         )
         cells = {kind: np.searchsorted(nodes, each) for kind, each in faces.items()}
         patches = {name: np.searchsorted(nodes, each) for name, each in self.patches.items()}
-        return Mesh(self.before[nodes], cells, patches, source=Source(self.path, NAME, None, node_ids=nodes))
+        return Mesh(
+            self.before[nodes],
+            cells,
+            patches,
+            source=Source(self.path, self._layout.name, None, node_ids=nodes, periodic=self._layout.periodic),
+        )
 
     def cells(self) -> Iterator[tuple[Mesh, np.ndarray]]:
         """Yields ranges of cells: the undeformed mesh of each, with faces to others in `between`, and its moved points (m, d).
@@ -124,7 +122,7 @@ class Ranges:
             step = max(self.rows // 8, 1)
             rows = np.append(nodes, np.full(-len(nodes) % step, nodes[-1]))
             local = {kind: np.searchsorted(nodes, each) for kind, each in cells.items()}
-            source = Source(self.path, NAME, None, between=self._between(local, nodes), node_ids=rows)
+            source = Source(self.path, self._layout.name, None, between=self._between(local, nodes), node_ids=rows)
             for each in local.values():
                 if len(twice := repeated_cells(each)):
                     raise ValueError(
@@ -136,18 +134,18 @@ class Ranges:
     @checked
     def check_output(self, path: str | os.PathLike[str]) -> None:
         """Raises `ValueError` for a file that `write` cannot write, before any work."""
-        check_output(path, Mesh(np.zeros((1, 2)), source=Source(self.path, NAME, None)))
-        if pathlib.Path(path).suffix.lower() != ".su2":
-            raise ValueError(f"{path}: by ranges a file is written in its own format: end the name in .su2.")
+        check_output(path, Mesh(np.zeros((1, 2)), source=Source(self.path, self._layout.name, None)))
+        if pathlib.Path(path).suffix.lower() != self.path.suffix.lower():
+            raise ValueError(
+                f"{path}: by ranges a file is written in its own format: end the name in {self.path.suffix}."
+            )
 
     @checked
     def write(self, path: str | os.PathLike[str]) -> None:
         """Writes the file with the moved points, all else byte for byte; it appears when it is complete."""
         self.check_output(path)
-        d, section = self.before.shape[1], self._layout.section
-        with complete(pathlib.Path(path)) as partial, partial.open("wb") as file:
-            part = slice(section.start, section.stop)
-            file.writelines(replace(self._text, part, self.after, lambda counts: counts >= d))
+        with complete(pathlib.Path(path)) as partial:
+            self._layout.write(partial, self.before, self.after)
 
     def _tables(self, rows: int) -> Iterator[dict[str, np.ndarray]]:
         """Yields `rows` cells at a time, the last ones fewer: corners by type in alphabetical order."""
@@ -184,8 +182,8 @@ class Ranges:
         digests = [_digest(nodes[each]) for each in outer.values()]
         if np.bitwise_xor.reduce(np.array([single, *digests])):
             raise ValueError(
-                f"{self.path}: the markers leave out a part of the boundary, whose faces cannot be told by ranges. Name all of "
-                "it by markers, as SU2 requires, or take --chunk in place of --ranges."
+                f"{self.path}: the patches leave out a part of the boundary, whose faces cannot be told by ranges. Name all of "
+                "it by markers or boundary conditions, or take --chunk in place of --ranges."
             )
         outer = seen_from_outside(self.before[nodes], outer)
         self._faces = {kind: nodes[each] for kind, each in outer.items() if len(each)}
@@ -200,6 +198,18 @@ class Ranges:
             inner = each[~is_among(nodes[each], outside[each.shape[1]])] if each.shape[1] in outside else each
             parts.append(np.pad(inner, ((0, 0), (0, width - each.shape[1])), constant_values=-1))
         return np.concatenate(parts)
+
+
+def _layout(path: pathlib.Path) -> Any:
+    """Opens a file to be read some rows at a time."""
+    suffix = path.suffix.lower()
+    if suffix == ".su2":
+        return Layout.by_ranges(path)
+    if suffix == ".cgns":
+        from .cgns.layout import Layout as CGNSLayout  # h5py may not be there
+
+        return CGNSLayout(path)
+    raise ValueError(f"{path}: SU2 and CGNS files (.su2, .cgns) are read by ranges; take --chunk for other formats.")
 
 
 def _taken(kept: dict[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:

@@ -4,18 +4,19 @@ A mesh that came from an SU2 file goes back into a copy of its text, with new co
 """
 
 import dataclasses
+import mmap
 import pathlib
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxmorph import Mesh
+from jaxmorph import Mesh, Periodic
 from jaxmorph._host.topology import CORNERS, VTK
 
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
-from .text.sections import Rows, Section, blank_comments, replace
+from .text.sections import Rows, Section, Uncommented, blank_comments, replace
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -61,11 +62,23 @@ class Layout:
     """Knows where a file's points, cells and markers stand, and reads them some rows at a time. `d` is the dimension."""
 
     path: pathlib.Path
+    text: Any
     keywords: list[_Keyword]
     d: int
+    name: ClassVar[str] = NAME
+    periodic: ClassVar[tuple[Periodic, ...]] = ()
 
     @classmethod
-    def in_text(cls, path: pathlib.Path, text: Any) -> "Layout":
+    def by_ranges(cls, path: pathlib.Path) -> "Layout":
+        """Opens a file whose text is never in memory as a whole."""
+        with path.open("rb") as file:
+            if not file.read(1):
+                raise ValueError(f"{path}: the file is empty.")
+            text = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        return cls.in_text(path, text, Uncommented(text))
+
+    @classmethod
+    def in_text(cls, path: pathlib.Path, original: Any, text: Any) -> "Layout":
         """Finds the keywords of a text without comments. Raises `ValueError` for several zones, and other dimensions."""
         keywords = list(_keywords(path, text))
         dimension = _only(path, keywords, "NDIME")
@@ -76,7 +89,7 @@ class Layout:
                 raise keyword.section.error(
                     f"the file holds {keyword.number()} zones; one is read. Split it into one file for each zone."
                 )
-        return cls(path, keywords, d)
+        return cls(path, original, keywords, d)
 
     @property
     def section(self) -> Section:
@@ -95,6 +108,12 @@ class Layout:
         """Reads the nodes of each marker."""
         return _markers(self.path, self.keywords, n)
 
+    def write(self, partial: pathlib.Path, before: np.ndarray, after: np.ndarray) -> None:
+        """Writes the text with the points `after` (n, d) in place of those `before`."""
+        part = slice(self.section.start, self.section.stop)
+        with partial.open("wb") as file:
+            file.writelines(replace(self.text, part, after, lambda counts: counts >= self.d))
+
 
 def read(path: pathlib.Path) -> Mesh:
     """Reads points in the order of the file; `patches` are the markers, those of one name together.
@@ -103,7 +122,7 @@ def read(path: pathlib.Path) -> Mesh:
     `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
-    layout = Layout.in_text(path, blank_comments(text))
+    layout = Layout.in_text(path, text, blank_comments(text))
     points = np.concatenate(list(layout.points()))
     cells = _joined(layout.cells(len(points)))
     section = layout.section

@@ -46,7 +46,7 @@ def read(path: pathlib.Path) -> Mesh:
     path.open("rb").close()
     try:
         with h5py.File(path, "r") as file:
-            _refuse_foreign_data(path, file)
+            refuse_foreign_data(path, file)
             zones, cells, pairs = _zones(path, file)
     except Exception as error:  # HDF5 answers damage by a dozen classes
         if isinstance(error, ValueError) and str(path) in str(error):
@@ -58,8 +58,8 @@ def read(path: pathlib.Path) -> Mesh:
     try:
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
-        content = _CGNSContent(joined, _stamp(path))
-        source = Source(path, NAME, content, whole, ids, periodic=_periodic(pairs, joined.is_flat))
+        content = _CGNSContent(joined, stamp_of(path))
+        source = Source(path, NAME, content, whole, ids, periodic=periodic_of(pairs, joined.is_flat))
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
@@ -74,28 +74,28 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     if source is None:
         raise ValueError("only a mesh that was read from a CGNS file can be written to one; write .vtu or .su2.")
     content: _CGNSContent = source.content
-    if _stamp(source.path) != content.stamp:
+    if stamp_of(source.path) != content.stamp:
         raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
     with h5py.File(source.path, "r") as file:
-        _refuse_foreign_data(source.path, file)
+        refuse_foreign_data(source.path, file)
     shutil.copyfile(source.path, path)
     points = content.joined.in_file(np.asarray(mesh.points))
     if np.array_equal(points, content.joined.points):
         return
     with h5py.File(path, "r+") as file:
-        for zone in _open(path, file)[0]:
+        for zone in open_zones(path, file)[0]:
             rows = slice(zone.first, zone.first + zone.count)
             for axis, values in enumerate(zone.coordinates()):
                 if not np.array_equal(points[rows, axis], content.joined.points[rows, axis]):
                     values[...] = points[rows, axis].reshape(values.shape)
 
 
-def _stamp(path: pathlib.Path) -> tuple[int, int]:
+def stamp_of(path: pathlib.Path) -> tuple[int, int]:
     status = path.stat()
     return status.st_size, status.st_mtime_ns
 
 
-def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
+def refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
     """Raises `ValueError` where anything in the file has its data in another one: writing would go through to it.
 
     Links to other files, data sets in external storage and virtual ones are refused, wherever they stand.
@@ -121,7 +121,7 @@ def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
                     groups.append(child)
 
 
-def _open(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
+def open_zones(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
     """Lists the zones of the base, and the dimension of its cells."""
     bases = [base for _, base in children(file, "CGNSBase_t")]
     if len(bases) != 1:
@@ -140,7 +140,7 @@ def _open(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
 
 
 def _zones(path: pathlib.Path, file: h5py.File) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]]]:
-    zones, dimension = _open(path, file)
+    zones, dimension = open_zones(path, file)
     points, contents, patches, faces = [], [], {}, []
     for zone in zones:
         points.append(np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float))
@@ -152,12 +152,12 @@ def _zones(path: pathlib.Path, file: h5py.File) -> tuple[Zones, list[Content], l
         for name, nodes in zone.patches(content.elements):
             patches.setdefault(name, []).append(nodes)
         faces += content.sides or _outer(zone, points[-1], solid)
-    pairs = _pairs(zones, contents, patches)
+    pairs = pairs_of(zones, contents, patches)
     cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
     return Zones(np.concatenate(points), cells, patches, faces), contents, pairs
 
 
-def _pairs(
+def pairs_of(
     zones: list[Zone], contents: list[Content], patches: dict[str, list[np.ndarray]]
 ) -> list[tuple[str, str, Connection]]:
     """Adds the sides of periodic interfaces to the patches, and lists their names in pairs."""
@@ -178,7 +178,7 @@ def _pairs(
     return pairs
 
 
-def _periodic(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tuple[jm.Periodic, ...]:
+def periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tuple[jm.Periodic, ...]:
     """Makes periodic pairs of interfaces; their translation or angle is that of the nodes, for files differ in its sign."""
     made = []
     for first, second, each in pairs:
