@@ -28,9 +28,7 @@ class Layout:
         self.path, self.name, self._stamp = path, NAME, stamp_of(path)
         with self._zone() as (zone, level):
             coordinates = zone.coordinates()
-            is_flat = level == 2 and (
-                len(coordinates) == 2 or not any(np.ptp(each) for each in _slices(coordinates[2]))
-            )
+            is_flat = level == 2 and (len(coordinates) == 2 or _is_constant(coordinates[2]))
             self.d, self._level = 2 if is_flat else 3, level
             if self.d != level:
                 raise zone.error(f"cells of {level} dimensions in 3-D are not read by ranges")
@@ -75,6 +73,8 @@ class Layout:
         """Writes a copy of the file with the points `after` (n, d) where they differ from those `before`."""
         if stamp_of(self.path) != self._stamp:
             raise ValueError(f"{self.path} has changed since the mesh was read from it; read it again.")
+        with self._zone():
+            pass  # data of other files are refused before anything is opened for writing
         shutil.copyfile(self.path, partial)
         with h5py.File(partial, "r+") as file:
             (zone,) = open_zones(partial, file)[0]
@@ -108,7 +108,11 @@ class Layout:
             raise ValueError(f"{self.path}: not a CGNS file in HDF5, or a damaged one ({detail}).") from error
 
 
-def _slices(values) -> Iterator[np.ndarray]:
+def _is_constant(values: h5py.Dataset) -> bool:
+    return all((each == values[0]).all() for each in _slices(values))
+
+
+def _slices(values: h5py.Dataset) -> Iterator[np.ndarray]:
     for start in range(0, len(values), ROWS):
         yield values[start : start + ROWS]
 
