@@ -152,6 +152,7 @@ def test_faces_between_ranges_are_counted(tmp_path):
     assert sorted(map(len, between)) == [9, 9, 18]
 
 
+@pytest.mark.slow
 def test_bad_cells_are_not_written(tmp_path, capsys):
     status, said = facts(
         capsys, "deform", ring(tmp_path), tmp_path / "out.su2", *PATCHES, "--translate", "3.5", "0", "--ranges", 20
