@@ -263,12 +263,16 @@ def _of_faces(
     if not np.ptp(points[nodes], axis=0).max() > 0:
         place = place_of(points[nodes[0]])
         raise MeshError(f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.", nodes)
-    elements = filled(elements, points[nodes], moves)
+    return _parted(nodes, points, filled(elements, points[nodes], moves))
+
+
+def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> list[tuple[AbstractWall, np.ndarray]]:
+    """Makes the walls, each with its nodes, of faces, rows of `nodes`: one, or one for each part between sharp edges."""
     if (flat := _flat(nodes, points, elements)) is not None:
         return [(flat, nodes)]
-    first, *others = (points[nodes][elements[:, k]] for k in range(dimension))
+    first, *others = (points[nodes][each] for each in elements.T)
     edges = [other - first for other in others]
-    normals = edges[0][:, ::-1] * [1, -1] if dimension == 2 else np.cross(edges[0], edges[1])
+    normals = edges[0][:, ::-1] * [1, -1] if len(edges) == 1 else np.cross(edges[0], edges[1])
     lengths = np.linalg.norm(normals, axis=1)
     is_whole = lengths > 1e-14 * lengths.max()  # a quad that ends in a point has a triangle without area
     elements = elements[is_whole].astype(np.int32)

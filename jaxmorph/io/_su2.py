@@ -110,9 +110,8 @@ class Layout:
 
     def write(self, partial: pathlib.Path, before: np.ndarray, after: np.ndarray) -> None:
         """Writes the text with the points `after` (n, d) in place of those `before`."""
-        part = slice(self.section.start, self.section.stop)
         with partial.open("wb") as file:
-            file.writelines(replace(self.text, part, after, lambda counts: counts >= self.d))
+            file.writelines(_with_points(self.text, self.section.start, self.section.stop, after))
 
 
 def read(path: pathlib.Path) -> Mesh:
@@ -141,9 +140,13 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         content: _SU2Content = source.content
         if points.shape != content.shape:
             raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {content.shape}.")
-        d = content.shape[1]
-        part = slice(content.start, content.stop)
-        file.writelines(replace(content.text, part, points, lambda counts: counts >= d))
+        file.writelines(_with_points(content.text, content.start, content.stop, points))
+
+
+def _with_points(text: Any, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
+    """Yields the text with `points` (n, d) in place of those that stand from `start` to `stop`."""
+    d = points.shape[1]
+    return replace(text, slice(start, stop), points, lambda counts: counts >= d)
 
 
 def _keywords(path: pathlib.Path, text: Any) -> Iterator[_Keyword]:
