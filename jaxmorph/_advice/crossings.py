@@ -3,11 +3,10 @@
 import dataclasses
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from .._host.crossings import crossing_faces
+from .._host.pairs import parts_of
 from .._host.passing import passed_pieces
 from .._mesh.mesh import Mesh
 from .._plan.faces import outer_faces
@@ -116,8 +115,7 @@ def _repeated(simplices: np.ndarray, ids: np.ndarray) -> np.ndarray:
 def _together(points: np.ndarray, distance: float) -> np.ndarray:
     """Numbers places (b,): nodes that nearly coincide are at one."""
     pairs = KDTree(points).query_pairs(distance, output_type="ndarray")
-    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(points), len(points)))
-    return connected_components(joined, directed=False)[1]
+    return parts_of(pairs[:, 0], pairs[:, 1], len(points))
 
 
 def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
-from .pairs import columns_of, sorted_columns, twins
+from .pairs import columns_of, parts_of, sorted_columns, twins
 from .topology import FACES
 
 
@@ -94,8 +93,7 @@ def handedness(cells: dict[str, Any], neighbour: np.ndarray, flipped: np.ndarray
     # two sheets, one for each sign: crossing a face where the numbering turns round changes the sheet
     start = np.concatenate([a, a + count])
     end = np.concatenate([b + other, b + count - other])
-    graph = sparse.coo_matrix((np.ones(len(start), dtype=bool), (start, end)), shape=(2 * count, 2 * count))
-    _, sheet = sparse.csgraph.connected_components(graph, directed=False)
+    sheet = parts_of(start, end, 2 * count)
     return np.where(sheet[:count] <= sheet[count:], 1, -1), np.minimum(sheet[:count], sheet[count:])
 
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
-from scipy.sparse.csgraph import connected_components
 
 from .multigrid import by_component, conjugate_gradients, hierarchy
+from .pairs import parts_of
 
 DIRECT = 12_000
 """Unknowns up to which a 3-D system is factored. 2-D systems always are, since their factors hardly fill."""
@@ -225,9 +225,7 @@ def _scaled(matrix: Any, scale: np.ndarray) -> Any:
 
 def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Tells which nodes (n,) hang together, by pairs (e, 2), with one that is `known` (n,)."""
-    n = len(known)
-    graph = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n))
-    part = connected_components(graph, directed=False)[1]
+    part = parts_of(pairs[:, 0], pairs[:, 1], len(known))
     return np.bincount(part, known)[part] > 0
 
 

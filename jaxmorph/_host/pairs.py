@@ -1,10 +1,12 @@
-"""Pairing of equal faces: faces that have the same nodes, in whatever order."""
+"""Pairing of equal faces: faces that have the same nodes, in whatever order. Also parts that hang together by pairs."""
 
 import functools
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 
 def sorted_columns(nodes: Sequence[Any], width: int, xp: Any = np) -> list[Any]:
@@ -119,3 +121,9 @@ def _scatter(order: np.ndarray, values: np.ndarray) -> np.ndarray:
     result = np.empty_like(values)
     result[order] = values
     return result
+
+
+def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
+    """Numbers the part (count,) that each of `count` things is of, where `first` (e,) and `second` (e,) hang together."""
+    graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
+    return connected_components(graph, directed=False)[1]

@@ -1,9 +1,8 @@
 """Pieces of a surface that have passed through another one wholly: they cross it no more, and lie on its other side."""
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from .pairs import parts_of
 from .products import cross
 
 WHOLE = 1e-3
@@ -45,10 +44,8 @@ def passed_pieces(points: np.ndarray, moved: np.ndarray, faces: np.ndarray, plac
 
 def _pieces(labels: np.ndarray) -> np.ndarray:
     """Numbers the piece of each face (f,)."""
-    count = labels.max() + 1
-    start, end = labels[:, :-1].ravel(), labels[:, 1:].ravel()
-    joined = coo_array((np.ones(len(start), bool), (start, end)), (count, count))
-    return np.unique(connected_components(joined, directed=False)[1][labels[:, 0]], return_inverse=True)[1]
+    part = parts_of(labels[:, :-1].ravel(), labels[:, 1:].ravel(), int(labels.max()) + 1)
+    return np.unique(part[labels[:, 0]], return_inverse=True)[1]
 
 
 def _in_box(places: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from .farthest import farthest
+from .pairs import parts_of
 
 SHARP = np.cos(np.deg2rad(45))
 """Cosine of the turn from which on two faces that close in on the mesh between them belong to different walls."""
@@ -76,7 +75,7 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     sharp = agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP)
     fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])
     joined = (fixed[first] == fixed[second]) & ~sharp
-    part = _components(first[joined], second[joined], len(fixed))
+    part = parts_of(first[joined], second[joined], len(fixed))
     label, starts = np.full(len(points), -1), np.cumsum([0, *map(len, groups)])
     for alike in (False, True):  # of a node's faces those of its own kind name it last
         for group, start in zip(groups, starts, strict=False):
@@ -120,11 +119,6 @@ def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return owner[before], owner[after], turned[before] != turned[after]
 
 
-def _components(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
-    graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
-    return connected_components(graph, directed=False)[1]
-
-
 def _by_chains(points: np.ndarray) -> np.ndarray:
     """Finds the wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
@@ -133,10 +127,10 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
         return np.zeros(len(points), dtype=np.int64)
     distance, nearest = map(np.asarray, KDTree(unique).query(unique, k=min(3 * count, len(unique))))
     near = distance <= REACH * distance[:, count, None]
-    label = _components(np.nonzero(near)[0], nearest[near], len(unique))
+    label = parts_of(np.nonzero(near)[0], nearest[near], len(unique))
     if points.shape[1] == 3 and label.max() > 0:
         first, second = _next_to_curves(unique, label, distance[:, 1])
-        label = _components(first, second, int(label.max()) + 1)[label]
+        label = parts_of(first, second, int(label.max()) + 1)[label]
     return label[inverse.ravel()]
 
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
 
 from .._host.door import check_patch, finite_array
 from .._host.errors import MeshError, place_of
+from .._host.pairs import parts_of
 from .holes import CONTINUES, filled
 from .periodic import Pairing
 from .symmetry import Plane
@@ -306,8 +306,7 @@ def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "
     beside = (touch.T @ touch).tocoo()
     cosine = np.sum(normals[beside.row] * normals[beside.col], axis=1)
     joined = (cosine > CONTINUES - 1e-9) | (cosine < -SMOOTH)
-    graph = coo_array((joined[joined], (beside.row[joined], beside.col[joined])), shape=beside.shape)
-    return connected_components(graph, directed=False)[1]
+    return parts_of(beside.row[joined], beside.col[joined], len(elements))
 
 
 def _around(elements: np.ndarray, count: int) -> np.ndarray:

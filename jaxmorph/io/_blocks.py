@@ -1,7 +1,9 @@
 """Structured blocks: their cells, their sides, and nodes that several of them share."""
 
 import numpy as np
-from scipy import sparse, spatial
+from scipy import spatial
+
+from .._host.pairs import parts_of
 
 SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
 TOLERANCE = 1e-3
@@ -72,8 +74,7 @@ def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
     distance, nearest = (np.asarray(values).reshape(len(nodes), count) for values in neighbours)
     limit = TOLERANCE * np.minimum(size[nodes][:, None], size[nodes][nearest])
     row, column = np.nonzero(distance <= limit)
-    pairs = (np.ones(len(row), bool), (row, nearest[row, column]))
-    parts = sparse.csgraph.connected_components(sparse.coo_matrix(pairs, (len(nodes),) * 2), directed=False)[1]
+    parts = parts_of(row, nearest[row, column], len(nodes))
     _, first = np.unique(parts, return_index=True)
     same = np.arange(n)
     same[nodes] = nodes[first[parts]]

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+
+from .._host.pairs import parts_of
 
 
 def link_matrix(
@@ -29,8 +29,7 @@ def link_matrix(
     count = int(np.prod(counts)) * d
     opposite = np.where(sign < 0, count, 0)
     rows, columns = np.concatenate([a, a + count]), np.concatenate([b + opposite, b + count - opposite])
-    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), (2 * count, 2 * count))
-    labels = connected_components(graph, directed=False)[1]
+    labels = parts_of(rows, columns, 2 * count)
     itself, other = labels[:count], labels[count:]
     held = np.concatenate([itself[~free.ravel()], other[~free.ravel()]])
     moves = (itself != other) & ~np.isin(itself, held)
