@@ -36,7 +36,8 @@ def test_between_good_and_useless_is_a_warning():
     mesh = body(3)
     u, _ = surface_values(mesh)
     with pytest.warns(
-        UserWarning, match=r"rounding changes the displacements by \de-0[56] of their size.*`separation`"
+        UserWarning,
+        match=r"rounding changes the displacements by \de-0[56] of their size.*a smaller `support_radius` of the basis",
     ):
         jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(2000.0), None))
     plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=full(jm.WendlandC2(200.0), None))
@@ -67,6 +68,30 @@ def dense_matrix(sources):
     r = np.linalg.norm(sources[:, None] - sources[None], axis=2)
     kernel = r**2 * np.log(np.where(r > 0, r, 1))
     return np.block([[kernel, tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
+
+
+def test_what_is_told_of_two_nodes_that_nearly_coincide_helps():
+    """A fixed node 1e-9 beside a moving one, which no field follows: each hint is one that the method can follow."""
+    mesh = body(2)
+    points = np.concatenate([mesh.points, mesh.points[mesh.moving[:1]] + 1e-9])
+    fixed, everything = np.append(mesh.fixed, len(mesh.points)), jm.AllPoints()
+
+    def prepared(method):
+        return jm.prepare(points, mesh.moving, fixed, method=method)
+
+    told = r"apart\. Try a `ridge` of RBF such as 1e-6, or fewer sources by .* `fixed_reduction` such as jm.KDTree\(64\)\.$"
+    with pytest.raises(ValueError, match=told):
+        prepared(jm.RBF.classic())
+    u = motion(mesh.points[mesh.moving])
+    smooth = jm.deform(prepared(jm.RBF(reduction=everything, fixed_reduction=everything, ridge=1e-6)), u)
+    few = jm.deform(prepared(jm.RBF(reduction=jm.KDTree(64), fixed_reduction=jm.KDTree(64))), u)
+    for moved in (smooth, few):
+        assert np.abs(moved - points).max() < 2 * np.abs(u).max()
+    close = jm.KDTree(64, separation=0.0)
+    with pytest.raises(
+        ValueError, match=r"Try a smaller `radius` of .*, a larger `separation` in .*, or another `degree`"
+    ):
+        prepared(jm.RBF(jm.Multiquadric(1.0), close, close))
 
 
 @pytest.mark.parametrize("degree", [None, 0])

@@ -113,7 +113,7 @@ def test_many_sources_are_solved_by_iterations(monkeypatch, tmp_path):
 def test_what_does_not_converge_is_told():
     mesh = body(2)
     u = motion(mesh.points[mesh.moving])
-    with pytest.raises(ValueError, match=r"62 sources is too ill-conditioned for Iterative.*Try a smaller radius"):
+    with pytest.raises(ValueError, match=r"62 sources is too ill-conditioned for Iterative.*Try a smaller `radius`"):
         jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=iterative(jm.Gaussian(30.0), degree=None))
     plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=iterative(jm.ThinPlateSpline()))
     flat = mesh.points.copy()

@@ -231,7 +231,7 @@ class RBF(AbstractMethod):
             return
         useless = not error <= USELESS  # NaN too
         how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
-        message = _unusable(factors, how if np.isfinite(error) else "singular")
+        message = _unusable(self, factors, how if np.isfinite(error) else "singular")
         if useless:
             raise ValueError(message)
         warn(message)
@@ -352,10 +352,10 @@ def _check_convergence(rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, va
     steps = count * np.log(float(cardinals.tolerance)) / np.log(max(left, 1e-300)) if left < 1 else np.inf
     if not steps <= LIMIT:
         how = f"too ill-conditioned for Iterative(): an error of {left:.1g} is left after {count:.0f} steps"
-        raise ValueError(_unusable(factors, how))
+        raise ValueError(_unusable(rbf, factors, how))
     # in single precision rounding sets a floor that a few steps do not show
     if cardinals.weights.dtype != np.float64 and not _is_solved(rbf, factors, jnp.asarray(values)):
-        raise ValueError(_unusable(factors, "too ill-conditioned for Iterative() in single precision"))
+        raise ValueError(_unusable(rbf, factors, "too ill-conditioned for Iterative() in single precision"))
 
 
 @compiled
@@ -378,14 +378,27 @@ def _is_solved(rbf: RBF, factors: "RBFFactors", values: Float[Array, "s k"]) -> 
     return jnp.isfinite(rbf.through(factors, values, values.dtype).beta).all()
 
 
-def _unusable(factors: "RBFFactors", how: str) -> str:
-    """Describes what is wrong with a system, where, and what to try."""
+def _unusable(rbf: RBF, factors: "RBFFactors", how: str) -> str:
+    """Describes what is wrong with a system, where, and what of the method to change."""
     sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
+    *hints, last = _hints(rbf, single=sources.dtype != np.float64)
     return (
-        f"the interpolation matrix of {len(sources)} sources is {how}"
-        f"{_nearest_two(sources)}. Try a smaller radius of the basis, fewer sources or a larger `separation` in the "
-        f"reduction, or another `degree` of the polynomial{'' if sources.dtype == np.float64 else ', or x64 mode of JAX'}."
+        f"the interpolation matrix of {len(sources)} sources is {how}{_nearest_two(sources)}. "
+        f"Try {', '.join(hints)}, or {last}."
     )
+
+
+def _hints(rbf: RBF, single: bool) -> list[str]:
+    """Lists what to change where a method's system is unusable: only what this method has."""
+    lengths = [field.name for field in dataclasses.fields(rbf.basis) if "radius" in field.name]
+    hints = [*(f"a smaller `{name}` of the basis" for name in lengths), "a `ridge` of RBF such as 1e-6"]
+    if all(hasattr(reduction, "separation") for reduction in (rbf.reduction, rbf.fixed_reduction)):
+        hints += ["fewer sources", "a larger `separation` in both reductions"]
+    else:
+        hints += ["fewer sources by a `reduction` and a `fixed_reduction` such as jm.KDTree(64)"]
+    if rbf.basis.min_degree != 1 or rbf._below_min_degree:
+        hints += ["another `degree` of the polynomial"]
+    return [*hints, "x64 mode of JAX"] if single else hints
 
 
 def _rows(ids: Any) -> Any:
