@@ -8,9 +8,12 @@ import h5py
 import numpy as np
 import pytest
 from small import bricks
+from test_cgns import two_blocks
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._host.topology import boundary_faces
+from jaxmorph._host.walls import seen_from_outside
 from jaxmorph.cli import main
 from jaxmorph.io._boundary import patch_faces
 from jaxmorph.io.cgns import layout
@@ -62,6 +65,47 @@ def as_cgns(file):
                 cgns.condition(zone, name, [[start], [start + len(corners) - 1]], None, "FaceCenter")
                 start += len(corners)
     return file.with_suffix(".cgns")
+
+
+def two_zones(folder):
+    """The box as two zones that say nothing of each other. Each has conditions for nodes, and none at `rest`."""
+    mesh = io.read(box(folder))
+    points, corners = np.asarray(mesh.points), np.asarray(mesh.cells["hexahedron"])
+    is_left = points[corners].mean(axis=1)[:, 0] < 0.5
+    with h5py.File(folder / "zones.cgns", "w", track_order=True) as new:
+        base = cgns.base(new, 3, 3)
+        for name, cells in (("left", corners[is_left]), ("right", corners[~is_left])):
+            nodes = np.roll(np.unique(cells), 7)  # not the order of the other zone
+            number = np.full(len(points), -1)
+            number[nodes] = 1 + np.arange(len(nodes))
+            zone = cgns.zone(base, name, tuple(points[nodes].T), len(cells))
+            cgns.elements(zone, "cells", 17, number[cells], 1, len(cells))
+            for patch in ("floor", "sides"):
+                here = number[mesh.patches[patch]]
+                cgns.condition(zone, patch, here[None, here > 0], what="PointList")
+    return folder / "zones.cgns"
+
+
+def blocks(folder):
+    two_blocks(folder / "blocks.cgns")
+    return folder / "blocks.cgns"
+
+
+def seam(folder):
+    """A 2-D O-grid of one block, whose first and last column are one, with a condition at the inner circle alone."""
+    radius, angle = np.meshgrid([1.0, 1.1, 1.4, 2.5], np.arange(13) * np.pi / 6)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    x[-1], y[-1] = x[0], y[0]
+    with h5py.File(folder / "seam.cgns", "w", track_order=True) as new:
+        zone = cgns.zone(cgns.base(new, 2, 2), "all", (x, y))
+        cgns.condition(zone, "floor", [[1, 1], [13, 1]])
+    return folder / "seam.cgns"
+
+
+def oriented(faces):
+    """Faces by type, each from its lowest node on, in an order of their own."""
+    rolled = {k: [np.roll(row, -row.argmin()).tolist() for row in np.asarray(each)] for k, each in faces.items()}
+    return {kind: sorted(each) for kind, each in rolled.items() if each}
 
 
 def facts(capsys, *arguments):
@@ -117,11 +161,15 @@ def test_the_surface_is_that_of_the_whole_mesh(tmp_path):
     assert (tmp_path / "ranges.su2").read_bytes() == (tmp_path / "whole.su2").read_bytes()
 
 
-@pytest.mark.parametrize("make", [ring, box])
+@pytest.mark.parametrize(
+    "make",
+    [lambda folder: as_cgns(ring(folder)), lambda folder: as_cgns(box(folder)), two_zones, blocks, seam],
+    ids=["ring", "box", "two zones", "two blocks", "a block with a seam"],
+)
 def test_cgns_by_ranges_is_the_whole_file(tmp_path, make, monkeypatch):
     """Surface, cells and what is written, whatever is read together."""
     monkeypatch.setattr(layout, "ROWS", 7)
-    file = as_cgns(make(tmp_path))
+    file = make(tmp_path)
     whole, mesh = io.read(file), io.Ranges(file, 10)
     np.testing.assert_array_equal(mesh.before, whole.points)
     assert {name: each.tolist() for name, each in mesh.patches.items()} == {
@@ -131,18 +179,31 @@ def test_cgns_by_ranges_is_the_whole_file(tmp_path, make, monkeypatch):
     for kind, corners in whole.cells.items():
         here = [io.global_nodes(part)[np.asarray(part.cells[kind])] for part in parts if kind in part.cells]
         np.testing.assert_array_equal(np.concatenate(here), corners)
-    assert sum(map(len, mesh.surface().cells.values())) == sum(
-        map(len, io.Ranges(file.with_suffix(".su2"), 9).surface().cells.values())
-    )
+    surface, cells = mesh.surface(), {kind: np.asarray(each) for kind, each in whole.cells.items()}
+    outer = seen_from_outside(np.asarray(whole.points), boundary_faces(cells, len(whole.points)))
+    ids = io.global_nodes(surface)
+    assert oriented({kind: ids[np.asarray(each)] for kind, each in surface.cells.items()}) == oriented(outer)
+    assert sum(len(np.asarray(part.between)) for part in parts) % 2 == 0
     for k in range(len(mesh)):
         mesh.put(k, mesh.read(k) * (1 + (mesh.nodes(k) % 3 == 0)[:, None]))
     mesh.write(tmp_path / "ranges.cgns")
     io.write(tmp_path / "whole.cgns", whole.moved(np.array(mesh.after)))
     assert (tmp_path / "ranges.cgns").read_bytes() == (tmp_path / "whole.cgns").read_bytes()
     with h5py.File(file, "r+") as changed:
-        changed["Base/all/GridCoordinates/CoordinateX/ data"].write_direct(np.full(len(whole.points), 5.0))  # pyright: ignore
+        zone = next(name for name in changed["Base"] if "GridCoordinates" in changed["Base"][name])  # pyright: ignore
+        changed[f"Base/{zone}/GridCoordinates/CoordinateX/ data"][...] = 5.0  # pyright: ignore
     with pytest.raises(ValueError, match="has changed since"):
         mesh.write(tmp_path / "ranges.cgns")
+
+
+def test_a_boundary_without_markers_is_found(tmp_path):
+    file = ring(tmp_path)
+    faces = io.Ranges(file, 9).surface().cells["line"]
+    text = file.read_text()
+    file.write_text(text.replace("NMARK= 2", "NMARK= 1")[: text.index("MARKER_TAG= rest")])
+    mesh = io.Ranges(file, 9)
+    assert list(mesh.patches) == ["floor"]
+    np.testing.assert_array_equal(mesh.surface().cells["line"], faces)
 
 
 def test_faces_between_ranges_are_counted(tmp_path):
@@ -183,9 +244,6 @@ def test_what_needs_the_whole_mesh_is_refused(tmp_path, capsys, flags, says):
 def test_files_that_ranges_cannot_take(tmp_path):
     file = ring(tmp_path)
     text = file.read_text()
-    file.write_text(text.replace("NMARK= 2", "NMARK= 1")[: text.index("MARKER_TAG= rest")])
-    with pytest.raises(ValueError, match="leave out a part of the boundary"):
-        io.Ranges(file, 9).surface()
     file.write_text(text.replace("NPOIN= 120", "NPOIN= 121"))
     with pytest.raises(ValueError, match="NPOIN= 121, but 120 rows of points follow"):
         io.Ranges(file, 9)
@@ -194,3 +252,8 @@ def test_files_that_ranges_cannot_take(tmp_path):
         io.Ranges(file, 9)
     with pytest.raises(ValueError, match=r"SU2 and CGNS files \(.su2, .cgns\)"):
         io.Ranges(tmp_path / "a.vtu", 9)
+    with h5py.File(tmp_path / "a.cgns", "w", track_order=True) as new:
+        zone = cgns.zone(cgns.base(new, 3, 3), "all", tuple(np.zeros((3, 4))), 1)
+        cgns.polygons(zone, "faces", 22, [[1, 2, 3]], 1)
+    with pytest.raises(ValueError, match="polyhedra are not read by ranges; take --chunk"):
+        io.Ranges(tmp_path / "a.cgns", 9)

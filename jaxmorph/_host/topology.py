@@ -70,7 +70,8 @@ FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
 }
 """Corner and the ends of the edges that leave it, right-handed: where the corner Jacobians are taken. One for a simplex."""
 
-_SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
+SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
+"""Types of faces by their number of corners."""
 
 
 def solid(cells: Mapping[str, Any], dimension: int) -> dict[str, Any]:
@@ -114,5 +115,5 @@ def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
     for size, parts in sorted(sides.items()):
         columns = [np.concatenate(column) for column in zip(*unpaired(parts, n), strict=True)]
         single = is_single(sorted_columns(columns, size))
-        outer[_SIDE_TYPES[size]] = np.stack([column[single] for column in columns], axis=1).astype(np.int64)
+        outer[SIDE_TYPES[size]] = np.stack([column[single] for column in columns], axis=1).astype(np.int64)
     return outer

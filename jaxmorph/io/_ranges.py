@@ -13,7 +13,7 @@ from jaxmorph import Mesh
 from jaxmorph._host.door import checked, whole
 from jaxmorph._host.files import complete, input_path
 from jaxmorph._host.pairs import is_among
-from jaxmorph._host.topology import CORNERS, FACES, boundary_faces, repeated_cells, solid
+from jaxmorph._host.topology import CORNERS, boundary_faces, repeated_cells, solid
 from jaxmorph._host.walls import seen_from_outside
 
 from ._format import Source
@@ -38,7 +38,7 @@ class Ranges:
 
     **Arguments:**
 
-    - `path`: the file, .su2, or .cgns with one unstructured zone and no polyhedra.
+    - `path`: the file, .su2, or .cgns without polyhedra.
     - `rows`: nodes, and cells, of a range. Default: 1,000,000.
     - `folder`: an existing folder for the temporary files, with room for twice the coordinates. Default: the system's.
 
@@ -94,8 +94,6 @@ class Ranges:
         """Reads the boundary: its faces as cells, its patches, and the outermost points of the mesh.
 
         **Returns:** a `Mesh` for `prepare_surface(..., nodes=io.global_nodes(surface), faces=surface.cells)`.
-
-        **Raises:** `ValueError` where the markers leave out a part of the boundary: its faces cannot be told by ranges.
         """
         faces = self._boundary()
         outermost = [self.before.argmin(axis=0), self.before.argmax(axis=0)]
@@ -159,34 +157,12 @@ class Ranges:
             yield _taken(kept, rows)
 
     def _boundary(self) -> dict[str, np.ndarray]:
-        """Finds the boundary faces between nodes of markers, seen from outside. Raises what `surface` does."""
-        if self._faces is not None:
-            return self._faces
-        n = len(self.before)
-        held = np.zeros(n, dtype=bool)
-        for each in self.patches.values():
-            held[each] = True
-        kept: dict[str, list[np.ndarray]] = {}
-        single = np.uint64(0)
-        for block in self._layout.cells(n):
-            for kind, corners in solid(block, self.before.shape[1]).items():
-                # both cells of an inner face between nodes of markers are kept: what is left single is the boundary
-                single = np.bitwise_xor.reduce([single, *(_digest(corners[:, list(side)]) for side in FACES[kind])])
-                inside = held[corners]
-                has_side = np.logical_or.reduce([inside[:, list(side)].all(axis=1) for side in FACES[kind]])
-                kept.setdefault(kind, []).append(corners[has_side])
-        cells = {kind: np.concatenate(each) for kind, each in sorted(kept.items())}
-        nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *(each.ravel() for each in cells.values())]))
-        local = {kind: np.searchsorted(nodes, each) for kind, each in cells.items()}
-        outer = boundary_faces(local, len(nodes), np.flatnonzero(held[nodes]))
-        digests = [_digest(nodes[each]) for each in outer.values()]
-        if np.bitwise_xor.reduce(np.array([single, *digests])):
-            raise ValueError(
-                f"{self.path}: the patches leave out a part of the boundary, whose faces cannot be told by ranges. Name all of "
-                "it by markers or boundary conditions, or take --chunk in place of --ranges."
-            )
-        outer = seen_from_outside(self.before[nodes], outer)
-        self._faces = {kind: nodes[each] for kind, each in outer.items() if len(each)}
+        """Finds the boundary faces, seen from outside."""
+        if self._faces is None:
+            faces = self._layout.outer(len(self.before), self.patches)
+            nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *(each.ravel() for each in faces.values())]))
+            local = {kind: np.searchsorted(nodes, each) for kind, each in faces.items()}
+            self._faces = {kind: nodes[each] for kind, each in seen_from_outside(self.before[nodes], local).items()}
         return self._faces
 
     def _between(self, cells: dict[str, np.ndarray], nodes: np.ndarray) -> np.ndarray:
@@ -219,17 +195,6 @@ def _taken(kept: dict[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
         taken[kind], kept[kind] = kept[kind][:rows], kept[kind][rows:]
         rows -= len(taken[kind])
     return {kind: each for kind, each in taken.items() if len(each)}
-
-
-def _digest(faces: np.ndarray) -> np.uint64:
-    """Digests faces (k, c), whatever the order of their nodes: those that are there twice leave no trace."""
-    mixed = np.zeros(len(faces), np.uint64)
-    for column in np.sort(faces, axis=1).astype(np.uint64).T:  # splitmix64, arithmetic modulo 2^64
-        mixed += column + np.uint64(0x9E3779B97F4A7C15)
-        mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        mixed ^= mixed >> np.uint64(31)
-    return np.bitwise_xor.reduce(mixed, initial=np.uint64(0))
 
 
 def _mapped(file, d: int) -> np.ndarray:

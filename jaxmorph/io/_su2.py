@@ -12,10 +12,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxmorph import Mesh, Periodic
-from jaxmorph._host.topology import CORNERS, VTK
+from jaxmorph._host.topology import CORNERS, VTK, solid
 
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
+from ._outer import outer_faces
 from .text.sections import Rows, Section, Uncommented, blank_comments, replace
 
 NAME = "SU2"
@@ -107,6 +108,10 @@ class Layout:
     def markers(self, n: int) -> dict[str, np.ndarray]:
         """Reads the nodes of each marker."""
         return _markers(self.path, self.keywords, n)
+
+    def outer(self, n: int, patches: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Finds the outer faces by type; those between nodes of `patches` at once."""
+        return outer_faces(lambda: (solid(block, self.d) for block in self.cells(n)), n, patches)
 
     def write(self, partial: pathlib.Path, before: np.ndarray, after: np.ndarray) -> None:
         """Writes the text with the points `after` (n, d) in place of those `before`."""

@@ -1,4 +1,4 @@
-"""CGNS files of one unstructured zone, some rows at a time."""
+"""CGNS files, some rows at a time."""
 
 import contextlib
 import pathlib
@@ -9,7 +9,12 @@ import h5py
 import numpy as np
 
 import jaxmorph as jm
+from jaxmorph._host.pairs import columns_of, is_single, sorted_columns
+from jaxmorph._host.topology import SIDE_TYPES
 
+from .._blocks import block_cells, block_ids, block_sides
+from .._joined import Zones, join_nodes
+from .._outer import outer_faces
 from .file import LEVEL, NAME, open_zones, pairs_of, periodic_of, refuse_foreign_data, stamp_of
 from .zone import CORNERS, MIXED, NFACE, NGON, TYPES, Content, Zone, children, data
 
@@ -20,101 +25,170 @@ ROWS = 1 << 18
 class Layout:
     """Knows where a file's points, cells and boundary conditions stand, and reads them some rows at a time. `d` is the dimension.
 
-    Raises `ValueError` for several zones, structured ones, and polyhedra.
+    Nodes are those of the mesh that `read` makes, where zones are joined. Raises `ValueError` for polyhedra.
     """
 
     def __init__(self, path: pathlib.Path):
         path.open("rb").close()
         self.path, self.name, self._stamp = path, NAME, stamp_of(path)
-        with self._zone() as (zone, level):
-            coordinates = zone.coordinates()
-            is_flat = level == 2 and (len(coordinates) == 2 or _is_constant(coordinates[2]))
-            self.d, self._level = 2 if is_flat else 3, level
+        with self._zones() as (zones, level):
+            self.d, self._level = 2 if level == 2 and _is_flat(zones) else 3, level
             if self.d != level:
-                raise zone.error(f"cells of {level} dimensions in 3-D are not read by ranges")
-            self.periodic: tuple[jm.Periodic, ...] = ()
+                raise zones[0].error(f"cells of {level} dimensions in 3-D are not read by ranges")
+            elements = [self._elements(zone) for zone in zones]
+            patches: dict[str, list[np.ndarray]] = {}
+            for zone, each in zip(zones, elements, strict=True):
+                for name, nodes in zone.patches(each):
+                    patches.setdefault(name, []).append(nodes)
+            pairs = pairs_of(zones, [Content([], elements=each) for each in elements], patches)
+            self.periodic: tuple[jm.Periodic, ...] = periodic_of(pairs, self.d == 2)
+            faces = [each for zone in zones for each in self._outer(zone, patches)]
+            self._join(zones, patches, faces)
 
     def points(self) -> Iterator[np.ndarray]:
         """Yields points (k, d)."""
-        with self._zone() as (zone, _):
-            first = 0
-            for parts in zip(*map(_slices, zone.coordinates()[: self.d]), strict=True):
-                points = np.stack(parts, axis=1).astype(float)
-                bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-                if bad.size:
-                    raise zone.error(f"node {first + bad[0]} is not finite: {points[bad[0]].tolist()}")
-                yield points
-                first += len(points)
+        with self._zones() as (zones, _):
+            for first, points in self._rows(zones):
+                here = slice(*np.searchsorted(self._copies, [first, first + len(points)]))
+                yield np.delete(points, self._copies[here] - first, axis=0) if len(self._copies) else points
 
     def cells(self, n: int) -> Iterator[dict[str, np.ndarray]]:
         """Yields corners (k, corners) by type, of cells between `n` points."""
-        with self._zone() as (zone, level):
-            for name, _, kind, section in _sections(zone):
-                for number, corners in _elements(zone, name, kind, section):
-                    if LEVEL.get(TYPES[number]) == level:
-                        yield {TYPES[number]: corners - 1}
+        with self._zones() as (zones, _):
+            for zone in zones:
+                for block in self._cells(zone):
+                    yield {kind: self._in_mesh(corners + zone.first) for kind, corners in block.items()}
 
     def markers(self, n: int) -> dict[str, np.ndarray]:
-        """Reads the nodes of each boundary condition, by family, and of each side of a periodic interface."""
-        with self._zone() as (zone, level):
-            elements: dict[int, np.ndarray] = {}
-            for name, start, kind, section in _sections(zone):
-                for number, corners in _elements(zone, name, kind, section):
-                    if LEVEL.get(TYPES[number], 0) < level:
-                        elements[start] = corners - 1
-                    start += len(corners)
-            patches: dict[str, list[np.ndarray]] = {}
-            for name, nodes in zone.patches(elements):
-                patches.setdefault(name, []).append(nodes)
-            self.periodic = periodic_of(pairs_of([zone], [Content([], elements=elements)], patches), self.d == 2)
-            return {name: np.concatenate(parts) for name, parts in patches.items()}
+        """Returns the nodes of each boundary condition, by family, of each side of a periodic interface, and of other faces."""
+        return self._patches
+
+    def outer(self, n: int, patches: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Returns the outer faces of the mesh by type."""
+        return self._faces
 
     def write(self, partial: pathlib.Path, before: np.ndarray, after: np.ndarray) -> None:
         """Writes a copy of the file with the points `after` (n, d) where they differ from those `before`."""
         if stamp_of(self.path) != self._stamp:
             raise ValueError(f"{self.path} has changed since the mesh was read from it; read it again.")
-        with self._zone():
+        with self._zones():
             pass  # data of other files are refused before anything is opened for writing
         shutil.copyfile(self.path, partial)
         with h5py.File(partial, "r+") as file:
-            (zone,) = open_zones(partial, file)[0]
-            for axis, values in enumerate(zone.coordinates()[: self.d]):
-                for start in range(0, len(before), ROWS):
-                    rows = slice(start, start + ROWS)
-                    if not np.array_equal(before[rows, axis], after[rows, axis]):
-                        values[rows] = np.where(
-                            before[rows, axis] == after[rows, axis], values[rows], after[rows, axis]
-                        )
+            for zone in open_zones(partial, file)[0]:
+                for axis, values in enumerate(zone.coordinates()[: self.d]):
+                    for rows, first, old in _slabs(values):
+                        nodes = self._in_mesh(zone.first + first + np.arange(old.size))
+                        a, b = (each[nodes, axis].reshape(old.shape) for each in (before, after))
+                        if not np.array_equal(a, b):
+                            values[rows] = np.where(a == b, old, b)
 
     @contextlib.contextmanager
-    def _zone(self) -> Iterator[tuple[Zone, int]]:
-        """Opens the file, and yields its zone and the dimension of its cells."""
+    def _zones(self) -> Iterator[tuple[list[Zone], int]]:
+        """Opens the file, and yields its zones and the dimension of their cells."""
         try:
             with h5py.File(self.path, "r") as file:
                 refuse_foreign_data(self.path, file)
-                zones, level = open_zones(self.path, file)
-                if len(zones) > 1 or zones[0].is_structured:
-                    raise ValueError(
-                        f"{self.path}: {len(zones)} zones, the first {'structured' if zones[0].is_structured else 'unstructured'}; "
-                        "one unstructured zone is read by ranges. Take --chunk for others."
-                    )
-                if zones[0].coordinates()[0].ndim != 1:
-                    raise zones[0].error("coordinates of an unstructured zone stand in one row")
-                yield zones[0], level
+                yield open_zones(self.path, file)
         except Exception as error:  # HDF5 answers damage by a dozen classes
             if isinstance(error, ValueError) and str(self.path) in str(error):
                 raise
             detail = " ".join(str(error).split())[:120]
             raise ValueError(f"{self.path}: not a CGNS file in HDF5, or a damaged one ({detail}).") from error
 
+    def _rows(self, zones: list[Zone]) -> Iterator[tuple[int, np.ndarray]]:
+        """Yields the points (k, d) of the file, and the number of the first of them."""
+        for zone in zones:
+            for parts in zip(*map(_slabs, zone.coordinates()[: self.d]), strict=True):
+                first = zone.first + parts[0][1]
+                points = np.stack([values.ravel() for _, _, values in parts], axis=1).astype(float)
+                bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+                if bad.size:
+                    raise zone.error(f"node {first + bad[0]} is not finite: {points[bad[0]].tolist()}")
+                yield first, points
 
-def _is_constant(values: h5py.Dataset) -> bool:
-    return all((each == values[0]).all() for each in _slices(values))
+    def _elements(self, zone: Zone) -> dict[int, np.ndarray]:
+        """Reads the boundary elements of a zone: nodes of the file by the number of the first."""
+        elements: dict[int, np.ndarray] = {}
+        for name, start, kind, section in _sections(zone):
+            for number, corners in _elements(zone, name, kind, section):
+                if LEVEL.get(TYPES[number], 0) < self._level:
+                    elements[start] = corners - 1 + zone.first
+                start += len(corners)
+        return elements
+
+    def _cells(self, zone: Zone) -> Iterator[dict[str, np.ndarray]]:
+        """Yields the cells of a zone between its own nodes."""
+        if zone.is_structured:
+            *sizes, last = (size for size in zone.shape if size > 1)
+            layer = int(np.prod(sizes))
+            step = max(ROWS // layer, 1)
+            for start in range(0, last - 1, step):
+                stop = min(start + step + 1, last)
+                kind, corners = block_cells(block_ids((*sizes, stop - start), start * layer))
+                yield {kind: corners}
+        for name, _, kind, section in _sections(zone):
+            for number, corners in _elements(zone, name, kind, section):
+                if LEVEL.get(TYPES[number]) == self._level:
+                    yield {TYPES[number]: corners - 1}
+
+    def _outer(self, zone: Zone, patches: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
+        """Finds the outer faces of a zone. Raises `ValueError` for one without cells."""
+        if zone.is_structured:
+            ids = block_ids(zone.shape, zone.first)
+            sides = block_sides(ids) if ids.ndim == self._level else []
+            # every other one is seen from inside
+            faces = [side if (number + 1) // 2 % 2 else side[:, ::-1] for number, side in enumerate(sides)]
+        else:
+            local = {name: np.concatenate(parts) - zone.first for name, parts in patches.items()}
+            here = {name: nodes[(nodes >= 0) & (nodes < zone.count)] for name, nodes in local.items()}
+            faces = [each + zone.first for each in outer_faces(lambda: self._cells(zone), zone.count, here).values()]
+        if not any(map(len, faces)):
+            raise zone.error(f"no cells of {self._level} dimensions")
+        return faces
+
+    def _join(self, zones: list[Zone], patches: dict[str, list[np.ndarray]], faces: list[np.ndarray]) -> None:
+        """Keeps patches, outer faces, and which nodes of the file are `_copies` of others, their `_originals`."""
+        named = [each for parts in patches.values() for each in parts]
+        nodes = np.unique(np.concatenate([each.ravel() for each in (*named, *faces)]))
+        points = np.zeros((len(nodes), self.d))
+        for first, block in self._rows(zones):
+            here = slice(*np.searchsorted(nodes, [first, first + len(block)]))
+            points[here] = block[nodes[here] - first]
+        local = {name: [np.searchsorted(nodes, each) for each in parts] for name, parts in patches.items()}
+        sides = [np.searchsorted(nodes, each) for each in faces]
+        kept, node, joined = join_nodes(Zones(points, [], local, sides))
+        original = nodes[kept[node]]
+        self._copies, self._originals = nodes[original != nodes], original[original != nodes]
+        self._patches = {name: self._in_mesh(nodes[kept[each]]) for name, each in joined.items()}
+        self._faces = {}
+        for size in sorted({corners.shape[1] for corners in faces}):
+            corners = self._in_mesh(np.concatenate([each for each in faces if each.shape[1] == size]))
+            alone = is_single(sorted_columns(columns_of(corners), size))
+            self._faces[SIDE_TYPES[size]] = corners[alone]
+
+    def _in_mesh(self, ids: np.ndarray) -> np.ndarray:
+        """Numbers nodes of the file as those of the mesh."""
+        if not len(self._copies):
+            return ids
+        at = np.minimum(np.searchsorted(self._copies, ids), len(self._copies) - 1)
+        ids = np.where(self._copies[at] == ids, self._originals[at], ids)
+        return ids - np.searchsorted(self._copies, ids)
 
 
-def _slices(values: h5py.Dataset) -> Iterator[np.ndarray]:
-    for start in range(0, len(values), ROWS):
-        yield values[start : start + ROWS]
+def _is_flat(zones: list[Zone]) -> bool:
+    """Tells whether z is the same everywhere, or there is none."""
+    heights = [zone.coordinates()[2] for zone in zones if len(zone.coordinates()) > 2]
+    return all((part == heights[0][(0,) * heights[0].ndim]).all() for each in heights for _, _, part in _slabs(each))
+
+
+def _slabs(values: h5py.Dataset) -> Iterator[tuple[slice, int, np.ndarray]]:
+    """Yields rows of an array, the number of their first entry, and the entries."""
+    width = int(np.prod(values.shape[1:]))
+    step = max(ROWS // width, 1)
+    for start in range(0, len(values), step):
+        rows = slice(start, start + step)
+        yield rows, start * width, values[rows]
 
 
 def _sections(zone: Zone) -> Iterator[tuple[str, int, int, h5py.Dataset]]:
