@@ -1,5 +1,6 @@
-"""De Boer's bases: values in 40 digits, derivatives at a source and at the edge of the support, definiteness."""
+"""De Boer's bases: values and derivatives in 40 digits, at a source and at the edge of the support too; definiteness; radii."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mpmath
@@ -22,15 +23,23 @@ TABLE = {
     jm.CompactC2b: lambda x: 1 - 20 * x**2 + 80 * x**3 - 45 * x**4 - 16 * x**5 + 60 * x**4 * mpmath.log(x),
 }
 GLOBAL = {
+    jm.Gaussian: lambda x: mpmath.exp(-(x**2)),
+    jm.Multiquadric: lambda x: mpmath.sqrt(1 + x**2),
     jm.InverseMultiquadric: lambda x: 1 / mpmath.sqrt(1 + x**2),
     jm.InverseQuadratic: lambda x: 1 / (1 + x**2),
 }
-SPLINES = {jm.LinearSpline: lambda r: r, jm.CubicSpline: lambda r: r**3}
+SPLINES = {
+    jm.LinearSpline: lambda r: r,
+    jm.CubicSpline: lambda r: r**3,
+    jm.ThinPlateSpline: lambda r: r**2 * mpmath.log(r),
+}
 ALL = [
     *((kind(R), form, R) for kind, form in (TABLE | GLOBAL).items()),
     *((kind(), form, 1.0) for kind, form in SPLINES.items()),
 ]
-FAST = ("WendlandC4", "CompactC1", "CubicSpline")
+SMOOTH = ("WendlandC2", "WendlandC4", "WendlandC6", *(kind.__name__ for kind in GLOBAL))
+"""Bases whose formula has a second derivative at 0, which is that of a source; a cubic's is 0."""
+FAST = ("WendlandC2", "WendlandC4", "CompactC1", "CubicSpline", "ThinPlateSpline", "Gaussian", "Multiquadric")
 NAMES = [type(row[0]).__name__ for row in ALL]
 MARKED = [
     pytest.param(*row, marks=() if name in FAST else pytest.mark.slow) for name, row in zip(NAMES, ALL, strict=True)
@@ -39,15 +48,25 @@ every = pytest.mark.parametrize(("basis", "form", "radius"), MARKED, ids=NAMES)
 
 
 @every
-def test_values_and_slopes(basis, form, radius):
+def test_values_and_derivatives_in_r(basis, form, radius):
     mpmath.mp.dps = 40
-    xi = np.concatenate([np.geomspace(1e-4, 0.9, 12), [1 - 1e-6]])
-    value = [float(form(mpmath.mpf(float(x)))) for x in xi]
-    slope = [float(mpmath.diff(form, mpmath.mpf(float(x)))) / radius for x in xi]
-    r = xi * radius
-    np.testing.assert_allclose(basis(r**2), value, rtol=1e-10, atol=1e-14)  # they cancel at the edge
-    found = jax.vmap(jax.grad(lambda r: basis(r**2)))(jnp.asarray(r))
-    np.testing.assert_allclose(found, slope, rtol=1e-9, atol=1e-11)
+    xi = np.concatenate([np.geomspace(1e-8, 0.9, 12), [0.5, 0.999, 1 - 1e-6]])
+    if not isinstance(basis, tuple(TABLE)):
+        xi = np.append(xi, [2.5, 60.0])
+    value, slope, curvature = (
+        np.array([float(mpmath.diff(form, mpmath.mpf(float(x)), order)) for x in xi]) / radius**order
+        for order in range(3)
+    )
+    r = jnp.asarray(xi * radius)
+
+    def along(r):
+        return basis(r**2)
+
+    np.testing.assert_allclose(along(r), value, rtol=1e-10, atol=1e-14)  # they cancel at the edge
+    np.testing.assert_allclose(jax.vmap(jax.grad(along))(r), slope, rtol=1e-9, atol=1e-11)
+    off = np.abs(jax.vmap(jax.grad(jax.grad(along)))(r) - curvature)
+    rounding = np.abs(slope) / np.asarray(r)  # a slope's digits over r
+    assert (off < 1e-8 * np.abs(curvature) + 1e-9 + 1e-14 * rounding).all()
 
 
 @pytest.mark.parametrize("kind", [kind for kind in TABLE if kind is not jm.WendlandC2], ids=lambda kind: kind.__name__)
@@ -66,25 +85,18 @@ def _in_digits(form, x):
     return form(mpmath.mpf(float(x))), mpmath.diff(form, mpmath.mpf(float(x)))
 
 
-def test_values_without_a_support():
-    r2 = np.array([0.0, 0.04, 0.25, 9.0])
-    for basis, value in [
-        (jm.LinearSpline(), np.sqrt(r2)),
-        (jm.CubicSpline(), r2**1.5),
-        (jm.InverseMultiquadric(2.0), 1 / np.sqrt(1 + r2 / 4)),
-        (jm.InverseQuadratic(2.0), 1 / (1 + r2 / 4)),
-    ]:
-        np.testing.assert_allclose(basis(r2), value, rtol=1e-14)
-
-
 @every
 def test_at_a_source_and_beyond_the_support(basis, form, radius):
     name, value = type(basis).__name__, basis(jnp.zeros(1))[0]
-    np.testing.assert_allclose(value, 0 if name in ("LinearSpline", "CubicSpline") else 1, rtol=3e-15)
+    np.testing.assert_allclose(value, 0 if isinstance(basis, tuple(SPLINES)) else 1, rtol=3e-15)
     x = jnp.zeros(3)
     gradient = jax.grad(lambda x: basis(jnp.sum(x**2)))(x)
     assert (gradient == 0).all()
-    assert np.isfinite(jax.hessian(lambda x: basis(jnp.sum(x**2)))(x)).all()
+    hessian = jax.hessian(lambda x: basis(jnp.sum(x**2)))(x)
+    assert np.isfinite(hessian).all()
+    if name in SMOOTH:
+        curvature = float(mpmath.diff(form, 0, 2)) / radius**2
+        np.testing.assert_allclose(hessian, curvature * np.eye(3), rtol=1e-12, atol=1e-12)
     if isinstance(basis, tuple(TABLE)):
         assert (basis(jnp.array([R**2 * (1 + 1e-12), 50.0])) == 0).all()
         assert float(jax.grad(lambda radius: type(basis)(radius)(jnp.asarray(4 * R**2)))(R)) == 0
@@ -103,6 +115,50 @@ def test_definite_on_random_points(basis, form, radius):
         complement = np.linalg.svd(terms, full_matrices=True)[0][:, terms.shape[1] :]
         matrix = complement.T @ matrix @ complement * (-1) ** (basis.min_degree + 1)
     assert np.linalg.eigvalsh(matrix).min() > 1e-9
+
+
+@every
+def test_dtype_and_shape_follow_the_distances(basis, form, radius):
+    r2 = np.linspace(0, 2, 12).reshape(3, 4)
+    found = basis(jnp.asarray(r2, jnp.float32))
+    assert found.dtype == jnp.float32
+    assert found.shape == (3, 4)
+    np.testing.assert_allclose(found, basis(r2), rtol=1e-5, atol=1e-5)  # terms of 80 cancel at the edge
+
+
+@pytest.mark.parametrize("make", [jm.WendlandC2, jm.Gaussian, jm.Multiquadric])
+def test_derivative_in_the_radius(make):
+    r2 = np.array([0.0, 1e-6, 0.1, 0.5, 0.9])
+    (name,) = vars(make(R))
+
+    def of_radius(radius):
+        return eqx.tree_at(lambda basis: getattr(basis, name), make(R), radius)(r2)
+
+    h = 1e-6
+    difference = (of_radius(jnp.asarray(R + h)) - of_radius(jnp.asarray(R - h))) / (2 * h)
+    np.testing.assert_allclose(jax.jacfwd(of_radius)(jnp.asarray(R)), difference, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("make", [jm.WendlandC2, jm.Gaussian, jm.Multiquadric])
+def test_what_a_radius_may_be(make):
+    for radius in (0, -1.5, np.nan, np.inf):
+        with pytest.raises(ValueError, match="radius` must be a real number above 0 and finite, not"):
+            make(radius)
+    assert all(leaf.dtype == np.float64 for leaf in jax.tree.leaves([make(2), make(np.int32(2)), make(2.0)]))
+    r2 = np.linspace(0, 3, 7)
+    assert (make(2)(r2) == make(2.0)(r2)).all()
+    slope = jax.jit(jax.grad(lambda radius: make(radius)(r2).sum()))  # traced, it passes unseen
+    assert np.isfinite(slope(2.0))
+    swept = jax.vmap(make)(np.array([1.0, 2.0]))
+    np.testing.assert_allclose(jax.vmap(lambda basis: basis(r2))(swept)[1], make(2.0)(r2), rtol=1e-15)
+    assert jax.tree.leaves(jax.eval_shape(make, 2.0))[0].shape == ()
+
+
+def test_wendland_ends_smoothly():
+    r = np.array([R, R * 1.5, 1e3 * R, 1e150])
+    basis = jm.WendlandC2(R)
+    assert (basis(r**2) == 0).all()
+    assert (jax.vmap(jax.grad(lambda r: basis(r * r)))(r) == 0).all()
 
 
 def test_a_ridge_smooths_noise():
@@ -137,7 +193,7 @@ def test_power_greedy_chooses_as_the_dense_power_function():
 
 
 def test_compact_functions_are_a_sparse_system():
-    """Against the dense interpolation with the same function, and its automatic radius."""
+    """Against the dense interpolation with the same function."""
     rng = np.random.default_rng(3)
     points, u = rng.uniform(size=(300, 3)), rng.normal(size=(80, 3))
     dense = jm.prepare(points, np.arange(60), np.arange(60, 80), method=jm.RBF.classic(jm.WendlandC2(0.4), degree=None))
@@ -147,6 +203,18 @@ def test_compact_functions_are_a_sparse_system():
         jm.CompactRBF(-1.0)
     with pytest.raises(ValueError, match="nodes coincide"):
         jm.prepare(np.concatenate([points, points[:1]]), np.r_[0:60, 300], method=jm.CompactRBF(0.4))
+
+
+@pytest.mark.parametrize(("dimension", "count"), [(2, 250), (3, 90)])
+def test_the_automatic_radius_reaches_200_nodes_from_half_of_the_moving_ones(dimension, count):
+    """Each counts itself. A surface of fewer nodes is reached whole."""
+    points = np.random.default_rng(4).uniform(size=(count, dimension)) ** 2
+    moving, fixed = np.arange(41), np.arange(41, count)
+    radius = jm.prepare(points, moving, fixed, method=jm.CompactRBF()).reach
+    within = (np.linalg.norm(points[moving][:, None] - points[None], axis=2) <= radius * (1 + 1e-12)).sum(axis=1)
+    assert (within >= min(200, count)).sum() == 21
+    shorter = np.linalg.norm(points[moving][:, None] - points[None], axis=2) <= radius * (1 - 1e-9)
+    assert (shorter.sum(axis=1) >= min(200, count)).sum() == 20
 
 
 def test_steps_of_compact_functions_carry_the_first_fit():
