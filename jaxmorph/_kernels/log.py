@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from .compile import is_for_cpu
+from .gpu import is_in_kernel, rough_reciprocal
 
 _ROOT_HALF = 0x3FE6A09E00000000
 """The bits of sqrt(1/2), rounded down to a multiple of 2^32."""
@@ -43,6 +44,17 @@ _ARTANH = (
 )
 """(artanh(s) / s - 1) / s^2 as a polynomial in s^2 for |s| <= (sqrt(2) - 1) / (sqrt(2) + 1), to 2^-57."""
 
+_SHORT_ARTANH = (
+    1.0000000000000002,
+    0.3333333333327646,
+    0.20000000030870888,
+    0.14285708010541007,
+    0.1111171727469358,
+    0.09060967184541023,
+    0.08418830369333632,
+)
+"""artanh(s) / s as a polynomial in s^2, to 2^-52."""
+
 
 @jax.custom_jvp
 def log(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
@@ -62,7 +74,12 @@ def half_x_log_x(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
 
     The slope is held where x falls below round-off squared.
     """
-    return _by_platform(lambda x: x * _short_half_log(x), lambda x: 0.5 * x * jnp.log(_not_zero(x)), x)
+    return _by_platform(
+        lambda x: x * _short_half_log(x),
+        lambda x: 0.5 * x * jnp.log(_not_zero(x)),
+        x,
+        in_kernel=lambda x: x * _seeded_half_log(x),
+    )
 
 
 @half_x_log_x.defjvp
@@ -80,9 +97,11 @@ def _not_zero(x):
     return jnp.maximum(x, float(jnp.finfo(x.dtype).eps) ** 2)
 
 
-def _by_platform(float64_on_cpu, otherwise, x):
+def _by_platform(float64_on_cpu, otherwise, x, in_kernel=None):
     if x.dtype != jnp.float64:
         return otherwise(x)
+    if is_in_kernel():
+        return (in_kernel or otherwise)(x)
     if is_for_cpu():
         return float64_on_cpu(x)
     return jax.lax.platform_dependent(x, cpu=float64_on_cpu, default=otherwise)
@@ -111,20 +130,35 @@ def _short_half_log(x):
     return k * sum(_HALF_LOG_2) + s * _polynomial((1.0, *_ARTANH), s * s)
 
 
+def _seeded_half_log(x):
+    """Computes log(x) / 2 to 6 units in the last place from a reciprocal to 2^-20, for which a GPU has an instruction."""
+    k, m = _split(x)
+    f, d = m - 0.5, m + 0.5
+    y = rough_reciprocal(d)
+    e, s = 1 - d * y, f * y
+    s = s + s * (e + e * e)
+    return k * sum(_HALF_LOG_2) + s * _polynomial(_SHORT_ARTANH, s * s)
+
+
 def _reduced(x, less: Array | float = 0.0):
     """Splits x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)): k, f = (m - 1) / 2 and s = (m - 1) / (m + 1).
 
     The half costs nothing here, and a thin plate spline needs it.
     """
-    bits = _bits(x) + _word(_ONE - _ROOT_HALF)
-    k = _float(bits >> _word(52) | _word(_TWO_52)) - (2.0**52 + 1023 + less)
-    m = _float((bits & _word(_MANTISSA)) + _word(_ROOT_HALF - _EXPONENT_1))
+    k, m = _split(x, less)
     f, d = m - 0.5, m + 0.5
     y = _polynomial(_RECIPROCAL, d)
     e = 1 - d * y
     y = y + y * (e + e * e)
     s = f * y
     return k, f, s + y * (f - d * s)
+
+
+def _split(x, less: Array | float = 0.0):
+    """Splits x = 2^(k + `less`) 2 m with m in [sqrt(1/2), sqrt(2)) / 2."""
+    bits = _bits(x) + _word(_ONE - _ROOT_HALF)
+    k = _float(bits >> _word(52) | _word(_TWO_52)) - (2.0**52 + 1023 + less)
+    return k, _float((bits & _word(_MANTISSA)) + _word(_ROOT_HALF - _EXPONENT_1))
 
 
 def _polynomial(coefficients, x):

@@ -26,6 +26,7 @@ from .._kernels.values import largest
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import AbstractBasis, ThinPlateSpline
 from .blocks import map_rows
+from .fused import Radial, fused, is_fused
 from .solvers import (
     LIMIT,
     PROMISING,
@@ -218,7 +219,7 @@ class RBF(AbstractMethod):
         return kernel + self._at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
     def _phi(self, r2, scale):
-        return self.basis(r2 if self.basis.scale_free else r2 / scale**2)
+        return Radial(self.basis, scale)(r2)
 
     def check(self, ids, factors: "RBFFactors", u):
         dtype = factors.lu.dtype
@@ -280,12 +281,15 @@ class RBF(AbstractMethod):
 
     def _times_kernel(self, factors: "RBFFactors", beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
         """Multiplies by the matrix of functions at the sources, block by block. To be differentiated."""
-        sources, phi = factors.sources, lambda r2: self._phi(r2, factors.scale)
+        sources, phi = factors.sources, Radial(self.basis, factors.scale)
 
         def of_block(points):
             return kernel_sum(phi, sources, beta.T, in_rows(points, jnp.ones((), points.dtype))).T
 
-        product = map_rows(jax.checkpoint(of_block), sources, block_size(len(sources)))
+        if is_fused(phi, sources.dtype):
+            product = fused(phi, sources, beta, sources)
+        else:
+            product = map_rows(jax.checkpoint(of_block), sources, block_size(len(sources)))
         return product + self._at_sources * beta if self.ridge else product
 
     def _times_kernel_quickly(self, factors: "RBFFactors", beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
@@ -446,17 +450,25 @@ class RBFField(AbstractField):
 
     def __call__(self, x, ids):
         x = (x - self.centre) * self.scale
-        phi = self.rbf._phi(squared_distances(self.sources, x[None])[:, 0], self.scale)
+        phi = self._phi(squared_distances(self.sources, x[None])[:, 0])
         terms = polynomial(x[None], self.rbf.degree)[0]
         return jnp.matmul(self.beta, phi, precision="highest") + jnp.matmul(self.alpha, terms, precision="highest")
 
     @property
-    def block_size(self) -> int:
-        return block_size(len(self.sources))
+    def block_size(self) -> int | None:
+        return None if is_fused(self._phi, self.sources.dtype) else block_size(len(self.sources))
+
+    @property
+    def _phi(self) -> Radial:
+        return Radial(self.rbf.basis, self.scale)
 
     def evaluate(self, points, ids):
-        """Sums the functions as `kernel_sum` does, and adds the polynomial."""
+        """Sums the functions, and adds the polynomial."""
+        if self.block_size is None:
+            x = (points - self.centre[None]) * self.scale
+            terms = polynomial(x, self.rbf.degree)[:, :, None] * self.alpha.T[None]
+            return fused(self._phi, self.sources, self.beta.T, x) + terms.sum(axis=1)
         x = in_rows(points - self.centre[None], self.scale)
         terms = polynomial(x.T, self.rbf.degree).T
         tail = sum((self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)), start=jnp.zeros_like(x))
-        return (kernel_sum(lambda r2: self.rbf._phi(r2, self.scale), self.sources, self.beta, x) + tail).T
+        return (kernel_sum(self._phi, self.sources, self.beta, x) + tail).T
