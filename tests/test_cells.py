@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import body, motion
 from scipy import sparse
+from scipy.sparse.linalg import spsolve
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -433,3 +434,52 @@ def test_systems_of_pairs_against_dense_matrices(what, monkeypatch):
     np.testing.assert_allclose(x, expected, rtol=0, atol=1e-8 if what == "multigrid" else 1e-13)
     for wrong in (np.nan, -1.0) if what != "masses" else (np.nan,):
         assert np.isnan(linear.solve(pairs, values, wrong * diagonal, masses, free, right[0])[free]).any()
+
+
+@pytest.mark.parametrize("other", ["pairs", "masses", "free"])
+def test_kept_factors_belong_to_one_system(other, monkeypatch):
+    """Two systems with equal values, in turn, against SciPy: each has its own answer, and is factored once."""
+    rng, n = np.random.default_rng(0), 12
+    first, factored = np.arange(n - 1), []
+    pairs, masses, free = np.stack([first, first + 1], axis=1), np.zeros(0), np.ones((n, 2), bool)
+    changed = {
+        "pairs": np.stack([first, np.full(n - 1, n - 1)], axis=1),
+        "masses": rng.uniform(1, 2, n),
+        "free": np.arange(n)[:, None] % [2, 3] != 0,
+    }
+    given = {"pairs": pairs, "masses": masses, "free": free}
+    values, diagonal, right = -rng.uniform(0.1, 1, n - 1), np.full(n, 12.0), rng.normal(size=(n, 2))
+    inverse = linear._inverse
+    monkeypatch.setattr(linear, "_inverse", lambda *system: factored.append(system) or inverse(*system))
+    for system in 2 * [given, given | {other: changed[other]}]:
+        i, j = system["pairs"].T
+        matrix = sparse.csr_matrix((values, (i, j)), shape=(n, n))
+        matrix = matrix + matrix.T + sparse.diags(diagonal)
+        if len(system["masses"]):
+            matrix = matrix @ sparse.diags(1 / system["masses"]) @ matrix
+        expected = np.zeros((n, 2))
+        for k, rows in enumerate(system["free"].T):
+            expected[rows, k] = spsolve(matrix.tocsc()[rows][:, rows], right[rows, k])
+        found = linear.solve(system["pairs"], values, diagonal, system["masses"], system["free"], right)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    assert len(factored) == 2
+    linear._kept.clear()
+
+
+def test_one_solve_moves_and_one_pulls_back(monkeypatch):
+    """With the factors of `prepare`: nothing is factored after it."""
+    points, quads, ids = slab(2)
+    solved, inverse, factored = linear._solved, linear._inverse, []
+    plan = jm.prepare(
+        jm.Mesh(points, {"quad": quads}), ids[:, 0], ids[:, -1], method=jm.LinearElasticity(), free=ids.ravel()
+    )
+    calls = []
+    monkeypatch.setattr(linear, "_solved", lambda *a, **k: calls.append(1) or solved(*a, **k))
+    monkeypatch.setattr(linear, "_inverse", lambda *system: factored.append(1) or inverse(*system))
+    rng = np.random.default_rng(4)
+    u, w = rng.normal(size=(5, 2)), rng.normal(size=points.shape)
+    jax.block_until_ready(jm.deform(plan, u))
+    assert (len(calls), len(factored)) == (1, 0)
+    pulled = jm.pullback(plan, u, w)
+    assert np.isfinite(pulled).all()
+    assert (len(calls), len(factored)) == (2, 0)

@@ -200,9 +200,13 @@ def test_derivatives_with_respect_to_the_base_points(name, dimension):
         np.testing.assert_allclose(found[node, axis], difference, rtol=1e-6, atol=2e-6)
 
 
-@pytest.mark.parametrize("name", ["reduced", pytest.param("wendland-none", marks=pytest.mark.slow)])
-def test_second_derivatives_with_respect_to_the_base_points(name):
-    plan, (u, w), mesh = planned(name, 2), given(2), body(2)
+@over(
+    [(name, 2) for name in ("reduced", "wendland-none", "elasticity", "laplacian")]
+    + [(name, 3) for name in ("elasticity", "laplacian")],
+    without=[("wendland-none", 2)],
+)
+def test_second_derivatives_with_respect_to_the_base_points(name, dimension):
+    plan, (u, w), mesh = planned(name, dimension), given(dimension), body(dimension)
     v = np.linalg.norm(mesh.points, axis=1)[:, None] * 0.1 * np.random.default_rng(6).normal(size=w.shape)
     gradient = jax.jit(jax.grad(lambda points: jnp.sum(w * jm.deform(jm.refit(plan, points), u))))
     second = jax.jit(jax.grad(lambda points: jnp.vdot(gradient(points), v)))(mesh.points)
