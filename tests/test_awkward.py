@@ -56,3 +56,30 @@ def test_horns_of_ice_grow_on_an_airfoil():
     report = marched(mesh, "airfoil", np.stack([-0.8 * horn, 0.6 * np.sign(y) * horn], axis=1), 5)
     assert int(report.inverted) == 0
     assert float(report.min_jacobian_ratio) > 0.8
+
+
+def corner_areas(mesh, points):
+    """Twice the signed areas of the triangles at the four corners of each quad, by the cross product."""
+    (quads,) = mesh.cells.values()
+    corners = np.asarray(points)[quads]
+    before, after = np.roll(corners, 1, axis=1) - corners, np.roll(corners, -1, axis=1) - corners
+    return after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]
+
+
+@pytest.mark.parametrize(("degrees", "centre", "blend"), [(90.0, 0.7, 0.4), (180.0, 0.25, None)], ids=["flap", "pitch"])
+def test_a_wide_flap_and_a_half_turn_in_steps(degrees, centre, blend):
+    """The flap's angle grows over 0.4 chord around its hinge; the whole airfoil turns on its head."""
+    mesh = cases.naca0015(points=1000)
+    x, y = np.asarray(mesh.points)[mesh.patch("airfoil")].T
+    share = np.ones_like(x) if blend is None else np.clip((x - centre) / blend + 0.5, 0, 1)
+    angle = np.deg2rad(degrees) * share**2 * (3 - 2 * share)
+    turn = np.exp(-1j * np.linspace(0, 1, 7)[1:, None] * angle[None]) - 1
+    path = (x - centre + 1j * y)[None] * turn
+    plan = jm.prepare(mesh, "airfoil", "farfield")
+    points = jm.march(plan, np.stack([path.real, path.imag], axis=-1))[1]
+    rest, moved = corner_areas(mesh, mesh.points), corner_areas(mesh, points)
+    assert (np.sign(rest) == np.sign(rest[0, 0])).all()
+    assert (moved * np.sign(rest) > 0).all()
+    tip = int(np.argmax(x))
+    turned = centre + (x[tip] - centre + 1j * y[tip]) * np.exp(-1j * np.deg2rad(degrees))
+    np.testing.assert_allclose(np.asarray(points)[mesh.patch("airfoil")[tip]], [turned.real, turned.imag], atol=1e-12)
