@@ -24,6 +24,8 @@ class AbstractStiffness(eqx.Module):
 class ByVolume(AbstractStiffness):
     """Makes a cell as stiff as 1 / volume^exponent: small cells keep their shape.
 
+    OpenFOAM calls it `inverseVolume`.
+
     **Arguments:**
 
     - `exponent`: default 1. With 0 all cells are alike.
