@@ -90,6 +90,7 @@ def shapes(points: int) -> Iterator[Case]:
             "camber 10 %": camber(base),
             "flap 30, sharp": flap(base, 30, 0),
             "flap 45": flap(base, 45),
+            "pitch 15": pitch(base, 15),
             "pitch 45": pitch(base, 45),
             "bump 0.1": bump(base),
         }

@@ -1,7 +1,7 @@
 """What each method does to the cells at a wall: inverted cells, wall orthogonality, first-cell height, overshoot, limits.
 
-python benchmarks/walls.py [--part shapes --part kinks ...] [--method default ...] [--all-methods] [--points 39666]
-                           [--json walls.json]
+python benchmarks/walls.py [--part shapes --part kinks ...] [--case naca0015 ...] [--method default ...] [--all-methods]
+                           [--points 39666] [--json walls.json]
 
 Columns: inverted cells (18 runs together for the kinks); the smallest corner Jacobian over its undeformed value; degrees by which
 the first grid line has left its own angle to the wall, mean and largest; smallest and largest height of a first cell over its
@@ -50,6 +50,8 @@ METHODS: dict[str, Callable[[float], jm.AbstractMethod]] = {
     "few, multiscale": lambda size: jm.SurfaceReconstruction(FEW, jm.Multiscale()),
     "few, both": lambda size: jm.SurfaceReconstruction(FEW, jm.NearWall(jm.Multiscale())),
     "multiscale, whole": lambda size: jm.Multiscale.whole(2 * size, 0.1),
+    "elasticity": lambda size: jm.LinearElasticity(),
+    "torsional": lambda size: jm.TorsionalSprings(),
 }
 """By name, for a body of a size. "layer" is `NearWall`; "both" and "multiscale, layer" are it around `Multiscale`."""
 
@@ -100,10 +102,12 @@ def summed(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     return result
 
 
-def part_of(name: str, points: int, methods: list[str]) -> dict[str, dict[str, dict[str, float]]]:
-    """Rows by motion and method."""
+def part_of(name: str, points: int, methods: list[str], only: list[str]) -> dict[str, dict[str, dict[str, float]]]:
+    """Rows by motion and method, of all cases or of some by name."""
     rows: dict[str, dict[str, dict[str, float]]] = {method: {} for method in methods}
     for case in PARTS[name](points):
+        if only and case.name not in only:
+            continue
         for method in methods:
             if method == "classic RBF" and len(case.moving) + len(case.fixed) > DENSE:
                 continue
@@ -164,6 +168,7 @@ def main() -> None:
     parser.add_argument(
         "--part", action="append", choices=[*PARTS, "limits"], help="all of them by default; may repeat"
     )
+    parser.add_argument("--case", action="append", default=[], help="of these parts, by name, as naca0015; may repeat")
     parser.add_argument(
         "--method", action="append", choices=list(METHODS), help=f"{', '.join(STANDARD)} by default; may repeat"
     )
@@ -183,7 +188,7 @@ def main() -> None:
                     f"{method:<20}{row['pitch']:>9.1f}{row['flap']:>9.1f}{row['wide flap']:>12.1f}{row['camber']:>9.2f}"
                 )
         else:
-            results[part] = part_of(part, options.points, methods)
+            results[part] = part_of(part, options.points, methods, options.case)
             show(part, results[part])
         print(f"{part}: {time.process_time() - began:.0f} s of CPU time", flush=True)
         if options.json:
