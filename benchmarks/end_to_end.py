@@ -12,6 +12,7 @@ has by default; they read, judge and write no mesh.
 """
 
 import argparse
+import compileall
 import importlib
 import os
 import pathlib
@@ -25,6 +26,8 @@ from typing import Any
 import numpy as np
 from _measure import about, table
 from files import HEADER, box, write_foam
+
+import jaxmorph
 
 HEIGHT = 0.1
 
@@ -249,6 +252,7 @@ if __name__ == "__main__":
     elif given.peer:
         peer(*given.peer)
     else:
+        compileall.compile_dir(str(pathlib.Path(jaxmorph.__file__).parent), quiet=2)  # as an installation does
         about(side=given.side)
         found: list[list[str]] = []
         for each in given.cases:

@@ -1,5 +1,6 @@
 """Compiled code that the command line keeps: where, how much, and when not."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph._kernels.compile import compiled, quickly_compiled
+from jaxmorph.cli import main
 
 CODE = """
 import jax
@@ -16,7 +18,7 @@ from jaxmorph.cli import _compiled
 _compiled.keep_compiled()
 values = jax.config.values
 print(values["jax_compilation_cache_dir"], values["jax_compilation_cache_max_size"])
-jax.jit(lambda x: x @ x + sum(jax.numpy.sin(k * x) for k in range(400)))(jax.numpy.eye(3)).block_until_ready()
+jax.numpy.negative(jax.numpy.ones(3)).block_until_ready()
 """
 
 
@@ -52,6 +54,12 @@ def test_a_folder_that_cannot_be_made_is_no_error(tmp_path):
     (tmp_path / "file").write_text("")
     (folder, _), _ = kept(tmp_path, XDG_CACHE_HOME=str(tmp_path / "file"))
     assert folder == "None"
+
+
+def test_the_garbage_collector_is_that_of_the_caller(tmp_path):
+    before = gc.isenabled(), gc.get_freeze_count()
+    assert main(["info", str(tmp_path / "none.su2")]) == 2
+    assert (gc.isenabled(), gc.get_freeze_count()) == before
 
 
 def test_code_that_is_compiled_quickly_computes_the_same():

@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         from ._door import answer
 
-        status = answer(words)
+        status = answer(words, is_own=arguments is None)
     except KeyboardInterrupt:
         print(f"{name}: interrupted.", file=sys.stderr)
         return _interrupt.STATUS

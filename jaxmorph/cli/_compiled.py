@@ -13,9 +13,6 @@ LIMIT = 256 * 2**20
 SWITCH = "JAXMORPH_CACHE"
 """The environment variable that turns it off."""
 
-SHORTEST = 0.05
-"""Seconds of compilation from which on a program is kept."""
-
 
 def keep_compiled() -> None:
     """Turns on JAX's persistent compilation cache in the user's cache folder.
@@ -41,7 +38,9 @@ def keep_compiled() -> None:
     if os.access(folder, os.W_OK):
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_compilation_cache_max_size", LIMIT)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST)
+        jax.config.update(
+            "jax_persistent_cache_min_compile_time_secs", 0
+        )  # reading takes a tenth of the shortest compilation
 
 
 def _machine() -> str:

@@ -3,9 +3,11 @@
 Nothing of JAX is imported before the words are understood.
 """
 
+import contextlib
+import gc
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from ._flags import COMMANDS, parser
 from ._interrupt import STATUS, raise_again
@@ -14,8 +16,8 @@ from ._output import Output
 from ._parser import Parser, meant, quoted
 
 
-def answer(words: Sequence[str]) -> int:
-    """Runs one command and returns its exit status, as `main` says."""
+def answer(words: Sequence[str], *, is_own: bool = False) -> int:
+    """Runs one command and returns its exit status, as `main` says; `is_own` where the process has nothing else to do."""
     top, parsers = parser(is_short="--help-all" not in words and "_ARGCOMPLETE" not in os.environ)
     _complete(top)
     if not words:
@@ -27,9 +29,9 @@ def answer(words: Sequence[str]) -> int:
         warnings.showwarning = lambda message, *_: out.warn(one_line(message))
         try:
             arguments = top.parse_args(quoted(with_job(words)))
-            from ._commands import run
-            from ._requests import request_of
-
+            with _without_collection() if is_own else contextlib.nullcontext():
+                from ._commands import run
+                from ._requests import request_of
             raise_again()
             out.verbose = getattr(arguments, "verbose", False)
             return out.end(run(request_of(arguments), out))
@@ -51,6 +53,17 @@ def answer(words: Sequence[str]) -> int:
 def one_line(message: object) -> str:
     """Joins the words of a message by single spaces."""
     return " ".join(str(message).split())
+
+
+@contextlib.contextmanager
+def _without_collection() -> Iterator[None]:
+    """Keeps the garbage collector off what is imported: it would go through all of it again and again, and at the end."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def _checked(words: Sequence[str], top: Parser, parsers: dict[str, Parser]) -> str:

@@ -191,4 +191,4 @@ class Judged:
             io.write(path, moved)
 
     def centroid(self, cell: int) -> np.ndarray:
-        return np.asarray(self.faces.centroid[cell] if self.by_faces else self.report.centroid[cell])
+        return np.asarray(self.faces.centroid if self.by_faces else self.report.centroid)[cell]

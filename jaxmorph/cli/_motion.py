@@ -2,10 +2,11 @@
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
@@ -129,7 +130,7 @@ def _twist(group: Group, surface: Points, about: np.ndarray) -> Parts:
         raise ValueError("--twist is for meshes in 3-D; this one is in 2-D.")
     angle, along = _angle("--twist", group.twist), _direction("--along", group.along, 3)
     length = _length("--twist", group.length, surface, about, along)
-    shape = shapes.Function(lambda x, angle: shapes.twist(x, jnp.radians(angle), about, along, length), 0.0)
+    shape = _by_angle(lambda x, angle: shapes.twist(x, angle, about, along, length))
     return {"twist": (shape, angle)}
 
 
@@ -142,7 +143,7 @@ def _bend(group: Group, surface: Points, about: np.ndarray) -> Parts:
     if axis is not None and abs(axis @ along) > 1e-3:
         raise ValueError("--bend needs --axis and --along at right angles.")
     length = _length("--bend", group.length, surface, about, along)
-    shape = shapes.Function(lambda x, angle: shapes.bend(x, jnp.radians(angle), about, along, length, axis), 0.0)
+    shape = _by_angle(lambda x, angle: shapes.bend(x, angle, about, along, length, axis))
     return {"bend": (shape, angle)}
 
 
@@ -150,7 +151,12 @@ def _rotate(group: Group, about: np.ndarray) -> Parts:
     if group.rotate is None:
         return {}
     angle, axis = _angle("--rotate", group.rotate), _axis("--rotate", group, len(about))
-    return {"rotate": (shapes.Function(lambda x, angle: shapes.rotate(x, jnp.radians(angle), about, axis), 0.0), angle)}
+    return {"rotate": (_by_angle(lambda x, angle: shapes.rotate(x, angle, about, axis)), angle)}
+
+
+def _by_angle(function: Callable) -> shapes.Function:
+    """Makes a shape of an angle in degrees: one program, where each operation by itself would be one."""
+    return shapes.Function(jax.jit(lambda x, angle: function(x, jnp.radians(angle))), 0.0)
 
 
 def _translate(group: Group, d: int) -> Parts:
