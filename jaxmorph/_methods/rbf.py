@@ -45,6 +45,9 @@ from .system import block_size, in_rows, kernel_sum, polynomial, squared_distanc
 MANY = 8192
 """Sources beyond which the system is solved by iterations."""
 
+SUSPICIOUS = 0.1
+"""Rounding of the residual after a few steps, over what makes a field NaN, from which on `prepare` takes all steps."""
+
 USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
 """Changes of displacements by rounding, relative to them, that are an error, and that are warned of (solved in float32)."""
 
@@ -352,29 +355,35 @@ def _system_rows(rbf: RBF, sources, scale, points):
 
 def _check_convergence(rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, values: np.ndarray) -> None:
     """Raises `ValueError` if some steps do not promise that conjugate gradients converge."""
-    left, count = map(float, _left_after_trial(rbf, factors, cardinals, jnp.asarray(values)))
+    left, count, rounding = map(float, _left_after_trial(rbf, factors, cardinals, jnp.asarray(values)))
     steps = count * np.log(float(cardinals.tolerance)) / np.log(max(left, 1e-300)) if left < 1 else np.inf
+    how = "too ill-conditioned for Iterative()"
     if not steps <= LIMIT:
-        how = f"too ill-conditioned for Iterative(): an error of {left:.1g} is left after {count:.0f} steps"
-        raise ValueError(_unusable(rbf, factors, how))
+        raise ValueError(_unusable(rbf, factors, f"{how}: an error of {left:.1g} is left after {count:.0f} steps"))
     # in single precision rounding sets a floor that a few steps do not show
-    if cardinals.weights.dtype != np.float64 and not _is_solved(rbf, factors, jnp.asarray(values)):
-        raise ValueError(_unusable(rbf, factors, "too ill-conditioned for Iterative() in single precision"))
+    single = cardinals.weights.dtype != np.float64
+    if (single or not rounding <= SUSPICIOUS) and not _is_solved(rbf, factors, jnp.asarray(values)):
+        why = " in single precision" if single else ": rounding keeps the field from its sources"
+        raise ValueError(_unusable(rbf, factors, how + why))
 
 
 @compiled
 def _left_after_trial(
     rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, values: Float[Array, "s k"]
-) -> tuple[Float[Array, ""], Int[Array, ""]]:
-    """Computes which share of the error some steps of conjugate gradients leave, in the norm of the basis, and counts them."""
-    iterations = dataclasses.replace(
-        rbf._iterations(factors, cardinals), tolerance=jnp.asarray(PROMISING, values.dtype)
-    )
-    size = jnp.abs(values).max()
-    now = iterations.improve(iterations.without_polynomial(values), size, TRIAL)
+) -> tuple[Float[Array, ""], Int[Array, ""], Float[Array, ""]]:
+    """Takes some steps of conjugate gradients, and counts them.
+
+    Returns also which share of the error they leave, in the norm of the basis, and what rounding has made of the residual, as
+    a share of what makes a field NaN.
+    """
+    iterations = rbf._iterations(factors, cardinals)
+    trial = dataclasses.replace(iterations, tolerance=jnp.asarray(PROMISING, values.dtype))
+    size, start = jnp.abs(values).max(), iterations.without_polynomial(values)
+    now = trial.improve(start, size, TRIAL)
     left = jnp.sqrt(jnp.abs(now.left / jnp.where(now.energy == 0, 1, now.energy)).max())
     is_polynomial = jnp.abs(now.residual).max() <= cardinals.tolerance * size
-    return jnp.where(is_polynomial, 0, left), now.count
+    rounding = iterations.rounding(now, start) / (iterations.allowed * jnp.where(size == 0, 1, size))
+    return jnp.where(is_polynomial, 0, left), now.count, rounding
 
 
 @compiled
@@ -385,14 +394,14 @@ def _is_solved(rbf: RBF, factors: "RBFFactors", values: Float[Array, "s k"]) -> 
 def _unusable(rbf: RBF, factors: "RBFFactors", how: str) -> str:
     """Describes what is wrong with a system, where, and what of the method to change."""
     sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
-    *hints, last = _hints(rbf, single=sources.dtype != np.float64)
+    *hints, last = _hints(rbf, factors.cardinals is not None, single=sources.dtype != np.float64)
     return (
         f"the interpolation matrix of {len(sources)} sources is {how}{_nearest_two(sources)}. "
         f"Try {', '.join(hints)}, or {last}."
     )
 
 
-def _hints(rbf: RBF, single: bool) -> list[str]:
+def _hints(rbf: RBF, iterates: bool, single: bool) -> list[str]:
     """Lists what to change where a method's system is unusable: only what this method has."""
     lengths = [field.name for field in dataclasses.fields(rbf.basis) if "radius" in field.name]
     hints = [*(f"a smaller `{name}` of the basis" for name in lengths), "a `ridge` of RBF such as 1e-6"]
@@ -402,6 +411,8 @@ def _hints(rbf: RBF, single: bool) -> list[str]:
         hints += ["fewer sources by a `reduction` and a `fixed_reduction` such as jm.KDTree(64)"]
     if rbf.basis.min_degree != 1 or rbf._below_min_degree:
         hints += ["another `degree` of the polynomial"]
+    if iterates and not single:
+        hints += ["a larger `tolerance` of Iterative"]
     return [*hints, "x64 mode of JAX"] if single else hints
 
 

@@ -246,8 +246,17 @@ class ConjugateGradients:
         start = beta, rest, jnp.zeros_like(beta[0]), 0, jnp.full_like(size, jnp.inf)
         beta, rest, *_ = jax.lax.while_loop(is_unfinished, once_more, start)
         solved = jnp.concatenate([beta, self.coefficients(rest)])
-        allowed = jnp.minimum(MISSED * self.tolerance, jnp.maximum(self.tolerance, NOTICEABLE))
-        return jnp.where(missed(rest) <= allowed * size, solved, jnp.nan)
+        return jnp.where(missed(rest) <= self.allowed * size, solved, jnp.nan)
+
+    @property
+    def allowed(self) -> Float[Array, ""]:
+        """Share of the displacement by which a field may miss its sources without being NaN."""
+        return jnp.minimum(MISSED * self.tolerance, jnp.maximum(self.tolerance, NOTICEABLE))
+
+    def rounding(self, now: Progress, residual: Float[Array, "s k"]) -> Float[Array, ""]:
+        """Measures what rounding has made of the residual of steps that began at `residual`: by another product."""
+        again = self.without_polynomial(residual - self.product(now.beta))
+        return jnp.abs(again - now.residual).max()
 
 
 def _ratio(a, b):
