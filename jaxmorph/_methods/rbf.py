@@ -373,8 +373,8 @@ def _left_after_trial(
 ) -> tuple[Float[Array, ""], Int[Array, ""], Float[Array, ""]]:
     """Takes some steps of conjugate gradients, and counts them.
 
-    Returns also which share of the error they leave, in the norm of the basis, and what rounding has made of the residual, as
-    a share of what makes a field NaN.
+    Returns also which share of the error they leave, in the norm of the basis. The third number is what rounding has made of
+    the residual, over what makes a field NaN.
     """
     iterations = rbf._iterations(factors, cardinals)
     trial = dataclasses.replace(iterations, tolerance=jnp.asarray(PROMISING, values.dtype))
