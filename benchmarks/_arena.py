@@ -63,10 +63,21 @@ def bend(base: np.ndarray, amount: float) -> np.ndarray:
 def twist(base: np.ndarray, amount: float) -> np.ndarray:
     angle = np.deg2rad(20 * amount) * base[:, 1] / np.abs(base[:, 1]).max()
     x, z = base[:, 0] - 0.5 * np.median(base[:, 0]), base[:, 2]
-    moved = np.stack(
+    return np.stack(
         [x * np.cos(angle) + z * np.sin(angle) - x, 0 * x, z * np.cos(angle) - x * np.sin(angle) - z], axis=1
     )
-    return moved
+
+
+def turn(base: np.ndarray, amount: float) -> np.ndarray:
+    return np.asarray(jm.shapes.rotate(base, np.deg2rad(45 * amount), [0.0, 0, 0], [0.0, 1, 0])) - base
+
+
+WING: dict[str, Motion] = {
+    **{name: SECTION[name] for name in ("bump 3 %", "waves 2 %", "camber 5 %", "thickness 30 %", "heave 0.5")},
+    "bend": bend,
+    "twist 20": twist,
+    "turn 15": lambda base, amount: turn(base, amount / 3),
+}
 
 
 def dent(base: np.ndarray, amount: float) -> np.ndarray:
@@ -74,21 +85,34 @@ def dent(base: np.ndarray, amount: float) -> np.ndarray:
     return up(base, 0.3 * amount * np.exp(-8 * ((base[:, 0] - 0.5) ** 2 + (base[:, 1] - 0.5) ** 2)))[0]
 
 
-WING = {"bend": bend, "twist 20": twist}
+def about_middle(base: np.ndarray, amount: float, degrees: float = 0.0, growth: float = 0.0) -> np.ndarray:
+    """Turns and scales the floor of the cube in its plane."""
+    z = base[:, 0] - 0.5 + 1j * (base[:, 1] - 0.5)
+    z = z * ((1 + growth * amount) * np.exp(1j * np.deg2rad(degrees * amount)) - 1)
+    return np.stack([z.real, z.imag, 0 * z.real], axis=1)
 
 
-def brick(kind: str) -> Case:
+FLOOR: dict[str, Motion] = {
+    "dent": dent,
+    "pull": lambda base, amount: -dent(base, amount),
+    "raise 0.1": lambda base, amount: up(base, np.full(len(base), 0.1 * amount))[0],
+    "tilt 10": lambda base, amount: up(base, np.tan(np.deg2rad(10 * amount)) * (base[:, 0] - 0.5))[0],
+    "waves 5 %": lambda base, amount: up(base, 0.05 * amount * np.sin(2 * np.pi * base[:, 0]))[0],
+    "slide 0.1": lambda base, amount: np.tile([0.1 * amount, 0, 0], (len(base), 1)),
+    "turn 15": lambda base, amount: about_middle(base, amount, degrees=15),
+    "growth 20 %": lambda base, amount: about_middle(base, amount, growth=0.2),
+}
+"""Motions of a cube's floor, in its plane and across it."""
+
+
+def brick(kind: str, motions: dict[str, Motion]) -> Case:
     """A cube whose floor moves, and whose other sides are fixed."""
     mesh = cases.bricks(kind, cells=5)
     points = mesh.points
     floor = np.flatnonzero(points[:, 2] < 1e-9)
     sides = np.flatnonzero(((points < 1e-9) | (points > 1 - 1e-9)).any(axis=1) & (points[:, 2] > 1e-9))
     patches = {"floor": floor, "sides": sides}
-    return Case(f"bricks, {kind}", jm.Mesh(points, mesh.cells, patches), "floor", ("sides",), (), {"dent": dent})
-
-
-def turn(base: np.ndarray, amount: float) -> np.ndarray:
-    return np.asarray(jm.shapes.rotate(base, np.deg2rad(45 * amount), [0.0, 0, 0], [0.0, 1, 0])) - base
+    return Case(f"bricks, {kind}", jm.Mesh(points, mesh.cells, patches), "floor", ("sides",), (), motions)
 
 
 def longer(base: np.ndarray, amount: float) -> np.ndarray:
@@ -114,8 +138,9 @@ def all_cases(points: int) -> list[Case]:
         Case("cambered, viscous", viscous, "airfoil", far, (), SECTION),
         Case("O-grid", o_grid, "airfoil", far, (), SECTION),
         Case("cascade", blade, _moving(blade), _others(blade), (), SECTION),
-        Case("wing", wing, "wing", far, ("root", "tip"), {"bump 3 %": SECTION["bump 3 %"], "waves 2 %": waves}),
-        *map(brick, ("hexahedron", "tetra", "pyramid", "wedge")),
+        Case("wing", wing, "wing", far, ("root", "tip"), WING),
+        brick("hexahedron", FLOOR),
+        *(brick(kind, {"dent": dent}) for kind in ("tetra", "pyramid", "wedge")),
         *snapped(),
     ]
 
