@@ -4,11 +4,11 @@ python -m benchmarks.championship [--points 2000] [--case C-grid ...] [--method 
                                   [--entry NAME=FOLDER ...] [--write FOLDER] [--peers]
                                   [--join championship.json ...] [--picture championship.png]
 
-`--peers` adds others to the same table: SciPy's `RBFInterpolator` with every node of the surface as a source, mmgpy's
-`propagate_displacement` on triangles, quads and tetrahedra where it is installed, and OpenFOAM's `displacementLaplacian` and
-`displacementSBRStress` where `moveDynamicMesh` is. They have no rows where nodes slide in
-planes. `move` of OpenFOAM is the CPU time of the whole program, files included; that of SciPy includes the solve, which it does
-anew for each motion.
+`--peers` adds others to the same table: SciPy's `RBFInterpolator` with every node of the surface as a source, torchrbf's likewise
+and mmgpy's `propagate_displacement` on triangles, quads and tetrahedra where they are installed, and OpenFOAM's
+`displacementLaplacian` and `displacementSBRStress` where `moveDynamicMesh` is. They have no rows where nodes slide in
+planes. `move` of OpenFOAM is the CPU time of the whole program, files included; that of SciPy and torchrbf includes the solve,
+which they do anew for each motion.
 
 `--join` takes over the rows of earlier runs, for cases and methods that do not run now. `--picture` draws all methods against
 all motions.
@@ -161,6 +161,16 @@ def scipy_rbf(case: Case, nodes: np.ndarray, u: np.ndarray) -> np.ndarray:
     return RBFInterpolator(points[nodes], u, kernel="thin_plate_spline", degree=1)(points)
 
 
+def torch_rbf(case: Case, nodes: np.ndarray, u: np.ndarray) -> np.ndarray:
+    import torch  # pyright: ignore[reportMissingImports]
+    from torchrbf import RBFInterpolator  # pyright: ignore[reportMissingImports]
+
+    points = np.asarray(case.mesh.points)
+    known, values, everywhere = (torch.tensor(each, dtype=torch.float64) for each in (points[nodes], u, points))
+    with torch.no_grad():
+        return RBFInterpolator(known, values, kernel="thin_plate_spline", degree=1)(everywhere).numpy()
+
+
 def mmgpy_laplacian(case: Case, nodes: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Moves nodes to the mean of their neighbours' displacements; quads are cut into triangles."""
     from mmgpy.lagrangian import propagate_displacement  # pyright: ignore[reportMissingImports]
@@ -183,6 +193,8 @@ def of_peers(case: Case) -> list[dict]:
     moving, fixed = case.mesh.patch(case.moving), case.mesh.patch(*case.fixed)
     nodes = np.concatenate([moving, fixed[~np.isin(fixed, moving)]])
     peers = {"SciPy RBF": scipy_rbf}
+    if find_spec("torchrbf"):
+        peers["torchrbf"] = torch_rbf
     if find_spec("mmgpy") and set(case.mesh.cells) in ({"triangle"}, {"quad"}, {"tetra"}):
         peers["mmgpy Laplacian"] = mmgpy_laplacian
     for motion, make in case.motions.items():
