@@ -307,15 +307,21 @@ def test_springs_have_derivatives_where_corners_coincide():
     assert np.isfinite(slope).all()
 
 
+def entries_of(method, kind):
+    """Compiles them as one program."""
+    return jax.jit(lambda corners, distance: method.entries(kind, corners, distance))
+
+
 def of_triangles(method, corners, distance, cuts):
     """The entries of a quad made of linear triangles, half of each way to cut it."""
     place = {pair: k for k, pair in enumerate(method.pairs("quad"))}
-    total = np.zeros_like(np.asarray(method.entries("quad", corners, distance)))
+    total, entries = (
+        np.zeros_like(np.asarray(entries_of(method, "quad")(corners, distance))),
+        entries_of(method, "triangle"),
+    )
     for cut in cuts:
         ids = np.array(cut)
-        for (a, b), part in zip(
-            method.pairs("triangle"), method.entries("triangle", corners[ids], distance[ids]), strict=True
-        ):
+        for (a, b), part in zip(method.pairs("triangle"), entries(corners[ids], distance[ids]), strict=True):
             i, j = cut[a], cut[b]
             total[place[min(i, j), max(i, j)]] += 0.5 * np.asarray(part if i < j else part.T)
     return total
@@ -330,19 +336,19 @@ def test_a_quad_is_the_mean_of_both_ways_to_cut_it(make, stiffness):
     corners = jnp.array([[0.0, 0.1], [1.3, 0], [1.1, 0.9], [0.2, 0.6]])
     distance = jnp.array([0.0, 0.3, 0.7, 0.2])
     method = make(stiffness)
-    found = method.entries("quad", corners, distance)
+    found = entries_of(method, "quad")(corners, distance)
     np.testing.assert_allclose(found, of_triangles(method, corners, distance, CUTS), rtol=0, atol=1e-12)
 
 
 def test_a_quad_with_two_corners_in_one_place_is_a_triangle():
     corners = jnp.array([[0.0, 0], [1, 0], [0.4, 1], [0.4, 1]])
     method = jm.LinearElasticity()
-    found = method.entries("quad", corners, jnp.ones(4))
+    found = entries_of(method, "quad")(corners, jnp.ones(4))
     expected = of_triangles(method, corners, jnp.ones(4), CUTS[:1]) + of_triangles(
         method, corners, jnp.ones(4), CUTS[2:3]
     )
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-    slope = jax.grad(lambda corners: jnp.sum(method.entries("quad", corners, jnp.ones(4)) ** 2))(corners)
+    slope = jax.jit(jax.grad(lambda corners: jnp.sum(method.entries("quad", corners, jnp.ones(4)) ** 2)))(corners)
     assert np.isfinite(slope).all()
 
 

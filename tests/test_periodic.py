@@ -77,6 +77,15 @@ def test_laws_with_periodic_sides(dimension, method, tmp_path):
     jm.save(tmp_path / "plan.npz", plan)
     assert (jm.deform(jm.load(tmp_path / "plan.npz"), u) == moved).all()
 
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("dimension", "method"), [(2, TPS), (2, LOCAL), (3, TPS)], ids=["2d", "2d-local", "3d"])
+def test_derivatives_by_the_base_with_periodic_sides(dimension, method):
+    points, moving, fixed, sides, u = sector(dimension)
+    plan = jm.prepare(points, moving, fixed, method=method, periodic=joined(dimension, sides))
+    rng = np.random.default_rng(0)
+    v, w = rng.normal(size=u.shape), rng.normal(size=points.shape)
+
     @jax.jit
     @jax.value_and_grad
     def objective(points):

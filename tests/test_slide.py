@@ -101,6 +101,15 @@ def test_a_block_in_a_box_of_sliding_sides():
     other = jm.deform(plan, v[0]) - points
     np.testing.assert_allclose(jm.deform(plan, 2 * u - v[0]) - points, 2 * (moved - points) - other, rtol=0, atol=1e-11)
     np.testing.assert_allclose(np.vdot(jm.pullback(plan, u, w), v[0]), np.vdot(w, other), rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_a_flat_patch_slides_as_its_plane_does():
+    mesh, sides = box(), ["left", "right", "bottom", "top"]
+    plan, points = jm.prepare(mesh, "hole", sliding=sides, method=TPS), mesh.points
+    block = points[plan.moving]
+    u = np.asarray(jm.shapes.rotate(block, 0.8, about=(0, 0))) + 0.5 - block
+    moved = np.asarray(jm.deform(plan, u))
     named = [jm.Slide(name, jm.Plane.through(points, mesh.patch(name))) for name in sides]
     again = jm.prepare(
         points, mesh.patch("hole"), sliding=[jm.Slide(mesh.patch(s.patch), s.on) for s in named], method=TPS
