@@ -1,6 +1,7 @@
 """The kernel for NVIDIA's GPUs: its body run by Pallas's interpreter, its program for CUDA, and its derivatives on a CPU."""
 
 import functools
+import types
 
 import jax
 import jax.numpy as jnp
@@ -98,6 +99,32 @@ def test_a_program_for_cuda_is_one_kernel(shapes, dtype):
     program = traced.lower(lowering_platforms=("cuda",)).as_text()
     assert program.count("custom_call") == 1
     assert "stablehlo.while" not in program
+
+
+def test_every_operation_that_is_allowed_can_be_compiled():
+    def phi(x):
+        y = jnp.where(
+            (x < 0.5) & ~(x > 0.7) | (x == 0.3) | (x != 0.2) & (x >= 0.1) & (x <= 9), jnp.maximum(x, 0.1), x**1.3
+        )
+        y = jnp.exp(-y) + jnp.exp2(y) + jnp.log(y) + jnp.log1p(y) + jax.nn.sigmoid(y) + jnp.tanh(y) + jnp.sqrt(y)
+        y = jax.lax.rsqrt(jnp.abs(y)) / (y**5 + jnp.square(y)) - jnp.minimum(jnp.sign(y), jnp.cos(y) * jnp.sin(y))
+        return y + jm.ThinPlateSpline()(x)
+
+    names = {equation.primitive.name for equation in jax.make_jaxpr(phi)(jnp.ones(4)).eqns}
+    assert len(names & gpu.ELEMENTWISE) > 25
+    assert gpu.is_elementwise(phi, "float64")
+    given = [jax.ShapeDtypeStruct(shape, "float64") for shape in [(9, 3), (9, 3), (10**6, 3)]]
+    program = jax.jit(lambda *given: gpu.fused_sum(phi, *given)).trace(*given).lower(lowering_platforms=("cuda",))
+    assert "gpu.triton" in program.as_text()
+
+
+@pytest.mark.parametrize(
+    ("capability", "is_enough"), [("9.0", True), ("12.1", True), ("7.5", False), ("gfx90a", False), (None, False)]
+)
+def test_old_cards_and_those_of_others_have_loops(monkeypatch, capability, is_enough):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(jax, "devices", lambda: [types.SimpleNamespace(compute_capability=capability)])
+    assert gpu.has_kernels() == is_enough
 
 
 def test_an_exported_program_has_loops():

@@ -7,6 +7,7 @@ lets the sums stay in registers. Neither contracts a product and a sum into one 
 import contextlib
 import contextvars
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -30,8 +31,8 @@ PROGRAMS, LEAST_SHARE = 2**17, 256
 TOGETHER = 4
 """Sources of one round of the kernel's loop."""
 
-LEAST_CAPABILITY = 8.0
-"""Compute capability below which Triton, by which Pallas compiles, has no kernels."""
+LEAST_CAPABILITY = 8
+"""Major compute capability below which Triton, by which Pallas compiles, has no kernels."""
 
 ELEMENTWISE = {
     *(
@@ -52,8 +53,8 @@ ELEMENTWISE = {
         "pow",
     ),
     *("rsqrt", "sign", "sin", "sqrt", "square", "sub", "tanh"),
-    *("and", "eq", "ge", "gt", "is_finite", "le", "lt", "ne", "not", "or", "select_n"),
-    *("bitcast_convert_type", "broadcast_in_dim", "convert_element_type", "copy", "shift_left", "shift_right_logical"),
+    *("and", "eq", "ge", "gt", "le", "lt", "ne", "not", "or", "select_n"),
+    *("bitcast_convert_type", "broadcast_in_dim", "convert_element_type", "shift_left", "shift_right_logical"),
 }
 """Operations that a kernel may have."""
 
@@ -81,7 +82,8 @@ def has_kernels() -> bool:
     """Tells whether JAX's default device is a GPU of NVIDIA for which Pallas compiles."""
     if jax.default_backend() != "gpu":
         return False
-    return float(getattr(jax.devices()[0], "compute_capability", None) or 0) >= LEAST_CAPABILITY
+    major = re.match(r"(\d+)\.\d+$", str(getattr(jax.devices()[0], "compute_capability", "")))  # of AMD: gfx90a
+    return major is not None and int(major[1]) >= LEAST_CAPABILITY
 
 
 def is_elementwise(phi: Callable, dtype: Any) -> bool:

@@ -45,6 +45,8 @@ def fused(
     phi: Radial, sources: Float[Array, "s d"], weights: Float[Array, "s k"], points: Float[Array, "c d"]
 ) -> Float[Array, "c k"]:
     """Sums weighted functions at points by one operation. Only where `is_fused`."""
+    if not len(points) or not len(sources):
+        return jnp.zeros((len(points), weights.shape[1]), points.dtype)
     leaves, structure = jax.tree.flatten(phi)
     return _sum.bind(weights, sources, points, *leaves, structure=structure)
 
