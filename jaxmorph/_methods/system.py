@@ -37,8 +37,10 @@ def in_rows(points: Float[Array, "c d"], scale: Float[Array, ""]) -> Float[Array
     """Scales points, and lays each coordinate in a row of its own, for `kernel_sum`.
 
     A product of matrices does it. The compiler does not merge it into the loop along the points, as it would a transposition.
+    The barrier keeps it from making the transposed product of it, which it does in programs for several devices.
     """
-    return jnp.matmul(scale * jnp.eye(points.shape[1], dtype=points.dtype), points.T, precision="highest")
+    matrix = scale * jnp.eye(points.shape[1], dtype=points.dtype)
+    return jax.lax.optimization_barrier(jnp.matmul(matrix, points.T, precision="highest"))
 
 
 def kernel_sum(
