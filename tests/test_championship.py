@@ -26,7 +26,8 @@ def championship(monkeypatch):
 @pytest.mark.slow
 def test_a_tool_enters_by_a_file_of_moved_points(championship, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    case = importlib.import_module("_arena").brick("hexahedron")
+    arena = importlib.import_module("_arena")
+    case = arena.brick("hexahedron", {"dent": arena.dent})
     championship.write(tmp_path / "given", case)
     page = (ROOT / "docs" / "pages" / "championship.md").read_text()
     (code,) = re.findall(r"```py\n(.*?)```", page, re.DOTALL)
