@@ -65,6 +65,36 @@ def test_a_wall_sliding_along_a_held_boundary_is(mesh):
     assert "`sliding`" in found.warnings[0]
 
 
+def ring_of(radii, count=96):
+    """Rings of quads around a cylinder, the innermost one `wall`, the outermost one `far`."""
+    angle = 2 * np.pi * np.arange(count) / count
+    points = (np.asarray(radii)[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
+    ids = np.arange(len(points)).reshape(-1, count)
+    after = np.roll(ids, -1, axis=1)
+    quads = np.stack([ids[:-1], ids[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
+    return jm.Mesh(points, {"quad": quads}, {"wall": ids[0], "far": ids[-1]})
+
+
+def test_sliding_is_advised_only_where_a_fixed_boundary_touches_the_moving_one():
+    """A cylinder made wavy has no boundary beside it, a shaft in its bearing has one that does not touch it."""
+    mesh = ring_of(0.5 * 1.15 ** np.arange(20))
+    base = mesh.points[mesh.patch("wall")]
+    wavy = base * (0.35 * np.cos(24 * 2 * np.pi * np.arange(96) / 96))[:, None]
+    plan = jm.prepare(mesh, "wall", "far")
+    for found in (jm.inspect(plan, wavy, mesh=mesh), jm.inspect(plan, wavy)):
+        after = np.linalg.norm(np.subtract(*(base + wavy)[found.contradictions.T]), axis=1)
+        assert (after > 2 * np.linalg.norm(np.subtract(*base[found.contradictions.T]), axis=1)).all()
+        (said,) = found.warnings
+        assert "sliding" not in said
+        assert f"In {len(found.contradictions)} of them both nodes move" in said
+    bearing = ring_of([0.5, 0.505, 0.51])
+    turned = np.asarray(jm.shapes.rotate(base, 0.1, [0.0, 0.0])) - base
+    found = jm.inspect(jm.prepare(bearing, "wall", "far"), turned, mesh=bearing)
+    (said,) = found.warnings
+    assert f"{len(found.contradictions)} of them lie across a gap to a fixed wall" in said
+    assert "sliding" not in said
+
+
 def test_shape_is_checked(mesh):
     plan = jm.prepare(mesh.points, mesh.patch("airfoil"), mesh.patch("farfield"))
     with pytest.raises(ValueError, match=r"`u` has shape \(3, 2\)"):

@@ -20,6 +20,7 @@ from .._plan.judge import ended, ends
 from .._plan.plan import Plan
 from .crossings import Crossings, crossings_of, names_of, simplices
 from .overshoot import overshoot
+from .torn import remedies, share_faces, torn_pairs
 
 PUT_BACK = 0.01
 """Share of the largest motion by which planes, surfaces and pairs may change a moving node's."""
@@ -62,6 +63,8 @@ class Inspection:
     - `largest`: the largest displacement of a moving node.
     - `reach`: how far from the surface a field of compact support reaches, `CompactRBF`; infinity for other methods.
     - `torn`: the patches of the worst pair's two nodes, "" for none; empty without a mesh, and without such a pair.
+    - `rests` (k,): whether one node of each pair is fixed while the other one moves.
+    - `touches` (k,): whether the boundaries of these two nodes have faces in common there. Without a mesh: `rests`.
     """
 
     offset: float
@@ -83,6 +86,8 @@ class Inspection:
     largest: float = 0.0
     reach: float = math.inf
     torn: tuple[str, ...] = ()
+    rests: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
+    touches: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -108,8 +113,7 @@ class Inspection:
         both = " and ".join(repr(name) if name else "no patch" for name in self.torn)
         return (
             f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the worst "
-            f"nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). If a boundary slides along the moving one, "
-            "name it in `sliding` (--sliding) in place of `fixed`, or make it a symmetry plane.",
+            f"nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). {remedies(self.rests, self.touches)}",
         )
 
     @property
@@ -154,8 +158,12 @@ class Inspection:
 
     def with_faces(self, mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int) -> "Inspection":
         """Returns the same with what needs faces: the mesh's `nodes` (o,) move by `vectors` (o, d), the first `moving` given."""
-        cut, left, node = simplices(mesh, nodes), None, None
+        cut, left, node, touches = simplices(mesh, nodes), None, None, self.touches
         crossed = None if cut is None else crossings_of(cut, mesh, nodes, vectors)
+        if cut is not None and self.rests.any():
+            rows = np.zeros(len(mesh.points), dtype=np.int64)
+            rows[nodes] = np.arange(len(nodes))
+            touches = self.rests & share_faces(rows[self.contradictions], cut[0], len(nodes))
         if cut is not None and len(cut[0]):
             before = np.asarray(mesh.points, dtype=float)[nodes]
             wall = walls(before, moving, {"simplex": cut[0]})
@@ -163,7 +171,7 @@ class Inspection:
             if np.isfinite(share).any():
                 left, node = float(share.min()), int(nodes[share.argmin()])
         torn = tuple(names_of(mesh, self.contradictions[0][:, None])) if len(self.contradictions) else ()
-        return dataclasses.replace(self, crossings=crossed, gap_left=left, gap_node=node, torn=torn)
+        return dataclasses.replace(self, crossings=crossed, gap_left=left, gap_node=node, torn=torn, touches=touches)
 
     def __str__(self) -> str:
         """Tells what no method moves well, then what another method may do better."""
@@ -237,8 +245,8 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
     tree = scipy.spatial.KDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
     size = np.asarray(tree.query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
-    pairs = _torn(points[nodes], vectors, is_fixed)
-    torn = nodes[pairs].reshape(-1, 2)
+    pairs = torn_pairs(points[nodes], vectors, is_fixed)
+    torn, rests = nodes[pairs].reshape(-1, 2), is_fixed[pairs].any(axis=1)
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
     anywhere, behind = overshoot(plan, np.asarray(u, dtype=float))
@@ -263,6 +271,8 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
         ended_at=places[rows],
         largest=float(np.linalg.norm(given, axis=1).max()),
         reach=plan.reach,
+        rests=rests,
+        touches=rests,
     )
 
 
@@ -276,19 +286,3 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
     rest = u - terms @ np.linalg.lstsq(terms, u, rcond=None)[0]
     apart, length = (np.linalg.norm(each[second] - each[first], axis=1) for each in (rest, points))
     return float(np.quantile(apart / length, 0.98))
-
-
-def _torn(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:
-    """Finds pairs of neighbouring rows whose displacements contradict each other, the worst first."""
-    count = min(2 * points.shape[1], len(points) - 1)
-    distance, nearest = map(np.asarray, scipy.spatial.KDTree(points).query(points, k=count + 1))
-    first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()
-    distance = distance[:, 1:].ravel()
-    apart = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
-    after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
-    mixed = is_fixed[first] != is_fixed[second]
-    # nodes that nearly coincide are one place by accident: the two sides of a wake, of an interface, of a sharp edge
-    scale = 1e-9 * np.ptp(points, axis=0).max()
-    excess = np.where(mixed, apart / (distance + scale), (after - distance) / (distance + scale))
-    torn = np.flatnonzero((excess > 1) & (distance > scale) & (first < second))
-    return np.stack([first, second], axis=1)[torn[np.argsort(-excess[torn], kind="stable")]]

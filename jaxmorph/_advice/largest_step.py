@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._host.door import between, checked, finite_array
 from .._mesh.mesh import Mesh
+from .._methods.base import AbstractMethod
 from .._plan.plan import Plan, deform
 from .._quality import measures
 from .._quality.quality import places, standards_of
@@ -46,7 +47,7 @@ def largest_step(
 
     **Arguments:**
 
-    - `plan`: of a method that is linear in `u`.
+    - `plan`: one that is linear in `u` (`plan.is_linear`).
     - `u`: displacement (m, d) to start from.
     - `direction`: (m, d) change of `u` by a step of 1.
     - `mesh`: whose `points` are the plan's.
@@ -55,8 +56,15 @@ def largest_step(
 
     **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already.
 
-    **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step` is not above 0.
+    **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step` is not above 0. Also for a plan
+    that is not linear: its nodes leave the straight lines on which roots are sought.
     """
+    if not plan.is_linear:
+        raise ValueError(
+            f"this plan is not linear in `u`: {_nonlinear(plan)}. Its nodes leave straight lines, so a cell may invert before the "
+            "step that straight lines give. jm.fewest_steps(plan, mesh, motion) finds how much of a motion keeps a bound. "
+            "jm.ValidSteps judges each step of a line search where it ends."
+        )
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
     between("max_step", max_step, 0)
     shape = plan.n_moving, plan.points.shape[1]
@@ -65,6 +73,16 @@ def largest_step(
     end = np.asarray(deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction)))
     share, cell = Corners(mesh, plan.points.dtype, min_jacobian_ratio).share(start, end)
     return LargestStep(share * max_step, cell)
+
+
+def _nonlinear(plan: Plan) -> str:
+    """Says what makes a plan's displacements not linear."""
+    method = plan.method
+    if method.linear:
+        return "nodes slide along curved walls"
+    while parts := [each for each in vars(method).values() if isinstance(each, AbstractMethod) and not each.linear]:
+        method = parts[0]
+    return f"{type(method).__name__} is not"
 
 
 class Corners:

@@ -30,10 +30,10 @@ class ValidSteps(optx.AbstractSearch):
 
     **Arguments:**
 
-    - `plan`: of a method that is linear in `u`.
+    - `plan`: what `prepare` returned.
     - `mesh`: whose `points` are the plan's.
-    - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it is not linear, the way's end is that of the
-      chord, and the step is cut again until it fits.
+    - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it, or the plan, is not linear, the way's end
+      is that of the chord, and the step is cut again until it fits.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`. Default 0, where cells invert.
     - `share`: part of the way to the bound that is tried, above 0 and below 1. Default 0.9.
     - `slope`: part of the linear gain that Armijo's rule asks for. Default 0.1.
