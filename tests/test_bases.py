@@ -205,8 +205,103 @@ def test_compact_functions_are_a_sparse_system():
     np.testing.assert_allclose(jm.deform(sparse, u[:60]), jm.deform(dense, u[:60]), rtol=0, atol=1e-12)
     with pytest.raises(ValueError, match="`radius` must be a real number above 0"):
         jm.CompactRBF(-1.0)
-    with pytest.raises(ValueError, match="nodes coincide"):
-        jm.prepare(np.concatenate([points, points[:1]]), np.r_[0:60, 300], method=jm.CompactRBF(0.4))
+
+
+def slit(gap):
+    """A square's nodes, and a plate in its middle with two nodes a place: the mesh, the plate's two sides, the border."""
+    grid = np.stack(np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21)), axis=-1).reshape(-1, 2)
+    border = np.flatnonzero((np.abs(grid - 0.5) == 0.5).any(axis=1))
+    lower = np.flatnonzero((np.abs(grid[:, 1] - 0.5) < 1e-9) & (np.abs(grid[:, 0] - 0.5) < 0.24))
+    points = np.concatenate([grid, grid[lower] + [0, gap]])
+    return points, lower, len(grid) + np.arange(len(lower)), border
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-9])
+def test_coincident_nodes_have_one_compact_function(gap):
+    """It takes their mean, so the field is that of a plate of single nodes; each node goes where it is sent."""
+    points, lower, upper, border = slit(gap)
+    for order in (np.r_[lower, upper], np.r_[upper, lower]):
+        plan = jm.prepare(points, order, border, method=jm.CompactRBF(0.5))
+        single = jm.prepare(points[: upper[0]], lower, border, method=jm.CompactRBF(0.5))
+        u = np.zeros((len(points), 2))
+        u[lower], u[upper] = [0.02, 0.05], [0.02, 0.05]
+        together = np.asarray(jm.deform(plan, u[order]))
+        np.testing.assert_allclose(together[: upper[0]], jm.deform(single, u[lower]), rtol=0, atol=1e-8)
+        u[upper, 1] += 0.1
+        opened = np.asarray(jm.deform(plan, u[order]))
+        inner = np.setdiff1d(np.arange(upper[0]), lower)
+        mean = jm.deform(single, (u[lower] + u[upper]) / 2)
+        np.testing.assert_allclose(opened[inner], np.asarray(mean)[inner], rtol=0, atol=1e-8)
+        np.testing.assert_array_equal(opened[order], points[order] + u[order])
+
+
+def test_fixed_nodes_do_not_count_where_a_moving_one_is():
+    points, lower, upper, border = slit(0.0)
+    single = jm.prepare(points[: upper[0]], lower, border, method=jm.CompactRBF(0.5))
+    touching = jm.prepare(points, lower, np.r_[border, upper], method=jm.CompactRBF(0.5))
+    u = np.random.default_rng(0).normal(size=(len(lower), 2))
+    moved = np.asarray(jm.deform(touching, u))
+    np.testing.assert_allclose(moved[: upper[0]], jm.deform(single, u), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(moved[upper], points[upper])
+
+
+def test_nodes_that_nearly_coincide_are_told():
+    """A difference between them comes out large: told at 1e-6, not at 1e-2, where it does not exceed the motion by much."""
+    points, lower, upper, border = slit(1e-6)
+    with pytest.warns(
+        UserWarning, match=f"{2 * len(lower)} surface nodes nearly coincide with others, the nearest two 1e-06 apart"
+    ):
+        jm.prepare(points, np.r_[lower, upper], border, method=jm.CompactRBF(0.5))
+    points, lower, upper, border = slit(1e-2)
+    plan = jm.prepare(points, np.r_[lower, upper], border, method=jm.CompactRBF(0.5))
+    u = np.zeros((2 * len(lower), 2))
+    u[len(lower) :, 1] = 0.1
+    assert np.abs(np.asarray(jm.deform(plan, u)) - points).max() < 1
+
+
+def test_a_radius_that_rounding_does_not_bear_is_refused():
+    points = np.random.default_rng(3).uniform(size=(400, 2))
+    with pytest.raises(ValueError, match=r"the matrix of CompactRBF, of 400 nodes.*Try a smaller radius"):
+        jm.prepare(points, np.arange(300), np.arange(300, 400), method=jm.CompactRBF(1e6))
+
+
+SQUEEZED = {
+    "compact": (jm.CompactRBF(0.2), 0.4),
+    "local": (jm.LocalCorrection(0.2), 0.4),
+    "corrected": (jm.SurfaceReconstruction(jm.RBF(reduction=jm.KDTree(2)), jm.CompactRBF(0.2)), 0.4),
+    "layered": (jm.NearWall(jm.LocalCorrection(0.2)), 0.4),
+}
+
+
+@pytest.mark.parametrize("name", SQUEEZED)
+def test_a_base_on_which_nodes_come_nearer_is_refused_or_nan(name):
+    """What `refit` gives is what `prepare` gives on the new base, or an error; traced, NaN."""
+    method, factor = SQUEEZED[name]
+    points, lower, upper, border = slit(0.0)
+    points = points[: upper[0]]
+    u = np.tile([0.0, 0.05], (len(lower), 1))
+    plan = jm.prepare(points, lower, border, method=method)
+    near = points + 1e-3 * np.sin(9 * points[:, ::-1])
+    squeezed = points * [1, factor] + [0, 0.5 * (1 - factor)]
+    traced = jax.jit(lambda base: jm.deform(jm.refit(plan, base), u))
+    if name != "corrected":  # its sources may be others
+        expected = jm.deform(jm.prepare(near, lower, border, method=method), u)
+        np.testing.assert_allclose(traced(near), expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(traced(points + 7.0), jm.deform(plan, u) + 7.0, rtol=0, atol=1e-12)
+    assert np.isnan(traced(squeezed)).any()
+    with pytest.raises(ValueError, match="points have lost their place at the new base points, first node"):
+        jm.refit(plan, squeezed)
+
+
+def test_a_base_that_differs_much_but_brings_no_nodes_nearer_is_served():
+    """Beyond the slack of the search all pairs are looked at: a stretched mesh has fewer."""
+    points, lower, upper, border = slit(0.0)
+    points = points[: upper[0]]
+    stretched = points * [1.0, 1.5]
+    u = np.tile([0.0, 0.05], (len(lower), 1))
+    again = jm.refit(jm.prepare(points, lower, border, method=jm.CompactRBF(0.2)), stretched)
+    expected = jm.deform(jm.prepare(stretched, lower, border, method=jm.CompactRBF(0.2)), u)
+    np.testing.assert_allclose(jm.deform(again, u), expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("dimension", "count"), [(2, 250), (3, 90)])

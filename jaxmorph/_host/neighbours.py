@@ -11,6 +11,9 @@ from .graph import morton_order
 FEW = 16
 """Walls up to which each is searched on its own."""
 
+AROUND = 8
+"""Neighbours among which a leap in their distances is looked for."""
+
 Once = Callable[[Any, Callable[[], Any]], Any]
 
 
@@ -135,3 +138,20 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
         nearest = nodes[np.asarray(_tree(surface[nodes]).query(surface[nodes], k=k)[1]).reshape(len(nodes), k)]
         around[nodes] = np.concatenate([nearest, np.repeat(nodes[:, None], count - k, axis=1)], axis=1)
     return around
+
+
+def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Finds points far nearer to some others than these are to the next ones: their ids and nearest points, the nearest first.
+
+    Far nearer is below a `share` of the distance to the next ones, or of the `radius`, beyond which none counts. Up to `AROUND`
+    points may be near each other.
+    """
+    if len(points) < 2:
+        return np.zeros((2, 0), dtype=np.int64)
+    distance, nearest = map(np.asarray, KDTree(points).query(points, k=min(AROUND + 1, len(points))))
+    distance = distance[:, 1:]
+    if distance.shape[1] < AROUND:  # there are no others
+        distance = np.column_stack([distance, np.full(len(points), radius)])
+    jumps = (distance[:, :-1] < share * np.minimum(distance[:, 1:], radius)).any(axis=1)
+    first = np.flatnonzero(jumps)[np.argsort(distance[jumps, 0], kind="stable")]
+    return first, nearest[first, 1]

@@ -12,7 +12,11 @@ from .base import AbstractMethod, Surface
 from .basis import WendlandC2
 from .nearwall import Extent, layer_width
 from .numbers import length_or_none
+from .searched import Searched, squared_distance
 from .sparse import InterpolatedField, Reach
+
+REACH = 1.25
+"""How far nodes are searched for, in radii. By the rest, a quarter, another node may come nearer than the one that was found."""
 
 SPACING = 2.0
 """The automatic radius, relative to the width of the layer of `NearWall`."""
@@ -35,36 +39,47 @@ class LocalCorrection(AbstractMethod):
       source, or half of the mean chord of a wall without sources. Rendall and Allen take a multiple of the largest offset,
       which would not be linear in the displacement.
 
-    **Raises:** `ValueError` for a radius that is not positive and finite.
+    **Raises:** `ValueError` for a radius that is not positive and finite. `refit` raises it where a node has come within the radius
+    of a point, and nearer than the one that the point follows by a quarter of it. In traced code the answer there is NaN.
     """
 
     radius: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("radius"))
 
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
-        radius = self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points))
-        apart, nearest = KDTree(surface.points).query(points, distance_upper_bound=1.25 * radius.max() or np.inf)
+        distance = REACH * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points)).max()
+        apart, nearest = KDTree(surface.points).query(points, distance_upper_bound=distance or np.inf)
         reached = np.isfinite(apart)
         row_of_point = surface.rows(len(points))
         on_surface = row_of_point < len(surface.points)
         nodes = np.where(on_surface, row_of_point, np.where(reached, nearest, 0)).astype(np.int32)
-        return extent, Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
+        searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
+        return (extent, searched), Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
 
-    def reach(self, ids: Extent) -> float:
+    def reach(self, ids) -> float:
         return float("inf") if self.radius is None else float(self.radius)
 
-    def fit(self, ids: Extent, surface, points):
-        return self._radius(ids, surface)
+    def fit(self, ids, surface, points):
+        radius = self._radius(ids[0], surface)
+        return radius, ids[1].certain(radius.max(), surface, points)
 
     def carry(self, ids, factors, surface, points):
         return factors
 
     def place(self, x, ids: Reach, factors, surface):
-        radius = factors[ids.nodes]
+        radius = factors[0][ids.nodes]
         fades = radius > 0
         apart = surface[ids.nodes] - x[None]
+
+        def is_lost():
+            squared, reaches = squared_distance(x[None], surface), jax.lax.stop_gradient(factors[0])
+            nearest = jnp.where(squared < reaches**2, jnp.sqrt(squared) + (REACH - 1) * reaches, jnp.inf).min()
+            found = jnp.sqrt(squared_distance(x[None], surface[ids.nodes]))[0]
+            return nearest < jnp.where(ids.reached[0], found, jnp.inf)
+
+        lost = jax.lax.cond(factors[1], lambda: jnp.array(False), is_lost)
         weights = WendlandC2(1.0)(jnp.sum(apart**2, axis=1) / jnp.where(fades, radius, 1) ** 2)
-        return ids.weighted(jnp.where(fades, weights, 0))
+        return ids.weighted(jnp.where(lost, jnp.nan, jnp.where(fades, weights, 0)))
 
     def field(self, ids, factors, surface, u):
         return InterpolatedField(self, factors, surface, u)

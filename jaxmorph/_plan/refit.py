@@ -5,14 +5,16 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Real
+from jaxtyping import Array, ArrayLike, Bool, Float, Real
 from scipy.spatial import KDTree
 
 from .._host.door import checked
 from .._host.errors import MeshError, place_of
 from .._kernels.compile import compiled
 from .._kernels.values import is_readable
+from .._methods.blocks import without_tables
 from .periodic import MISMATCH, Pairing
 from .plan import Plan, base_points, refitted
 from .symmetry import tolerance
@@ -41,8 +43,10 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     **Returns:** a `Plan`.
 
     **Raises:** `ValueError` when the shape of `points` differs from the plan's. Also where nodes leave a symmetry plane or a
-    given surface, and where periodic pairs do not match any more: with the number, and the worst node. Also for a plan of a
-    piece, which does not know where the surface went: prepare the new surface, and attach the piece to that.
+    given surface, and where periodic pairs do not match any more: with the number, and the worst node. Also where the ids do not
+    serve any more, because nodes have come within the radius of `CompactRBF` or `LocalCorrection`. In traced code the answer
+    there is NaN. Also for a plan of a piece, which does not know where the surface went: prepare the new surface, and attach the
+    piece to that.
     """
     if plan.is_piece:
         raise ValueError(
@@ -54,7 +58,10 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
         plan = _with(plan, *_boundary_at(guide.tracks, guide.pairings, points[plan.surface.nodes]))
     if (guide is not None or plan.images is not None) and is_readable((points, plan)):
         _check_boundary(plan, np.asarray(points))
-    return refitted(plan, points)
+    refit = refitted(plan, points)
+    if is_readable((points, plan)):
+        _check_places(refit, np.asarray(points))
+    return refit
 
 
 def with_boundary_of(plan: Plan, other: Plan) -> Plan:
@@ -111,6 +118,38 @@ def _check_boundary(plan: Plan, points: np.ndarray) -> None:
         allowed = np.maximum(MISMATCH * spacing, 2 * tolerance(points))
         what = "periodic pairs do not match after their transform"
         _refuse(what, pairing.misses(exact), allowed, nodes[pairing.first], points)
+
+
+@compiled
+def _have_no_place(plan: Plan) -> tuple[Bool[Array, " n"], Bool[Array, ""]]:
+    """Marks points whose weights are not finite, and tells whether the solve is."""
+    rows = [
+        leaf.reshape(len(leaf), -1)
+        for leaf in jax.tree.leaves(without_tables(plan.volume.placed))
+        if eqx.is_inexact_array(leaf)
+    ]
+    finite = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(plan.surface.factors) if eqx.is_inexact_array(leaf)]
+    lost = [~jnp.isfinite(row).all(axis=1) for row in rows]
+    return sum(lost, jnp.zeros(len(plan.volume.points), bool)), jnp.stack([jnp.array(True), *finite]).all()
+
+
+def _check_places(plan: Plan, points: np.ndarray) -> None:
+    """Raises `ValueError` where a plan's ids do not serve at its base points any more; where these are finite."""
+    lost, is_solved = map(np.asarray, _have_no_place(plan))
+    if (is_solved and not lost.any()) or not np.isfinite(points).all():
+        return
+    nodes = np.flatnonzero(lost[: len(points)])
+    if not len(nodes):
+        raise ValueError(
+            "the plan's solve is not finite at the new base points: nodes of the surface have come nearer to each other than "
+            "the plan searched for them, or coincide. Call `prepare` with the new mesh and its boundaries."
+        )
+    raise MeshError(
+        f"{len(nodes)} of {len(points)} points have lost their place at the new base points, first node {{node}} at "
+        f"({place_of(points[nodes[0]])}): nodes of the surface have come nearer to them than the plan searched, or a simplex "
+        "of its graph has no volume. Call `prepare` with the new mesh and its boundaries.",
+        nodes,
+    )
 
 
 def _refuse(what: str, off: np.ndarray, allowed: np.ndarray | float, nodes: np.ndarray, points: np.ndarray) -> None:

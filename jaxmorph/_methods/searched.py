@@ -1,0 +1,34 @@
+"""Where the nodes near each point were searched for, and whether they still are all that are near on another base."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+SLACK = 0.05
+"""Share of a radius by which a search goes beyond it: bases that differ by less than half of it need no look at all pairs."""
+
+
+class Searched(eqx.Module):
+    """Base coordinates of the points and of the surface's rows, in which nodes within a `distance` were searched for."""
+
+    points: Float[Array, "n d"]
+    surface: Float[Array, "b d"]
+    distance: Float[Array, ""]
+
+    def certain(
+        self, radius: Float[Array, ""], surface: Float[Array, "b d"], points: Float[Array, "n d"]
+    ) -> Bool[Array, ""]:
+        """Tells whether the search surely found all nodes within a radius, since none has come nearer by more than the rest."""
+        shifts = surface - self.surface, points - self.points[: len(points)]  # images, which follow, are of the surface
+        mean = shifts[0].mean(axis=0)
+        shifts = [jnp.sqrt(jnp.sum((shift - mean[None]) ** 2, axis=1).max(initial=0)) for shift in shifts]
+        nearer = shifts[0] + jnp.maximum(*shifts)
+        return jax.lax.stop_gradient(radius + nearer <= self.distance)
+
+
+def squared_distance(a: Float[Array, "*k d"], b: Float[Array, "*m d"]) -> Float[Array, "*n"]:
+    """Computes squared distances without a derivative, component by component: what they are compared with needs no memory."""
+    a, b = jax.lax.stop_gradient((a, b))
+    first, *others = ((a[..., axis] - b[..., axis]) ** 2 for axis in range(a.shape[-1]))
+    return sum(others, start=first)
