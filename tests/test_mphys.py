@@ -64,6 +64,28 @@ def test_builders_pass_openmdaos_check(plan):
             np.testing.assert_allclose(entry["J_rev"], entry["J_fd"], atol=1e-8)
 
 
+def test_the_volumes_inverted_cells_raise_analysis_error(plan):
+    from jaxmorph.integrations.mphys import VolumeBuilder
+
+    ids = np.arange(216).reshape(6, 6, 6)
+    corner = [ids[i : i + 5, j : j + 5, k : k + 5].ravel() for i, j, k in np.ndindex(2, 2, 2)]
+    bricks = np.stack([corner[c] for c in (0, 4, 6, 2, 1, 5, 7, 3)], axis=1)
+    mesh = jm.Mesh(plan.points, {"hexahedron": bricks})
+    problem = om.Problem(reports=False)
+    problem.model.add_subsystem("volume", VolumeBuilder(plan, mesh).get_coupling_group_subsystem())
+    problem.setup()
+    for lift in (0.2, 3.5):
+        u = np.tile([0, 0, lift], (8, 1))
+        problem.set_val("volume.x_aero", np.ravel(plan.moving_points + u))
+        count = int(jm.quality(mesh, jm.deform(plan, u)).inverted)
+        assert (count > 0) == (lift > 1)
+        if count:
+            with pytest.raises(om.AnalysisError, match=f"{count} of 125 cells are inverted"):
+                problem.run_model()
+        else:
+            problem.run_model()
+
+
 def set_up(called, options):
     problem = om.Problem(reports=False)
     problem.model.add_subsystem("a", called(**options))
@@ -77,15 +99,15 @@ def test_nonsense_is_refused_by_name(plan):
     bend = shapes.FreeForm([-3.0] * 3, 7 * np.eye(3), (2, 2, 2))
     made = {"shape": bend, "parameters": bend.neutral(), "plan": plan, "flat": False, "positions": False}
     table = {
-        openmdao.MeshDeformation: ("plan", "flat", "units"),
+        openmdao.MeshDeformation: ("plan", "mesh", "raise_if_inverted", "flat", "units"),
         openmdao.ShapeDisplacement: ("shape", "plan", "parameters", "positions", "flat", "units"),
         mphys.ShapeBuilder: ("shape", "parameters"),
-        mphys.VolumeBuilder: ("plan",),
+        mphys.VolumeBuilder: ("plan", "mesh", "raise_if_inverted"),
     }
     built = {mphys.Geometry, mphys.Volume}
     classes = [each for module in (openmdao, mphys) for each in vars(module).values() if isinstance(each, type)]
     own = [each for each in classes if each.__module__.startswith("jaxmorph.integrations.")]
-    assert {each for each in own if not each.__name__.startswith(("_", "Traced"))} - built == set(table)
+    assert {each for each in own if not each.__name__.startswith(("_", "Traced", "MovedMesh"))} - built == set(table)
     for called, names in table.items():
         good = {name: made[name] for name in names if name in made}
         for name in names:

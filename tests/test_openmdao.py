@@ -6,10 +6,12 @@ import tracemalloc
 import numpy as np
 import pytest
 from cases import body, motion
+from ring import write_ring
 
 import jaxmorph as jm
 
 om = pytest.importorskip("openmdao.api")
+pytestmark = pytest.mark.filterwarnings("ignore:inverted cells are not seen")
 
 
 @pytest.fixture(autouse=True)
@@ -89,6 +91,43 @@ def test_totals_through_a_model(plan, mode):
     problem.run_model()
     expected = np.vdot(weights, jm.deform(plan, u) - plan.points)
     np.testing.assert_allclose(problem.compute_totals("J", "a")["J", "a"].item(), expected, rtol=1e-10)
+
+
+@pytest.mark.filterwarnings("default")
+def test_inverted_cells_raise_analysis_error_by_default(tmp_path):
+    """By which an optimiser shortens its step. Cells that are inverted from the start do not count."""
+    mesh = write_ring(tmp_path / "ring.su2")
+    quads = np.array(mesh.cells["quad"])
+    quads[0] = quads[0][[1, 0, 2, 3]]  # crossed from the start
+    plan = jm.prepare(mesh, "wall", "far", method=jm.DelaunayGraph())
+    mesh = jm.Mesh(mesh.points, {"line": np.stack([np.arange(24), np.arange(1, 25) % 24], axis=1), "quad": quads})
+    u = np.tile([0.0, 1.0], (24, 1))
+    with pytest.warns(UserWarning, match="inverted cells are not seen: pass the mesh"):
+        run(plan=plan)
+    for factor in (0.1, 5.0, np.nan):
+        count = int(jm.quality(mesh, jm.deform(plan, factor * u)).inverted)
+        assert (count > 0) == (factor != 0.1)
+        problem = run(plan=plan, mesh=mesh)
+        problem.set_val("displacements", factor * u)
+        if not count:
+            problem.run_model()
+            continue
+        with pytest.raises(om.AnalysisError, match=f"mesh: {count} of 192 cells are inverted, first cell"):
+            problem.run_model()
+        problem = run(plan=plan, mesh=mesh, raise_if_inverted=False)
+        problem.set_val("displacements", factor * u)
+        problem.run_model()
+    with pytest.raises(ValueError, match="pass the mesh that it is of"):
+        run(plan=plan, mesh=jm.Mesh(mesh.points[:-1], {"triangle": [[0, 1, 2]]}))
+
+
+def run(**options):
+    """Runs the undeformed mesh."""
+    problem = om.Problem(reports=False)
+    problem.model.add_subsystem("mesh", component(**options), promotes=["*"])
+    problem.setup()
+    problem.run_model()
+    return problem
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch):

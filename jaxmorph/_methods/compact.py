@@ -74,10 +74,10 @@ class CompactRBF(AbstractMethod):
     is reproduced; it may be a correction too. Cells fold where the motion is a good part of the radius, so take a radius of
     several times the largest displacement. Memory is that of the pairs of nodes within it.
 
-    Nodes at one place have one function: those nearer to each other than 1.5e-8 radii (3.5e-4 in float32) or extents of the
-    surface, whichever is less. The matrix does not tell them apart. The function takes the mean of their displacements, and of the moving ones alone where fixed nodes are among them. Each
-    node still goes where `u` sends it. The field is one-valued, so it does not follow the two sides of a crack that opens:
-    `LinearElasticity`, which sees cells, does.
+    Nodes at one place have one function. One place is a distance of 1.5e-8 (3.5e-4 in float32) times the radius or the extent of
+    the surface, whichever is less: the matrix does not tell such nodes apart. The function takes the mean of their displacements,
+    of the moving ones alone where fixed nodes are among them. Each node still goes where `u` sends it. The field is one-valued, so
+    it does not follow the two sides of a crack that opens. `LinearElasticity`, which sees cells, does.
 
     **Arguments:**
 

@@ -14,6 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+import jaxmorph as jm
+from jaxmorph._host.errors import warn
+from jaxmorph._host.topology import solid
+
 Values = dict[str, Any]
 Traced = Callable[[Values], Any]
 """A pytree that computes one array from arrays by name."""
@@ -31,7 +35,12 @@ class TracedComponent(om.ExplicitComponent):
 
     def compute(self, inputs, outputs, discrete_inputs=None, discrete_outputs=None) -> None:
         (name,) = outputs.keys()
-        outputs[name] = np.asarray(_value(self.traced(), _arrays(inputs))).reshape(outputs[name].shape)
+        value = _value(self.traced(), _arrays(inputs))
+        outputs[name] = np.asarray(value).reshape(outputs[name].shape)
+        self.judge(value)
+
+    def judge(self, value: Array) -> None:
+        """Raises `openmdao.api.AnalysisError` for a value that no solver should be given; none by default."""
 
     def compute_jacvec_product(
         self, inputs, d_inputs, d_outputs, mode, discrete_inputs=None, discrete_outputs=None
@@ -46,6 +55,45 @@ class TracedComponent(om.ExplicitComponent):
             slopes = _reverse(self.traced(), values, np.array(d_outputs[name]))
             for key in d_inputs:
                 d_inputs[key] += np.asarray(slopes[key]).reshape(d_inputs[key].shape)
+
+
+class MovedMesh(TracedComponent):
+    """Moves a mesh by the option `plan`, and judges its cells where the option `mesh` knows them."""
+
+    def initialize(self) -> None:
+        self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
+        self.options.declare(
+            "mesh", types=jm.Mesh, default=None, allow_none=True, recordable=False, desc="whose cells are judged"
+        )
+        self.options.declare("raise_if_inverted", types=bool, default=True, desc="AnalysisError on inverted cells")
+
+    def setup(self) -> None:
+        plan, mesh = self.options["plan"], self.options["mesh"]
+        self._is_inverted = None
+        if not self.options["raise_if_inverted"]:
+            return
+        if mesh is None:
+            warn(
+                "inverted cells are not seen: pass the mesh, mesh=mesh, so that they raise AnalysisError, or "
+                "raise_if_inverted=False."
+            )
+            return
+        if tuple(mesh.points.shape) != tuple(plan.points.shape):
+            raise ValueError(
+                f"`mesh` has points {tuple(mesh.points.shape)}, the plan {tuple(plan.points.shape)}: pass the mesh that it is of."
+            )
+        judged = jm.Mesh(mesh.points, solid(mesh.cells, mesh.points.shape[1]))
+        self._is_inverted = jax.jit(lambda points: jm.inverted(judged, points).any())
+
+    def judge(self, value: Array) -> None:
+        """Raises `AnalysisError` where cells have lost the sign that they had on the undeformed mesh, or points are not finite."""
+        points = jnp.reshape(value, self.options["plan"].points.shape)
+        if self._is_inverted is None or not self._is_inverted(points):
+            return
+        try:
+            jm.quality(self.options["mesh"], points).raise_if_inverted()
+        except ValueError as error:
+            raise om.AnalysisError(f"{self.pathname}: {error}") from None
 
 
 def _arrays(vector: Any) -> Values:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, PyTree
 import jaxmorph as jm
 from jaxmorph._host.door import check
 
-from ._traced import TracedComponent
+from ._traced import MovedMesh, TracedComponent
 from .openmdao import add_parameters, first_parameters, from_inputs
 
 SURFACE = MPhysVariables.Aerodynamics.Surface
@@ -56,16 +56,19 @@ class VolumeBuilder(Builder):
     **Arguments:**
 
     - `plan`: what `jaxmorph.prepare` returned for a mesh in 3-D.
+    - `mesh`, `raise_if_inverted`: as `MeshDeformation` has them: inverted cells raise `openmdao.api.AnalysisError`.
 
     **Raises:** `ValueError` for a mesh in 2-D, and by `initialize` on more than one process.
     """
 
-    def __init__(self, plan: jm.Plan):
+    def __init__(self, plan: jm.Plan, mesh: jm.Mesh | None = None, *, raise_if_inverted: bool = True):
         super().__init__()
         check("plan", plan, jm.Plan, VolumeBuilder)
+        check("mesh", mesh, jm.Mesh | None, VolumeBuilder)
+        check("raise_if_inverted", raise_if_inverted, bool, VolumeBuilder)
         if plan.points.shape[1] != 3:
             raise ValueError(f"this mesh is in {plan.points.shape[1]}-D; MPhys's coordinates are in 3-D.")
-        self.plan = plan
+        self.plan, self.mesh, self.raise_if_inverted = plan, mesh, raise_if_inverted
 
     def initialize(self, comm) -> None:
         """Checks that one process has it all."""
@@ -81,7 +84,7 @@ class VolumeBuilder(Builder):
 
     def get_coupling_group_subsystem(self, scenario_name=None) -> "Volume":  # pyright: ignore[reportIncompatibleMethodOverride]  MPhys states no result
         """Makes the component that moves the volume."""
-        return Volume(plan=self.plan)
+        return Volume(plan=self.plan, mesh=self.mesh, raise_if_inverted=self.raise_if_inverted)
 
     def get_number_of_nodes(self) -> int:
         """Counts the wall's nodes."""
@@ -111,13 +114,11 @@ class Geometry(TracedComponent):
         return _Moved(self.options["shape"], self.options["parameters"])
 
 
-class Volume(TracedComponent):
+class Volume(MovedMesh):
     """Moves a volume's coordinates (3 n,) with its wall's (3 m,); `VolumeBuilder` makes it."""
 
-    def initialize(self) -> None:
-        self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
-
     def setup(self) -> None:
+        super().setup()
         points: Any = np.asarray(self.options["plan"].points, float)
         wall, tags = points[np.asarray(self.options["plan"].moving)], ["mphys_coupling"]
         self.add_input(SURFACE.COORDINATES, wall.ravel(), distributed=True, units="m", tags=["mphys_coordinates"])

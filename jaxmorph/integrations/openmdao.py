@@ -12,10 +12,10 @@ import jaxmorph as jm
 from jaxmorph import shapes
 from jaxmorph._host.door import shown
 
-from ._traced import TracedComponent
+from ._traced import MovedMesh, TracedComponent
 
 
-class MeshDeformation(TracedComponent):
+class MeshDeformation(MovedMesh):
     """Wraps `jaxmorph.deform` as an explicit component, whose derivatives are products without a matrix.
 
     The input `displacements` (m, d) is zero at first; its row i moves node `plan.moving[i]`. The output `points` (n, d) are all
@@ -25,11 +25,14 @@ class MeshDeformation(TracedComponent):
     **Arguments:** (options)
 
     - `plan`: what `jaxmorph.prepare` returned.
+    - `mesh`: the mesh that the plan is of, whose cells are judged. Default None: no cells are seen, which is warned of.
+    - `raise_if_inverted`: whether inverted cells raise `openmdao.api.AnalysisError`, by which optimisers shorten a step. Cells
+      are judged relative to `mesh`: those that were inverted from the start do not count. Default True.
     - `flat`: True flattens both variables to (m d,) and (n d,), as the solvers of MPhys have them. Default False.
     - `units`: those of both variables, such as "m". Default None: none.
 
         problem = om.Problem()
-        problem.model.add_subsystem("mesh", MeshDeformation(plan=plan), promotes=["*"])
+        problem.model.add_subsystem("mesh", MeshDeformation(plan=plan, mesh=mesh), promotes=["*"])
         problem.setup()
         problem.set_val("displacements", u)
         problem.run_model()
@@ -37,11 +40,12 @@ class MeshDeformation(TracedComponent):
     """
 
     def initialize(self) -> None:
-        self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
+        super().initialize()
         self.options.declare("flat", types=bool, default=False, desc="variables of one dimension")
         self.options.declare("units", types=str, default=None, allow_none=True, desc="of displacements and points")
 
     def setup(self) -> None:
+        super().setup()
         plan, flat, units = self.options["plan"], self.options["flat"], self.options["units"]
         rest: Any = np.zeros((plan.n_moving, plan.points.shape[1]))
         points: Any = np.asarray(plan.points, dtype=float)
@@ -61,7 +65,7 @@ class ShapeDisplacement(TracedComponent):
     `displacements` (m, d) is what `MeshDeformation` takes.
 
         model.add_subsystem("shape", ShapeDisplacement(plan=plan, shape=wing), promotes=["*"])
-        model.add_subsystem("mesh", MeshDeformation(plan=plan), promotes=["*"])
+        model.add_subsystem("mesh", MeshDeformation(plan=plan, mesh=mesh), promotes=["*"])
 
     **Arguments:** (options)
 
