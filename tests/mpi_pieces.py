@@ -62,6 +62,33 @@ assert abs(summary.largest["skewness"] - float(report.max_skewness)) < 1e-9
 assert abs(summary.mean["skewness"] - float(report.mean_skewness)) < 1e-9
 assert abs(summary.smallest["jacobian_ratio"] - float(report.min_jacobian_ratio)) < 1e-9
 
+
+# pieces with cells know the faces, so the mesh moves as it does whole: in a passage too, and where pieces have ghost cells
+def moved_in_pieces(whole, patches, parts, u_of):
+    """Moves a mesh whose piece in each process has the given cells; tells the largest distance from the mesh moved whole."""
+    points = np.asarray(whole.points)
+    kinds = {kind: np.asarray(ids) for kind, ids in whole.cells.items() if len(np.asarray(ids))}
+    mine = {kind: ids[parts[kind][comm.rank]] for kind, ids in kinds.items()}
+    here = np.unique(np.concatenate([ids.ravel() for ids in mine.values()]))
+    part = jm.Mesh(points[here], {kind: np.searchsorted(here, ids) for kind, ids in mine.items()})
+    lists = [np.flatnonzero(np.isin(here, ids)) for ids in patches]
+    one = mpi.prepare(comm, part, here, *lists)
+    plan = jm.prepare(whole, *patches)
+    expected = np.asarray(jm.deform(plan, u_of(points[patches[0]])))
+    return np.abs(one.deform(u_of(points[here[lists[0]]])) - expected[here]).max() / np.ptp(points, axis=0).max()
+
+
+for whole, patches in (
+    (jm.Mesh(points, {kind: cells}), (wall, far)),
+    (cases.wing(points=300, stations=4), None),
+):
+    patches = patches or (whole.patch("wing"), np.setdiff1d(whole.patch("farfield"), whole.patch("wing")))
+    middles = {k: np.asarray(whole.points)[np.asarray(ids)].mean(axis=1) for k, ids in whole.cells.items()}
+    for ghosts in (0.0, 0.1):  # cells of both pieces lie about the cut
+        parts = {k: [x[:, 0] > 0.4 - ghosts, x[:, 0] <= 0.4 + ghosts] for k, x in middles.items()}
+        error = moved_in_pieces(whole, patches, parts, lambda x: 0.05 * np.sin(3 * x[:, ::-1]))
+        assert error < 1e-10, error
+
 # between two parallel planes: all of their nodes count, whoever has them
 grid = np.stack(np.meshgrid(np.linspace(-2, 2, 13), np.linspace(0, 1, 7), indexing="ij"), axis=-1).reshape(-1, 2)
 round_body = [0, 0.5] + 0.2 * np.stack([np.cos(np.arange(12)), np.sin(np.arange(12))], axis=1)
@@ -85,6 +112,7 @@ for wrong in (
     lambda: mpi.prepare(comm, points[nodes], nodes, np.isin(nodes, wall), fixed),
     lambda: mpi.prepare(comm, None if comm.rank else points[nodes], nodes, moving, fixed),
     lambda: mpi.prepare(comm, points[nodes], nodes, moving, fixed, symmetry="symmetry" if comm.rank else ()),
+    lambda: mpi.prepare(comm, part if comm.rank else points[nodes], nodes, moving, fixed),
     lambda: mpi.prepare("world", points[nodes], nodes, moving, fixed),
     lambda: piece.pullback(u, {} if comm.rank else weight[nodes]),
     lambda: piece.summary(None if comm.rank else jm.quality(part, moved)),

@@ -17,6 +17,8 @@ from jaxmorph._host.door import check, shown
 from jaxmorph._host.ranks import together
 from jaxmorph._plan.symmetry import check_dimension, on_facing
 
+from ._shared import agree, faces_of, joined, owned
+
 ROWS = Real[ArrayLike, "k d"] | Sequence[Any]
 
 
@@ -52,7 +54,7 @@ class Piece:
         u = self.gathered(u)
         moved = np.array(together(self.comm, lambda: jm.deform(self.plan, u)))
         if self.comm.allreduce(int(self.is_shared.sum())):
-            _agree(self.comm, self.nodes, self.is_shared, self.is_owner, moved)
+            agree(self.comm, self.nodes, self.is_shared, self.is_owner, moved)
         return moved
 
     def pullback(self, u: Real[ArrayLike, "k d"], cotangent: Real[ArrayLike, "n d"]) -> Float[np.ndarray, "k d"]:
@@ -134,14 +136,19 @@ def prepare(
     The moving and fixed nodes of all pieces are gathered, and those on parallel symmetry planes. The first process prepares
     them, and all attach their points to equal bits: nodes that pieces share move alike.
 
+    Pieces with cells, as a `Mesh`, give the boundary's faces: those that one cell of all pieces has. The points are then those of
+    `jaxmorph.prepare(mesh, ...)` to round-off, however many processes there are. Without cells they are those of points alone.
+
     **Arguments:**
 
     - `comm`: the communicator, for example `MPI.COMM_WORLD`.
-    - `points`: base coordinates (n, d) of this piece's nodes.
+    - `points`: this piece of the mesh, a `Mesh`, or base coordinates (n, d) of its nodes; alike in every process. A cell may be in
+      several pieces, as ghost cells are.
     - `nodes`: the whole mesh's id (n,) of each, from 0 on: nodes that several pieces share have one id.
     - `moving`, `fixed`: which of these points move (k,) and are fixed (f,); an empty list where there are none.
     - `method`, `symmetry`: as `jaxmorph.prepare` takes them, alike in every process.
-    - `is_open`: whether the mesh has a side that is neither moving, fixed nor a symmetry plane. Default False.
+    - `is_open`: whether the mesh has a side that is neither moving, fixed nor a symmetry plane. Default False. Faces show it:
+      pieces with cells need it only to say that such sides are meant, and not to be warned of.
 
     **Returns:** a `Piece`.
 
@@ -152,16 +159,20 @@ def prepare(
     if not hasattr(comm, "allgather"):
         raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
     piece = together(comm, lambda: _given(points, nodes, moving, fixed, symmetry, is_open))
-    everything, names, m, count = _surface(comm, piece)
+    marks = owned(comm, piece.nodes)
+    faces = faces_of(comm, piece.mesh, piece.nodes, marks[1])
+    everything, names, m, count, total = _surface(comm, piece, faces)
+    whole = comm.gather(faces)
 
     def half() -> jm.SurfaceHalf | None:
         if comm.rank:
             return None
         lists = np.arange(m), np.arange(m, count)
+        known: dict[str, Any] = {"is_open": is_open}
+        if faces is not None:
+            known = {"faces": joined(whole, names), "free": np.arange(count, total if is_open else count)}
         try:
-            return jm.prepare_surface(
-                everything, *lists, nodes=names, method=method, symmetry=symmetry, is_open=is_open
-            )
+            return jm.prepare_surface(everything, *lists, nodes=names, method=method, symmetry=symmetry, **known)
         except jm.MeshError as error:
             raise error.renumbered(names) from None
 
@@ -169,7 +180,7 @@ def prepare(
     assert shared is not None
     plan = together(comm, lambda: shared.attach(piece.points, piece.nodes))
     rows = np.searchsorted(names[:m], piece.nodes[piece.moving])
-    return Piece(comm, plan, piece.nodes, piece.moving, rows, *_owned(comm, piece.nodes))
+    return Piece(comm, plan, piece.nodes, piece.moving, rows, *marks)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,42 +192,47 @@ class _Given:
     moving: np.ndarray
     fixed: np.ndarray
     planes: list[jm.Plane]
+    mesh: jm.Mesh | None
 
 
 def _given(points: Any, nodes: Any, moving: Any, fixed: Any, symmetry: Any, is_open: Any) -> _Given:
-    check("points", points, ROWS, prepare)
+    check("points", points, jm.Mesh | ROWS, prepare)
     check("symmetry", symmetry, jm.Plane | Sequence[jm.Plane], prepare)
     check("is_open", is_open, bool, prepare)
-    x, ids = np.asarray(points), np.asarray(nodes)
+    mesh = points if isinstance(points, jm.Mesh) else None
+    x, ids = np.asarray(points if mesh is None else mesh.points), np.asarray(nodes)
     if x.ndim != 2 or ids.shape != (len(x),) or ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
         raise ValueError(f"`nodes` must be one id for each of {len(x)} points, no id twice.")
     if not len(x) or x.dtype.kind not in "fiu" or not np.isfinite(x).all() or (ids < 0).any():
         raise ValueError("a piece needs at least one point, finite coordinates, and ids from 0 on.")
     planes = [symmetry] if isinstance(symmetry, jm.Plane) else list(symmetry)
     check_dimension(planes, x.shape[1])
-    return _Given(x, ids.astype(np.int64), _rows(moving, len(x)), _rows(fixed, len(x)), planes)
+    return _Given(x, ids.astype(np.int64), _rows(moving, len(x)), _rows(fixed, len(x)), planes, mesh)
 
 
-def _surface(comm: Any, piece: _Given) -> tuple[np.ndarray, np.ndarray, int, int]:
-    """Gathers the points that the surface's half needs: moving, fixed, on parallel planes, outermost; their ids, -1 for the last.
+def _surface(
+    comm: Any, piece: _Given, faces: dict[str, np.ndarray] | None
+) -> tuple[np.ndarray, np.ndarray, int, int, int]:
+    """Gathers the points that the surface's half needs, and their ids.
 
-    The first m move and those up to `count` are fixed. All processes see the same, and raise together.
+    The first m move, those up to `count` are fixed, those up to `total` are on parallel planes or on the boundary's `faces`.
+    The outermost points, whose id is -1, are the last. All processes see the same, and raise together.
     """
     x, ids = piece.points, piece.nodes
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
     extent = np.concatenate(comm.allgather(x[ends]))  # a plane holds nodes to a share of the whole mesh's size
     guided = on_facing(piece.planes, np.concatenate([x, extent]))[: len(x)]
-    kinds = piece.moving, piece.fixed, np.flatnonzero(guided)
+    on_faces = np.isin(ids, np.concatenate([each.ravel() for each in (faces or {}).values()] or [ids[:0]]))
+    kinds = piece.moving, piece.fixed, np.flatnonzero(guided | on_faces)
     shares = comm.allgather([(ids[rows], x[rows]) for rows in kinds])
-    (moving, at_moving), (fixed, at_fixed), (on_planes, at_planes) = (
-        _union(each) for each in zip(*shares, strict=True)
-    )
+    (moving, at_moving), (fixed, at_fixed), (further, at_further) = (_union(each) for each in zip(*shares, strict=True))
     rest = ~np.isin(fixed, moving)
-    others = ~np.isin(on_planes, np.concatenate([moving, fixed]))
-    outermost = np.concatenate(comm.allgather(x[ends[~guided[ends]]]))
-    everything = np.concatenate([at_moving, at_fixed[rest], at_planes[others], outermost])
-    names = np.concatenate([moving, fixed[rest], on_planes[others], np.full(len(outermost), -1)])
-    return everything, names, len(moving), len(moving) + int(rest.sum())
+    others = ~np.isin(further, np.concatenate([moving, fixed]))
+    outermost = np.concatenate(comm.allgather(x[ends[~(guided | on_faces)[ends]]]))
+    everything = np.concatenate([at_moving, at_fixed[rest], at_further[others], outermost])
+    names = np.concatenate([moving, fixed[rest], further[others], np.full(len(outermost), -1)])
+    count = len(moving) + int(rest.sum())
+    return everything, names, len(moving), count, count + int(others.sum())
 
 
 def _rows(values: Any, n: int) -> np.ndarray:
@@ -243,38 +259,6 @@ def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     if apart.size:
         raise ValueError(f"{apart.size} nodes lie at different places in different processes, first {ids[apart[0]]}.")
     return unique, points[first]
-
-
-def _owned(comm: Any, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Marks the nodes of which this process is the first that has them, and those that others have too.
-
-    Each id has a process that keeps its list, so that no process sees the nodes of all.
-    """
-    keeper = ids % comm.size
-    asked = comm.alltoall([ids[keeper == rank] for rank in range(comm.size)])
-    _, first, back, count = np.unique(np.concatenate(asked), return_index=True, return_inverse=True, return_counts=True)
-    flags = np.zeros((len(back), 2), dtype=bool)
-    flags[first, 0] = True
-    flags[:, 1] = count[back] > 1
-    answers = comm.alltoall(np.split(flags, np.cumsum([len(each) for each in asked])[:-1]))
-    marks = np.zeros((len(ids), 2), dtype=bool)
-    for rank, answer in enumerate(answers):
-        marks[keeper == rank] = answer
-    return marks[:, 0], marks[:, 1]
-
-
-def _agree(comm: Any, ids: np.ndarray, is_shared: np.ndarray, is_owner: np.ndarray, values: np.ndarray) -> None:
-    """Puts the owner's rows of shared nodes in place of the others', by way of the process that keeps each id."""
-    keeper = np.where(is_shared, ids % comm.size, -1)
-    given = [np.flatnonzero((keeper == rank) & is_owner) for rank in range(comm.size)]
-    wanted = [np.flatnonzero((keeper == rank) & ~is_owner) for rank in range(comm.size)]
-    known = comm.alltoall([(ids[rows], values[rows]) for rows in given])
-    asked = comm.alltoall([ids[rows] for rows in wanted])
-    names, rows = (np.concatenate([each[k] for each in known]) for k in range(2))
-    order = np.argsort(names)
-    answers = comm.alltoall([rows[order[np.searchsorted(names[order], each)]] for each in asked])
-    for places, answer in zip(wanted, answers, strict=True):
-        values[places] = answer
 
 
 def _summed(comm: Any, report: jm.QualityReport) -> Summary:

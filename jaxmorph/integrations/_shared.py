@@ -1,0 +1,109 @@
+"""What the processes of an MPI run have in common: nodes that they share, and the boundary of the whole mesh."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxmorph._host.pairs import sorted_columns
+from jaxmorph._host.ranks import together
+from jaxmorph._host.topology import CORNERS, solid
+from jaxmorph._mesh.mesh import Mesh
+from jaxmorph._plan.faces import outer_faces
+
+
+def faces_of(comm: Any, mesh: Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:
+    """Finds a piece's faces (k, corners) of the boundary of the whole mesh by type, in its ids; None for points alone.
+
+    `nodes` (n,) are the whole mesh's ids of the piece's points, of which other pieces share some. Processes raise together.
+    """
+
+    def outer() -> dict[str, np.ndarray]:
+        assert mesh is not None
+        if mesh.polyhedra is None:
+            faces = outer_faces(Mesh(mesh.points, cells))
+        elif mesh.between is not None or comm.size == 1:
+            faces = outer_faces(mesh)
+        else:
+            raise ValueError(
+                "polyhedra do not tell which of their faces other pieces have: read the piece by `io.read`."
+            )
+        return {} if faces is None else faces.corners
+
+    if len(set(comm.allgather(mesh is None))) > 1:
+        raise ValueError("some processes give a Mesh and some points alone: give the same in all.")
+    if mesh is None:
+        return None
+    # a ghost cell counts in the first piece that has it; a face that two pieces then have lies between them
+    cells = _filtered(comm, solid(mesh.cells, mesh.points.shape[1]), nodes, is_shared, lambda is_first, _: is_first)
+    return {
+        kind: nodes[corners]
+        for kind, corners in _filtered(
+            comm, together(comm, outer), nodes, is_shared, lambda _, is_twice: ~is_twice
+        ).items()
+    }
+
+
+def _filtered(
+    comm: Any,
+    cells: Mapping[str, Any],
+    nodes: np.ndarray,
+    is_shared: np.ndarray,
+    chosen: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> dict[str, np.ndarray]:
+    """Chooses among cells or faces, by whether this piece is the first that has them, and whether others have them too.
+
+    Other processes are asked only for those whose nodes are all shared.
+    """
+    kept = {}
+    for kind in sorted(set().union(*comm.allgather(list(cells)))):
+        corners = np.asarray(cells.get(kind, np.zeros((0, CORNERS[kind]), dtype=np.int64)))
+        rows = np.flatnonzero(is_shared[corners].all(axis=1))
+        keys = np.stack(sorted_columns(list(nodes[corners[rows]].T), CORNERS[kind]), axis=1)
+        is_first, is_twice = np.ones(len(corners), dtype=bool), np.zeros(len(corners), dtype=bool)
+        is_first[rows], is_twice[rows] = owned(comm, keys)
+        kept[kind] = corners[chosen(is_first, is_twice)]
+    return kept
+
+
+def joined(shares: Sequence[Any], names: np.ndarray) -> dict[str, np.ndarray]:
+    """Joins the faces of all pieces, as rows of `names`."""
+    order = np.argsort(names, kind="stable")
+    return {
+        kind: order[np.searchsorted(names[order], np.concatenate([share[kind] for share in shares]))]
+        for kind in shares[0]
+    }
+
+
+def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Marks the keys, ids (k,) or rows of ids (k, c), of which this process is the first, and those that others have too.
+
+    Each id has a process that keeps its list, so that no process sees the nodes of all.
+    """
+    keeper = (keys if keys.ndim == 1 else keys[:, 0]) % comm.size
+    asked = comm.alltoall([keys[keeper == rank] for rank in range(comm.size)])
+    _, first, back, count = np.unique(
+        np.concatenate(asked), axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    flags = np.zeros((sum(map(len, asked)), 2), dtype=bool)
+    flags[first, 0] = True
+    flags[:, 1] = count[np.ravel(back)] > 1
+    answers = comm.alltoall(np.split(flags, np.cumsum([len(each) for each in asked])[:-1]))
+    marks = np.zeros((len(keys), 2), dtype=bool)
+    for rank, answer in enumerate(answers):
+        marks[keeper == rank] = answer
+    return marks[:, 0], marks[:, 1]
+
+
+def agree(comm: Any, ids: np.ndarray, is_shared: np.ndarray, is_owner: np.ndarray, values: np.ndarray) -> None:
+    """Puts the owner's rows of shared nodes in place of the others', by way of the process that keeps each id."""
+    keeper = np.where(is_shared, ids % comm.size, -1)
+    given = [np.flatnonzero((keeper == rank) & is_owner) for rank in range(comm.size)]
+    wanted = [np.flatnonzero((keeper == rank) & ~is_owner) for rank in range(comm.size)]
+    known = comm.alltoall([(ids[rows], values[rows]) for rows in given])
+    asked = comm.alltoall([ids[rows] for rows in wanted])
+    names, rows = (np.concatenate([each[k] for each in known]) for k in range(2))
+    order = np.argsort(names)
+    answers = comm.alltoall([rows[order[np.searchsorted(names[order], each)]] for each in asked])
+    for places, answer in zip(wanted, answers, strict=True):
+        values[places] = answer
