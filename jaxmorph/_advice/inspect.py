@@ -246,7 +246,7 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
     size = np.asarray(tree.query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
     pairs = torn_pairs(points[nodes], vectors, is_fixed)
-    torn, rests = nodes[pairs].reshape(-1, 2), is_fixed[pairs].any(axis=1)
+    torn, rests = nodes[pairs].reshape(-1, 2), np.asarray(is_fixed[pairs].any(axis=1))
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
     anywhere, behind = overshoot(plan, np.asarray(u, dtype=float))

@@ -147,7 +147,7 @@ def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[
     points may be near each other.
     """
     if len(points) < 2:
-        return np.zeros((2, 0), dtype=np.int64)
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     distance, nearest = map(np.asarray, KDTree(points).query(points, k=min(AROUND + 1, len(points))))
     distance = distance[:, 1:]
     if distance.shape[1] < AROUND:  # there are no others

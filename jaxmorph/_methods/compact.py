@@ -33,7 +33,7 @@ NEAR = 1e-3
 
 
 class CompactIds(eqx.Module):
-    """What is known of the surface's b rows.
+    """Ids of the surface's b rows.
 
     - `stands` (b,): the row that has the function of all rows at its place.
     - `speaks` (b,): whether a row's displacement counts at its place: where one moves, fixed ones do not.
@@ -105,14 +105,13 @@ class CompactRBF(AbstractMethod):
         stands = _standing(nodes, max(roundoff(surface.points), indistinct))
         moves = np.arange(len(nodes)) < surface.moving
         speaks = moves | (np.bincount(stands, moves, minlength=len(nodes)) == 0)[stands]
-        own, distance = np.unique(stands), (1 + SLACK) * radius
-        pairs = np.asarray(KDTree(nodes[own]).query_pairs(distance, output_type="ndarray"), np.int32).reshape(-1, 2)
-        near = overlaps(nodes, own, np.full(len(nodes), distance), points.astype(float))
+        owners, distance = np.unique(stands), (1 + SLACK) * radius
+        pairs = np.asarray(KDTree(nodes[owners]).query_pairs(distance, output_type="ndarray"), np.int32).reshape(-1, 2)
+        near = overlaps(nodes, owners, np.full(len(nodes), distance), points.astype(float))
         reach = Reach(*as_jax(padded(*near, len(points))))
         searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
-        return CompactIds(
-            *as_jax((stands.astype(np.int32), speaks, own[pairs].astype(np.int32), radius)), searched
-        ), reach
+        ids = as_jax((stands.astype(np.int32), speaks, owners[pairs].astype(np.int32), radius))
+        return CompactIds(*ids, searched=searched), reach
 
     def reach(self, ids: CompactIds) -> float:
         return float(ids.radius)
@@ -179,8 +178,8 @@ class CompactRBF(AbstractMethod):
 
 def _standing(nodes: Float[np.ndarray, "b d"], closest: float) -> Int[np.ndarray, " b"]:
     """Finds for each row the one that has the function of all within a distance: itself, if it comes first."""
-    own = drop_close(nodes, np.arange(len(nodes)), closest)
-    return own[np.asarray(KDTree(nodes[own]).query(nodes)[1])]
+    owners = drop_close(nodes, np.arange(len(nodes)), closest)
+    return owners[np.asarray(KDTree(nodes[owners]).query(nodes)[1])]
 
 
 def _given(ids: CompactIds, u: Float[Array, "b d"]) -> Float[Array, "b d"]:

@@ -16,7 +16,7 @@ from .searched import Searched, squared_distance
 from .sparse import InterpolatedField, Reach
 
 REACH = 1.25
-"""How far nodes are searched for, in radii. By the rest, a quarter, another node may come nearer than the one that was found."""
+"""Distance in radii within which nodes are searched for. By the rest another node may come nearer than the nearest one."""
 
 SPACING = 2.0
 """The automatic radius, relative to the width of the layer of `NearWall`."""
@@ -74,8 +74,8 @@ class LocalCorrection(AbstractMethod):
         def is_lost():
             squared, reaches = squared_distance(x[None], surface), jax.lax.stop_gradient(factors[0])
             nearest = jnp.where(squared < reaches**2, jnp.sqrt(squared) + (REACH - 1) * reaches, jnp.inf).min()
-            found = jnp.sqrt(squared_distance(x[None], surface[ids.nodes]))[0]
-            return nearest < jnp.where(ids.reached[0], found, jnp.inf)
+            listed = jnp.sqrt(squared_distance(x[None], surface[ids.nodes]))[0]
+            return nearest < jnp.where(ids.reached[0], listed, jnp.inf)
 
         lost = jax.lax.cond(factors[1], lambda: jnp.array(False), is_lost)
         weights = WendlandC2(1.0)(jnp.sum(apart**2, axis=1) / jnp.where(fades, radius, 1) ** 2)

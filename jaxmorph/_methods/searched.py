@@ -1,4 +1,4 @@
-"""Where the nodes near each point were searched for, and whether they still are all that are near on another base."""
+"""Searches for the nodes near each point, and whether another base has nodes that a search on the first one left out."""
 
 import equinox as eqx
 import jax

@@ -1,4 +1,4 @@
-"""What the processes of an MPI run have in common: nodes that they share, and the boundary of the whole mesh."""
+"""Nodes that the processes of an MPI run share, and the boundary of their whole mesh."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
