@@ -9,6 +9,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._host.door import checked, whole
+from .._kernels.module import Module
 from .._kernels.values import is_known
 from ._combine import Part, Together
 from ._curves import CST
@@ -18,7 +19,7 @@ from ._section import Chord, upper_side
 from ._shape import AbstractLinearShape
 
 
-class Fit(eqx.Module):
+class Fit(Module):
     """Result of a fit: parameters, distances left, rank.
 
     - `parameters`: as the shape takes them.

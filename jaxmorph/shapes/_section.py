@@ -1,18 +1,18 @@
 """Place of an airfoil: its chord, and the nodes on its upper side."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._host.door import checked
+from .._kernels.module import Module
 from ._door import Numbers, check_finite, known_positions
 
 WINDOW = 14
 """Nodes around each one by which the two sides of an airfoil are told apart."""
 
 
-class Chord(eqx.Module):
+class Chord(Module):
     """The chord of an airfoil, from nose to tail, and the direction across it.
 
     **Arguments:**

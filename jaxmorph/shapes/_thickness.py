@@ -2,18 +2,18 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.door import checked
+from .._kernels.module import Module
 from .._kernels.values import is_known
 from ._door import Numbers, check_finite, known_positions, positions, rows_of
 from ._measures import _triangles
 
 
-class Stations(eqx.Module):
+class Stations(Module):
     """Lines on which thickness is measured, each with the two faces that it meets first and last.
 
     `Stations.on` makes them once. The faces keep the wall's nodes, so that a moved wall is measured where its faces went.
