@@ -1,10 +1,12 @@
 """Parameters that reproduce a given surface."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
@@ -101,7 +103,12 @@ def fit(
 
 @checked
 def fit_cst(
-    points: Numbers, order: int, exponents: tuple[float, float] = (0.5, 1.0), *, chord: Chord | None = None
+    points: Numbers,
+    order: int,
+    exponents: tuple[float, float] = (0.5, 1.0),
+    *,
+    chord: Chord | None = None,
+    wall: Any = None,
 ) -> tuple[Together, Fit]:
     """Fits class and shape functions to the upper and the lower side of an airfoil, from its chord.
 
@@ -110,6 +117,7 @@ def fit_cst(
     - `points`: (m, 2) nodes of the airfoil, in any order.
     - `order`, `exponents`: of `CST`.
     - `chord`: from the tail to the node farthest from it by default. A nose between two nodes shows in the residual there.
+    - `wall`: rows of all points in the order of the wall, by which `upper_side` tells the sides.
 
     **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters are those of this airfoil.
     Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.
@@ -118,7 +126,11 @@ def fit_cst(
     """
     points = positions(points, "points")
     chord = Chord.along(points) if chord is None else chord
-    upper = upper_side(points, chord)
+    if wall is not None and len(np.unique(wall)) != len(points):
+        raise ValueError(
+            f"`wall` names {len(np.unique(wall))} of {len(points)} points; all of them belong to the airfoil."
+        )
+    upper = upper_side(points, chord, wall=wall)
     if min(upper.sum(), (~upper).sum()) < order + 2:
         raise ValueError(
             f"{upper.sum()} nodes above and {(~upper).sum()} below do not tell {order + 2} numbers a side."

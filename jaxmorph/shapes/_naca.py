@@ -87,6 +87,7 @@ def _rate(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
 
 
 @jax.custom_jvp
+@jax.jit
 def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[Array, " 3"]) -> Float[Array, " m"]:
     """Finds the foot of each position on the mean line: of several the one at which the airfoil is as thick as it is far."""
     t, height = t[None], height[None]
