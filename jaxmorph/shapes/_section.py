@@ -123,15 +123,18 @@ def _rows_of_loop(wall: Any, count: int) -> Int[np.ndarray, " k"]:
 def _by_faces(
     x: Float[np.ndarray, "m 3"], triangles: Int[np.ndarray, "k 3"], up: Float[np.ndarray, " 3"]
 ) -> Bool[np.ndarray, " m"]:
-    """Tells which nodes' faces look upwards, by the sum of their areas; upright ones count as upper.
+    """Tells which nodes' faces look upwards: by the sum of their normals times their angles at the node; a tie is upper.
 
     Faces that are inward, as those of a mesh's cells around the body, enclose a negative volume.
     """
+    corners = x[triangles] - x[np.unique(triangles)].mean(axis=0)
+    ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    area = np.cross(ahead[:, 0], back[:, 0])
+    size = np.linalg.norm(area, axis=1)
+    angles = np.arctan2(size[:, None], np.sum(ahead * back, axis=2))
+    unit = np.sign(np.sum(area * corners.sum(axis=1))) * area / np.where(size > 0, size, 1)[:, None]
     normals = np.zeros_like(x)
-    first, second, third = (x[triangles[:, k]] for k in range(3))
-    area = np.cross(second - first, third - first)
-    enclosed = np.sum(area * (first + second + third - 3 * x[np.unique(triangles)].mean(axis=0)))
-    np.add.at(normals, triangles, np.sign(enclosed) * area[:, None, :])
+    np.add.at(normals, triangles, angles[:, :, None] * unit[:, None, :])
     return normals @ up >= -SAME * np.linalg.norm(normals, axis=1)
 
 
