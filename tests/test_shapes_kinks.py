@@ -146,6 +146,32 @@ def test_lattices_in_3d_are_linked():
             box.linked(groups=groups)
 
 
+def test_round_off_changes_neither_stations_nor_the_nose():
+    x = naca(0.0, 0.4, 0.12, count=9, last=0.1036)[:-1]
+    section = x[1:]  # two nodes are as far from the tail
+    loop = np.concatenate([np.arange(8)[::-1], np.arange(8, 15)])
+    wall = np.concatenate([np.arange(9)[::-1], np.arange(9, 16)])
+    segments = np.stack([wall, np.roll(wall, -1)], axis=1)
+    lines = x[[2, 3, 4]] * [1, 0]  # each through two nodes
+    stations = shapes.Stations.on(x, segments, lines, [0.0, 1.0])
+    radius = shapes.leading_edge_radius(section, loop, 7, 2)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        noisy = np.nextafter(x, rng.choice([-np.inf, np.inf], x.shape))
+        np.testing.assert_array_equal(shapes.Stations.on(noisy, segments, lines, [0.0, 1.0]).faces, stations.faces)
+        with pytest.raises(ValueError, match="1 of 1 lines miss"):
+            shapes.Stations.on(noisy, segments, [[noisy[8, 0], 0.0]], [0.0, 1.0])  # touches the sharp tail
+        np.testing.assert_allclose(shapes.leading_edge_radius(noisy[1:], loop, 7, 2), radius, rtol=1e-9)
+
+
+def test_a_box_turned_by_a_right_angle_is_mirrored():
+    turned = np.array([[np.cos(np.pi / 2), 1.0], [-1.0, np.cos(np.pi / 2)]])
+    for mirror in (0, 1):
+        box = shapes.FreeForm([0.0, 0.0], turned, (3, 3)).linked(mirror=mirror)
+        exact = shapes.FreeForm([0.0, 0.0], np.round(turned), (3, 3)).linked(mirror=mirror)
+        np.testing.assert_array_equal(box.matrix, exact.matrix)
+
+
 def test_a_curve_in_3d_takes_its_neutral_parameters():
     x = np.random.default_rng(0).random((7, 3))
     curve = shapes.BSplineCurve(x, 4)

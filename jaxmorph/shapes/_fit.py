@@ -6,7 +6,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
@@ -126,15 +125,13 @@ def fit_cst(
     """
     points = positions(points, "points")
     chord = Chord.along(points) if chord is None else chord
-    if wall is not None and len(np.unique(wall)) != len(points):
-        raise ValueError(
-            f"`wall` names {len(np.unique(wall))} of {len(points)} points; all of them belong to the airfoil."
-        )
-    upper = upper_side(points, chord, wall=wall)
+    cst, upper = CST(order, exponents, chord=chord), upper_side(points, chord, wall=wall)
+    if wall is not None and len(wall) != len(points):
+        raise ValueError(f"`wall` names {len(wall)} of {len(points)} points; all of them belong to the airfoil.")
     if min(upper.sum(), (~upper).sum()) < order + 2:
         raise ValueError(
             f"{upper.sum()} nodes above and {(~upper).sum()} below do not tell {order + 2} numbers a side."
         )
-    shape = Together(*(Part(CST(order, exponents, chord=chord), side) for side in (upper, ~upper)))
+    shape = Together(*(Part(cst, side) for side in (upper, ~upper)))
     _, height = chord.coordinates(points)
     return shape, fit(shape, points - height[:, None] * chord.up.astype(points.dtype)[None, :], points)

@@ -195,7 +195,8 @@ class FreeForm(AbstractLinearShape):
         if mirror is not None:
             if whole("mirror", mirror, 0) >= d:
                 raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {d - 1}.")
-            signs = np.where(np.asarray(self.axes)[mirror] != 0, -1, 1)
+            edge = np.abs(np.asarray(self.axes)[mirror])
+            signs = np.where(edge > 1e-9 * edge.max(), -1, 1)
             if (signs < 0).sum() != 1:
                 raise ValueError(f"edge {mirror} of the box is along no axis: its controls cannot be mirrored.")
             reflected = mirror, signs
