@@ -125,8 +125,8 @@ def _intervals(
 ) -> tuple[Float[Array, "4 m"], Float[Array, "4 m"]]:
     """Computes the ends of intervals in which a position has at most one foot.
 
-    On each of the two parabolas, with v = s - place and b = -camber / width^2, the foot is a root of
-    2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t, which is monotone up to its extremum and beyond.
+    Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a root of
+    2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t. The cubic is monotone up to its extremum, and beyond it.
     """
     camber, place = airfoil[0], airfoil[1]
     near, far = [], []
