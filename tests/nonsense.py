@@ -267,6 +267,7 @@ KNOWN_MOTION = finite(U, short=U[:-1], wide=np.zeros((M, 3)))
 PATH = reals(np.zeros((2, M, 2)), short=np.zeros((2, M - 1, 2)))
 SHAPE = {"shape": one_of(BOX)}
 LOOP = ids([0, 1, 2, 3], 4)
+WALL = LOOP - "none"
 AIRFOIL = reals(X, wide=np.zeros((4, 4)))
 RATIO = number(0.1, below=-0.1, beyond=1.5)
 LENGTH = positive(0.5)
@@ -710,7 +711,12 @@ TABLE: dict[str, dict[str, Argument]] = {
         "parameters": Argument(Lazy(lambda: BOX.neutral()), {"none": None, "word": "a", "shape": np.zeros(3)}),
     },
     "shapes.fit": {**SHAPE, "points": finite(X), "targets": finite(X), "max_steps": count(2)},
-    "shapes.fit_cst": {"points": finite(X), "order": count(3), "chord": instance(CHORD, shapes.Chord) - "none"},
+    "shapes.fit_cst": {
+        "points": finite(X),
+        "order": count(3),
+        "chord": instance(CHORD, shapes.Chord) - "none",
+        "wall": WALL,
+    },
     "shapes.leading_edge_radius": {"x": AIRFOIL, "loop": LOOP, "tail": count(2, 0, beyond=9), "around": count(1)},
     "shapes.names": {"parameters": Argument({"a": 1.0}, {"word": "word", "object": object()})},
     "shapes.path": {
@@ -748,7 +754,7 @@ TABLE: dict[str, dict[str, Argument]] = {
         "axis": finite([0.0, 0.0, 1.0]),
         "length": positive(1.0),
     },
-    "shapes.upper_side": {"points": finite(X), "chord": instance(CHORD, shapes.Chord) - "none"},
+    "shapes.upper_side": {"points": finite(X), "chord": instance(CHORD, shapes.Chord) - "none", "wall": WALL},
     "shapes.varied": {
         "parameters": Argument({"a": 1.0}, {"word": "word"}),
         "changes": mapping({"a": 1.0}) - "empty contents",

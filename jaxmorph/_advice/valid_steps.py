@@ -11,13 +11,14 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree, Scalar
 
 from .._host.door import between, checked
+from .._kernels.module import Module
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan, deform
 from .._quality.quality import places
 from .largest_step import Corners
 
 
-class ValidSteps(optx.AbstractSearch):
+class ValidSteps(Module, optx.AbstractSearch):
     """Searches along a line by backtracking, and shortens a step that would invert a cell to what the mesh allows.
 
     Such a step is not halved until it fits: corner Jacobians are polynomials in the step, and their first root, as `largest_step`

@@ -222,11 +222,9 @@ def _fits_one(value: Any, annotation: Any, beside_array: bool) -> bool:
     if origin is type:
         return isinstance(value, type)
     if origin is tuple:
-        return (
-            (isinstance(value, tuple | list) or (_has_type(value) and len(value.shape) == 1))
-            and len(value) == len(arguments)
-            and all(map(_fits, value, arguments))
-        )
+        is_tuple = isinstance(value, tuple | list) or (_has_type(value) and len(value.shape) == 1)
+        each = _of_each(arguments, len(value)) if is_tuple else ()
+        return is_tuple and len(value) == len(each) and all(map(_fits, value, each))
     if collections.abc.Callable in (origin, annotation):
         return callable(value) and not isinstance(value, type)
     if origin in (collections.abc.Sequence, list):
@@ -238,6 +236,11 @@ def _fits_one(value: Any, annotation: Any, beside_array: bool) -> bool:
         return isinstance(value, Mapping) and all(_fits(each, arguments[1]) for each in value.values())
     cls = origin or annotation
     return not isinstance(cls, type) or isinstance(value, cls)
+
+
+def _of_each(arguments: tuple[Any, ...], count: int) -> tuple[Any, ...]:
+    """Lists the annotation of each member of a tuple: `tuple[int, ...]` is of any length."""
+    return arguments[:1] * count if arguments[1:] == (...,) else arguments
 
 
 def _words(annotation: Any) -> str:
@@ -266,6 +269,8 @@ def _word(annotation: Any) -> str:
         return "a list" if arguments == (Any,) else f"a list, each {_words(arguments[0])}"
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return "a dict" if not _says(arguments[1]) else f"a dict, each value {_words(arguments[1])}"
+    if origin is tuple and arguments[1:] == (...,):
+        return f"a tuple, each {_words(arguments[0])}"
     if origin is tuple:
         return f"({', '.join(map(_words, arguments))})"
     cls = origin or annotation

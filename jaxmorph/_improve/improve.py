@@ -17,6 +17,7 @@ from .._host.door import between, checked, whole
 from .._host.errors import MeshError
 from .._host.topology import FACES, solid
 from .._kernels.compile import compiled
+from .._kernels.module import Module
 from .._kernels.values import as_jax, is_known
 from .._mesh.mesh import Mesh
 from .._plan.door import node_ids, walls_of
@@ -43,7 +44,7 @@ SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
 """Softness of the barrier in the last stage, its largest share from one stage to the next, and how many there are at most."""
 
 
-class Improvement(eqx.Module):
+class Improvement(Module):
     """Holds the result of `improve`: traced arrays, and a line about them by `str`.
 
     - `points`: the improved points (n, d).

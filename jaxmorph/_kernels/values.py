@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 Either = Any
 """An array of JAX or of NumPy: a formula that takes `namespace` of it serves both. Type checkers know no operations of both."""
@@ -93,6 +93,17 @@ def _largest_jvp(axis, primals, tangents):
     chosen = (rows == index) | (values == jnp.expand_dims(top, axis))
     share = jnp.where(chosen, tangent, 0) / jnp.sum(chosen, axis=axis, keepdims=True).astype(tangent.dtype)
     return top, jnp.sum(share, axis=axis)
+
+
+def slack(dtype: Any) -> float:
+    """Returns how far beyond an end, in parts of an interval, a place counts as inside: round-off and some more."""
+    return float(jnp.finfo(dtype).eps) ** 0.75
+
+
+def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array, "*shape"]:
+    """Clips values to an interval whose ends count as inside, with round-off: `jnp.clip` halves the derivative there."""
+    beyond = slack(values.dtype) * (high - low)
+    return jnp.where(values < low - beyond, low, jnp.where(values > high + beyond, high, values))
 
 
 def is_known(*values: Any) -> bool:

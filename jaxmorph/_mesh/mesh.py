@@ -11,12 +11,13 @@ from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
 from .._host.door import check, checked, shown
 from .._host.topology import CORNERS, canonical_type
+from .._kernels.module import Module
 from . import exchange, export
 from .patches import patch_names
 from .polyhedra import Polyhedra
 
 
-class Mesh(eqx.Module):
+class Mesh(Module):
     """Holds points, the cells between them, and named patches of boundary nodes.
 
     **Arguments:**

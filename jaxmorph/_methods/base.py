@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from .._host.reduction import AbstractReduction, drop_close, drop_near
 from .._host.skin import chords
 from .._host.walls import walls
+from .._kernels.module import Module
 
 T = TypeVar("T")
 
@@ -178,7 +179,7 @@ class AbstractRows(eqx.Module):
         """Takes over the table of rows with the same ids, with the weights of these. Traced."""
 
 
-class AbstractField(eqx.Module):
+class AbstractField(Module):
     """Evaluates a displacement field, written for one point."""
 
     @abc.abstractmethod
@@ -198,7 +199,7 @@ class AbstractField(eqx.Module):
         return BLOCK
 
 
-class AbstractMethod(eqx.Module):
+class AbstractMethod(Module):
     """Turns displacements of the surface into a displacement field.
 
     A method of your own needs `connect`, `fit` and `field`. The surface's b rows are the moving nodes, then the fixed ones,

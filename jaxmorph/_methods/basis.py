@@ -9,10 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._kernels.log import half_x_log_x
+from .._kernels.module import Module
 from .numbers import length
 
 
-class AbstractBasis(eqx.Module):
+class AbstractBasis(Module):
     """A radial function phi, called with the squared distance r2 (any shape, the mesh's units squared).
 
     A basis of your own needs `__call__` alone. Two class attributes say when the interpolation is well posed and how it

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._host.door import whole
+from .._kernels.module import Module
 from .numbers import number
 from .system import polynomial, squared_distances
 
@@ -40,7 +41,7 @@ GIVE = 1e-10
 Product = Callable[[Float[Array, "s k"]], Float[Array, "s k"]]
 
 
-class AbstractSolver(eqx.Module):
+class AbstractSolver(Module):
     """Solves the interpolation system of an `RBF`: `Direct()` or `Iterative()`."""
 
 

@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.elements import quadrature
+from .._kernels.module import Module
 from .._kernels.values import largest
 from .numbers import number
 
 
-class AbstractStiffness(eqx.Module):
+class AbstractStiffness(Module):
     """Gives each cell a stiffness, or a diffusivity."""
 
     @abc.abstractmethod

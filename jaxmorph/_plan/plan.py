@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
 from .._host.door import checked
 from .._kernels.compile import compiled
+from .._kernels.module import Module
 from .._kernels.values import as_jax, is_known, on_host, taken
 from .._methods.base import AbstractMethod, Located
 from .._methods.blocks import (
@@ -43,7 +44,7 @@ class SurfacePart(eqx.Module):
     guide: "Guide | None" = None
 
 
-class Guide(eqx.Module):
+class Guide(Module):
     """Moves nodes along boundaries: a field of the moving and fixed nodes alone moves them, and they are kept where they belong.
 
     - `plan`: moves the surface's own rows, which are its points.
@@ -94,7 +95,7 @@ class VolumePart(eqx.Module):
     placed: PyTree
 
 
-class Plan(eqx.Module):
+class Plan(Module):
     """Holds everything that `deform` needs to know about a mesh: an immutable pytree of arrays.
 
     `prepare` makes it, and says what may move. It survives `jax.tree` round trips, pickling and

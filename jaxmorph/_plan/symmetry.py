@@ -3,19 +3,19 @@
 import itertools
 from collections.abc import Iterable, Sequence
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._host.door import finite_array, rows_of
 from .._host.errors import MeshError, place_of
 from .._host.reduction import roundoff
+from .._kernels.module import Module
 
 TOLERANCE = 1e-8
 """Distance from a plane, relative to the mesh's extent, within which a node lies on it."""
 
 
-class Plane(eqx.Module):
+class Plane(Module):
     """A symmetry plane: nodes on it move in it, and only in it.
 
     Nodes within 1e-8 of the mesh's extent lie on it, or within the round-off of float32 coordinates; all others are on one

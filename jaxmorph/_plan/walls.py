@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._kernels.module import Module
 from .._kernels.values import norm
 
 STEPS = 6
@@ -20,7 +21,7 @@ BLOCK = 512
 """Nodes whose nearest face is sought together."""
 
 
-class AbstractWall(eqx.Module):
+class AbstractWall(Module):
     """Keeps points on a surface (a curve in 2-D)."""
 
     @abc.abstractmethod

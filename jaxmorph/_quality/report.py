@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._host.door import checked, whole
 from .._host.topology import DIMENSION
+from .._kernels.module import Module
 from .._kernels.values import Either, is_known, largest, on_host, smallest
 
 MEASURES = (
@@ -19,7 +20,7 @@ MEASURES = (
 _SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio")
 
 
-class QualityReport(eqx.Module):
+class QualityReport(Module):
     """Reports the quality of each cell: arrays with one entry a cell, one type of cells after another, as in `mesh.cells`.
 
     The cells are k in number. Lengths have the unit of the points, volumes its square or cube.

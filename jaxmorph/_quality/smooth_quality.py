@@ -4,13 +4,13 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
 from .._host.door import between, checked
 from .._kernels.compile import compiled
+from .._kernels.module import Module
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures
@@ -21,7 +21,7 @@ from .smooth import positive_part, soft_maximum
 from .vector import Vector, corners, dot
 
 
-class SmoothQuality(eqx.Module):
+class SmoothQuality(Module):
     """Holds the smooth measures of k cells: arrays (k,), in the order of `QualityReport`.
 
     `skewness`, `aspect_ratio` and `jacobian_ratio` have no unit, `non_orthogonality` is in degrees.

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,12 +12,13 @@ from .._host.door import between, checked, rows_of
 from .._host.products import cross
 from .._host.wall import Lines, areas, first_lines
 from .._kernels.compile import compiled
+from .._kernels.module import Module
 from .._kernels.values import Either, as_jax, is_known, largest, namespace, norm, on_host, smallest
 from .._mesh.mesh import Mesh
 from .quality import places
 
 
-class WallQuality(eqx.Module):
+class WallQuality(Module):
     """Result of `wall_quality` at w wall nodes: arrays (w,).
 
     - `nodes`: their ids, ascending. A wall node without an edge that leaves the wall is not among them.

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.door import checked
+from .._kernels.values import clipped
 from ._door import Numbers, check_finite, positions
 from ._rigid import turn
 from ._shape import AbstractShape
@@ -102,7 +103,7 @@ class ReferenceAxis(AbstractShape):
     def weights(self, x: Float[Array, "m 3"]) -> Float[Array, "m k"]:
         """Computes the weight of each station at each position, by its place along the span."""
         stations = (self.points @ self.spanwise).astype(x.dtype)
-        y = jnp.clip(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
+        y = clipped(x @ self.spanwise.astype(x.dtype), stations[0], stations[-1])
         steps = jnp.diff(stations)
         left = jnp.clip(jnp.searchsorted(stations, y, side="right") - 1, 0, len(steps) - 1)
         share = (y - stations[left]) / steps[left]

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.door import checked
+from .._kernels.values import clipped, slack
 from . import _bspline
 from ._combine import MatrixOperator
 from ._door import Numbers, check_finite, known_positions, positions
@@ -92,23 +93,32 @@ class CST(AbstractLinearShape):
         """Computes the functions at positions (m, d) once."""
         x = positions(x)
         t, _ = self.chord.coordinates(x)
-        inside = (t > 0) & (t < 1)
+        beyond = slack(t.dtype)
+        inside = (t >= -beyond) & (t <= 1 + beyond)
         within = jnp.where(inside, t, 0.5)
         a, b = self.exponents
-        class_function = jnp.where(inside, within**a * (1 - within) ** b, 0)
+        class_function = jnp.where(inside, _power(within, a) * _power(1 - within, b), 0)
         functions = class_function[:, None] * _bspline.bernstein(within, self.order)
-        weights = jnp.concatenate([functions, jnp.clip(t, 0, 1)[:, None]], axis=1)
+        weights = jnp.concatenate([functions, clipped(t, 0, 1)[:, None]], axis=1)
         return MatrixOperator(weights * self.chord.length.astype(x.dtype), self.chord.up.astype(x.dtype))
 
 
+def _power(distance: Float[Array, " m"], exponent: float) -> Float[Array, " m"]:
+    """Raises distances from nose or tail to a power; there the derivative is that inside, or 0 where it has no bound."""
+    if float(exponent).is_integer():
+        return distance ** int(exponent)
+    ahead = distance > 0
+    return jnp.where(ahead, jnp.where(ahead, distance, 1) ** exponent, 0)
+
+
 class BSplineCurve(AbstractLinearShape):
-    """A B-spline along a wall in 2-D: its nodes, in order, follow `count` control points by their arc length.
+    """A B-spline along a curve of nodes: in order, they follow `count` control points by their arc length.
 
     The parameters are the displacements (count, d) of the control points.
 
     **Arguments:**
 
-    - `points`: (m, d) the wall's nodes in order, end to end.
+    - `points`: (m, d) the nodes in order, end to end.
     - `count`: control points, above `degree`.
     - `degree`: of the spline.
 
@@ -118,6 +128,7 @@ class BSplineCurve(AbstractLinearShape):
     shares: Float[Array, " m"]
     count: int = eqx.field(static=True)
     degree: int = eqx.field(static=True)
+    dimension: int = eqx.field(static=True)
 
     @checked
     def __init__(self, points: Numbers, count: int, degree: int = 3):
@@ -130,16 +141,17 @@ class BSplineCurve(AbstractLinearShape):
             raise ValueError(f"{(steps == 0).sum()} nodes stand on the one before, first {first + 1}: leave them out.")
         lengths = np.append(0, np.cumsum(steps))
         self.shares, self.count, self.degree = jnp.asarray(lengths / lengths[-1]), count, degree
+        self.dimension = known.shape[1]
 
-    def neutral(self) -> Float[Array, "k 2"]:
+    def neutral(self) -> Float[Array, "k d"]:
         """Makes the control displacements that move nothing."""
-        return jnp.zeros((self.count, 2))
+        return jnp.zeros((self.count, self.dimension))
 
     def at(self, x: Numbers) -> MatrixOperator:
         """Computes the weights of the wall's nodes, in the order of `points`."""
         x = positions(x)
-        if self.shares.shape != x.shape[:1]:
-            raise ValueError(f"this curve has {len(self.shares)} nodes; `x` has {len(x)} rows.")
+        if (*self.shares.shape, self.dimension) != x.shape:
+            raise ValueError(f"this curve has {len(self.shares)} nodes in {self.dimension}-D; `x` has shape {x.shape}.")
         t = self.shares.astype(x.dtype)
         first = _bspline.spans(t, self.count, self.degree)
         values = _bspline.values(t, first, self.count, self.degree)

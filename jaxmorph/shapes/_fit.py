@@ -1,6 +1,7 @@
 """Parameters that reproduce a given surface."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,6 +10,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._host.door import checked, whole
+from .._kernels.module import Module
 from .._kernels.values import is_known
 from ._combine import Part, Together
 from ._curves import CST
@@ -18,7 +20,7 @@ from ._section import Chord, upper_side
 from ._shape import AbstractLinearShape
 
 
-class Fit(eqx.Module):
+class Fit(Module):
     """Result of a fit: parameters, distances left, rank.
 
     - `parameters`: as the shape takes them.
@@ -100,7 +102,12 @@ def fit(
 
 @checked
 def fit_cst(
-    points: Numbers, order: int, exponents: tuple[float, float] = (0.5, 1.0), *, chord: Chord | None = None
+    points: Numbers,
+    order: int,
+    exponents: tuple[float, float] = (0.5, 1.0),
+    *,
+    chord: Chord | None = None,
+    wall: Any = None,
 ) -> tuple[Together, Fit]:
     """Fits class and shape functions to the upper and the lower side of an airfoil, from its chord.
 
@@ -109,6 +116,7 @@ def fit_cst(
     - `points`: (m, 2) nodes of the airfoil, in any order.
     - `order`, `exponents`: of `CST`.
     - `chord`: from the tail to the node farthest from it by default. A nose between two nodes shows in the residual there.
+    - `wall`: rows of all points in the order of the wall, by which `upper_side` tells the sides.
 
     **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters are those of this airfoil.
     Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.
@@ -117,11 +125,13 @@ def fit_cst(
     """
     points = positions(points, "points")
     chord = Chord.along(points) if chord is None else chord
-    upper = upper_side(points, chord)
+    cst, upper = CST(order, exponents, chord=chord), upper_side(points, chord, wall=wall)
+    if wall is not None and len(wall) != len(points):
+        raise ValueError(f"`wall` names {len(wall)} of {len(points)} points; all of them belong to the airfoil.")
     if min(upper.sum(), (~upper).sum()) < order + 2:
         raise ValueError(
             f"{upper.sum()} nodes above and {(~upper).sum()} below do not tell {order + 2} numbers a side."
         )
-    shape = Together(*(Part(CST(order, exponents, chord=chord), side) for side in (upper, ~upper)))
+    shape = Together(*(Part(cst, side) for side in (upper, ~upper)))
     _, height = chord.coordinates(points)
     return shape, fit(shape, points - height[:, None] * chord.up.astype(points.dtype)[None, :], points)

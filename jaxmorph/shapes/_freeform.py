@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._host.door import between, checked, whole
-from .._kernels.values import is_known
+from .._kernels.values import is_known, slack
 from . import _bspline
 from ._blocks import Blocks
 from ._combine import Linked
@@ -125,8 +125,10 @@ class FreeForm(AbstractLinearShape):
             raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
         t = self.coordinates(x)
         inside = self.holds(t)
+        # what is outside has no weight, and a place where none of its powers is large
+        within = jnp.where(inside[:, None], t, 0.5)
         first, weights = [], []
-        for t_along, count, degree in zip(jnp.clip(t, 0, 1).T, self.counts, self.degrees, strict=True):
+        for t_along, count, degree in zip(within.T, self.counts, self.degrees, strict=True):
             first.append(_bspline.spans(t_along, count, degree))
             weights.append(_bspline.values(t_along, first[-1], count, degree))
         weights[0] = jnp.where(inside[:, None], weights[0], 0)
@@ -142,8 +144,8 @@ class FreeForm(AbstractLinearShape):
 
     def holds(self, t: Float[Array, "m d"]) -> Bool[Array, " m"]:
         """Tells which coordinates lie in the box, its border and round-off included."""
-        slack = float(jnp.finfo(t.dtype).eps) ** 0.75
-        return jnp.all((t >= -slack) & (t <= 1 + slack), axis=1)
+        beyond = slack(t.dtype)
+        return jnp.all((t >= -beyond) & (t <= 1 + beyond), axis=1)
 
     def lattice(self, control: Numbers | None = None) -> Float[Array, "..."]:
         """Computes the positions (*counts, d) of the control points, displaced where `control` is given."""
@@ -193,7 +195,8 @@ class FreeForm(AbstractLinearShape):
         if mirror is not None:
             if whole("mirror", mirror, 0) >= d:
                 raise ValueError(f"`mirror` is {mirror}; the lattice has directions 0 to {d - 1}.")
-            signs = np.where(np.asarray(self.axes)[mirror] != 0, -1, 1)
+            edge = np.abs(np.asarray(self.axes)[mirror])
+            signs = np.where(edge > 1e-9 * edge.max(), -1, 1)
             if (signs < 0).sum() != 1:
                 raise ValueError(f"edge {mirror} of the box is along no axis: its controls cannot be mirrored.")
             reflected = mirror, signs

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.door import checked
-from .._kernels.values import is_known
+from .._kernels.values import clipped, is_known
 from ._door import Number, Numbers, axis_for, direction, number, positions, positive, vector
 from ._rigid import turn
 
@@ -33,7 +33,7 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
         raise ValueError("`twist` is for positions in 3-D; `rotate` turns a section in 2-D.")
     arm, along = x - vector("about", about, x)[None, :], direction("axis", axis, x)
     span = positive("length", length, x)
-    share = jnp.clip(arm @ along, 0, span) / span
+    share = clipped(arm @ along, 0, span) / span
     return x + turn(arm, number("angle", angle, x) * share[:, None], along)
 
 
@@ -66,7 +66,7 @@ def bend(
     up = jnp.stack([-along[1], along[0]]) if normal is None else jnp.cross(normal, along)
     curvature = number("angle", angle, x) / span
     reach, height = arm @ along, arm @ up
-    s = jnp.clip(reach, 0, span)
+    s = clipped(reach, 0, span)
     turned, beyond = curvature * s, reach - s
     versine = 2 * jnp.sin(turned / 2) ** 2
     # the arc's chord: s sin(a) / a forward, s (1 - cos a) / a upward, exact at a = 0

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from .._host.door import checked
 from .._host.topology import boundary_faces
-from .._kernels.values import is_known
+from .._kernels.values import is_known, slack
 from .._mesh.mesh import Mesh
 from ._door import Numbers, positions, rows_of, vector
 
@@ -191,7 +191,8 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
             f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in {len(loop)}."
         )
     away = jnp.sum((x[loop] - x[tail][None, :]) ** 2, axis=1)
-    order = (jnp.argmax(away) + jnp.arange(-around, around + 1)) % len(loop)
+    farthest = jnp.argmax(away >= (1 - slack(x.dtype)) * away.max())  # of nodes as far the first in the loop
+    order = (farthest + jnp.arange(-around, around + 1)) % len(loop)
     near = x[jnp.asarray(loop)[order]]
     centre = near[around]
     arms = near - centre[None, :]

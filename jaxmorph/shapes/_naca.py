@@ -5,9 +5,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._host.door import between, checked
+from .._kernels.values import slack
 from ._door import Numbers, positions
 from ._section import Chord
 from ._shape import AbstractShape
+
+LAST = (0.1015, 0.1036)
+"""The last coefficient of the thickness: of a blunt trailing edge, and of a sharp one."""
+
+REACH = 2.0
+"""Chords before and behind the crest of the mean line within which feet are searched."""
+
+HALVINGS = 56
+"""Halvings of an interval; they leave round-off of it."""
 
 
 class NACA4(AbstractShape):
@@ -55,7 +65,9 @@ class NACA4(AbstractShape):
         return x + (t1 - t0)[:, None] * chord[None, :] + (y1 - y0)[:, None] * across[None, :]
 
 
-def _mean_line(s: Float[Array, " m"], airfoil: Float[Array, " 3"]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+def _mean_line(
+    s: Float[Array, "*shape"], airfoil: Float[Array, " 3"]
+) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
     """Computes ordinate and slope of the mean line at each place."""
     camber, place = airfoil[0], airfoil[1]
     width = jnp.where(s < place, place, 1 - place)
@@ -63,23 +75,76 @@ def _mean_line(s: Float[Array, " m"], airfoil: Float[Array, " 3"]) -> tuple[Floa
     return ordinate, 2 * camber / width**2 * (place - s)
 
 
+def _away(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
+    """Computes how far each position is beyond the normal of the mean line at s: 0 where s is its foot."""
+    ordinate, slope = _mean_line(s, airfoil)
+    return s - t + (ordinate - height) * slope
+
+
+def _rate(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
+    """Computes the derivative of `_away` by s."""
+    return jax.jvp(lambda s: _away(s, t, height, airfoil), (s,), (jnp.ones_like(s),))[1]
+
+
+@jax.custom_jvp
+@jax.jit
 def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[Array, " 3"]) -> Float[Array, " m"]:
-    """Finds the foot of each position on the mean line, by Newton's method; one last step carries the derivative."""
+    """Finds the foot of each position on the mean line: of several the one at which the airfoil is as thick as it is far."""
+    t, height = t[None], height[None]
+    near, far = _intervals(height, airfoil)
+    sign = jnp.sign(_away(near, t, height, airfoil))
 
-    def newton(s):
-        def away(s):
-            ordinate, slope = _mean_line(s, airfoil)
-            return s - t + (ordinate - height) * slope
+    def halved(_, ends):
+        middle = ends.mean(axis=0)
+        same = jnp.sign(_away(middle, t, height, airfoil)) == sign
+        return jnp.stack([jnp.where(same, middle, ends[0]), jnp.where(same, ends[1], middle)])
 
-        value, rate = jax.jvp(away, (s,), (jnp.ones_like(s),))
-        return s - value / jnp.where(jnp.abs(rate) > 0.1, rate, 1)
+    s = jax.lax.fori_loop(0, HALVINGS, halved, jnp.stack([near, far])).mean(axis=0)
+    for _ in range(2):
+        rate = _rate(s, t, height, airfoil)
+        s = s - _away(s, t, height, airfoil) / jnp.where(jnp.abs(rate) > 0.1, rate, jnp.inf)
+    part = jnp.clip(s, 0, 1)
+    half = [_half_thickness(part, airfoil[2], last) for last in LAST]
+    offset = jnp.abs(_offset(s, t, height, airfoil))
+    miss = jnp.minimum(*(jnp.abs(offset - each) for each in half)) + jnp.abs(_away(s, t, height, airfoil))
+    first = jnp.argmax(miss <= miss.min(axis=0, keepdims=True) + slack(s.dtype), axis=0)
+    return jnp.take_along_axis(s, first[None], axis=0)[0]
 
-    start = jax.lax.stop_gradient(t)
-    s = jax.lax.fori_loop(0, 12, lambda _, s: newton(s), start)
-    return newton(jax.lax.stop_gradient(s))
+
+@_station.defjvp
+def _station_jvp(primals, tangents):
+    # the foot is defined by away(s, ...) = 0; the rule contains the foot itself, so that derivatives of all orders follow
+    s = _station(*primals)
+    rate = _rate(s, *primals)
+    moved = jax.jvp(lambda *given: _away(s, *given), primals, tangents)[1]
+    return s, -moved / jnp.where(jnp.abs(rate) > slack(s.dtype), rate, 1)
 
 
-def _offset(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, " m"]:
+def _intervals(
+    height: Float[Array, "1 m"], airfoil: Float[Array, " 3"]
+) -> tuple[Float[Array, "4 m"], Float[Array, "4 m"]]:
+    """Computes the ends of intervals in which a position has at most one foot.
+
+    Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a root of
+    2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t. The cubic is monotone up to its extremum, and beyond it.
+    """
+    camber, place = airfoil[0], airfoil[1]
+    near, far = [], []
+    for width, sign in ((place, -1), (1 - place, 1)):
+        bend = -camber / width**2
+        square = -(1 + 2 * bend * (camber - height)) / jnp.where(bend == 0, 1, 6 * bend**2)
+        extremum = jnp.minimum(jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0), REACH)
+        near += [jnp.broadcast_to(place, height.shape), place + sign * extremum]
+        far += [place + sign * extremum, jnp.broadcast_to(place + sign * REACH, height.shape)]
+    return jnp.concatenate(near), jnp.concatenate(far)
+
+
+def _half_thickness(s, thickness, last: float) -> Float[Array, "..."]:
+    rest = s * (-0.126 + s * (-0.3516 + s * (0.2843 - last * s)))
+    return 5 * thickness * (0.2969 * jnp.sqrt(s) + rest)
+
+
+def _offset(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
     """Computes the signed distance of each position from its foot."""
     ordinate, slope = _mean_line(s, airfoil)
     return ((height - ordinate) - (t - s) * slope) / jnp.sqrt(1 + slope**2)

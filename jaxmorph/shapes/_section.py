@@ -1,18 +1,22 @@
 """Place of an airfoil: its chord, and the nodes on its upper side."""
 
-import equinox as eqx
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._host.door import checked
-from ._door import Numbers, check_finite, known_positions
+from .._kernels.module import Module
+from ._door import Numbers, check_finite, known_positions, rows_of
+from ._measures import _triangles
+from ._sides import SAME, upper_of_loop, upper_of_points
 
 WINDOW = 14
 """Nodes around each one by which the two sides of an airfoil are told apart."""
 
 
-class Chord(eqx.Module):
+class Chord(Module):
     """The chord of an airfoil, from nose to tail, and the direction across it.
 
     **Arguments:**
@@ -60,31 +64,83 @@ class Chord(eqx.Module):
     def along(points: Numbers) -> "Chord":
         """Finds the chord of an airfoil in 2-D: the tail has the largest x, the nose is the node farthest from the tail.
 
-        Nodes of a blunt tail, which share the largest x, give their mean. `points` are positions (m, 2).
+        Nodes of a blunt tail, which share the largest x, give their mean, and so do nodes that are equally far from the tail.
+        `points` are positions (m, 2).
         """
         known = known_positions(points, "points")
         last = known[:, 0].max()
         tail = known[known[:, 0] > last - 1e-9 * max(np.ptp(known[:, 0]), 1e-300)].mean(axis=0)
-        return Chord(known[np.linalg.norm(known - tail, axis=1).argmax()], tail)
+        distance = np.linalg.norm(known - tail, axis=1)
+        return Chord(known[distance > (1 - 1e-9) * distance.max()].mean(axis=0), tail)
 
 
 @checked
-def upper_side(points: Numbers, chord: Chord | None = None) -> Bool[np.ndarray, " m"]:
-    """Tells which nodes of an airfoil are above its mean line.
+def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None) -> Bool[np.ndarray, " m"]:
+    """Tells which nodes of an airfoil are on its upper side.
 
-    Around each node, the mean line is the parabola closest to the nodes next to it along the chord, which lie on both sides.
+    The wall is cut at nose and tail: a single node there is an upper one, and of a blunt tail each side has its corner. In 2-D
+    without `wall`, the shortest way around through all nodes, along the chord and back, counts as the wall. In 3-D without
+    it, a node is compared with the parabola closest to its neighbours along the chord, which thin edges may mislead.
 
     **Arguments:**
 
-    - `points`: positions (m, d) of the airfoil's nodes.
-    - `chord`: its chord. Default `Chord.along(points)`.
+    - `points`: positions (m, d) of the airfoil's nodes; of a mesh, where `wall` names those of the airfoil.
+    - `chord`: the airfoil's. Default `Chord.along` of its nodes.
+    - `wall`: ids of its nodes in order, as `wall_loop` finds them; its faces in 3-D, as `wall_faces` finds them.
 
-    **Returns:** booleans (m,).
+    **Returns:** booleans (m,), False for nodes that are not the airfoil's.
 
-    **Raises:** `ValueError` where all nodes would be on one side.
+    **Raises:** `ValueError` where all nodes would be on one side, and for a wall that is no rows of the points.
     """
-    x = jnp.asarray(known_positions(points, "points"))
-    t, height = (np.asarray(each) for each in (Chord.along(x) if chord is None else chord).coordinates(x))
+    x = known_positions(points, "points")
+    solid = wall is not None and x.shape[1] == 3
+    groups = [_triangles(wall, jnp.asarray(x))] if solid else [] if wall is None else [_rows_of_loop(wall, len(x))]
+    rows = np.unique(np.concatenate([each.ravel() for each in groups])) if groups else np.arange(len(x))
+    chord = Chord.along(x[rows]) if chord is None else chord
+    t, height = (np.asarray(each, float) for each in chord.coordinates(jnp.asarray(x)))
+    places = np.column_stack([t, height / float(chord.length)])
+    upper = np.zeros(len(x), bool)
+    if solid:
+        upper[rows] = _by_faces(x.astype(float), groups[0], np.asarray(chord.up, float))[rows]
+    elif wall is not None:
+        upper[groups[0]] = upper_of_loop(places[groups[0]])
+    else:
+        upper = upper_of_points(places) if x.shape[1] == 2 else _by_neighbours(places)
+    if upper[rows].all() or not upper.any():
+        raise ValueError(f"{len(rows)} nodes do not show the two sides of an airfoil around its chord.")
+    return upper
+
+
+def _rows_of_loop(wall: Any, count: int) -> Int[np.ndarray, " k"]:
+    loop = rows_of("wall", wall, count)
+    if loop.ndim != 1 or len(loop) < 3 or len(np.unique(loop)) < len(loop):
+        raise ValueError(
+            f"`wall` has shape {loop.shape}; a wall in 2-D is a loop (k,) of three different nodes or more."
+        )
+    return loop
+
+
+def _by_faces(
+    x: Float[np.ndarray, "m 3"], triangles: Int[np.ndarray, "k 3"], up: Float[np.ndarray, " 3"]
+) -> Bool[np.ndarray, " m"]:
+    """Tells which nodes' faces look upwards: by the sum of their normals times their angles at the node; a tie is upper.
+
+    Faces that are inward, as those of a mesh's cells around the body, enclose a negative volume.
+    """
+    corners = x[triangles] - x[np.unique(triangles)].mean(axis=0)
+    ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    area = np.cross(ahead[:, 0], back[:, 0])
+    size = np.linalg.norm(area, axis=1)
+    angles = np.arctan2(size[:, None], np.sum(ahead * back, axis=2))
+    unit = np.sign(np.sum(area * corners.sum(axis=1))) * area / np.where(size > 0, size, 1)[:, None]
+    normals = np.zeros_like(x)
+    np.add.at(normals, triangles, angles[:, :, None] * unit[:, None, :])
+    return normals @ up >= -SAME * np.linalg.norm(normals, axis=1)
+
+
+def _by_neighbours(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
+    """Tells which nodes are on or above the parabola closest to their neighbours along the chord."""
+    t, height = places.T
     # in the angle along the chord, nodes are spread evenly where they crowd at nose and tail
     angle = np.arccos(np.clip(1 - 2 * t, -1, 1))
     order = np.argsort(angle, kind="stable")
@@ -95,7 +151,4 @@ def upper_side(points: Numbers, chord: Chord | None = None) -> Bool[np.ndarray, 
     powers = np.stack([np.ones_like(away), away, away**2], axis=-1)
     line = np.empty(len(order))
     line[order] = np.einsum("mij,mj->mi", np.linalg.pinv(powers), height[near])[:, 0]
-    upper = height >= line
-    if np.allclose(height, line, atol=1e-12 * np.ptp(t)) or upper.all() or not upper.any():
-        raise ValueError(f"{len(t)} nodes do not show the two sides of an airfoil around its chord.")
-    return upper
+    return height >= line - SAME

@@ -3,13 +3,13 @@
 import abc
 from typing import Any
 
-import equinox as eqx
 from jaxtyping import Array, Float, PyTree
 
+from .._kernels.module import Module
 from ._door import Numbers, positions
 
 
-class AbstractShape(eqx.Module):
+class AbstractShape(Module):
     """Moves positions by parameters: `shape(x, parameters)`.
 
     A plain function of the same form serves as well. A class adds `neutral()`, the parameters that move nothing.
@@ -24,7 +24,7 @@ class AbstractShape(eqx.Module):
         """Makes the parameters that move nothing."""
 
 
-class AbstractOperator(eqx.Module):
+class AbstractOperator(Module):
     """Computes displacements (m, d) of fixed positions; linear in the parameters. Its transpose is `jax.linear_transpose`'s."""
 
     @abc.abstractmethod

@@ -2,18 +2,18 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.door import checked
+from .._kernels.module import Module
 from .._kernels.values import is_known
 from ._door import Numbers, check_finite, known_positions, positions, rows_of
 from ._measures import _triangles
 
 
-class Stations(eqx.Module):
+class Stations(Module):
     """Lines on which thickness is measured, each with the two faces that it meets first and last.
 
     `Stations.on` makes them once. The faces keep the wall's nodes, so that a moved wall is measured where its faces went.
@@ -57,14 +57,15 @@ class Stations(eqx.Module):
             raise ValueError(f"`faces` has shape {ids.shape}; walls in 2-D have segments (k, 2).")
         rows_of("faces", ids, len(x))
         chosen = np.zeros((len(points), 2, x.shape[1]), int)
-        missed = []
+        missed, same = [], 1e-9 * np.ptp(x, axis=0).max()
         for s, (point, line) in enumerate(zip(points, lines, strict=True)):
             place, inside = _meets(x, ids, point, line)
             hits = np.flatnonzero(inside)
-            if len(hits) < 2 or np.ptp(place[hits]) == 0:
+            if len(hits) < 2 or np.ptp(place[hits]) <= same:
                 missed.append(s)
-            else:
-                chosen[s] = ids[[hits[place[hits].argmin()], hits[place[hits].argmax()]]]
+            else:  # faces met at one place, as those of a node, count by their number
+                ends = place[hits] <= place[hits].min() + same, place[hits] >= place[hits].max() - same
+                chosen[s] = ids[[hits[end.argmax()] for end in ends]]
         if missed:
             raise ValueError(
                 f"{len(missed)} of {len(points)} lines miss the body, first row {missed[0]} at {points[missed[0]]}."

@@ -1,0 +1,60 @@
+"""The base of public classes: modules that `jax.jit` takes, as themselves and by their methods."""
+
+import dataclasses
+import types
+from typing import Any
+
+import equinox as eqx
+
+
+class _Probe(eqx.Module):
+    def method(self) -> None: ...
+
+
+_BoundMethod: Any = type(_Probe().method)
+
+
+class Module(eqx.Module):
+    """An Equinox module that has a hash even where it holds arrays.
+
+    `jax.jit` looks functions up by hash and equality. Arrays have no hash, and comparing them is traced inside a trace. So a module
+    with arrays is equal to itself alone, and one without counts by its value; `equinox.tree_equal` compares arrays.
+    """
+
+    def __hash__(self) -> int:
+        try:
+            return hash((type(self), *_values(self)))
+        except TypeError:
+            return object.__hash__(self)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (
+            type(self) is type(other) and _has_value(self, other) and _values(self) == _values(other)
+        )
+
+    def __getattribute__(self, name: str) -> Any:
+        attribute = object.__getattribute__(self, name)
+        is_method = isinstance(attribute, types.MethodType) and attribute.__self__ is self
+        return Method(attribute.__func__, self) if is_method and not name.startswith("__") else attribute
+
+
+class Method(_BoundMethod):
+    """A method of a module, itself a tree as Equinox's own; equal to the same method of an equal module."""
+
+    def __hash__(self) -> int:
+        return hash((self.__func__, self.__self__))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Method) and (self.__func__, self.__self__) == (other.__func__, other.__self__)
+
+
+def _values(module: Any) -> tuple[Any, ...]:
+    return tuple(getattr(module, field.name) for field in dataclasses.fields(module))
+
+
+def _has_value(*modules: Any) -> bool:
+    """Tells whether all fields have a hash."""
+    try:
+        return isinstance(hash(tuple(map(_values, modules))), int)
+    except TypeError:
+        return False

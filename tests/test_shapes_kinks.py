@@ -1,0 +1,180 @@
+"""Derivatives where a shape has a border, a kink or a foot to find: at ends of boxes, lines and chords, and of second order."""
+
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_shapes_curves import naca
+
+from jaxmorph import shapes
+from jaxmorph._kernels.values import clipped
+from jaxmorph.shapes._naca import _station
+
+STEP = 1e-6
+
+
+def directional(function, x, inward):
+    """Derivative towards the inside by a one-sided difference of second order."""
+    f0, f1, f2 = (np.asarray(function(x + k * STEP * inward)) for k in range(3))
+    return (-3 * f0 + 4 * f1 - f2) / (2 * STEP)
+
+
+def check_border(function, x, inward):
+    """The derivative at a border is that of the inside, and round-off on either side changes it little."""
+    x, inward = np.asarray(x, float), np.asarray(inward, float)
+    expected = directional(function, x, inward)
+    for place in (x, np.nextafter(x, x - 1), np.nextafter(x, x + 1)):
+        slope = jax.jvp(function, (jnp.asarray(place),), (jnp.asarray(inward),))[1]
+        np.testing.assert_allclose(slope, expected, atol=2e-8)
+    # not a difference of zeros
+    assert np.abs(expected - inward).max() > 1e-3
+
+
+BOXES = {
+    "bernstein": ((3, 4, 3), None),
+    "bspline": ((5, 6, 4), 2),
+}
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_the_border_of_a_box_has_the_derivative_of_its_inside(name):
+    counts, degree = BOXES[name]
+    box = shapes.FreeForm([0.0, 0.0, 0.0], np.eye(3), counts, degree=degree)
+    control = 0.1 * np.random.default_rng(0).normal(size=(*counts, 3))
+    move = jax.jit(lambda x: box(x, control))
+    for axis, end in itertools.product(range(3), (0.0, 1.0)):
+        x, inward = np.full((1, 3), 0.37), np.zeros((1, 3))
+        x[0, axis], inward[0, axis] = end, 1 - 2 * end
+        check_border(move, x, inward)
+
+
+def test_what_is_far_from_a_box_has_finite_derivatives():
+    box = shapes.FreeForm([0.0, 0.0], np.eye(2), (13, 3))
+    slope = jax.jacfwd(lambda x: box(x, np.ones((13, 3, 2))))(jnp.array([[1e40, 0.5], [-1e40, 1e40]]))
+    np.testing.assert_array_equal(slope, np.eye(4).reshape(2, 2, 2, 2))
+
+
+def test_a_child_has_the_derivative_of_its_inside_on_its_border():
+    parent = shapes.FreeForm([0.0, 0.0], np.eye(2), (3, 3))
+    child = shapes.Child(shapes.FreeForm([0.0, 0.25], np.eye(2) / 2, (3, 3)), parent)
+    rng = np.random.default_rng(0)
+    parameters = tuple(0.1 * rng.normal(size=(3, 3, 2)) for _ in range(2))
+    check_border(jax.jit(lambda x: child(x, parameters)), [[0.0, 0.4]], [[1.0, 0.0]])
+    check_border(jax.jit(lambda x: child(x, parameters)), [[0.3, 0.75]], [[0.0, -1.0]])
+
+
+AXIS = shapes.ReferenceAxis([[0.25, 0, 0], [0.45, 1, 0.1], [0.75, 2, 0.2]])
+CUBIC = shapes.ReferenceAxis(AXIS.points, cubic=True)
+PLANFORM = {"twist": np.array([0.3, -0.2, 0.4]), "chord": np.array([1.2, 0.8, 0.5]), "sweep": np.array([0.1, 0.2, 0.5])}
+
+
+@pytest.mark.parametrize(
+    ("move", "x", "inward"),
+    [
+        (lambda x: AXIS(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
+        (lambda x: AXIS(x, PLANFORM), [[0.7, 2, 0.1]], [[0, -1, 0]]),
+        (lambda x: CUBIC(x, PLANFORM), [[0.7, 0, 0.1]], [[0, 1, 0]]),
+        (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 0, 0.1]], [[0, 1, 0]]),
+        (lambda x: shapes.twist(x, 0.5, [0, 0, 0], [0, 1, 0], 2.0), [[0.7, 2, 0.1]], [[0, -1, 0]]),
+        (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[0.0, 0.3]], [[1, 0]]),
+        (lambda x: shapes.bend(x, 0.5, [0, 0], [1, 0], 2.0), [[2.0, 0.3]], [[-1, 0]]),
+        (lambda x: shapes.CST(2)(x, [0.1, 0.2, -0.1, 0.05]), [[1.0, 0.01]], [[-1, 0]]),
+        (lambda x: shapes.CST(2, (1.0, 1.5))(x, [0.1, 0.2, -0.1, 0.05]), [[0.0, 0.01]], [[1, 0]]),
+    ],
+)
+def test_ends_of_lines_have_the_derivative_of_their_inside(move, x, inward):
+    check_border(jax.jit(move), x, inward)
+
+
+def test_clipped_is_clip_but_at_its_ends():
+    values = jnp.array([-1.0, 0.0, 0.3, 2.0, 2.5])
+    np.testing.assert_array_equal(clipped(values, 0.0, 2.0), np.clip(values, 0, 2))
+    slope = jax.vmap(jax.grad(lambda value: clipped(value, 0.0, 2.0)))(values)
+    np.testing.assert_array_equal(slope, [0, 1, 1, 1, 0])
+
+
+def test_the_whole_naca_family_is_exact_at_its_nodes():
+    """567 sections with camber, each with a blunt and a sharp trailing edge: on 14 lower sides a node has several feet."""
+    codes = itertools.product(range(1, 10), range(1, 10), (6, 9, 12, 15, 18, 21, 24))
+    family = [(camber / 100, place / 10, thickness / 100) for camber, place, thickness in codes]
+    shape, last = shapes.NACA4(0.02, 0.4, 0.12), (0.1015, 0.1036)
+    move = jax.jit(jax.vmap(lambda given, x, p: eqx.tree_at(lambda it: it.given, shape, given)(x, p), (0, 0, None)))
+    for edge, other in ((last[0], (0.04, 0.4, 0.15)), (last[1], (0.02, 0.6, 0.09))):
+        sections = np.stack([naca(*given, count=41, last=edge) for given in family])
+        moved = move(np.array(family), sections, np.array(other))
+        expected = np.broadcast_to(naca(*other, count=41, last=edge), moved.shape)
+        np.testing.assert_allclose(moved, expected, atol=1e-12)
+
+
+def test_second_derivatives_of_naca_are_differences_of_the_first():
+    shape, x = shapes.NACA4(0.04, 0.4, 0.12), naca(0.04, 0.4, 0.12, count=13)
+    x = x[(np.abs(x[:, 0] - 0.4) > 0.02) & (x[:, 0] > 0.01)]  # the mean line's second derivative jumps at its crest
+    weights = np.random.default_rng(0).normal(size=x.shape)
+
+    def measure(numbers):
+        place, parameters = x + numbers[:2][None, :], jnp.array([0.05, 0.45, 0.1]) + numbers[2:]
+        return jnp.sum(weights * jnp.sin(3 * shape(place, parameters)))
+
+    start, step = jnp.zeros(5), 1e-5
+    gradient = jax.jit(jax.grad(measure))
+    differences = [(gradient(start + h) - gradient(start - h)) / (2 * step) for h in step * jnp.eye(5)]
+    np.testing.assert_allclose(jax.jit(jax.hessian(measure))(start), np.stack(differences), rtol=1e-6, atol=1e-6)
+
+
+def test_third_derivatives_of_a_foot_are_differences_of_the_second():
+    airfoil = jnp.array([0.04, 0.4, 0.12])
+    second = jax.jit(jax.hessian(lambda place: _station(place[:1], place[1:], airfoil)[0]))
+    place = jnp.array([0.21, 0.09])
+    differences = [(second(place + h) - second(place - h)) / 2e-5 for h in 1e-5 * jnp.eye(2)]
+    np.testing.assert_allclose(jax.jacfwd(second)(place), np.stack(differences, axis=-1), rtol=1e-6, atol=1e-7)
+
+
+def test_lattices_in_3d_are_linked():
+    box = shapes.FreeForm([0.0, 0.0, 0.0], np.eye(3), (3, 3, 2))
+    linked = box.linked(groups=[[(0, 1, 0), (2, 1, 1)], [(0, 0, 0), (0, 0, 1)]])
+    control = np.asarray(linked.matrix @ np.random.default_rng(0).normal(size=linked.matrix.shape[1])).reshape(
+        3, 3, 2, 3
+    )
+    np.testing.assert_array_equal(control[0, 1, 0], control[2, 1, 1])
+    np.testing.assert_array_equal(control[0, 0, 0], control[0, 0, 1])
+    assert linked.matrix.shape == (54, 48)
+    for groups in ([[(0, 1)]], [[(0, 1, 0.5)]], [[(0, 1, 5)]], [[1, 2, 3]], [["abc"]]):
+        with pytest.raises(ValueError, match="groups"):
+            box.linked(groups=groups)
+
+
+def test_round_off_changes_neither_stations_nor_the_nose():
+    x = naca(0.0, 0.4, 0.12, count=9, last=0.1036)[:-1]
+    section = x[1:]  # two nodes are as far from the tail
+    loop = np.concatenate([np.arange(8)[::-1], np.arange(8, 15)])
+    wall = np.concatenate([np.arange(9)[::-1], np.arange(9, 16)])
+    segments = np.stack([wall, np.roll(wall, -1)], axis=1)
+    lines = x[[2, 3, 4]] * [1, 0]  # each through two nodes
+    stations = shapes.Stations.on(x, segments, lines, [0.0, 1.0])
+    radius = shapes.leading_edge_radius(section, loop, 7, 2)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        noisy = np.nextafter(x, rng.choice([-np.inf, np.inf], x.shape))
+        np.testing.assert_array_equal(shapes.Stations.on(noisy, segments, lines, [0.0, 1.0]).faces, stations.faces)
+        with pytest.raises(ValueError, match="1 of 1 lines miss"):
+            shapes.Stations.on(noisy, segments, [[noisy[8, 0], 0.0]], [0.0, 1.0])  # touches the sharp tail
+        np.testing.assert_allclose(shapes.leading_edge_radius(noisy[1:], loop, 7, 2), radius, rtol=1e-9)
+
+
+def test_a_box_turned_by_a_right_angle_is_mirrored():
+    turned = np.array([[np.cos(np.pi / 2), 1.0], [-1.0, np.cos(np.pi / 2)]])
+    for mirror in (0, 1):
+        box = shapes.FreeForm([0.0, 0.0], turned, (3, 3)).linked(mirror=mirror)
+        exact = shapes.FreeForm([0.0, 0.0], np.round(turned), (3, 3)).linked(mirror=mirror)
+        np.testing.assert_array_equal(box.matrix, exact.matrix)
+
+
+def test_a_curve_in_3d_takes_its_neutral_parameters():
+    x = np.random.default_rng(0).random((7, 3))
+    curve = shapes.BSplineCurve(x, 4)
+    np.testing.assert_array_equal(curve(x, curve.neutral()), x)
+    with pytest.raises(ValueError, match="7 nodes in 3-D"):
+        curve.at(x[:, :2])
