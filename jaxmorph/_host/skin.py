@@ -91,6 +91,27 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> t
     return ends, size / (2 * safe ** (points.shape[1] - 1))
 
 
+def thicknesses(points: np.ndarray, wall: np.ndarray, faces: FacesByType, ends: np.ndarray) -> np.ndarray:
+    """Measures the mean thickness (w,) of each wall in 2-D: the area inside over half of the length, over the distance of its ends.
+
+    It is infinite for a wall that is not closed, and where no faces are known.
+    """
+    count = len(ends)
+    area, length, gap = np.zeros(count), np.zeros(count), np.zeros((count, 2))
+    lines = (faces or {}).get("line", np.zeros((0, 2), dtype=np.int64))
+    start, along = points[lines[:, 0]], points[lines[:, 1]] - points[lines[:, 0]]
+    for total, part in (
+        (area, (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / 2),
+        (length, np.linalg.norm(along, axis=1)),
+        (gap, along),
+    ):
+        np.add.at(total, wall[lines[:, 0]], part)
+    is_closed = (length > 0) & (np.linalg.norm(gap, axis=1) <= 1e-6 * length)
+    span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+    safe = np.where(is_closed & (span > 0), length * span / 2, 1)
+    return np.where(is_closed, np.abs(area) / safe, np.inf)
+
+
 def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
     """Measures the length (2-D) or area (3-D) of the surface around each node (b,).
 

@@ -24,7 +24,12 @@ AROUND = 512
 """Nearest nodes among which a vote is sought, before all nodes are searched."""
 
 
-def walls(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
+def walls(
+    points: np.ndarray,
+    moving: int,
+    faces: Mapping[str, np.ndarray] | None = None,
+    in_planes: np.ndarray | None = None,
+) -> np.ndarray:
     """Numbers the walls, and returns the number (b,) for each surface node; the first `moving` nodes move.
 
     Nodes that move and nodes that are fixed are on different walls, though they may touch. `faces` are rows of `points`,
@@ -34,17 +39,21 @@ def walls(points: np.ndarray, moving: int, faces: Mapping[str, np.ndarray] | Non
 
     Without faces two nodes are of one wall when a chain of nearest neighbours (2 in 2-D, 8 in 3-D) leads from one to the
     other. In 3-D structured meshes such chains may stay within one section of a wing; a wall of sections, or of lines, is put
-    together from them. Walls closer to each other than their own nodes then count as one.
+    together from them. Walls closer to each other than their own nodes then count as one. Nodes of symmetry planes are on no wall
+    of their own: those that `in_planes` (b,) marks are on the wall of the nearest other node.
     """
     label = np.full(len(points), -1)
     groups = [_in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
     if groups:
         label = _by_faces(points, moving, groups)
-        known, left = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
-        label[left] = label[known[np.asarray(KDTree(points[known]).query(points[left])[1])]]
     else:
+        others = np.arange(moving, len(points))
+        others = others if in_planes is None else others[~in_planes[others]]
         label[:moving] = _by_chains(points[:moving])
-        label[moving:] = _by_chains(points[moving:]) + 1 + label.max()
+        label[others] = _by_chains(points[others]) + 1 + label.max()
+    known, left = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
+    if left.size:
+        label[left] = label[known[np.asarray(KDTree(points[known]).query(points[left])[1])]]
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 

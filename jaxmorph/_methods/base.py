@@ -52,6 +52,7 @@ class Surface:
     - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None without cells.
     - `is_open`: whether boundary faces of the mesh are neither moving, fixed nor on a symmetry plane, or None without cells.
     - `cells`: the mesh's cells and symmetry planes, or None where they are not known: points alone, or a part of a mesh.
+    - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed, or None without any.
     - `near`: points (k,) near a wall, and the row (k,) of the nearest node, where a method has found them. They make searches fast.
     """
 
@@ -63,6 +64,7 @@ class Surface:
     faces: Mapping[str, np.ndarray] | None = None
     is_open: bool | None = None
     cells: Cells | None = None
+    in_planes: np.ndarray | None = None
     near: tuple[np.ndarray, np.ndarray] | None = None
     kept: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
 
@@ -72,7 +74,7 @@ class Surface:
         return self.once("walls", self._walls)
 
     def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        wall = walls(self.points, self.moving, self.faces)
+        wall = walls(self.points, self.moving, self.faces, self.in_planes)
         return wall, *chords(self.points, wall, self.faces)
 
     def once(self, key: Any, make: Callable[[], T]) -> T:

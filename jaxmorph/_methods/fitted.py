@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._host.farthest import Filled
 from .._host.reduction import KDTree
 from .._host.sharp import behind_tips
-from .._host.skin import drawn_in, edges, has_free_sides, nearest_held, thinned
+from .._host.skin import drawn_in, edges, has_free_sides, nearest_held, thicknesses, thinned
 from .._kernels.values import as_jax, norm
 from .base import AbstractMethod, Surface, check_kind
 from .numbers import length_or_none
@@ -18,13 +19,19 @@ from .rbf import RBF, RBFFactors
 from .solvers import Direct
 from .system import polynomial
 
-ELL, MU = {2: 0.17, 3: 0.1}, {2: 0.1, 3: 0.4}
+ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
 """Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall.
 
 A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
 """
 
-JOINT = 0.2
+THIN = 1.65
+"""Largest default of `ell`, relative to the mean thickness of a closed wall in 2-D.
+
+Both sides of a thin body may change in opposite senses.
+"""
+
+JOINT = 0.05
 """Largest `ell`, relative to the distance of the nearest node that is fixed or of another wall."""
 
 BEHIND = 0.01
@@ -33,8 +40,8 @@ BEHIND = 0.01
 SOURCES_ALONE = 64
 """Fewest leaves of the k-d tree if the field interpolates instead of being fitted."""
 
-ROWS = 4096
-"""Most nodes of the wall, and most edges, that enter the fit."""
+ROWS = {2: 4096, 3: 2048}
+"""Most nodes of the wall, and most edges, that enter the fit, by dimension."""
 
 
 class FittedRBF(AbstractMethod):
@@ -75,7 +82,7 @@ class FittedRBF(AbstractMethod):
     The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s moving sources.
     """
 
-    rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=KDTree(16, extremes=True, crowded=32)))
+    rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=Filled()))
     ell: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("ell"))
     mu: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("mu"))
 
@@ -104,7 +111,7 @@ class FittedRBF(AbstractMethod):
         ], None  # `self` kept: its id stays its own
 
     def _ids(self, surface: Surface, is_open: bool) -> "WallIds":
-        if is_open:
+        if is_open or surface.faces is None:
             return self._sources_alone(surface, self._denser.chosen(surface))
         sources = self.rbf.chosen(surface)
         is_moving = sources < surface.moving
@@ -114,7 +121,7 @@ class FittedRBF(AbstractMethod):
     def _denser(self) -> RBF:
         """The field for meshes with free sides: as many sources as an interpolation needs."""
         reduction = self.rbf.reduction
-        if isinstance(reduction, KDTree) and reduction.leaves is not None:
+        if isinstance(reduction, KDTree | Filled) and reduction.leaves is not None:
             reduction = dataclasses.replace(reduction, leaves=max(SOURCES_ALONE, reduction.leaves), crowded=None)
         return RBF(self.rbf.basis, reduction, self.rbf.fixed_reduction, self.rbf.degree)
 
@@ -123,21 +130,25 @@ class FittedRBF(AbstractMethod):
         moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
         none = np.zeros((0, 2))
         each_row = (moving, fixed, moving, none, none[:, 0], none, none[:, 0], np.zeros((0, 3)))
-        return WallIds(*as_jax([each.astype(np.int32) for each in each_row]), share=jnp.zeros(0), reach=jnp.zeros(0))
+        return WallIds(*as_jax([each.astype(np.int32) for each in each_row]), *[jnp.zeros(0)] * 3)
 
     def _wall(self, surface: Surface, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
+        dimension = surface.points.shape[1]
         nodes = np.union1d(
-            thinned(surface.points[: surface.moving], ROWS), moving
+            thinned(surface.points[: surface.moving], ROWS[dimension]), moving
         )  # regular: each source has its own row
         pairs = edges(surface.points, surface.moving, surface.faces)
-        pairs = pairs[thinned(surface.points[pairs].mean(axis=1), ROWS)]
+        pairs = pairs[thinned(surface.points[pairs].mean(axis=1), ROWS[dimension])]
         wall, ends, share = surface.walls
         label = wall[pairs[:, 0]]
         held = nearest_held(surface.points, surface.moving, wall, pairs)
         far, reach = drawn_in(surface.points, moving, fixed, surface.images)
         tips = self._behind(surface)
         each_row = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        return WallIds(*as_jax([*(each.astype(np.int32) for each in each_row), share[label], reach]))
+        lengths = default_lengths(surface.points, wall, surface.faces, ends, share)
+        return WallIds(
+            *as_jax([*(each.astype(np.int32) for each in each_row), *(each[label] for each in lengths), reach])
+        )
 
     def _behind(self, surface: Surface) -> np.ndarray:
         """Finds sharp tips (g, 3) of the moving walls in 2-D, each with a node on either side."""
@@ -182,9 +193,9 @@ class FittedRBF(AbstractMethod):
         slope = jnp.einsum("ea,eas->es", along / length[:, None], slopes, precision="highest")
         ell, mu = self._lengths(ids, surface, middle)
         node, edge = 1 / len(value), 1 / max(1, len(slope))
-        follow = _product(value.T * node, value) + _product(slope.T * (edge * mu**2)[None], slope)
+        follow = _product(value[:, :moves].T * node, value) + _product(slope[:, :moves].T * (edge * mu**2)[None], slope)
         matrix = _system(follow, slopes * (ell * edge**0.5)[:, None, None])
-        inner, outer = matrix[:, :moves, :, :moves], matrix[:, :moves, :, moves:]
+        inner, outer = matrix[..., :moves], matrix[..., moves:]
         inner = inner.reshape(dimension * moves, -1)
         scale = 1 / jnp.sqrt(jnp.diagonal(inner))
         lower = jnp.linalg.cholesky(inner * scale[:, None] * scale[None])
@@ -195,10 +206,10 @@ class FittedRBF(AbstractMethod):
 
     def _lengths(self, ids: "WallIds", surface, middle):
         """Computes ell and mu at each edge."""
-        chord = ids.share.astype(surface.dtype) * norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
+        span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
         ell, mu = (
-            share * chord if given is None else jnp.full_like(chord, given)
-            for share, given in ((ELL[surface.shape[1]], self.ell), (MU[surface.shape[1]], self.mu))
+            share.astype(surface.dtype) * span if given is None else jnp.full_like(span, given)
+            for share, given in ((ids.ell, self.ell), (ids.mu, self.mu))
         )
         free = ids.held == ids.edges[:, 0]
         return jnp.where(free, ell, jnp.minimum(ell, JOINT * norm(surface[ids.held] - middle))), mu
@@ -224,7 +235,9 @@ class FittedRBF(AbstractMethod):
 
 
 class WallIds(eqx.Module):
-    """Rows of the surface: sources, nodes and edges of the fit; for each edge the nearest held row and its body's extent.
+    """Rows of the surface: sources, nodes and edges of the fit; for each edge the nearest held row and two ends of its wall.
+
+    `ell` and `mu` are the default lengths at each edge, relative to the distance of these ends.
 
     `far` are fixed sources so far away that more of them rest nearer to the walls, at the share `reach` of the way to them.
     `tips` are sharp tips of the walls, each with a node on either side.
@@ -238,7 +251,8 @@ class WallIds(eqx.Module):
     ends: Int[Array, "e 2"]
     far: Int[Array, " r"]
     tips: Int[Array, "g 3"]
-    share: Float[Array, " e"]
+    ell: Float[Array, " e"]
+    mu: Float[Array, " e"]
     reach: Float[Array, " r"]
 
 
@@ -254,6 +268,15 @@ class FitFactors(eqx.Module):
     polynomial: Float[Array, "b p"]
     moments: Float[Array, "p p"]
     ring: Float[Array, "r p"]
+
+
+def default_lengths(points, wall, faces, ends, share) -> tuple[np.ndarray, np.ndarray]:
+    """Computes the defaults of ell and mu of each wall (w,), relative to the distance of its ends, on the host."""
+    dimension = points.shape[1]
+    ell = ELL[dimension] * share
+    if dimension == 2:
+        ell = np.minimum(ell, THIN * thicknesses(points, wall, faces, ends))
+    return ell, MU[dimension] * share
 
 
 def _sources(ids: WallIds, surface: Float[Array, "b d"]) -> Float[Array, "s d"]:
@@ -279,11 +302,14 @@ def _at_rings(ids: WallIds, values: Float[Array, "b d"]) -> Float[Array, "r d"]:
     return (1 - squared + squared * jnp.log(squared))[:, None] * mean[None]
 
 
-def _system(follow: Float[Array, "s s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d s d s"]:
-    """Assembles the normal equations: `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2."""
-    _, d, s = slopes.shape
-    flat = slopes.reshape(len(slopes), d * s)
-    strain = _product(flat.T, flat).reshape(d, s, d, s)
+def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
+    """Assembles the normal equations of the first m sources, those that move.
+
+    They hold `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
+    """
+    (count, d, s), m = slopes.shape, len(follow)
+    moving = slopes[:, :, :m].reshape(count, d * m)
+    strain = _product(moving.T, slopes.reshape(count, d * s)).reshape(d, m, d, s)
     each = follow + sum(strain[b, :, b] for b in range(d))
     same = jnp.einsum("ac,ij->aicj", jnp.eye(d, dtype=follow.dtype), each)
     return same + strain.transpose(2, 1, 0, 3) - (2 / d) * strain

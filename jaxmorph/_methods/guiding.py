@@ -17,4 +17,7 @@ def guiding(method: AbstractMethod) -> AbstractMethod:
     coarse = method.coarse if isinstance(method, SurfaceReconstruction) else method
     if coarse.needs_cells or isinstance(coarse, DelaunayGraph | NearWall):
         coarse = FittedRBF()
-    return coarse if coarse is method and coarse.exact else SurfaceReconstruction(coarse, Multiscale())
+    if coarse is method and coarse.exact:
+        return coarse
+    layered = isinstance(method, SurfaceReconstruction) and isinstance(method.correction, NearWall)
+    return SurfaceReconstruction(coarse, NearWall(Multiscale(), method.correction.width) if layered else Multiscale())

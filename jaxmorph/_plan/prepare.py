@@ -168,7 +168,15 @@ def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray
     faces = None if faces is None else {kind: copies.faces(corners) for kind, corners in faces.items()}
     ids = np.where(copies.kind == 0, nodes[copies.rows], -1)
     cells = None if named.cells is None else _cells(named, on_plane)
-    surface = Surface(everything, ids, copies.moving, copies.first, faces=faces, is_open=named.is_open, cells=cells)
+    listed = len(named.moving) + len(named.fixed)
+    in_planes = (copies.rows >= listed) & on_plane[nodes].any(axis=1)[copies.rows]
+    surface = Surface(
+        *(everything, ids, copies.moving, copies.first),
+        faces=faces,
+        is_open=named.is_open,
+        cells=cells,
+        in_planes=in_planes if in_planes.any() else None,
+    )
     return surface, images, on_plane
 
 
