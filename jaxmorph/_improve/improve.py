@@ -194,7 +194,8 @@ def _minimise(distortion: Distortion, y, base, blocks, options):
 
     def tell(**report):
         if progress is not None:
-            jax.debug.callback(progress, distortion.softness, report["loss_this_step"][1])
+            on_host = lambda *told: progress(*map(float, told))  # noqa: E731 - what it does with arrays of JAX might wait
+            jax.debug.callback(on_host, distortion.softness, report["loss_this_step"][1])
 
     solver = ProjectedNewton(
         rtol=relative,
