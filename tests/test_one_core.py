@@ -25,6 +25,9 @@ import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_enable_x64", True)
 import jaxmorph as jm
 from jaxmorph import cases, shapes
+def late(rows, columns):
+    # zeros that XLA copies on its thread, since they are above 100 KiB and not aligned: what is called with them runs there, too
+    return np.zeros(rows * columns + 1)[1:].reshape(rows, columns)
 def airfoil(points, method):
     mesh = cases.naca0015(points=points)
     plan = jm.prepare(mesh, moving="airfoil", fixed="farfield", method=method)
@@ -38,32 +41,31 @@ assert jm.improve(mesh, jm.deform(plan, u)).after == 0
 """,
     "cells": """
 _, plan, u = airfoil(3000, jm.LinearElasticity())
-for _ in range(5):
-    u = jm.pullback(plan, u, jm.deform(plan, u / jnp.abs(u).max()))
-assert jnp.isfinite(u).all()
+there_and_back = jax.jit(lambda u, zeros: jm.pullback(plan, u, jm.deform(plan, u + zeros[: len(u)])))
+for _ in range(3):
+    assert jnp.isfinite(there_and_back(u, late(9000, 2))).all()
 """,
     "steps": """
 import equinox, optimistix
 mesh, plan, u = airfoil(7000, jm.DelaunayGraph())
 search = jm.ValidSteps(plan, mesh, lambda share: share * u)
 solver = equinox.tree_at(lambda solver: solver.search, optimistix.GradientDescent(0.3, 1e-3, 1e-3), search)
-found = optimistix.minimise(search.guarded(lambda share, _: (share - 1) ** 2), solver, 0.0, max_steps=30, throw=False)
-assert abs(found.value - 1) < 0.01
+drag = search.guarded(lambda share, _: (share - 1) ** 2)
+minimise = jax.jit(lambda start: optimistix.minimise(drag, solver, start[0, 0], max_steps=30, throw=False).value)
+for _ in range(3):
+    assert abs(minimise(late(9000, 2)) - 1) < 0.01
 """,
     "smooth": """
-k = 90
-ids = np.arange(k * k).reshape(k, k)
+ids = np.arange(8100).reshape(90, 90)
 faces = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
-x, y = np.divmod(np.arange(k * k) / k, 1)
+x, y = np.divmod(np.arange(8100) / 90, 1)
 smoother = shapes.Smoother(np.stack([x, y, np.sin(x * y)], axis=1), faces, 5.0)
-smooth = jax.jit(lambda u: smoother.apply(jnp.sin(u)) + smoother.sensitivities(u))
-u = jnp.ones((k * k, 3))
-for _ in range(10):
-    u = smooth(u)
-assert jnp.isfinite(u).all()
+smooth = jax.jit(lambda u: smoother.apply(u + 1) - smoother.sensitivities(u))
+for _ in range(3):
+    np.testing.assert_allclose(smooth(late(8100, 3)), 1, atol=1e-12)
 """,
 }
-"""Programs whose arrays are above 100 KiB, as XLA copies smaller ones at once."""
+"""Programs with arrays above 100 KiB on the host: XLA copies smaller ones at once."""
 
 
 def run(program):

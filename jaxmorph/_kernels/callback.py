@@ -11,9 +11,9 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
-# `jax.pure_callback` makes an array of JAX of each argument. XLA's threads, one a core, copy those above 100 KiB: where each thread
-# runs a callback that waits for such a copy, all wait for good. This primitive hands on what XLA gives, complete arrays of NumPy.
-# Nor does `jax.experimental.buffer_callback` wait, but it leaves arrays on a GPU, and each of several devices makes the call.
+# `jax.pure_callback` makes arrays of JAX of its arguments. XLA copies those above 100 KiB on a pool of a thread for each core, which
+# also waits for programs: on one core the copy waits for the program that waits for it. This primitive hands on what XLA gives,
+# complete NumPy arrays. So does `jax.experimental.buffer_callback`, but not on a GPU, and on each of several devices anew.
 
 
 def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *arguments: Any) -> Array:
