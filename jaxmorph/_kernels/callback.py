@@ -11,7 +11,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
-# `jax.pure_callback` makes arrays of JAX of its arguments. XLA copies those above 100 KiB on a pool of a thread for each core, which
+# `jax.pure_callback` makes arrays of JAX of its arguments. XLA copies those above 100 KiB on a pool of a thread for each core, that
 # also waits for programs: on one core the copy waits for the program that waits for it. This primitive hands on what XLA gives,
 # complete NumPy arrays. So does `jax.experimental.buffer_callback`, but not on a GPU, and on each of several devices anew.
 
