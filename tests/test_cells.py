@@ -428,7 +428,7 @@ def test_systems_of_pairs_against_dense_matrices(what, monkeypatch):
     masses = rng.uniform(1, 2, n) if what == "masses" else np.zeros(0)
     free, right = rng.uniform(size=(n, d)) < 0.7, rng.normal(size=(2, n, d))
     system = [pairs, values, diagonal, masses, free]
-    x = linear.solve(*(each[None] for each in system), right=right)
+    x = np.stack([linear.solve(*system, one) for one in right])
     matrix = dense(n, d, pairs, values, diagonal)
     if not block:
         matrix = matrix @ np.diag(1 / masses) @ matrix if len(masses) else matrix
@@ -475,12 +475,12 @@ def test_kept_factors_belong_to_one_system(other, monkeypatch):
 def test_one_solve_moves_and_one_pulls_back(monkeypatch):
     """With the factors of `prepare`: nothing is factored after it."""
     points, quads, ids = slab(2)
-    solved, inverse, factored = linear._solved, linear._inverse, []
+    solved, inverse, factored = linear.solve, linear._inverse, []
     plan = jm.prepare(
         jm.Mesh(points, {"quad": quads}), ids[:, 0], ids[:, -1], method=jm.LinearElasticity(), free=ids.ravel()
     )
     calls = []
-    monkeypatch.setattr(linear, "_solved", lambda *a, **k: calls.append(1) or solved(*a, **k))
+    monkeypatch.setattr(linear, "solve", lambda *a, **k: calls.append(1) or solved(*a, **k))
     monkeypatch.setattr(linear, "_inverse", lambda *system: factored.append(1) or inverse(*system))
     rng = np.random.default_rng(4)
     u, w = rng.normal(size=(5, 2)), rng.normal(size=points.shape)

@@ -6,11 +6,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree, Scalar
 
 from .._host.door import between, checked
+from .._kernels.callback import host_call
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan, deform
@@ -96,9 +96,9 @@ class ValidSteps(Module, optx.AbstractSearch):
         corners, dtype = self.corners, before.dtype
 
         def share(before: Any, after: Any) -> Any:
-            return np.asarray(corners.share(np.asarray(before), np.asarray(after))[0], dtype)
+            return corners.share(before, after)[0]
 
-        way = jax.pure_callback(share, jax.ShapeDtypeStruct((), dtype), before, after, vmap_method="sequential")
+        way = host_call(share, jax.ShapeDtypeStruct((), dtype), before, after)
         fits = (way >= 1) & self.corners.hold(after)
         gain = f_info.compute_grad_dot(jax.tree.map(jnp.subtract, y_eval, y))
         falls = f_eval_info.as_min() - f_info.as_min() <= self.slope * gain

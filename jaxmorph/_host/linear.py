@@ -1,7 +1,6 @@
 """Sparse symmetric positive systems with one number, or one small block, for each pair of nodes. The last few are kept."""
 
 import collections
-import itertools
 import threading
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -28,8 +27,6 @@ _lock = threading.Lock()
 def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> np.ndarray:
     """Solves A x = right for the free unknowns; x is zero for the others.
 
-    Leading axes of the arguments, as batches have them, are 1 or equal to each other.
-
     **Arguments:**
 
     - `pairs` (e, 2): nodes i and j of each pair, no pair twice.
@@ -42,29 +39,6 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
 
     **Returns:** x (n, d), in the precision of `right`; NaN where a system is not finite or not positive, or not solved.
     """
-    leading = np.ndim(right) - 2
-    arrays = [np.asarray(array) for array in (pairs, values, diagonal, masses, free, right)]
-    if leading == 0:
-        return _solved(*arrays, multigrid=multigrid)
-    shape = np.broadcast_shapes(*(array.shape[:leading] for array in arrays))
-    result = np.empty((*shape, *arrays[-1].shape[leading:]), arrays[-1].dtype)
-    for place in itertools.product(*map(range, shape)):
-        one = [
-            array[tuple(i if size > 1 else 0 for i, size in zip(place, array.shape, strict=False))] for array in arrays
-        ]
-        result[place] = _solved(*one, multigrid=multigrid)
-    return result
-
-
-def check_solver(unknowns: int, dimension: int) -> None:
-    """Raises `ImportError` where a system needs multigrid, and pyamg is missing."""
-    if dimension == 3 and unknowns > DIRECT and find_spec("pyamg") is None:
-        raise ImportError(
-            f"{unknowns} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
-        )
-
-
-def _solved(pairs, values, diagonal, masses, free, right, multigrid: bool) -> np.ndarray:
     key = (pairs, values, diagonal, masses, free, np.array(multigrid))
     with _lock:
         apply = next((apply for old, apply in _kept if all(map(_equal, old, key))), None)
@@ -76,6 +50,14 @@ def _solved(pairs, values, diagonal, masses, free, right, multigrid: bool) -> np
         with _lock:
             _kept.append((tuple(np.array(array) for array in key), apply))
     return apply(right.astype(float)).astype(right.dtype)
+
+
+def check_solver(unknowns: int, dimension: int) -> None:
+    """Raises `ImportError` where a system needs multigrid, and pyamg is missing."""
+    if dimension == 3 and unknowns > DIRECT and find_spec("pyamg") is None:
+        raise ImportError(
+            f"{unknowns} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
+        )
 
 
 def _equal(a: np.ndarray, b: np.ndarray) -> bool:

@@ -193,9 +193,12 @@ def _minimise(distortion: Distortion, y, base, blocks, options):
     """Runs one stage from y; where it is not wanted, it returns y as it is."""
     wanted, (relative, absolute), max_steps, progress = options
 
+    def on_host(softness, energy):
+        progress(float(softness), float(energy))  # numbers, since what is done with arrays of JAX may wait
+
     def tell(**report):
         if progress is not None:
-            jax.debug.callback(progress, distortion.softness, report["loss_this_step"][1])
+            jax.debug.callback(on_host, distortion.softness, report["loss_this_step"][1])
 
     solver = ProjectedNewton(
         rtol=relative,

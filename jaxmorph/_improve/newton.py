@@ -12,6 +12,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Integer
 
 from .._host.topology import CORNERS, DIMENSION
+from .._kernels.callback import host_call
 from .._quality import measures
 from .._quality.distortion import Target, energy, energy_of_cells, samples
 from .._quality.vector import Vector, corners
@@ -143,7 +144,7 @@ def _shares(kind: str) -> Float[Array, "s c e"]:
 def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
     """Calls a `solver` of `systems` on the host, for a Hessian and a right side."""
     structure = jax.ShapeDtypeStruct(right.shape, right.dtype)
-    return jax.pure_callback(solver, structure, *pattern, blocks, shift, right, vmap_method="sequential")
+    return host_call(solver, structure, *pattern, blocks, shift, right)
 
 
 class _Inverse(lx.AbstractLinearOperator):

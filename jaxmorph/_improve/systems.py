@@ -82,8 +82,7 @@ def solve_exactly(starts, columns, block, order, blocks, shift, right) -> np.nda
 
 
 def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarray:
-    starts, columns, block, order = map(np.asarray, structure)
-    blocks, shift, right = np.asarray(blocks), np.asarray(shift), np.asarray(right)
+    starts, columns, block, order = structure
     n, d = right.shape
     parts = [np.bincount(block, blocks[a, b], len(columns)) for a in range(d) for b in range(d)]
     data = np.stack(parts, axis=1).reshape(-1, d, d)

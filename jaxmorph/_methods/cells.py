@@ -1,7 +1,6 @@
 """Methods that solve an equation on the mesh's cells, inner nodes and all: what they share."""
 
 import abc
-import functools
 from collections.abc import Mapping
 
 import equinox as eqx
@@ -13,6 +12,7 @@ from scipy.spatial import KDTree
 
 from .._host import linear
 from .._host.topology import CORNERS
+from .._kernels.callback import host_call
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax, norm
 from .base import AbstractField, AbstractMethod, Surface
@@ -260,11 +260,12 @@ def solved_on_host(product, pairs, factors: NodeFactors, free, right: Float[Arra
     """Solves a symmetric system whose product with x is given, by `jaxmorph._host.linear.solve`. Traced."""
     leaves = (pairs, factors.values, factors.diagonal, factors.masses, free)
 
+    def on_host(*system):
+        return linear.solve(*system, multigrid=factors.places.shape[1] > 0)
+
     def solve(_, right):
         shape = jax.ShapeDtypeStruct(right.shape, right.dtype)
-        stopped = jax.lax.stop_gradient(leaves)
-        on_host = functools.partial(linear.solve, multigrid=factors.places.shape[1] > 0)
-        return jax.pure_callback(on_host, shape, *stopped, right, vmap_method="expand_dims")
+        return host_call(on_host, shape, *jax.lax.stop_gradient(leaves), right)
 
     return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 

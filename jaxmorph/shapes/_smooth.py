@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 
 from .._host.door import between, checked, rows_of
 from .._host.topology import boundary_faces
+from .._kernels.callback import host_call
 from .._mesh.mesh import Mesh
 from ._door import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, AbstractOperator
@@ -24,7 +25,6 @@ class Factor:
     """Holds a factor of a sparse symmetric matrix on the host; each is equal to itself alone."""
 
     def __init__(self, matrix: Any):
-        self.size = matrix.shape[0]
         self.factor = splu(
             sparse.csc_matrix(matrix),
             permc_spec="MMD_AT_PLUS_A",
@@ -32,13 +32,9 @@ class Factor:
             options={"SymmetricMode": True},
         )
 
-    def __call__(self, right: Any) -> np.ndarray:
-        """Solves for right-hand sides (..., m, d)."""
-        right = np.asarray(right)
-        columns = np.moveaxis(right, -2, 0).reshape(self.size, -1).astype(float)
-        solved = self.factor.solve(np.ascontiguousarray(columns))
-        ordered = solved.reshape((self.size, *right.shape[:-2], right.shape[-1]))
-        return np.moveaxis(ordered, 0, -2).astype(right.dtype)
+    def __call__(self, right: np.ndarray) -> np.ndarray:
+        """Solves for a right-hand side (m, d)."""
+        return self.factor.solve(np.ascontiguousarray(right, dtype=float))
 
 
 class Smoother(AbstractLinearShape):
@@ -131,8 +127,7 @@ class Smoother(AbstractLinearShape):
             return jnp.zeros_like(v).at[self.rows].add(self.values.astype(v.dtype)[:, None] * v[self.columns])
 
         def solve(_, b):
-            shape = jax.ShapeDtypeStruct(b.shape, b.dtype)
-            return jax.pure_callback(self.factor, shape, b, vmap_method="expand_dims")
+            return host_call(self.factor, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
 
         return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
