@@ -12,7 +12,8 @@ import numpy as np
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from .errors import MeshError
-from .reduction import canonical_order, roundoff
+from .reduction import canonical_order
+from .rounding import roundoff
 from .simplices import cofactors, cross, smallest_height, smallest_weight
 
 JITTER = 1e-8
@@ -20,6 +21,9 @@ JITTER = 1e-8
 
 FLAT = 64
 """A simplex lower than this times the round-off of the coordinates holds no point."""
+
+BETWEEN = 0.618
+"""Place of the borders of Morton's cells, relative to their size: off the numbers of a structured grid."""
 
 TOLERANCE = 1e-6
 """A point whose smallest weight is below minus this is looked at again."""
@@ -155,7 +159,7 @@ def morton_order(points: np.ndarray) -> np.ndarray:
     low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
     key = np.zeros(len(points), dtype=np.uint64)
     for axis in range(dimension):
-        grid = ((points[:, axis] - low[axis]) / extent * (2**bits - 1)).astype(np.uint64)
+        grid = ((points[:, axis] - low[axis]) / extent * (2**bits - 2) + BETWEEN).astype(np.uint64)
         key |= _spread(grid, dimension) << np.uint64(axis)
     return np.argsort(key, kind="stable")
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
+from .._host.rounding import nearest_of
 from .._kernels.values import as_jax
 from .base import AbstractMethod, Surface
 from .basis import WendlandC2
@@ -43,11 +44,12 @@ class LocalCorrection(AbstractMethod):
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
         radius = self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points))
-        apart, nearest = KDTree(surface.points).query(points, distance_upper_bound=1.25 * radius.max() or np.inf)
-        reached = np.isfinite(apart)
+        apart = KDTree(surface.points).query(points, distance_upper_bound=1.25 * radius.max() or np.inf)[0]
+        reached, nearest = np.isfinite(apart), np.zeros(len(points), dtype=np.int64)
+        nearest[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))
         row_of_point = surface.rows(len(points))
         on_surface = row_of_point < len(surface.points)
-        nodes = np.where(on_surface, row_of_point, np.where(reached, nearest, 0)).astype(np.int32)
+        nodes = np.where(on_surface, row_of_point, nearest).astype(np.int32)
         return extent, Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
 
     def reach(self, ids: Extent) -> float:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._host.door import finite_array, rows_of
 from .._host.errors import MeshError, place_of
-from .._host.reduction import roundoff
+from .._host.rounding import roundoff
 
 TOLERANCE = 1e-8
 """Distance from a plane, relative to the mesh's extent, within which a node lies on it."""

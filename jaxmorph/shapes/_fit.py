@@ -115,6 +115,7 @@ def fit_cst(
 
     **Raises:** `ValueError` for fewer nodes than unknowns, and where two sides are not to be seen.
     """
+    whole("order", order)
     points = positions(points, "points")
     chord = Chord.along(points) if chord is None else chord
     upper = upper_side(points, chord)
