@@ -58,7 +58,8 @@ def near_walls(
     for label in np.unique(wall[first]):
         here, others = np.flatnonzero(wall[first] == label), np.flatnonzero(wall != label)
         if others.size:
-            bounded = [(members, 8 * reach[wall == label].max()) for members in searched_together(wall, others)]
+            far = 8 * (1 + SAME) * reach[wall == label].max()
+            bounded = [(members, far) for members in searched_together(wall, others)]
             apart, other = _nearest(surface, bounded, points[near[here]], once)
             close = np.flatnonzero(apart < np.inf)
             rows[here[close], count] = other[close]

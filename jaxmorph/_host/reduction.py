@@ -242,7 +242,7 @@ def extreme_points(points: np.ndarray) -> np.ndarray:
     for axis in range(points.shape[1]):
         for sign in (-1, 1):
             along = sign * points[:, axis]
-            touching = np.flatnonzero(along >= along.max() - SAME * np.ptp(along))
+            touching = np.flatnonzero(along >= along.max() - slack)
             others = np.delete(points[touching], axis, axis=1)
             corners = [touching[first_largest(each, slack)] for column in others.T for each in (-column, column)]
             extremes.extend(corners)
