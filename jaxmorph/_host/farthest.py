@@ -6,6 +6,7 @@ import numpy as np
 
 from .door import check_fields, whole
 from .reduction import AbstractReduction, KDTree, check_separation, chosen_in_order, extreme_points, least_distance
+from .rounding import SAME, first_largest
 
 ENOUGH = {2: 96, 3: 400}
 """Sources of `Filled` by dimension: a wall in 3-D has the square of what a curve has."""
@@ -102,18 +103,16 @@ def farthest(
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
     least, weight = closest**2, 1.0
     if np.ndim(reach):
-        weight, least = (
-            1 / np.maximum(reach, max(closest, 1e-100)) ** 2,
-            1.0,
-        )  # finite where all points are in one place
-    chosen = []
-    outermost = ((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax(keepdims=True)
-    for node in (outermost if first is None else first).tolist():
+        # finite where all points are in one place
+        weight, least = 1 / np.maximum(reach, max(closest, 1e-100)) ** 2, 1.0
+    least *= 1 + SAME
+    chosen, outermost = [], first_largest(((points - points.mean(axis=0)) ** 2).sum(axis=1))
+    for node in [outermost] if first is None else first.tolist():
         if distance[node] > least and len(chosen) < count:
             chosen.append(node)
             _lower(distance, columns, node, weight, work)
-    while len(chosen) < count and distance.max() > least:
-        chosen.append(int(distance.argmax()))
+    while len(chosen) < count and (top := distance.max()) > least:
+        chosen.append(int((distance >= (1 - SAME) * top).argmax()))
         _lower(distance, columns, chosen[-1], weight, work)
     return np.array(chosen)
 

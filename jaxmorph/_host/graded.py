@@ -8,6 +8,7 @@ from scipy.spatial import KDTree
 from .door import between, whole
 from .farthest import farthest
 from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
+from .rounding import nearest_of
 
 SHARE = {2: 0.25, 3: 0.4}
 """A circle far away gets 16 sources, a sphere about 50."""
@@ -68,8 +69,8 @@ def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     if len(others) == 0:
         return np.full(len(points), float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
     tree = KDTree(others)
-    distance, nearest = map(np.asarray, tree.query(points))
+    distance = np.asarray(tree.query(points)[0])
     if len(others) == 1:
         return np.maximum(distance, 1e-12 * distance.max())
     spacing = np.asarray(tree.query(others, k=2)[0])[:, 1]
-    return np.maximum(distance, spacing[nearest])
+    return np.maximum(distance, nearest_of(points, others, spacing))

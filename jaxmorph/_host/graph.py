@@ -5,6 +5,7 @@ that qhull sees are therefore moved by 1e-8 of the local spacing, by a fixed fun
 the answer uses the true coordinates, and every weight is checked against them.
 """
 
+import contextlib
 import dataclasses
 import functools
 
@@ -12,14 +13,24 @@ import numpy as np
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from .errors import MeshError
-from .reduction import canonical_order, roundoff
+from .reduction import canonical_order
+from .rounding import roundoff
 from .simplices import cofactors, cross, smallest_height, smallest_weight
 
 JITTER = 1e-8
 """Relative to the distance of the nearest node: at 1e-9 location is five times slower, at 1e-7 weights go wrong."""
 
+SNAP = 2e-9
+"""Coordinates that Qhull gets are rounded to about this, relative to the distance of the nearest node; well below `JITTER`."""
+
+TRIALS = 4
+"""Jitters that are tried before a graph is given up: Qhull ends with a precision error now and then, though nodes are good."""
+
 FLAT = 64
 """A simplex lower than this times the round-off of the coordinates holds no point."""
+
+BETWEEN = 0.618
+"""Place of the borders of Morton's cells, relative to their size: off the numbers of a structured grid."""
 
 TOLERANCE = 1e-6
 """A point whose smallest weight is below minus this is looked at again."""
@@ -136,10 +147,11 @@ class _Graph(Delaunay):
 
 
 def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
-    try:
-        graph = _Graph(_jittered(nodes))
-    except QhullError:
-        graph = None
+    graph, snapped = None, _snapped(nodes)
+    for phase in range(TRIALS):
+        with contextlib.suppress(QhullError):
+            graph = _Graph(_jittered(snapped, phase))
+            break
     if graph is None or not (smallest_height(nodes[graph.simplices]) > flat).any():
         raise ValueError(
             f"the {len(nodes)} surface nodes lie in one {'line' if nodes.shape[1] == 2 else 'plane'}, so no Delaunay graph "
@@ -155,7 +167,7 @@ def morton_order(points: np.ndarray) -> np.ndarray:
     low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
     key = np.zeros(len(points), dtype=np.uint64)
     for axis in range(dimension):
-        grid = ((points[:, axis] - low[axis]) / extent * (2**bits - 1)).astype(np.uint64)
+        grid = ((points[:, axis] - low[axis]) / extent * (2**bits - 2) + BETWEEN).astype(np.uint64)
         key |= _spread(grid, dimension) << np.uint64(axis)
     return np.argsort(key, kind="stable")
 
@@ -201,7 +213,18 @@ def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
     return kept[canonical_order(unit[kept])]
 
 
-def _jittered(nodes: np.ndarray) -> np.ndarray:
+def _snapped(nodes: np.ndarray) -> np.ndarray:
+    """Rounds coordinates to about `SNAP` of the distance of the nearest node.
+
+    Qhull then gets the same bits whatever the last one of the mesh is. Jitter alone separates nodes on one sphere by no more
+    than Qhull's own round-off.
+    """
+    spacing = KDTree(nodes).query(nodes, k=2)[0][:, 1]
+    step = 2 ** np.floor(np.log2(SNAP * spacing) + BETWEEN)[:, None]
+    return np.floor(nodes / step + BETWEEN) * step
+
+
+def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     """Moves each node by `JITTER` of the distance of its nearest one, by a function of place alone.
 
     The function is a sine of very short wave length. Unlike random numbers it gives the same perturbation for the same mesh
@@ -210,7 +233,10 @@ def _jittered(nodes: np.ndarray) -> np.ndarray:
     spacing = KDTree(nodes).query(nodes, k=2)[0][:, 1]
     dimension = nodes.shape[1]
     waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]
-    return nodes + JITTER * spacing[:, None] * np.sin(nodes @ waves + np.arange(dimension))
+    angle = sum(
+        column[:, None] * wave for column, wave in zip(nodes.T, waves, strict=True)
+    )  # the same bits on every processor
+    return nodes + JITTER * spacing[:, None] * np.sin(angle + np.arange(dimension) + phase)
 
 
 def _repair(

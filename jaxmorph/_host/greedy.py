@@ -7,6 +7,7 @@ import numpy as np
 from .door import between, finite_array, whole
 from .farthest import farthest
 from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
+from .rounding import SAME, first_largest
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -21,8 +22,8 @@ class Greedy(AbstractReduction):
 
     - `sources`: how many points to choose, at least 1.
     - `motions`: displacements (k, m, d) of the m points, typical of the motions to come, such as modes. Default None.
-    - `tolerance`: it ends early when the spline misses no motion by more than this, relative to the largest displacement;
-      0 by default.
+    - `tolerance`: it ends early when the spline misses no motion by more than this, relative to the largest displacement, or
+      by more than 1e-9, which is round-off; 0 by default.
     - `group`: how many sources join in one round, as a share of those before: 0 puts them one by one. A source of a group knows of
       those before it in the group by their distance alone. Default 1/8.
     - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1.
@@ -74,16 +75,17 @@ def _by_error(
     chosen = farthest(points, min(count, points.shape[1] + 1), closest)
     kernel = _kernel(unit, unit[chosen])
     distance = np.min([np.linalg.norm(points - points[i], axis=1) for i in chosen], axis=0)
-    largest = np.abs(values).max()
+    closest, slack = closest * (1 + SAME), SAME * np.abs(values).max()
+    least = max(tolerance * np.abs(values).max(), slack)
     while len(chosen) < count:
         missed = _missed(kernel, tail, chosen, values)
         missed[distance <= closest] = 0
-        if missed.max() <= tolerance * largest:
+        if missed.max() <= least:
             break
         added = []
         for _ in range(min(1 + int(group * len(chosen)), count - len(chosen))):
-            worst = int(missed.argmax())
-            if missed[worst] <= tolerance * largest:
+            worst = first_largest(missed, slack)
+            if missed[worst] <= least:
                 break
             added.append(worst)
             away = np.linalg.norm(points - points[worst], axis=1)

@@ -8,13 +8,11 @@ from scipy.spatial.distance import cdist
 
 from .door import between
 from .farthest import FarthestPoints
-from .reduction import AbstractReduction, canonical_order, roundoff
+from .reduction import AbstractReduction, canonical_order
+from .rounding import SAME, first_largest, nearest_of, ranked, roundoff
 
 BATCH = 256
 """Candidates for the next nodes, examined together."""
-
-ROUND_OFF = 1e-9
-"""Relative difference below which two distances are equal, such as those of mirror images."""
 
 WIDTH = 8
 """Entries in a row of a sweep's table."""
@@ -49,7 +47,7 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
         near, node = _joined(around), np.repeat(picked, [len(ids) for ids in around])
         apart = np.linalg.norm(ordered[near] - ordered[node], axis=1)
         # nodes outside of the radius come before this node, or are not nearer to it
-        inside = apart < radius[node] * (1 - ROUND_OFF)
+        inside = apart < radius[node] * (1 - SAME)
         _approach(distance, nearest, near[inside], node[inside], apart[inside])
     nearest[radius == 0] = np.flatnonzero(radius == 0)
     order = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
@@ -79,44 +77,48 @@ def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.
             same = images[here] == images[there]
             here, there = here[same], there[same]
             apart = np.linalg.norm(points[here] - points[there], axis=1)
-            closer = apart < distance[here]
+            closer = apart < (1 - SAME) * distance[here]
             distance[here[closer]], nearest[here[closer]] = apart[closer], there[closer]
     return distance, nearest
 
 
 def _first(points: np.ndarray, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
     """Picks the node farthest from the middle. If it has no image, the node farthest from it becomes its nearest."""
-    first = np.linalg.norm(points - points.mean(axis=0), axis=1).argmax()
+    first = first_largest(np.linalg.norm(points - points.mean(axis=0), axis=1))
     if nearest[first] == first:
         away = np.linalg.norm(points - points[first], axis=1)
-        distance[first], nearest[first] = away.max(), away.argmax()
+        distance[first], nearest[first] = away.max(), first_largest(away)
     return np.array([first])
 
 
 def _nearest_of(points: np.ndarray, chosen: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    apart, which = map(np.asarray, KDTree(points[chosen]).query(points[others]))
-    return chosen[which], apart
+    nearest = nearest_of(points[others], points[chosen], chosen)
+    return nearest, np.linalg.norm(points[others] - points[nearest], axis=1)
 
 
 def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
-    """Lists the nodes with the largest distances above `least`, the largest first."""
-    count = min(BATCH, len(distance))
-    batch = np.argpartition(-distance, count - 1)[:count]
+    """Lists the nodes with the largest distances above `least`, the largest first, of equals the first."""
+    last = np.partition(distance, -min(BATCH, len(distance)))[-min(BATCH, len(distance))]
+    above, below = np.flatnonzero(distance > (1 + SAME) * last), (1 - SAME) * last
+    equal = np.flatnonzero((distance >= below) & (distance <= (1 + SAME) * last))
+    batch = np.concatenate([above, equal[: BATCH - len(above)]])
     batch = batch[distance[batch] > least]
-    return batch[np.lexsort((batch, -distance[batch]))]
+    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))]
 
 
 def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.ndarray:
     """Selects the nodes of a batch whose distance does not change by the nodes that come before them."""
     apart = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
-    return batch[apart.min(axis=1) >= distance[batch] * (1 - ROUND_OFF)]
+    return batch[apart.min(axis=1) >= distance[batch] * (1 - SAME)]
 
 
 def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, apart: np.ndarray) -> None:
     """Updates, in place, distance and nearest node of the nodes `near`: each has a `node` that far `apart` from it."""
-    closer = np.flatnonzero(apart < distance[near])
-    closer = closer[np.argsort(-apart[closer], kind="stable")]  # of several the nearest is written last
-    distance[near[closer]], nearest[near[closer]] = apart[closer], node[closer]
+    closer = np.flatnonzero(apart < (1 - SAME) * distance[near])
+    np.minimum.at(distance, near[closer], apart[closer])
+    closer = closer[apart[closer] <= (1 + SAME) * distance[near[closer]]]
+    closer = closer[np.argsort(-node[closer], kind="stable")]  # of equals the first is written last
+    nearest[near[closer]] = node[closer]
 
 
 def _joined(lists) -> np.ndarray:

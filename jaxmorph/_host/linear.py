@@ -12,6 +12,7 @@ from scipy.sparse import linalg
 
 from .multigrid import by_component, conjugate_gradients, hierarchy
 from .pairs import parts_of
+from .rounding import distinct
 
 DIRECT = 12_000
 """Unknowns up to which a 3-D system is factored. 2-D systems always are, since their factors hardly fill."""
@@ -214,8 +215,8 @@ def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
 def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Finds for each point (n,) the one that stands for all at its place: one of `first` if there is any, itself if it is one."""
     order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
-    _, index, inverse = np.unique(points[order], axis=0, return_index=True, return_inverse=True)
+    index, inverse = distinct(points[order])
     stands = np.empty(len(points), dtype=np.int64)
-    stands[order] = order[index[np.ravel(inverse)]]
+    stands[order] = order[index[inverse]]
     stands[first] = first
     return stands

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from .graph import morton_order
+from .rounding import SAME, nearest_few
 
 FEW = 16
 """Walls up to which each is searched on its own."""
@@ -27,19 +28,15 @@ def digest(values: np.ndarray) -> tuple[int, int]:
     return len(values), hash(values.tobytes())
 
 
-def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds for each point the nearest of the `chosen` places, and returns its id out of `ids`."""
-    return ids[np.asarray(KDTree(chosen).query(points)[1])]
-
-
 def near_walls(
     surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, count: int, once: Once = at_once
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the points that lie near a wall, and the ids (k, count + 1) of the surface nodes that matter to them.
 
     `reach` (b,) is how far a node's wall reaches into the volume. A row holds the `count` nearest nodes of the nearest
-    wall, nearest first. Its last entry is the nearest node of any other wall within eight times the reach, or the first
-    entry again. A point belongs to the wall of its nearest node alone; a point nearer to another wall is left out.
+    wall, nearest first, of equals the first one first. Its last entry is the nearest node of any other wall within eight
+    times the reach, or the first entry again. A point belongs to the wall of its nearest node alone; a point nearer to another
+    wall is left out.
 
     `once(key, make)` keeps what depends on the surface and its walls alone, for other points.
     """
@@ -58,19 +55,32 @@ def near_walls(
         part = slice(start, start + 65536)
         candidates = around[first[part]]
         apart = [surface[candidates, axis] - points[near[part], axis, None] for axis in range(points.shape[1])]
-        closest = np.argsort(sum(a * a for a in apart), axis=1, kind="stable")[:, :count]
-        rows[part, :count] = np.take_along_axis(candidates, closest, axis=1)
+        rows[part, :count] = _closest(candidates, sum(a * a for a in apart), count)
     rows[:, count] = rows[:, 0]
     is_nearest = np.ones(len(near), dtype=bool)
     for label in np.unique(wall[first]):
         here, others = np.flatnonzero(wall[first] == label), np.flatnonzero(wall != label)
         if others.size:
-            bounded = [(members, 8 * reach[wall == label].max()) for members in searched_together(wall, others)]
+            far = 8 * (1 + SAME) * reach[wall == label].max()
+            bounded = [(members, far) for members in searched_together(wall, others)]
             apart, other = _nearest(surface, bounded, points[near[here]], once)
             close = np.flatnonzero(apart < np.inf)
             rows[here[close], count] = other[close]
             is_nearest[here[close]] = distance[here[close]] <= apart[close]
     return near[is_nearest], rows[is_nearest]
+
+
+def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
+    """Picks from each row of nodes (k, c) the `count` of least squared distance, nearest first, of equals the first one first."""
+    order = np.argsort(squared, axis=1, kind="stable")
+    nodes, squared = (np.take_along_axis(each, order, axis=1) for each in (nodes, squared))
+    is_more = squared[:, 1:] > (1 + 2 * SAME) * squared[:, :-1]
+    tied = np.flatnonzero(~is_more[:, :count].all(axis=1))
+    rank = np.zeros((len(tied), nodes.shape[1]), dtype=np.int64)
+    np.cumsum(is_more[tied], axis=1, out=rank[:, 1:])
+    order = np.argsort((rank << 32) + nodes[tied], axis=1)
+    nodes[tied] = np.take_along_axis(nodes[tied], order, axis=1)
+    return nodes[:, :count]
 
 
 def _nearest_within(
@@ -113,8 +123,12 @@ def _nearest(
     distance, nearest = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     for members, bound in bounded:
         tree = _kept_tree(surface, members, once)
-        apart, row = map(np.asarray, tree.query(points, distance_upper_bound=bound))
-        node = members[np.minimum(row, len(members) - 1)]
+        both, rows = map(np.asarray, tree.query(points, k=min(2, len(members)), distance_upper_bound=bound))
+        both, rows = both.reshape(len(points), -1), rows.reshape(len(points), -1)
+        apart, row = both[:, 0], np.minimum(rows[:, 0], len(members) - 1)
+        equal = np.flatnonzero((both[:, -1] <= (1 + SAME) * apart) & (rows[:, -1] < len(members)))
+        row[equal] = nearest_few(points[equal], surface[members], 1)[:, 0]
+        node = members[row]
         closer = apart < (distance if reach is None else np.minimum(distance, reach[node]))
         distance[closer], nearest[closer] = apart[closer], node[closer]
     return distance, nearest
@@ -135,7 +149,7 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
     for label in np.unique(wall):
         nodes = np.flatnonzero(wall == label)
         k = min(count, len(nodes))
-        nearest = nodes[np.asarray(_tree(surface[nodes]).query(surface[nodes], k=k)[1]).reshape(len(nodes), k)]
+        nearest = nodes[nearest_few(surface[nodes], surface[nodes], k)]
         around[nodes] = np.concatenate([nearest, np.repeat(nodes[:, None], count - k, axis=1)], axis=1)
     return around
 

@@ -6,6 +6,10 @@ import numpy as np
 
 from .door import check_fields, whole
 from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
+from .rounding import SAME, first_largest
+
+NOISE = 1e-13
+"""Round-off of the power function, whose largest value is 1."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,16 +44,16 @@ class PGreedy(AbstractReduction):
         radius = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
         count, closest = min(self.count, len(points)), self.closest(points)
         basis, power, chosen = np.zeros((count, len(points))), np.ones(len(points)), []
-        node = int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmax())
+        node = first_largest(((points - points.mean(axis=0)) ** 2).sum(axis=1))
         while len(chosen) < count and power[node] > 1e-14:
             k = len(chosen)
             apart = np.sqrt(((points - points[node]) ** 2).sum(axis=1))
             xi = np.minimum(apart / radius, 1)
             column = (1 - xi) ** 4 * (4 * xi + 1) - basis[:k, node] @ basis[:k]
             basis[k] = column / np.sqrt(power[node])
-            power = np.where(apart <= closest, 0, np.maximum(power - basis[k] ** 2, 0))
+            power = np.where(apart <= closest * (1 + SAME), 0, np.maximum(power - basis[k] ** 2, 0))
             chosen.append(node)
-            node = int(power.argmax())
+            node = first_largest(power, SAME * power.max() + NOISE)
         return np.array(chosen)
 
     def closest(self, points: np.ndarray) -> float:

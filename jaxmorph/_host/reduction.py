@@ -11,6 +11,7 @@ import numpy as np
 import scipy.spatial
 
 from .door import between, check_fields, finite_array, whole
+from .rounding import SAME, first_largest, nearest_of, ranked, roundoff
 
 
 class AbstractReduction(abc.ABC):
@@ -128,7 +129,7 @@ class KDTree(AbstractReduction):
         local = self.search_points.local(points.shape[1])
         centre, half = boxes.mean(axis=1), np.ptp(boxes, axis=1) / 2
         search = (centre[:, None] + half[:, None] * local).reshape(-1, points.shape[1])
-        sources = np.unique(scipy.spatial.KDTree(points).query(search)[1])
+        sources = np.unique(nearest_of(search, points, np.arange(len(points))))
         if self.extremes:
             sources = np.concatenate([extreme_points(points), sources])
         return drop_close(points, sources, self.closest(points))
@@ -140,7 +141,7 @@ class KDTree(AbstractReduction):
         """Returns the tree that is built beside the `others`: with `crowded` leaves where one of them is near."""
         if self.crowded is None or not len(points) or not len(others):
             return self
-        near = float(np.ptp(points, axis=0).max())
+        near = (1 - SAME) * float(np.ptp(points, axis=0).max())
         distance = scipy.spatial.KDTree(others).query(points, distance_upper_bound=near)[0]
         return dataclasses.replace(self, leaves=self.crowded) if np.isfinite(distance).any() else self
 
@@ -185,10 +186,10 @@ class KDTree(AbstractReduction):
         while heap:
             count, _, members, box = leaf = heapq.heappop(heap)
             sides = np.ptp(box, axis=0)
-            if len(members) < 2 or sides.max() <= self.smallest_box:
+            if len(members) < 2 or sides.max() <= self.smallest_box * (1 + SAME):
                 done.append(leaf)
-            elif sides.max() > self.largest_box or self._too_few(-count, 1 + len(heap) + len(done)):
-                for half in _halves(points, members, int(sides.argmax())):
+            elif sides.max() > self.largest_box * (1 + SAME) or self._too_few(-count, 1 + len(heap) + len(done)):
+                for half in _halves(points, members, first_largest(sides)):
                     heapq.heappush(heap, entry(half))
             else:
                 done.append(leaf)
@@ -203,14 +204,15 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndar
     """Splits members at the median along an axis; points side by side (an outlet, both sides of a wing) stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
-    gaps = 1 + np.flatnonzero(np.diff(along) > 1e-9 * (along[-1] - along[0]))
+    gaps = 1 + np.flatnonzero(np.diff(along) > SAME * (along[-1] - along[0]))
     middle = gaps[np.abs(gaps - len(members) / 2).argmin()]
     return members[:middle], members[middle:]
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
     """Sorts points by their coordinates, so that results do not depend on the order in which they came."""
-    return np.lexsort(points.T[::-1])
+    slack = SAME * float(np.ptp(points, axis=0).max())
+    return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
 
 
 def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
@@ -234,20 +236,15 @@ def least_distance(points: np.ndarray, separation: float) -> float:
     return max(separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
 
 
-def roundoff(points: np.ndarray) -> float:
-    """Returns the distance below which two points are taken to coincide."""
-    return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max(initial=0))
-
-
 def extreme_points(points: np.ndarray) -> np.ndarray:
     """Finds points on the faces of the bounding box: for each side the ones furthest apart within round-off of it."""
-    extremes = []
+    extremes, slack = [], SAME * float(np.ptp(points, axis=0).max())
     for axis in range(points.shape[1]):
         for sign in (-1, 1):
             along = sign * points[:, axis]
-            touching = np.flatnonzero(along >= along.max() - 1e-9 * np.ptp(along))
+            touching = np.flatnonzero(along >= along.max() - slack)
             others = np.delete(points[touching], axis, axis=1)
-            corners = [touching[pick(others[:, k])] for k in range(others.shape[1]) for pick in (np.argmin, np.argmax)]
+            corners = [touching[first_largest(each, slack)] for column in others.T for each in (-column, column)]
             extremes.extend(corners)
     return np.unique(extremes)
 
@@ -257,7 +254,7 @@ def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarra
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
-    pairs = scipy.spatial.KDTree(points[ids]).query_pairs(closest, output_type="ndarray")
+    pairs = scipy.spatial.KDTree(points[ids]).query_pairs(closest * (1 + SAME), output_type="ndarray")
     keep = np.ones(len(ids), dtype=bool)
     for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # pairs come as first < second
         if keep[first]:
@@ -269,4 +266,4 @@ def drop_near(points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: 
     """Drops ids whose point lies within `closest` of one of the `others`; the order is kept."""
     if len(ids) == 0 or len(others) == 0:
         return ids
-    return ids[scipy.spatial.KDTree(points[others]).query(points[ids])[0] > closest]
+    return ids[scipy.spatial.KDTree(points[others]).query(points[ids])[0] > closest * (1 + SAME)]

@@ -7,7 +7,8 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from .farthest import farthest
 from .graph import morton_order
-from .reduction import canonical_order, roundoff
+from .reduction import canonical_order
+from .rounding import SAME, distinct, first_largest, nearest_few, nearest_of, ranked, roundoff
 
 FacesByType = Mapping[str, np.ndarray] | None
 
@@ -48,16 +49,17 @@ def _sides(faces: FacesByType, moving: int) -> np.ndarray:
 
 def _neighbours(points: np.ndarray) -> np.ndarray:
     """Pairs each node with its nearest and the nearest on its other side (2-D), or with its six nearest (3-D)."""
-    unique, first = np.unique(points, axis=0, return_index=True)
+    first = distinct(points)[0]
+    unique = points[first]
     count = min(6, len(unique) - 1)
     if count < 1:
         return np.zeros((0, 2), dtype=np.int64)
-    nearest = np.asarray(KDTree(unique).query(unique, k=count + 1)[1])[:, 1:]
+    nearest = nearest_few(unique, unique, count + 1)[:, 1:]
     start = np.arange(len(unique))
     if points.shape[1] == 3:
         return first[np.stack([np.repeat(start, count), nearest.ravel()], axis=1)]
     arm = unique[nearest] - unique[:, None]
-    behind = np.einsum("kcd,kd->kc", arm, arm[:, 0]) < 0
+    behind = np.einsum("kcd,kd->kc", arm, arm[:, 0]) < -SAME * (arm[:, :1] ** 2).sum(axis=2)
     other = np.where(behind.any(axis=1), nearest[start, behind.argmax(axis=1)], nearest[:, 0])
     return first[np.concatenate([np.stack([start, end], axis=1) for end in (nearest[:, 0], other)])]
 
@@ -84,8 +86,8 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> t
     by_wall = order[np.argsort(wall[order], kind="stable")]
     for label, members in enumerate(np.split(by_wall, np.cumsum(np.bincount(wall, minlength=count))[:-1])):
         if len(members):
-            first = members[((points[members] - points[members].mean(axis=0)) ** 2).sum(axis=1).argmax()]
-            ends[label] = first, members[((points[members] - points[first]) ** 2).sum(axis=1).argmax()]
+            first = members[first_largest(((points[members] - points[members].mean(axis=0)) ** 2).sum(axis=1))]
+            ends[label] = first, members[first_largest(((points[members] - points[first]) ** 2).sum(axis=1))]
     span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
     safe = np.where(span > 0, span, 1)
     return ends, size / (2 * safe ** (points.shape[1] - 1))
@@ -139,14 +141,13 @@ def _measure(corners: np.ndarray) -> np.ndarray:
 def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """Finds for each edge (e,) the nearest row that is fixed or on another wall; the edge's first row if there is none."""
     middle = points[pairs].mean(axis=1)
-    nearest, distance = pairs[:, 0].copy(), np.full(len(pairs), np.inf)
+    nearest = pairs[:, 0].copy()
     label_of_edge = wall[pairs[:, 0]]
     for label in np.unique(label_of_edge):
         here = np.flatnonzero(label_of_edge == label)
         others = np.flatnonzero((wall != label) | (np.arange(len(wall)) >= moving))
         if others.size:
-            apart, closest = KDTree(points[others]).query(middle[here])
-            nearest[here], distance[here] = others[closest], apart
+            nearest[here] = nearest_of(middle[here], points[others], others)
     return nearest
 
 
@@ -158,7 +159,7 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
     centre = surface[moving].mean(axis=0)
     rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
     way = np.linalg.norm(surface - centre, axis=1)
-    far = fixed[(images[fixed] == fixed) & (way[fixed] > BEYOND * rings.max())]
+    far = fixed[(images[fixed] == fixed) & (way[fixed] > BEYOND * (1 + SAME) * rings.max())]
     if len(far):
         far = far[canonical_order(surface[far])]
         far = far[farthest(surface[far], len(far), 0.0, reach=APART[surface.shape[1]] * way[far])]
@@ -177,7 +178,8 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
         return False
     size = _measure(surface[hull.simplices])
     plane = np.unique(np.round(hull.equations, 6), axis=0, return_inverse=True)[1].ravel()
-    largest = np.argsort(-np.bincount(plane, size))[:SIDES]
+    area = np.bincount(plane, size)
+    largest = np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]
     slack, free = 1e-8 * float(np.ptp(surface, axis=0).max()), points[is_free]
     for label in largest:
         facets = np.flatnonzero(plane == label)

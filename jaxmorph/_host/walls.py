@@ -7,6 +7,7 @@ from scipy.spatial import KDTree
 
 from .farthest import farthest
 from .pairs import parts_of
+from .rounding import SAME, distinct, nearest_of
 
 SHARP = np.cos(np.deg2rad(45))
 """Cosine of the turn from which on two faces that close in on the mesh between them belong to different walls."""
@@ -53,7 +54,7 @@ def walls(
         label[others] = _by_chains(points[others]) + 1 + label.max()
     known, left = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
     if left.size:
-        label[left] = label[known[np.asarray(KDTree(points[known]).query(points[left])[1])]]
+        label[left] = nearest_of(points[left], points[known], label[known])
     return np.unique(label, return_inverse=True)[1].astype(np.int32)
 
 
@@ -81,7 +82,7 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     first, second, agree = _beside(groups)
     unit = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
     closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
-    sharp = agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP)
+    sharp = agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP * (1 - SAME))
     fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])
     joined = (fixed[first] == fixed[second]) & ~sharp
     part = parts_of(first[joined], second[joined], len(fixed))
@@ -130,17 +131,18 @@ def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 def _by_chains(points: np.ndarray) -> np.ndarray:
     """Finds the wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
-    unique, inverse = np.unique(points, axis=0, return_inverse=True)
+    first, inverse = distinct(points)
+    unique = points[first]
     count = min({2: 2, 3: 8}[points.shape[1]], len(unique) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.int64)
     distance, nearest = map(np.asarray, KDTree(unique).query(unique, k=min(3 * count, len(unique))))
-    near = distance <= REACH * distance[:, count, None]
+    near = distance <= REACH * (1 + SAME) * distance[:, count, None]
     label = parts_of(np.nonzero(near)[0], nearest[near], len(unique))
     if points.shape[1] == 3 and label.max() > 0:
         first, second = _next_to_curves(unique, label, distance[:, 1])
         label = parts_of(first, second, int(label.max()) + 1)[label]
-    return label[inverse.ravel()]
+    return label[inverse]
 
 
 def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,10 +154,11 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
     tree, pairs = KDTree(points), []
     for curve in range(label.max() + 1):
         members = np.flatnonzero(label == curve)
-        if len(members) > CURVED * np.linalg.norm(np.ptp(points[members], axis=0)) / np.median(spacing[members]):
+        extent = np.linalg.norm(np.ptp(points[members], axis=0))
+        if len(members) > CURVED * (1 + SAME) * extent / np.median(spacing[members]):
             continue
         sample = points[members[farthest(points[members], SAMPLE, 0.0)]]
-        around = np.asarray(tree.query(sample, k=min(AROUND, len(points)))[1]).reshape(len(sample), -1)
+        around = np.sort(np.asarray(tree.query(sample, k=min(AROUND, len(points)))[1]).reshape(len(sample), -1), axis=1)
         pairs += _votes(points, label, members, sample, around) or _votes(
             points, label, members, sample, np.broadcast_to(np.arange(len(points)), (len(sample), len(points)))
         )
@@ -172,10 +175,10 @@ def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: n
         return []
     across, pairs = _across(points[members], apart, distance), []
     for side in (-1, 1):
-        reachable = np.where(side * (apart @ across) > 0.5 * distance, distance, np.inf)
-        closest = reachable.argmin(axis=1)[:, None]
-        voters = np.isfinite(np.take_along_axis(reachable, closest, axis=1))
-        votes = np.bincount(label[np.take_along_axis(around, closest, axis=1)[voters]], minlength=1)
+        reachable = np.where(side * (apart @ across) > 0.5 * (1 + SAME) * distance, distance, np.inf)
+        least = reachable.min(axis=1)
+        closest = np.where(reachable <= (1 + SAME) * least[:, None], label[around], len(points)).min(axis=1)
+        votes = np.bincount(closest[np.isfinite(least)], minlength=1)
         if 2 * votes.max() > len(sample):
             pairs.append((curve, int(votes.argmax())))
     return pairs
@@ -186,5 +189,5 @@ def _across(curve: np.ndarray, apart: np.ndarray, distance: np.ndarray) -> np.nd
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
     if size[1] > 0.01 * size[0]:
         return axes[-1]
-    sample, node = np.unravel_index(distance.argmin(), distance.shape)
+    sample, node = np.argwhere(distance <= (1 + SAME) * distance.min())[0]
     return apart[sample, node] / distance[sample, node]

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from scipy.spatial import KDTree
 
 from .._host.reduction import AbstractReduction, drop_close, drop_near
+from .._host.rounding import SAME, nearest_of
 from .._host.skin import chords
 from .._host.walls import walls
 from .._kernels.module import Module
@@ -113,10 +114,11 @@ class Surface:
         np.minimum.at(
             apart, self.images[images], np.linalg.norm(np.subtract(*self.points[[images, self.images[images]]]), axis=1)
         )
-        near, free = chosen[apart[chosen] <= closest], originals[apart[originals] > closest]
+        is_near = apart <= closest * (1 + SAME)
+        near, free = chosen[is_near[chosen]], originals[~is_near[originals]]
         if near.size:
-            moved = free[KDTree(self.points[free]).query(self.points[near])[1]] if free.size else near[:0]
-            chosen = drop_close(self.points, np.concatenate([moved, chosen[apart[chosen] > closest]]), closest)
+            moved = nearest_of(self.points[near], self.points[free], free) if free.size else near[:0]
+            chosen = drop_close(self.points, np.concatenate([moved, chosen[~is_near[chosen]]]), closest)
         return rows[np.isin(self.images[rows], chosen)], closest
 
     def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -131,7 +133,7 @@ class Surface:
         for label in np.unique(wall):
             members = np.flatnonzero(wall == label)
             corners = self.points[rows[members]]
-            if distance[members].min() > np.linalg.norm(np.ptp(corners, axis=0)) > 0:
+            if distance[members].min() > (1 + SAME) * np.linalg.norm(np.ptp(corners, axis=0)) > 0:
                 chosen.append(rows[members[reduction(corners)]])
         return np.concatenate(chosen) if sum(map(len, chosen)) <= reduction.most_on_far_walls else chosen[0]
 

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from scipy.spatial import KDTree
 
 from .._host import linear
+from .._host.rounding import nearest_of
 from .._host.topology import CORNERS
 from .._kernels.callback import host_call
 from .._kernels.compile import compiled
@@ -109,7 +109,7 @@ class AbstractCellMethod(AbstractMethod):
         corners = {kind: stands[ids] for kind, ids in cells.corners.items()}
         pairs, ids = self._numbered(corners, n)
         wall = nodes[rows < surface.moving]
-        wall = wall[KDTree(points[wall]).query(points[:n])[1]]
+        wall = nearest_of(points[:n], points[wall], wall)
         of_kind = {kind: _of_kind(corners[kind], *ids[kind]) for kind in corners}
         known = np.zeros(n, dtype=bool)
         known[nodes] = True

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
+from .._host.rounding import nearest_of
 from .._kernels.values import as_jax
 from .base import AbstractMethod, Surface
 from .basis import WendlandC2
@@ -48,11 +49,12 @@ class LocalCorrection(AbstractMethod):
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
         distance = REACH * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points)).max()
-        apart, nearest = KDTree(surface.points).query(points, distance_upper_bound=distance or np.inf)
-        reached = np.isfinite(apart)
+        apart = KDTree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
+        reached, nearest = np.isfinite(apart), np.zeros(len(points), dtype=np.int64)
+        nearest[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))
         row_of_point = surface.rows(len(points))
         on_surface = row_of_point < len(surface.points)
-        nodes = np.where(on_surface, row_of_point, np.where(reached, nearest, 0)).astype(np.int32)
+        nodes = np.where(on_surface, row_of_point, nearest).astype(np.int32)
         searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
         return (extent, searched), Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
 

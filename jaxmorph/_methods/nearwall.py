@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.neighbours import digest, near_walls, nearest_of
+from .._host.neighbours import digest, near_walls
+from .._host.rounding import first_largest, nearest_of
 from .._kernels.values import Either, as_jax, namespace, norm, root
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .basis import WendlandC2
@@ -23,6 +24,10 @@ REACH = 0.5
 
 CHORD = 0.25
 """Width of the layer of a wall without sources that are matched, relative to its mean chord."""
+
+
+SLIGHTLY = 1e-6
+"""Relative difference that keeps the maximum of equal lengths from having a kink."""
 
 
 class NearWall(AbstractMethod):
@@ -112,12 +117,14 @@ class NearWall(AbstractMethod):
 class Extent(eqx.Module):
     """Rows of the surface: each one's wall and nearest matched row of that wall, or itself; each wall's two ends and mean chord.
 
-    The mean chord is relative to the distance of the ends, and zero where the wall has matched rows.
+    `widest` is each wall's row that is farthest from its matched row. The mean chord is relative to the distance of the ends,
+    and zero where the wall has matched rows.
     """
 
     wall: Int[Array, " b"]
     matched: Int[Array, " b"]
     ends: Int[Array, "w 2"]
+    widest: Int[Array, " w"]
     share: Float[Array, " w"]
 
     @classmethod
@@ -135,7 +142,12 @@ class Extent(eqx.Module):
             chosen = surface.matched[wall[surface.matched] == label]
             matched[here] = nearest_of(surface.points[here], surface.points[chosen], chosen)
             share[label] = 0
-        return cls(*as_jax([*(each.astype(np.int32) for each in (wall, matched, ends)), share]))
+        widest = np.zeros(len(ends), dtype=np.int64)
+        gap = np.linalg.norm(surface.points - surface.points[matched], axis=1)
+        for label in np.unique(wall):
+            here = np.flatnonzero(wall == label)
+            widest[label] = here[first_largest(gap[here])]
+        return cls(*as_jax([*(each.astype(np.int32) for each in (wall, matched, ends, widest)), share]))
 
 
 def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
@@ -149,6 +161,7 @@ def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[
         np.maximum.at(widest, extent.wall, gap)
     else:
         widest = jax.ops.segment_max(gap, extent.wall, len(extent.ends))
+    widest = xp.maximum((1 - SLIGHTLY) * widest, gap[extent.widest])
     span = norm(surface[extent.ends[:, 0]] - surface[extent.ends[:, 1]])
     return xp.maximum(REACH * widest, CHORD * extent.share.astype(surface.dtype) * span)[extent.wall]
 
@@ -184,7 +197,8 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     """Computes chi, and the weights of the nearest wall nodes."""
     nearest, other = row.nodes[:-1], row.nodes[-1]
     distance = norm(surface[nearest] - x[None])
-    reach = distance.max() * (1 + 1e-6)
+    # the last node was the farthest when it was found: of nodes as far as it is, it alone decides, so there is no kink
+    reach = jnp.maximum(distance[-1], (1 - SLIGHTLY) * distance.max()) * (1 + 2 * SLIGHTLY)
     at_node = distance[0] == 0
     safe = jnp.where(at_node, 1, distance)
     weights = (

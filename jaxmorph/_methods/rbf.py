@@ -20,7 +20,8 @@ from .._host.door import between, checked, shown
 from .._host.errors import warn
 from .._host.graded import Graded
 from .._host.ordering import far_to_near
-from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close, roundoff
+from .._host.reduction import AbstractReduction, AllPoints, KDTree, drop_close
+from .._host.rounding import roundoff
 from .._kernels.compile import compiled
 from .._kernels.values import largest
 from .base import AbstractField, AbstractMethod, Surface, check_kind

@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.spatial import KDTree
 
+from .._host.rounding import nearest_of
 from .._kernels.values import is_known, norm
 from .base import AbstractField, AbstractMethod, Surface
 from .numbers import length
@@ -54,7 +54,7 @@ class RigidBlend(AbstractMethod):
             raise ValueError(
                 f"RigidBlend finds no rotation of {len(moving)} moving nodes {where}: take more of the body."
             )
-        nearest = np.asarray(KDTree(surface.points[: surface.moving]).query(points)[1], dtype=np.int32)
+        nearest = nearest_of(points, moving, np.arange(surface.moving, dtype=np.int32))
         return np.int32(surface.moving), nearest
 
     def fit(self, ids, surface, points):

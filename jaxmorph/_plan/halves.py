@@ -11,7 +11,7 @@ from jaxtyping import Int, Integer, Real
 
 from .._host.door import checked
 from .._host.errors import MeshError
-from .._host.reduction import roundoff
+from .._host.rounding import roundoff
 from .._host.skin import has_free_sides
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh

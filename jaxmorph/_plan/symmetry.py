@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._host.door import finite_array, rows_of
 from .._host.errors import MeshError, place_of
-from .._host.reduction import roundoff
+from .._host.rounding import roundoff
 from .._kernels.module import Module
 
 TOLERANCE = 1e-8

@@ -123,6 +123,7 @@ def fit_cst(
 
     **Raises:** `ValueError` for fewer nodes than unknowns, and where two sides are not to be seen.
     """
+    whole("order", order)
     points = positions(points, "points")
     chord = Chord.along(points) if chord is None else chord
     cst, upper = CST(order, exponents, chord=chord), upper_side(points, chord, wall=wall)
