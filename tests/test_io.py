@@ -377,7 +377,7 @@ def test_a_vtk_file_that_ends_before_its_arrays(tmp_path):
     io.write(tmp_path / "a.vtk", ring())
     data = (tmp_path / "a.vtk").read_bytes()
     (tmp_path / "b.vtk").write_bytes(data[: data.index(b"\n", data.index(b"POINT_DATA")) + 1])
-    with pytest.raises(ValueError, match=r"b\.vtk: the file ends after 'POINT_DATA 48': it is cut short"):
+    with pytest.raises(ValueError, match=r"b\.vtk: .*cut short, in the section that begins with 'POINT_DATA 48'"):
         io.read(tmp_path / "b.vtk")
 
 
@@ -391,10 +391,13 @@ def test_text_of_vtk_that_was_cut_or_counts_wrong_is_refused(tmp_path):
         io.read(tmp_path / "b.vtu")
     whole = (tmp_path / "a.vtk").read_bytes()
     for text, message in (
-        (whole[: whole.index(b"FIELD")], "the file ends after 'POINT_DATA 48': it is cut short"),
-        (whole[: whole.index(b"CELL_TYPES")], r"Its last section is 'CELLS [\d ]+': is the file cut short there\?"),
-        (whole[: whole.index(b"POINTS")], "It holds no line that begins with POINTS"),
-        (re.sub(rb"POINT_DATA \d+\n", b"", whole), "FIELD after CELL_TYPES, but neither POINT_DATA nor CELL_DATA"),
+        (whole[: whole.index(b"FIELD")], r"cut short, in the section that begins with 'POINT_DATA 48'"),
+        (whole[: whole.index(b"CELL_TYPES")], r"cut short, in the section that begins with 'CELLS [\d ]+'"),
+        (whole[: whole.index(b"POINTS")], "cut short, before any section .no POINTS"),
+        (
+            re.sub(rb"POINT_DATA \d+\n", b"", whole),
+            "in the section that begins with 'CELL_TYPES 36' .a field of arrays, but neither",
+        ),
     ):
         (tmp_path / "b.vtk").write_bytes(text)
         with pytest.raises(ValueError, match=message):
@@ -433,7 +436,7 @@ def test_cells_that_meshio_leaves_out_are_told(tmp_path, ending):
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
     cells, kinds = [4, 0, 1, 3, 2, 8, *range(8)], [9, 11]  # a quad and a voxel
     pyvista.UnstructuredGrid(cells, kinds, points).save(tmp_path / f"a.{ending}")
-    with pytest.raises(ValueError, match=r"meshio cannot handle \(type 11\).* They would be lost"):
+    with pytest.raises(ValueError, match=r"\(type 11\).* They would be lost"):
         io.read(tmp_path / f"a.{ending}")
 
 
