@@ -48,6 +48,18 @@ def read(path: pathlib.Path) -> Mesh:
     return to_mesh(path, mesh, Source(path, NAME, _GmshContent(data, mesh.points)))
 
 
+def check(path: pathlib.Path, mesh: Mesh) -> None:
+    """Raises `ValueError` for patches of a new file that boundary faces cannot express, or whose name ends before its end."""
+    if source_of(mesh, NAME) is not None:
+        return
+    for name in mesh.patches:
+        if any(mark in name for mark in '"\r\n') or not name:
+            raise ValueError(
+                f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or a line break."
+            )
+    patch_faces(mesh)
+
+
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the file the mesh came from with new coordinates; for any other mesh a new file of version 2.2, binary.
 
