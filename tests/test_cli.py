@@ -272,7 +272,9 @@ def test_a_case_is_called_by_the_name_of_its_folder(tmp_path, monkeypatch, capsy
     monkeypatch.chdir(tmp_path / "case")
     assert main(["info", name]) == 0
     assert capsys.readouterr().out.startswith("case: 3-D, ")
-    assert main(["deform", name, "../out", "--moving", "floor", "--translate", "0", "0", "1e-3"]) == 0
+    assert (
+        main(["deform", name, "../out", "--moving", "floor", "--fixed", "rest", "--translate", "0", "0", "1e-3"]) == 0
+    )
     assert "case: " in capsys.readouterr().out
 
 
