@@ -16,7 +16,7 @@ from ._format import Format, Source
 FORMATS = (
     Format("SU2", (".su2",), "_su2", holds_arrays=False),
     Format("VTK", (".vtu", ".vtk"), "_vtk"),
-    Format("gmsh", (".msh",), "_gmsh", holds_arrays=False),
+    Format("gmsh", (".msh",), "gmsh.file", holds_arrays=False),
     Format("CGNS", (".cgns",), "cgns.file", holds_arrays=False),
     Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d", holds_arrays=False),
     Format("OpenFOAM", (), "openfoam.case", holds_arrays=False, is_folder=True),
