@@ -6,10 +6,12 @@ import subprocess
 import sys
 import time
 
+import foam
 import numpy as np
 import pytest
 from ring import write_ring
 from small import bricks
+from test_openfoam import PATCHES, mixed
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -262,6 +264,18 @@ def test_info(here, capsys):
     said = capsys.readouterr().out
     for expected in ("2-D, 216 points", "192 quad", "x        -5 to 5", "wall         24 nodes"):
         assert expected in said
+
+
+@pytest.mark.parametrize("name", [".", "../case"])
+def test_a_case_is_called_by_the_name_of_its_folder(tmp_path, monkeypatch, capsys, name):
+    foam.write_case(tmp_path / "case", *mixed(), PATCHES)
+    monkeypatch.chdir(tmp_path / "case")
+    assert main(["info", name]) == 0
+    assert capsys.readouterr().out.startswith("case: 3-D, ")
+    assert (
+        main(["deform", name, "../out", "--moving", "floor", "--fixed", "rest", "--translate", "0", "0", "1e-3"]) == 0
+    )
+    assert "case: " in capsys.readouterr().out
 
 
 def test_a_process_of_its_own_computes_in_double_precision(here):

@@ -174,16 +174,6 @@ def test_files_of_gmsh_come_back_as_they_were(tmp_path, gmsh, version, binary, d
     np.testing.assert_array_equal(np.sort(found.reshape(-1, 3)[:, :dimension], axis=0), np.sort(points, axis=0))
 
 
-def test_parametric_nodes_are_refused_in_so_many_words(tmp_path, gmsh):
-    drawn(gmsh, 2, second_group=False)
-    for option, value in (("MshFileVersion", 4.1), ("Binary", 1), ("SaveParametric", 1)):
-        gmsh.option.setNumber(f"Mesh.{option}", value)
-    gmsh.write(str(tmp_path / "a.msh"))
-    gmsh.option.setNumber("Mesh.SaveParametric", 0)
-    with pytest.raises(ValueError, match=r"a\.msh: .*parametric nodes not implemented"):
-        io.read(tmp_path / "a.msh")
-
-
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("content", [b"", b"# a text\nabout = nothing\n", bytes(range(256)) * 9])
 def test_what_is_no_mesh_is_a_value_error_without_other_words(tmp_path, capfd, suffix, content):
@@ -248,7 +238,7 @@ def test_a_mesh_with_a_source_is_a_pytree(tmp_path):
 
 def test_a_missing_extra_is_named(monkeypatch, tmp_path):
     io.write(tmp_path / "a.vtu", ring())
-    for name in ("_meshio", "_vtk", "_gmsh"):
+    for name in ("_meshio", "_vtk", "gmsh.file"):
         monkeypatch.delitem(sys.modules, f"jaxmorph.io.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "meshio", None)
     with pytest.raises(ImportError, match=r"pip install 'jaxmorph\[io\]'"):
@@ -345,7 +335,7 @@ def test_a_block_of_no_elements_is_no_damage(tmp_path):
 
 @pytest.mark.parametrize("version", ["2.2", "4.1"])
 @pytest.mark.parametrize("binary", [False, True])
-def test_a_tag_far_beyond_the_number_of_nodes_is_refused(tmp_path, version, binary):
+def test_a_tag_far_beyond_the_number_of_nodes_is_told(tmp_path, version, binary):
     """A table as long as the tag would take gigabytes."""
     mesh = meshio.Mesh(np.eye(3), [("triangle", np.array([[0, 1, 2]]))])
     meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, version, binary=binary)
@@ -357,7 +347,7 @@ def test_a_tag_far_beyond_the_number_of_nodes_is_refused(tmp_path, version, bina
     else:
         data = re.sub(rb"(\$Nodes\n(?:.+\n){%d})1\b" % (1 if version == "2.2" else 2), rb"\g<1>1000000000", data)
     (tmp_path / "a.msh").write_bytes(data)
-    with pytest.raises(ValueError, match=r"a\.msh: node tag 1000000000 of 3 nodes"):
+    with pytest.raises(ValueError, match=r"a\.msh: a triangle between nodes of which 1 is none of the 3 in \$Nodes"):
         io.read(tmp_path / "a.msh")
 
 
@@ -377,7 +367,7 @@ def test_a_vtk_file_that_ends_before_its_arrays(tmp_path):
     io.write(tmp_path / "a.vtk", ring())
     data = (tmp_path / "a.vtk").read_bytes()
     (tmp_path / "b.vtk").write_bytes(data[: data.index(b"\n", data.index(b"POINT_DATA")) + 1])
-    with pytest.raises(ValueError, match=r"b\.vtk: the file ends after 'POINT_DATA 48': it is cut short"):
+    with pytest.raises(ValueError, match=r"b\.vtk: .*cut short, in the section that begins with 'POINT_DATA 48'"):
         io.read(tmp_path / "b.vtk")
 
 
@@ -391,10 +381,13 @@ def test_text_of_vtk_that_was_cut_or_counts_wrong_is_refused(tmp_path):
         io.read(tmp_path / "b.vtu")
     whole = (tmp_path / "a.vtk").read_bytes()
     for text, message in (
-        (whole[: whole.index(b"FIELD")], "the file ends after 'POINT_DATA 48': it is cut short"),
-        (whole[: whole.index(b"CELL_TYPES")], r"Its last section is 'CELLS [\d ]+': is the file cut short there\?"),
-        (whole[: whole.index(b"POINTS")], "It holds no line that begins with POINTS"),
-        (re.sub(rb"POINT_DATA \d+\n", b"", whole), "FIELD after CELL_TYPES, but neither POINT_DATA nor CELL_DATA"),
+        (whole[: whole.index(b"FIELD")], r"cut short, in the section that begins with 'POINT_DATA 48'"),
+        (whole[: whole.index(b"CELL_TYPES")], r"cut short, in the section that begins with 'CELLS [\d ]+'"),
+        (whole[: whole.index(b"POINTS")], "cut short, before any section .no POINTS"),
+        (
+            re.sub(rb"POINT_DATA \d+\n", b"", whole),
+            "in the section that begins with 'CELL_TYPES 36' .a field of arrays, but neither",
+        ),
     ):
         (tmp_path / "b.vtk").write_bytes(text)
         with pytest.raises(ValueError, match=message):
@@ -433,7 +426,7 @@ def test_cells_that_meshio_leaves_out_are_told(tmp_path, ending):
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
     cells, kinds = [4, 0, 1, 3, 2, 8, *range(8)], [9, 11]  # a quad and a voxel
     pyvista.UnstructuredGrid(cells, kinds, points).save(tmp_path / f"a.{ending}")
-    with pytest.raises(ValueError, match=r"meshio cannot handle \(type 11\).* They would be lost"):
+    with pytest.raises(ValueError, match=r"\(type 11\).* They would be lost"):
         io.read(tmp_path / f"a.{ending}")
 
 

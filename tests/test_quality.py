@@ -216,6 +216,32 @@ def test_non_orthogonality_by_faces(kind):
     np.testing.assert_allclose(jm.quality(mesh).non_orthogonality, expected, rtol=1e-6, atol=1e-6)
 
 
+def test_face_quality_prints_a_table():
+    """Its numbers are those of the arrays: the extremes, means by volume, the worst cell and its place."""
+    mesh = cases.bricks("hexahedron", cells=3)
+    points = np.asarray(mesh.points) + 0.02 * np.random.default_rng(0).normal(size=np.shape(mesh.points))
+    measured = jm.face_quality(mesh, points)
+    first, _, *rows = str(measured).splitlines()
+    assert first == f"{len(measured.volume)} cells: {measured.is_inverted.sum()} inverted"
+    assert repr(measured) == f"FaceQuality({len(measured.volume)} cells)"
+    assert [row.split()[0] for row in rows] == ["skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid"]
+    for row in rows:
+        name, least, mean, most, cell, *place = row.split()
+        values = getattr(measured, name)
+        expected = (
+            measured.mean_non_orthogonality
+            if name == "non_orthogonality"
+            else values @ measured.volume / measured.volume.sum()
+        )
+        np.testing.assert_allclose(
+            [float(least), float(mean), float(most)], [values.min(), expected, values.max()], rtol=5e-3
+        )
+        assert int(cell) == (values.argmin() if name in ("volume", "pyramid") else values.argmax())
+        np.testing.assert_allclose(eval(" ".join(place)), measured.centroid[int(cell)], rtol=5e-3, atol=1e-3)
+    moved = np.where(np.arange(len(points))[:, None] == 0, np.nan, points)
+    assert "nan" in str(jm.face_quality(mesh, moved))
+
+
 def test_centre_of_unequal_cells():
     """Two trapezoids (and prisms over them), one above the other: the centres are the closed form's."""
     low, high = np.array([[0, 0], [4, 0], [3, 1], [0, 1]]), np.array([[0, 1], [3, 1], [1, 3], [0, 3]])

@@ -86,6 +86,34 @@ def test_polyhedra_are_whole(tmp_path, kind):
     assert set(mesh.cell_ids[4:]) == {0}
 
 
+def test_whole_cells_are_drawn_in_the_colour_of_their_value(tmp_path):
+    """All pieces of a polyhedron have its value; values of pieces are taken as well, and no other number of them."""
+    plot = pytest.importorskip("jaxmorph.plot")
+    polyhedral(tmp_path / "a.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    whole, pieces = jm.face_quality(mesh).volume, len(mesh.cell_ids)
+    assert len(whole) < pieces
+    drawn = [plot.surface(mesh, values=values) for values in (whole, whole[mesh.cell_ids])]
+    for plotter in drawn:
+        centres, values = plotter.mesh.cell_centers().points, plotter.mesh.cell_data["values"]
+        outer = np.abs(centres[:, 0] - 1) > 1e-9  # faces between the cube and the others are of either
+        of_cube = centres[outer, 0] < 1
+        np.testing.assert_allclose(values[outer], np.where(of_cube, 1, 0.25), rtol=1e-12)
+        assert {*of_cube.tolist()} == {False, True}
+    with pytest.raises(ValueError, match=rf"shape \(6,\); this mesh has 5 cells, in {pieces} pieces"):
+        plot.surface(mesh, values=np.ones(6))
+
+
+def test_whole_polygons_are_drawn_in_the_colour_of_their_value(tmp_path):
+    plot = pytest.importorskip("jaxmorph.plot")
+    slab(tmp_path / "a")
+    mesh = io.read(tmp_path / "a")
+    whole = jm.face_quality(mesh).volume
+    assert len(whole) < len(mesh.cell_ids)
+    colours = plot.mesh(mesh, values=whole).collections[0].get_array()
+    np.testing.assert_array_equal(colours, whole[mesh.cell_ids])
+
+
 def test_cells_of_several_types_have_the_numbers_of_the_case(tmp_path):
     points, cells = mixed()
     order = [3, 1, 0, 2]  # tetrahedron, wedge, hexahedron, pyramid

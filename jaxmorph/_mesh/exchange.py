@@ -17,6 +17,9 @@ PREFIX = "patch:"
 MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", "cellentityids", "medit:ref")
 """Arrays, by their names in lower case, whose numbers tell the patches apart."""
 
+BOUNDING = "gmsh:bounding_entities"
+"""meshio's name of sets of cells that are no physical group."""
+
 Arrays = Mapping[str, Any]
 
 
@@ -135,7 +138,7 @@ def _sets(grid: Grid) -> dict[str, np.ndarray]:
     levels, patches = grid.levels, {}
     for name, members in grid.cell_sets.items():
         for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):
-            if inside is not None and np.size(inside) and level < max(levels) and not name.startswith("gmsh:"):
+            if inside is not None and np.size(inside) and level < max(levels) and name != BOUNDING:
                 patches.setdefault(name, []).append(corners[np.asarray(inside, dtype=np.int64)].ravel())
     return _joined(patches)
 

@@ -11,6 +11,7 @@ from .._host.adjacency import handedness, neighbours
 from .._host.door import checked
 from .._host.products import cross, dot
 from .._mesh.mesh import Mesh
+from .report import HEADING, place_of, table_row
 from .sides import Block, Group, Sides
 
 Columns = Any
@@ -40,6 +41,7 @@ class FaceQuality:
     - `counted`: False for boundary elements. They have 0, and aspect ratio and pyramid 1.
 
     `mean_non_orthogonality` is checkMesh's average, one number: the angle whose cosine is the mean of the inner faces' cosines.
+    `str(measured)` is a table. Its other means are weighted by volume.
     """
 
     volume: Float[np.ndarray, " k"]
@@ -51,6 +53,23 @@ class FaceQuality:
     centroid: Float[np.ndarray, "k d"]
     counted: Bool[np.ndarray, " k"]
     mean_non_orthogonality: float
+
+    def __repr__(self) -> str:
+        return f"FaceQuality({np.count_nonzero(self.counted)} cells)"
+
+    def __str__(self) -> str:
+        ids = np.flatnonzero(self.counted)
+        lines = [f"{len(ids)} cells: {int(self.is_inverted[ids].sum())} inverted", HEADING]
+        weight = np.abs(self.volume[ids])
+        for name in ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid"):
+            values = getattr(self, name)[ids]
+            badness = -values if name in ("volume", "pyramid") else values
+            cell = ids[np.where(np.isnan(badness), np.inf, badness).argmax()]
+            mean = np.average(values, weights=weight) if weight.sum() > 0 else np.nan
+            mean = self.mean_non_orthogonality if name == "non_orthogonality" else mean
+            numbers = [float(values.min()), float(mean), float(values.max())]
+            lines.append(table_row(name, numbers, cell, place_of(self.centroid[cell])))
+        return "\n".join(lines)
 
 
 @checked

@@ -1,6 +1,6 @@
 """The report of `quality`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -17,6 +17,7 @@ MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
     *("jacobian", "volume_ratio", "jacobian_ratio"),
 )
+HEADING = f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"
 _SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio")
 
 
@@ -172,11 +173,11 @@ class QualityReport(Module):
             return repr(self)
         counted = ", ".join(f"{count} {kind}" for kind, count in self._top())
         lines = [f"{counted}: {int(self.inverted)} inverted, {int(self.degenerate)} degenerate from the start"]
-        lines.append(f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near")
+        lines.append(HEADING)
         for name in MEASURES if self.relative else MEASURES[:-2]:
             cell = self.worst(1, by=name)[0]
-            numbers = "".join(f"{float(f(name)):>10.3g}" for f in (self.min, self.mean, self.max))
-            lines.append(f"{name:<17}{numbers}  {cell:<8}{self._place(cell)}")
+            numbers = [float(f(name)) for f in (self.min, self.mean, self.max)]
+            lines.append(table_row(name, numbers, cell, self._place(cell)))
         return "\n".join(lines)
 
     def _measure(self, name: str) -> Float[Array, "*batch k"]:
@@ -185,9 +186,7 @@ class QualityReport(Module):
         return getattr(self, name)
 
     def _place(self, cell: int | np.integer) -> str:
-        place = np.asarray(self.centroid[cell], dtype=float)
-        place = np.where(np.abs(place) < 1e-4 * np.abs(place).max(), 0.0, place)
-        return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
+        return place_of(np.asarray(self.centroid[cell], dtype=float))
 
     def _top(self) -> list[tuple[str, int]]:
         highest = max(DIMENSION[kind] for kind, count in self.types if count)
@@ -211,6 +210,17 @@ class QualityReport(Module):
         values = tuple(np.asarray(each) for each in values) if known else values
         counted = values if mask.all() else [each[..., np.flatnonzero(mask)] for each in values]
         return jnp.asarray(reduce(np if known else jnp, *counted))
+
+
+def table_row(name: str, numbers: Sequence[float], cell: int | np.integer, place: str) -> str:
+    """Writes a line below `HEADING`: a measure's least, mean and largest value, its worst cell and where it is."""
+    return f"{name:<17}{''.join(f'{number:>10.3g}' for number in numbers)}  {cell:<8}{place}"
+
+
+def place_of(centroid: Float[np.ndarray, " d"]) -> str:
+    """Writes a place; a coordinate that is small beside the largest one is 0."""
+    place = np.where(np.abs(centroid) < 1e-4 * np.abs(centroid).max(), 0.0, centroid)
+    return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
 
 
 def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:

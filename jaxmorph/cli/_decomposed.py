@@ -13,7 +13,7 @@ from ._deform import check_files, described, write_job
 from ._judged import Judged
 from ._method import in_double, named_method, patches_of
 from ._motion import motion
-from ._output import Output
+from ._output import Output, title
 from ._parts import Verdict, Verdicts, verdict
 from ._requests import Deform
 from ._trials import MORE
@@ -144,7 +144,7 @@ def prepared_half(request: Deform, surface: jm.Mesh, out: Output, way: str) -> t
         if choice.method.needs_cells:
             raise ValueError(f"{way} is not for {request.method.name}, which solves for all nodes at once.")
         path = moves.path(wall, request.steps)
-        out.say(f"{request.file.name}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
+        out.say(f"{title(request.file)}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
         described(request, patches, choice, path[-1], out)
         half = patches.half(choice)
         for warning in jm.inspect(half.plan, path[-1].astype(choice.dtype)).warnings:

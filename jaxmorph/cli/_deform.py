@@ -16,7 +16,7 @@ from ._attempt import Attempt
 from ._judged import Judged
 from ._method import NamedMethod, Patches, named_method, patches_of
 from ._motion import motion
-from ._output import Output
+from ._output import Output, title
 from ._requests import Deform
 from ._tables import compared, count, numbers, wall_numbers, wall_rows
 from ._trials import explain
@@ -30,7 +30,7 @@ LARGE, LONG = 500_000, 30.0
 
 def deform(request: Deform, out: Output) -> int:
     """Reads, moves, judges, writes; says each on the terminal. Returns the exit status."""
-    with out.progress(f"reading {request.file.name}"):
+    with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
     with quickly_compiled(len(mesh.points) * request.steps <= SMALL):
         return _deform(request, mesh, out)
@@ -82,7 +82,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
         chunks = patches.chunks(choice, request.chunk)
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
-    out.say(f"{request.file.name}: {n} points in {d}-D, {cells}", points=n)
+    out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
     described(request, patches, choice, moves.path(wall, 1)[-1], out)
     with out.progress("judging the cells"):
         before = Judged(mesh, mesh.points)

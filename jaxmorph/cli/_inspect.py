@@ -9,7 +9,7 @@ from jaxmorph import Mesh, io
 
 from . import _gates
 from ._judged import Judged
-from ._output import Output
+from ._output import Output, title
 from ._requests import Quality
 from ._tables import alone, compared, inverted_cells, numbers
 
@@ -47,7 +47,7 @@ def info(file: pathlib.Path, out: Output) -> int:
     points = np.asarray(mesh.points)
     n, d = points.shape
     cells = mesh.cell_counts
-    out.say(f"{file.name}: {d}-D, {n} points", dimension=d, points=n)
+    out.say(f"{title(file)}: {d}-D, {n} points", dimension=d, points=n)
     out.say("cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items()), cells=cells)
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     for name, least, most in zip("xyz", low, high, strict=False):

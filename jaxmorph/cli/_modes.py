@@ -17,7 +17,7 @@ from jaxmorph._host.files import output_path
 from . import _gates
 from ._judged import Judged
 from ._method import Patches, in_double, named_method, patches_of
-from ._output import Output
+from ._output import Output, title
 from ._requests import Modes
 from ._tables import count, inverted_cells, numbers
 
@@ -38,7 +38,7 @@ class Case:
 
 def modes(request: Modes, out: Output) -> int:
     """Moves, judges and writes the mesh for each mode file at each amplitude. Returns the exit status."""
-    with out.progress(f"reading {request.file.name}"):
+    with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
     cases = _cases(request)
     patches = _check(request, mesh, cases)
@@ -48,7 +48,7 @@ def modes(request: Modes, out: Output) -> int:
         choice = named_method(request.method, np.asarray(mesh.points)[patches.nodes])
         plan = patches.plan(patches.chunks(choice))
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitudes), 'amplitude')}"
-    out.say(f"{request.file.name}: {len(mesh.points)} points, {what}", points=len(mesh.points))
+    out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)
     before = Judged(mesh, mesh.points)
     ratio = "V" if before.by_faces else "J"

@@ -2,8 +2,10 @@
 
 import json
 import math
+import os
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 from ._progress import Progress
@@ -53,6 +55,11 @@ class Output:
             lines = [f"  {name:<{width}} {taken:>9.2f} s" for name, taken in stages.items()]
             print("\n".join(["timings", *lines, f"  {'all':<{width}} {self.seconds:>9.2f} s"]), flush=True)
         return status
+
+
+def title(path: Path) -> str:
+    """Returns the name of a file or folder; that of the folder itself for `.` and `..`."""
+    return Path(os.path.abspath(path)).name or str(path)  # not resolved: a link has its own name
 
 
 def finite(value: Any) -> Any:

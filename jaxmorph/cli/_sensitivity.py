@@ -8,7 +8,7 @@ from jaxmorph import io, shapes
 
 from ._method import named_method, patches_of
 from ._motion import Motion, motion
-from ._output import Output
+from ._output import Output, title
 from ._requests import Sensitivity
 from ._tables import count
 
@@ -21,7 +21,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
     (io.check_sensitivity_output if request.job is None else io.check_gradient_output)(request.output)
     if request.output.resolve() == request.sensitivity.resolve():
         raise ValueError(f"{request.output}: the sensitivities are read from this file; write to another one.")
-    with out.progress(f"reading {request.file.name}"):
+    with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
     patches, job = patches_of(request.surface, mesh, request.file), request.job
     moving = patches.nodes
@@ -31,7 +31,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
     with out.progress("preparing"):
         choice = named_method(request.method, np.asarray(mesh.points)[moving])
         plan = patches.plan(patches.chunks(choice))
-    out.say(f"{request.file.name}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
+    out.say(f"{title(request.file)}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
     out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
     if job is None or moves is None:
         _to_nodes(request, plan, given, out)

@@ -46,17 +46,12 @@ class Codec(Protocol):
         """Reads the mesh in a file; raises `ValueError` with file, place and what was found for a bad one."""
         ...
 
-    def write(self, path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-        """Writes a new file. `cell_data` follows the order of `mesh.cells`, one type after the other."""
+    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
+        """Raises `ValueError` for what `write` could not do with the mesh, wherever its points are."""
         ...
 
-
-@runtime_checkable
-class FolderCodec(Codec, Protocol):
-    """Lists the functions that the module of a format defines which writes into folders."""
-
-    def check(self, path: pathlib.Path, mesh: Mesh) -> None:
-        """Raises `ValueError` for what `write` could not do."""
+    def write(self, path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+        """Writes a new file. `cell_data` follows the order of `mesh.cells`, one type after the other."""
         ...
 
 
@@ -79,6 +74,7 @@ class Format:
 
 
 def source_of(mesh: Mesh, format_name: str) -> Source | None:
-    """Returns the source of a mesh when it was read from a file of that format."""
+    """Returns the source of a mesh when it was read from a file of that format, whole."""
     source = mesh.source
-    return source if isinstance(source, Source) and source.format == format_name else None
+    is_of_format = isinstance(source, Source) and source.format == format_name and source.content is not None
+    return source if is_of_format else None

@@ -75,11 +75,18 @@ def read(path: pathlib.Path) -> Mesh:
         raise ValueError(f"{path}: {error}") from error
 
 
+def check(path: pathlib.Path, mesh: Mesh) -> None:
+    """Raises `ValueError` for a mesh that was not read from a PLOT3D file."""
+    if source_of(mesh, NAME) is None:
+        raise ValueError(
+            f"{path}: only a mesh that was read from a PLOT3D file can be written to one; write .vtu or .su2."
+        )
+
+
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the file the mesh was read from with new coordinates; raises `ValueError` for any other mesh."""
+    """Writes the file the mesh was read from with new coordinates."""
     source = source_of(mesh, NAME)
-    if source is None:
-        raise ValueError("only a mesh that was read from a PLOT3D file can be written to one; write .vtu or .su2.")
+    assert source is not None
     content: _Content = source.content
     layout, data = content.layout, content.data
     points = content.joined.in_file(np.asarray(mesh.points))

@@ -17,7 +17,7 @@ from jaxmorph._host.topology import CORNERS, boundary_faces, repeated_cells, sol
 from jaxmorph._host.walls import seen_from_outside
 
 from ._format import Source
-from ._registry import check_output
+from ._registry import checked_target
 from ._su2 import Layout
 
 
@@ -132,7 +132,7 @@ class Ranges:
     @checked
     def check_output(self, path: str | os.PathLike[str]) -> None:
         """Raises `ValueError` for a file that `write` cannot write, before any work."""
-        check_output(path, Mesh(np.zeros((1, 2)), source=Source(self.path, self._layout.name, None)))
+        checked_target(path, Source(self.path, self._layout.name, None))
         if pathlib.Path(path).suffix.lower() != self.path.suffix.lower():
             raise ValueError(
                 f"{path}: by ranges a file is written in its own format: end the name in {self.path.suffix}."

@@ -2,7 +2,6 @@
 
 import os
 import pathlib
-from typing import cast
 
 import numpy as np
 from jaxtyping import Shaped
@@ -12,12 +11,12 @@ from jaxmorph._host import files
 from jaxmorph._host.door import checked
 from jaxmorph._host.topology import repeated_cells
 
-from ._format import FolderCodec, Format, Source
+from ._format import Format, Source
 
 FORMATS = (
     Format("SU2", (".su2",), "_su2", holds_arrays=False),
     Format("VTK", (".vtu", ".vtk"), "_vtk"),
-    Format("gmsh", (".msh",), "_gmsh", holds_arrays=False),
+    Format("gmsh", (".msh",), "gmsh.file", holds_arrays=False),
     Format("CGNS", (".cgns",), "cgns.file", holds_arrays=False),
     Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d", holds_arrays=False),
     Format("OpenFOAM", (), "openfoam.case", holds_arrays=False, is_folder=True),
@@ -147,18 +146,23 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
 
     **Returns:** True if the format holds arrays.
 
-    **Raises:** `ValueError` for an unknown ending, a folder that does not exist, and the file that the mesh was read
-    from.
+    **Raises:** `ValueError` for an unknown ending, a folder that does not exist, the file that the mesh was read from, and a mesh
+    that the format cannot hold. `ImportError` when the extra is missing.
     """
     return _checked(path, mesh).holds_arrays
 
 
 def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
+    chosen = checked_target(name, mesh.source)
+    chosen.codec().check(pathlib.Path(name), mesh)
+    return chosen
+
+
+def checked_target(name: str | os.PathLike[str], source: object) -> Format:
+    """Checks the name of a file to write, whatever it will hold; raises `ValueError` also where it is the file of `source`."""
     chosen = format_of(pathlib.Path(name))
     path = files.output_path(name, folder=chosen.is_folder)
-    if chosen.is_folder:
-        cast(FolderCodec, chosen.codec()).check(path, mesh)
-    if isinstance(mesh.source, Source) and _same_file(path, mesh.source.path):
+    if isinstance(source, Source) and _same_file(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")
     return chosen
 

@@ -134,6 +134,18 @@ def read(path: pathlib.Path) -> Mesh:
     return Mesh(points, cells, layout.markers(len(points)), source=Source(path, NAME, content))
 
 
+def check(path: pathlib.Path, mesh: Mesh) -> None:
+    """Raises `ValueError` for patches of a new file that boundary faces cannot express, or whose name is no tag of a marker."""
+    if source_of(mesh, NAME) is not None:
+        return
+    for name in mesh.patches:
+        if name != name.strip() or not name or any(mark in name for mark in "%=\r\n"):
+            raise ValueError(
+                f"{path}: {name!r} cannot be the tag of an SU2 marker: blank ends, '%', '=' or a line break."
+            )
+    patch_faces(mesh)
+
+
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the text the mesh came from with new coordinates; for any other mesh a new file, see `_new_text`."""
     source = source_of(mesh, NAME)
@@ -287,16 +299,9 @@ def _check_count(keyword: _Keyword, stated: int, count: int, what: str) -> None:
 
 
 def _new_text(mesh: Mesh) -> Iterator[bytes]:
-    """Yields a new file in pieces. Patches become markers, with the boundary faces between their nodes as elements.
-
-    It raises `ValueError` for a patch that boundary faces cannot express, or whose name does not fit on the line of a
-    tag.
-    """
+    """Yields a new file in pieces. Patches become markers, with the boundary faces between their nodes as elements."""
     points = np.asarray(mesh.points)
     n, d = points.shape
-    for name in mesh.patches:
-        if name != name.strip() or not name or any(mark in name for mark in "%=\r\n"):
-            raise ValueError(f"{name!r} cannot be the tag of an SU2 marker: blank ends, '%', '=' or a line break.")
     markers = patch_faces(mesh)
     yield f"NDIME= {d}\nNELEM= {sum(len(corners) for corners in mesh.cells.values())}\n".encode()
     for kind, corners in mesh.cells.items():

@@ -4,9 +4,12 @@ import pathlib
 import re
 from xml.etree import ElementTree
 
+import numpy as np
+
 from jaxmorph import Mesh
 from jaxmorph._host.topology import CORNERS, VTK
 
+from . import _legacy
 from ._format import Arrays, Source
 from ._meshio import load, meshio, to_mesh
 
@@ -18,33 +21,13 @@ def read(path: pathlib.Path) -> Mesh:
 
     Patches are point arrays `patch:NAME`, as `write` leaves them, or come from numbers.
     """
-    reader = meshio.vtu.read if path.suffix.lower() == ".vtu" else meshio.vtk.read
-    try:
-        mesh = load(path, path.suffix.lower(), reader)
-    except ValueError as error:
-        if reader is meshio.vtu.read:
-            raise
-        raise ValueError(f"{error} {_last_section(path)}") from error
-    if reader is meshio.vtk.read:
-        data = path.read_bytes()
-        last = data.rstrip().rpartition(b"\n")[2]
-        if last.startswith((b"POINT_DATA", b"CELL_DATA", b"FIELD")):
-            raise ValueError(f"{path}: the file ends after {last.decode()!r}: it is cut short.")
-        types = max(data.find(b"\nCELL_TYPES"), 0)
-        places = [data.find(word, types) for word in (b"\nFIELD", b"\nPOINT_DATA", b"\nCELL_DATA")]
-        if places[0] >= 0 and not any(0 <= place < places[0] for place in places[1:]):
-            raise ValueError(f"{path}: FIELD after CELL_TYPES, but neither POINT_DATA nor CELL_DATA before it.")
-    elif b'"ascii"' in path.read_bytes():
-        _check_counts(path)
+    if path.suffix.lower() == ".vtu":
+        mesh = load(path, ".vtu", meshio.vtu.read)
+        if b'"ascii"' in path.read_bytes():
+            _check_counts(path)
+    else:
+        mesh = _legacy.read(path)
     return to_mesh(path, mesh, Source(path, NAME, mesh))
-
-
-def _last_section(path: pathlib.Path) -> str:
-    """Says which section of a legacy file is the last one: there it is cut short, or damaged, more often than not."""
-    lines = re.findall(rb"^(?:POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA)\b[ \w]*$", path.read_bytes(), re.MULTILINE)
-    if not lines:
-        return "It holds no line that begins with POINTS."
-    return f"Its last section is {lines[-1].decode()!r}: is the file cut short there?"
 
 
 def _check_counts(path: pathlib.Path) -> None:
@@ -68,7 +51,37 @@ def _check_counts(path: pathlib.Path) -> None:
                     raise ValueError(f"{path}: cell {k} is of type {kind} and has {ends[k + 1] - ends[k]} nodes.")
 
 
+def check(path: pathlib.Path, mesh: Mesh) -> None:
+    """Does nothing: these files hold any mesh, its patches as flags of points."""
+
+
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes in double precision, compressed. A mesh that came from such a file keeps its other cells and arrays."""
-    out = mesh.to_meshio(point_data=dict(point_data), cell_data=dict(cell_data))
-    (meshio.vtu.write if path.suffix.lower() == ".vtu" else meshio.vtk.write)(str(path), out)
+    """Writes in double precision, .vtu compressed. A mesh that came from such a file keeps its other cells and arrays."""
+    out, is_legacy = (
+        mesh.to_meshio(point_data=dict(point_data), cell_data=dict(cell_data)),
+        path.suffix.lower() == ".vtk",
+    )
+    ends = np.cumsum([len(block.data) for block in out.cells])[:-1]
+    name_of = _quoted if is_legacy else str
+    out.point_data = {name_of(name): _storable(values, is_legacy) for name, values in out.point_data.items()}
+    joined = {name_of(name): _storable(np.concatenate(parts), is_legacy) for name, parts in out.cell_data.items()}
+    out.cell_data = {name: np.split(values, ends) for name, values in joined.items()}
+    if is_legacy:  # the names of types in 4.2 both VTK and meshio know; those of meshio's 5.1 VTK does not
+        meshio.vtk.write(str(path), out, fmt_version="4.2")
+    else:
+        meshio.vtu.write(str(path), out)
+
+
+def _quoted(name: str) -> str:
+    """Writes the name of an array as VTK does in legacy files: `%20` for a blank."""
+    return re.sub(r"[^!#$&-~]", lambda sign: "".join(f"%{byte:02X}" for byte in sign[0].encode()), name)
+
+
+def _storable(values: np.ndarray, is_legacy: bool) -> np.ndarray:
+    """Gives an array a type that files have, of the same size everywhere: `long` has four bytes or eight, by the system."""
+    if values.dtype.kind == "b":
+        return values.astype(np.uint8)
+    if values.dtype.kind == "f":
+        return values.astype(np.float32 if values.dtype.itemsize <= 4 else np.float64)
+    is_long = is_legacy and values.dtype.itemsize == 8 and values.size
+    return values.astype(np.int32) if is_long and -(2**31) <= values.min() <= values.max() < 2**31 else values

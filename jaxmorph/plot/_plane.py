@@ -9,7 +9,7 @@ from scipy.spatial import Delaunay
 import jaxmorph as jm
 
 from .._host.door import checked, finite_array
-from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, check_values, colour_scale, finite
+from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, cell_values, colour_scale, finite
 
 try:
     import matplotlib.pyplot as plt
@@ -47,7 +47,8 @@ def mesh(
 
     - `mesh`: a mesh in 2-D.
     - `points`: positions (n, 2) of its nodes; the mesh's own by default.
-    - `values`: one for each cell, as `quality` gives; without them only the lines are drawn.
+    - `values`: one for each cell, as `quality` gives. Where the file has polyhedra or polygons, one for each whole cell will do, as
+      `face_quality` gives. Without values only the lines are drawn.
     - `limits`: the values at the light and at the dark end of the colours; (1, 0) for a measure that is small where cells are bad.
     - `label`: what the values are, beside the colour bar.
     - `bar`: False leaves out the colour bar. For several axes that share one: `figure.colorbar(ax.collections[0], ax=axes)`.
@@ -62,16 +63,15 @@ def mesh(
     corners = _corners(mesh, points)
     if values is None and label is not None:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    if values is not None:
-        check_values(values, len(corners))
+    each = None if values is None else cell_values(mesh, values)
     colours, limits = colour_scale(limits)
     ax = given_or_new(ax)
     window = show(ax, _bodies(mesh, points) if window is None else window)
     seen = _inside(corners, window)
-    if values is not None:
+    if each is not None:
         faces = PolyCollection(list(corners[seen]), cmap=colours, linewidths=0.3, edgecolors="face", rasterized=True)
         ax.set_facecolor("#c4cad3")  # what is not mesh: bodies
-        faces.set_array(np.asarray(values)[seen])
+        faces.set_array(each[seen])
         faces.set_clim(*(limits if limits is not None else (None, None)))
         ax.add_collection(faces, autolim=False)
         if bar:

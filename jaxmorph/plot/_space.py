@@ -11,7 +11,7 @@ import jaxmorph as jm
 from jaxmorph._host.door import checked
 from jaxmorph._host.topology import VTK
 
-from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, check_values, colour_scale, finite
+from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, cell_values, colour_scale, finite
 
 VIEWER = -1.0, -2.5, 1.8
 """The direction towards the viewer: x to the right, y away, z up."""
@@ -149,8 +149,7 @@ def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
     grid = pyvista().UnstructuredGrid({VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
     if values is not None:
-        check_values(values, grid.n_cells)
-        grid.cell_data["values"] = np.asarray(values)
+        grid.cell_data["values"] = cell_values(mesh, values)
     return grid
 
 

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Real
 
+import jaxmorph as jm
+
 Limits = tuple[float | int, float | int]
 Values = Real[Any, " k"] | Sequence[float | int]
 
@@ -27,10 +29,21 @@ def finite(points: Any) -> np.ndarray:
     return array
 
 
-def check_values(values: Any, cells: int) -> None:
-    """Raises `ValueError` unless there is one value for each cell."""
+def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
+    """Returns one value for each cell of a mesh; the value of a whole polyhedron, or polygon, is that of all its pieces.
+
+    Raises `ValueError` for another number of values than of cells, and of whole cells.
+    """
+    cells, known = len(mesh.cell_ids), f"{len(mesh.cell_ids)} cells"
+    if mesh.polyhedra is not None and np.shape(values) != (cells,):
+        faces = mesh.polyhedra.faces
+        whole = int(max(faces.owner.max(), faces.neighbour.max())) + 1
+        if np.shape(values) == (whole,):
+            return np.asarray(values)[mesh.cell_ids]
+        known = f"{whole} cells, in {cells} pieces"
     if np.shape(values) != (cells,):
-        raise ValueError(f"`values` has shape {np.shape(values)}; this mesh has {cells} cells.")
+        raise ValueError(f"`values` has shape {np.shape(values)}; this mesh has {known}.")
+    return np.asarray(values)
 
 
 def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Limits | None]:

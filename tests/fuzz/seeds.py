@@ -63,6 +63,28 @@ def single_type():
     return np.asarray(mesh.points), [("hexahedron", np.asarray(mesh.cells["hexahedron"]))]
 
 
+NAMES = '3\n1 7 "low"\n1 9 "both"\n2 1 "fluid"\n'
+MSH = (
+    (
+        "e",
+        "4.1 0 8\n",
+        "0 2 1 0\n4 0 0 0 2 0 0 2 7 9 0 \n5 0 1.5 0 2 1.5 0 1 9 0 \n1 0 0 0 2 1.5 0 1 1 2 4 -5 \n",
+        "2 6 1 12\n1 4 1 3\n1\n2\n3\n0.25 0 0 0.125\n1 0 0 0.5\n2 0 0.5 1\n"
+        "2 1 0 3\n10\n11\n12\n0.25 1.5 0\n1 1.25 0\n2 1.5 0.25\n",
+        "3 8 1 8\n1 4 1 2\n1 1 2\n2 2 3\n1 5 1 2\n3 10 11\n4 11 12\n"
+        "2 1 2 4\n5 1 2 10\n6 2 11 10\n7 2 3 11\n8 3 12 11\n",
+    ),
+    (
+        "f",
+        "4 0 8\n",
+        "0 2 1 0\n4 0 0 0 2 0 0 2 7 9 0 \n5 0 1.5 0 2 1.5 0 1 9 0 \n1 0 0 0 2 1.5 0 1 1 2 4 -5 \n",
+        "2 6\n4 1 1 3\n1 0.25 0 0 0.125\n2 1 0 0 0.5\n3 2 0 0.5 1\n1 2 0 3\n10 0.25 1.5 0\n11 1 1.25 0\n12 2 1.5 0.25\n",
+        "3 8\n4 1 1 2\n1 1 2\n2 2 3\n5 1 1 2\n3 10 11\n4 11 12\n1 2 2 4\n5 1 2 10\n6 2 11 10\n7 2 3 11\n8 3 12 11\n",
+    ),
+)
+"""Texts as gmsh writes them: format, entities, nodes, of which those of a curve have parameters, and elements."""
+
+
 def gmsh(folder: pathlib.Path) -> list[Seed]:
     io.write(folder / "a.msh", mesh_3d())
     mesh = meshio.gmsh.read(str(folder / "a.msh"))
@@ -70,7 +92,17 @@ def gmsh(folder: pathlib.Path) -> list[Seed]:
     mesh = meshio.Mesh(*single_type())
     for name, binary in (("c.msh", True), ("d.msh", False)):
         meshio.gmsh.write(str(folder / name), mesh, fmt_version="4.1", binary=binary)
-    return [single(folder / f"{name}.msh") for name in "abcd"]
+    for name, head, entities, nodes, elements in MSH:
+        sections = {
+            "MeshFormat": head,
+            "PhysicalNames": NAMES,
+            "Entities": entities,
+            "Nodes": nodes,
+            "Elements": elements,
+        }
+        text = "".join(f"${key}\n{content}$End{key}\n" for key, content in sections.items())
+        (folder / f"{name}.msh").write_text(text)
+    return [single(folder / f"{name}.msh") for name in "abcdef"]
 
 
 def cgns_files(folder: pathlib.Path) -> list[Seed]:

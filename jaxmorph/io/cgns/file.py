@@ -65,17 +65,22 @@ def read(path: pathlib.Path) -> Mesh:
         raise ValueError(f"{path}: {error}") from error
 
 
-def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes a copy of the file that the mesh was read from.
-
-    It raises `ValueError` for any other mesh, or when that file has changed.
-    """
+def check(path: pathlib.Path, mesh: Mesh) -> None:
+    """Raises `ValueError` for a mesh that was not read from a CGNS file, or when that file has changed."""
     source = source_of(mesh, NAME)
     if source is None:
-        raise ValueError("only a mesh that was read from a CGNS file can be written to one; write .vtu or .su2.")
-    content: _CGNSContent = source.content
-    if stamp_of(source.path) != content.stamp:
+        raise ValueError(
+            f"{path}: only a mesh that was read from a CGNS file can be written to one; write .vtu or .su2."
+        )
+    if stamp_of(source.path) != source.content.stamp:
         raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
+
+
+def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    """Writes a copy of the file that the mesh was read from."""
+    source = source_of(mesh, NAME)
+    assert source is not None
+    content: _CGNSContent = source.content
     with h5py.File(source.path, "r") as file:
         refuse_foreign_data(source.path, file)
     shutil.copyfile(source.path, path)

@@ -187,6 +187,22 @@ def replace_words(text: bytes, start: int, stop: int, values: np.ndarray, blanks
         done += len(starts)
 
 
+def replace_numbers(text: bytes, part: slice, at: np.ndarray, values: np.ndarray) -> Iterator[bytes | memoryview]:
+    """Yields the text with `values` in place of some numbers of a part of it, as `replace` does.
+
+    `at` are the places of these among all words of the part, ascending.
+    """
+    done = 0
+    yield memoryview(text)[: part.start]
+    for chunk in chunks(text, part.start, part.stop):
+        starts, ends, _ = scan(chunk)
+        rows = slice(*np.searchsorted(at, (done, done + len(starts))))
+        words = at[rows] - done
+        yield _changed(chunk, chunk, starts[words], ends[words], words, values[rows])
+        done += len(starts)
+    yield memoryview(text)[part.stop :]
+
+
 def _changed(original: bytes, chunk: bytes, starts: np.ndarray, ends: np.ndarray, words: Any, new: np.ndarray) -> bytes:
     """Puts `new` in place of those words of a chunk that stand between `starts` and `ends`, where it differs."""
     changed = np.flatnonzero(new != parse(chunk, np.float64)[words].astype(new.dtype))

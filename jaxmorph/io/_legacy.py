@@ -1,0 +1,296 @@
+"""VTK's legacy files (.vtk) of unstructured grids, text or binary, versions 1 to 5.1, with the arrays that VTK writes."""
+
+import dataclasses
+import pathlib
+import re
+import urllib.parse
+from typing import Any
+
+import numpy as np
+
+from jaxmorph._host.topology import CORNERS, VTK
+
+from ._meshio import load, meshio
+from .text.digits import parse
+from .text.sections import scan
+
+TYPES = {
+    **{"signed_char": "i1", "char": "i1", "unsigned_char": "u1", "short": "i2", "unsigned_short": "u2"},
+    **{"int": "i4", "unsigned_int": "u4", "vtkidtype": "i4", "long": "i8", "unsigned_long": "u8"},
+    **{"long_long": "i8", "unsigned_long_long": "u8", "float": "f4", "double": "f8", "bit": "u1"},
+    **{f"vtktype{sign}int{8 * size}": f"{sign[:1] or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
+}
+"""VTK's names of types. It writes its own type of ids as `vtktypeint64`, and reads `vtkIdType` as four bytes."""
+
+COMPONENTS = {
+    "VECTORS": 3,
+    "NORMALS": 3,
+    "TENSORS": 9,
+    "TENSORS6": 6,
+    "GLOBAL_IDS": 1,
+    "PEDIGREE_IDS": 1,
+    "EDGE_FLAGS": 1,
+}
+OTHERS = {
+    7: "polygon",
+    8: "pixel",
+    11: "voxel",
+    22: "triangle6",
+    23: "quad8",
+    24: "tetra10",
+    25: "hexahedron20",
+    42: "polyhedron",
+}
+KINDS = {1: "vertex"} | {number: kind for kind, number in VTK.items()}
+"""Types of cells that a mesh may have, by VTK's number."""
+
+ORDER = {"wedge": [0, 2, 1, 3, 5, 4]}
+"""Order in which meshio takes the nodes of a cell from VTK's files, where it is another one."""
+
+HEAD = re.compile(
+    rb"# vtk DataFile Version \d\.\d\s*\n[^\n]*\n\s*(ASCII|BINARY)\s+DATASET\s+(\w+)[^\n]*\n", re.IGNORECASE
+)
+
+
+def read(path: pathlib.Path) -> meshio.Mesh:
+    """Reads a grid with its arrays, as meshio has it; meshio reads those that are not unstructured.
+
+    It raises `ValueError` for a damaged file, with its last section.
+    """
+    data = path.read_bytes()
+    head = HEAD.match(data)
+    if head is None:
+        raise ValueError(f"{path}: not a .vtk file; `# vtk DataFile Version` and three lines more are expected first.")
+    if head[2].upper() != b"UNSTRUCTURED_GRID":
+        return load(path, ".vtk", meshio.vtk.read)
+    scanner = _Scanner(data, head.end(), head[1].upper() == b"ASCII")
+    try:
+        return _grid(scanner)
+    except (ValueError, IndexError, KeyError, OverflowError) as error:
+        place = f"in the section that begins with {scanner.section!r}" if scanner.section else "before any section"
+        detail = f"{error.args[0]!r} is not known" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"{path}: a damaged .vtk file, or one cut short, {place} ({detail[:200]}).") from error
+
+
+@dataclasses.dataclass
+class _Scanner:
+    """Goes through a file: `at` is the place where it stands, `section` the last line that began one."""
+
+    data: bytes
+    at: int
+    is_text: bool
+    section: str = ""
+
+    def line(self) -> str:
+        """Returns the next line, whatever it holds; empty at the end of the file."""
+        end = self.data.find(b"\n", self.at) + 1 or len(self.data)
+        text, self.at = self.data[self.at : end], end
+        return text.decode(errors="replace")
+
+    def words(self) -> list[str]:
+        """Returns the words of the next line that holds any, none at the end of the file. Blocks of metadata are left out."""
+        while self.at < len(self.data):
+            words = self.line().split()
+            if words == ["METADATA"]:
+                while self.line().strip():
+                    pass
+            elif words:
+                return words
+        return []
+
+    def numbers(self, count: int, kind: str, *, is_bit: bool = False) -> np.ndarray:
+        """Reads so many numbers of a type of NumPy; the line ends behind them."""
+        if count < 0:
+            raise ValueError(f"{count} numbers announced")
+        values = self._text(count, kind) if self.is_text else self._binary(count, kind, is_bit)
+        rest = re.compile(rb"[ \t\r]*(\n|\Z)").match(self.data, self.at)
+        if rest is None:
+            raise ValueError(f"more than the {count} numbers announced")
+        self.at = rest.end()
+        return values
+
+    def _text(self, count: int, kind: str) -> np.ndarray:
+        """Reads numbers of a text by their number: where they end is found by the blanks between them."""
+        dtype = np.float64 if kind[0] == "f" else np.uint64 if kind == "u8" else np.int64
+        parts, left = [np.zeros(0, dtype)], count
+        while left:
+            size = min(24 * left, 1 << 20)
+            chunk = self.data[self.at : (self.data.find(b"\n", self.at + size) + 1) or len(self.data)]
+            _, ends, _ = scan(chunk)
+            if not len(ends):
+                raise ValueError(f"{count - left} numbers, {count} announced")
+            end = int(ends[min(left, len(ends)) - 1])
+            parts.append(parse(chunk[:end], dtype))
+            if len(parts[-1]) != min(left, len(ends)):
+                raise ValueError(f"something that is not a number, or {count - left} numbers and not {count}")
+            left -= len(parts[-1])
+            self.at += end
+        values = np.concatenate(parts)
+        with np.errstate(over="ignore"):
+            result = values.astype(kind)
+        if kind[0] != "f" and not np.array_equal(result, values):
+            raise ValueError(f"a number beyond those of its type, {np.dtype(kind).name}")
+        return result
+
+    def _binary(self, count: int, kind: str, is_bit: bool) -> np.ndarray:
+        """Reads numbers of a binary file, whose first byte is the largest; bits are packed, eight a byte."""
+        dtype = np.dtype(kind).newbyteorder(">")
+        number = -(-count // 8) if is_bit else count
+        if number * dtype.itemsize > len(self.data) - self.at:
+            raise ValueError(f"the file ends before the {count} numbers announced")
+        values = np.frombuffer(self.data, dtype, number, self.at)
+        self.at += values.nbytes
+        return np.unpackbits(values)[:count] if is_bit else values.astype(kind)
+
+    def array(self, rows: int, columns: int, name: str) -> np.ndarray:
+        """Reads an array of so many rows of a type by VTK's name."""
+        name = name.lower()
+        values = self.numbers(rows * columns, TYPES[name], is_bit=name == "bit")
+        return values if columns == 1 else values.reshape(rows, columns)
+
+    def strings(self, count: int) -> None:
+        """Goes over strings: a line each in a text; in a binary file its length, in 1 to 8 bytes as the first two bits tell."""
+        for _ in range(count):
+            if self.is_text:
+                self.line()
+            else:
+                size = {3: 1, 2: 2, 1: 4, 0: 8}[self.data[self.at] >> 6]
+                head = int.from_bytes(self.data[self.at : self.at + size], "big")
+                self.at += size + (head & ((1 << (8 * size - 2)) - 1))
+        if not self.is_text:
+            self.line()
+
+
+def _grid(scanner: _Scanner) -> meshio.Mesh:
+    """Reads section after section, and makes a mesh of them."""
+    points, cells, types, sizes = None, None, None, {"POINT_DATA": -1, "CELL_DATA": -1}
+    arrays: dict[str, Any] = {"": {}, "POINT_DATA": {}, "CELL_DATA": {}}
+    place = ""
+    while words := scanner.words():
+        key = words[0].upper()
+        if key in ("POINTS", "CELLS", "CELL_TYPES", *sizes):
+            scanner.section = " ".join(words)
+        if key == "POINTS":
+            points = scanner.array(int(words[1]), 3, words[2]).reshape(-1, 3)
+        elif key == "CELLS":
+            cells = _cells(scanner, int(words[1]), int(words[2]))
+        elif key == "CELL_TYPES":
+            types = scanner.numbers(int(words[1]), "i4")
+        elif key in sizes:
+            place, sizes[key] = key, int(words[1])
+        else:
+            _attribute(scanner, key, words, arrays[place], sizes.get(place, -1))
+    missing = [name for name, each in (("POINTS", points), ("CELLS", cells), ("CELL_TYPES", types)) if each is None]
+    if points is None or cells is None or types is None:
+        raise ValueError(f"no {' and no '.join(missing)}")
+    for name, size, wanted in (("POINT_DATA", "points", len(points)), ("CELL_DATA", "cells", len(types))):
+        if sizes[name] not in (-1, wanted) or (sizes[name] == wanted and not arrays[name]):
+            raise ValueError(f"{name} of {sizes[name]} rows and {len(arrays[name])} arrays, for {wanted} {size}")
+    blocks, ends = _blocks(cells, types, len(points))
+    cell_data: Any = {name: np.split(values, ends) for name, values in arrays["CELL_DATA"].items()}
+    return meshio.Mesh(points, blocks, arrays["POINT_DATA"], cell_data, field_data=arrays[""])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Cells:
+    """Holds the number of cells, where the nodes of each begin and all end (None before 5.1), and the nodes of all cells."""
+
+    count: int
+    offsets: np.ndarray | None
+    nodes: np.ndarray
+
+
+def _cells(scanner: _Scanner, count: int, size: int) -> _Cells:
+    """Reads the nodes of cells. Before 5.1 the number of its nodes stands before each cell, from then on the offsets do."""
+    start = scanner.at
+    words = scanner.words()
+    if words[:1] != ["OFFSETS"]:
+        scanner.at = start
+        return _Cells(count, None, scanner.numbers(size, "i4").astype(np.int64))
+    offsets = scanner.array(count, 1, words[1])
+    words = scanner.words()
+    if words[:1] != ["CONNECTIVITY"]:
+        raise ValueError("no CONNECTIVITY after OFFSETS")
+    return _Cells(count - 1, offsets, scanner.array(size, 1, words[1]).astype(np.int64))
+
+
+def _begins(cells: _Cells, types: np.ndarray) -> np.ndarray:
+    """Finds where the nodes of each cell begin: their number follows from the type, and what the file says must agree."""
+    strange = sorted({*types.tolist()} - {*KINDS})
+    if strange:
+        told = ", ".join(f"{OTHERS.get(number, 'others')} (type {number})" for number in strange)
+        raise ValueError(f"cells that are not supported: {told}. They would be lost")
+    known = np.array(sorted(KINDS))
+    sizes = np.array([CORNERS.get(KINDS[number], 1) for number in known])[np.searchsorted(known, types)]
+    ends = np.append(0, np.cumsum(sizes))
+    if cells.offsets is None:
+        ends += np.arange(len(ends))
+    if len(types) != cells.count or ends[-1] != len(cells.nodes):
+        raise ValueError(f"{len(types)} types of {ends[-1]} nodes, for {cells.count} cells of {len(cells.nodes)}")
+    if cells.offsets is not None:
+        agree, begins = cells.offsets == ends, ends[:-1]
+    else:
+        agree, begins = cells.nodes[ends[:-1]] == sizes, ends[:-1] + 1
+    if not agree.all():
+        raise ValueError(f"cell {agree.argmin()} has not as many nodes as its type")
+    return begins
+
+
+def _blocks(cells: _Cells, types: np.ndarray, n: int) -> tuple[list, np.ndarray]:
+    """Makes blocks of cells of one type that follow each other, and the first cells of all blocks but the first."""
+    begins, ends = _begins(cells, types), np.flatnonzero(np.diff(types)) + 1
+    blocks = []
+    for rows in np.split(np.arange(len(types)), ends) if len(types) else []:
+        kind = KINDS[int(types[rows[0]])]
+        corners = cells.nodes[begins[rows][:, None] + np.arange(CORNERS.get(kind, 1))]
+        if corners.min() < 0 or corners.max() >= n:
+            raise ValueError(f"nodes {corners.min()} to {corners.max()} in cells, of {n} points")
+        blocks.append((kind, corners[:, ORDER.get(kind, slice(None))]))
+    return blocks, ends
+
+
+def _attribute(scanner: _Scanner, key: str, words: list[str], arrays: dict[str, np.ndarray], rows: int) -> None:
+    """Reads the arrays that one keyword brings; those of a lookup table are left out."""
+    if key == "FIELD":
+        if rows < 0 and scanner.section:
+            raise ValueError("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")
+        for _ in range(int(words[2])):
+            _field(scanner, arrays, rows)
+        return
+    if rows < 0:
+        raise ValueError(f"{' '.join(words)[:60]!r} is neither a section nor an array")
+    name = urllib.parse.unquote(words[1])
+    if key == "LOOKUP_TABLE":
+        scanner.numbers(4 * int(words[2]), "f4" if scanner.is_text else "u1")
+    elif key == "COLOR_SCALARS":
+        columns = int(words[2])
+        values = scanner.numbers(rows * columns, "f4" if scanner.is_text else "u1")
+        values = np.round(255 * values).astype(np.uint8) if scanner.is_text else values
+        arrays[name] = values if columns == 1 else values.reshape(rows, columns)
+    elif key == "SCALARS":
+        columns = int(words[3]) if len(words) > 3 else 1
+        if (table := scanner.words())[:1] != ["LOOKUP_TABLE"]:
+            raise ValueError(f"{' '.join(table)[:60]!r} where LOOKUP_TABLE is expected")
+        arrays[name] = scanner.array(rows, columns, words[2])
+    elif key == "TEXTURE_COORDINATES":
+        arrays[name] = scanner.array(rows, int(words[2]), words[3])
+    else:
+        arrays[name] = scanner.array(rows, COMPONENTS[key], words[2])
+
+
+def _field(scanner: _Scanner, arrays: dict[str, np.ndarray], rows: int) -> None:
+    """Reads one array of a field; strings are left out where they belong to no points or cells."""
+    words = scanner.words()
+    if words == ["NULL_ARRAY"]:
+        return
+    if len(words) != 4:
+        raise ValueError(f"{' '.join(words)[:60]!r} where the name, sizes and type of an array are expected")
+    columns, count = int(words[1]), int(words[2])
+    if (rows >= 0 and count != rows) or columns < 1:
+        raise ValueError(f"an array of {columns} times {count} numbers, for {rows} rows")
+    if words[3].lower() != "string":
+        arrays[urllib.parse.unquote(words[0])] = scanner.array(count, columns, words[3])
+    elif rows >= 0:
+        raise ValueError(f"the array {words[0]} holds strings, which are not kept: save the file without it")
+    else:
+        scanner.strings(columns * count)

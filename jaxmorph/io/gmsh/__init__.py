@@ -1,0 +1,1 @@
+"""gmsh's files: their sections, what they hold, and the files themselves."""

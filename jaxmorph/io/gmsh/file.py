@@ -1,0 +1,153 @@
+"""gmsh's .msh, versions 2, 4.0 and 4.1, text and binary: read as gmsh reads it, written back by replacing the coordinates."""
+
+import dataclasses
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from jaxmorph import Mesh
+from jaxmorph._host.topology import DIMENSION
+
+from .._boundary import patch_faces
+from .._format import Arrays, Source, source_of
+from .._meshio import meshio, to_mesh
+from ..text.sections import Section, replace_numbers
+from .parts import Elements, elements, entities, nodes
+from .sections import Form, Stream, form_of, physical_names, runs, sections
+
+NAME = "gmsh"
+SPARSE = 10
+"""Range of the tags of nodes, in numbers of nodes, up to which a table of them is made."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _GmshContent:
+    """Keeps the section of nodes of a file, where the x of each node is, and the points with the z of a 2-D mesh."""
+
+    section: Section
+    form: Form
+    places: np.ndarray
+    points: np.ndarray
+
+
+def read(path: pathlib.Path) -> Mesh:
+    """Reads points, cells and patches: the physical groups of lower dimension than the mesh.
+
+    A group without a name is `physical_` and its tag.
+    """
+    data = path.read_bytes()
+    form, names, groups, vertices, cells = form_of(path, data), {}, {}, None, []
+    for name, section in sections(path, data):
+        try:
+            if name == "PhysicalNames":
+                names = physical_names(section)
+            elif name in ("Entities", "PartitionedEntities") and form.version >= 4:
+                is_partitioned = name == "PartitionedEntities"
+                groups |= entities(Stream(section, form, np.float64), is_partitioned=is_partitioned)
+            elif name in ("Nodes", "ParametricNodes"):
+                stream = Stream(section, form, np.float64)
+                tags, places = nodes(stream, is_parametric=name == "ParametricNodes")
+                vertices = tags, _GmshContent(section, form, places, stream.points(places))
+            elif name == "Elements":
+                cells = elements(Stream(section, form), groups)
+        except (ValueError, IndexError, OverflowError) as error:
+            if str(path) in str(error):
+                raise
+            raise ValueError(f"{path}: not a .msh file, or a damaged one, in ${name[:40]} ({error}).") from error
+    if vertices is None or not len(vertices[0]) or not cells:
+        raise ValueError(f"{path}: no mesh, the file holds no $Nodes or no $Elements, or none in them.")
+    tags, content = vertices
+    try:
+        mesh = _mesh(content.points, _numbered(cells, tags), names)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return to_mesh(path, mesh, Source(path, NAME, content))
+
+
+def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
+    """Replaces the tags of nodes by their places among the nodes.
+
+    A table from tags to places is fast, and too long where tags are far apart: there they are looked up in their order.
+    """
+    least, most, numbered = int(tags.min()), int(tags.max()), []
+    is_dense = most - least <= SPARSE * len(tags)
+    order = np.arange(len(tags)) if is_dense else np.argsort(tags)
+    table = np.full(most - least + 1 if is_dense else 0, -1)
+    if is_dense:
+        table[tags - least] = order
+    for block in cells:
+        corners = np.clip(block.corners, least, most)
+        ids = table[corners - least] if is_dense else order[np.searchsorted(tags, corners, sorter=order)]
+        is_known = (ids >= 0) & (tags[ids] == block.corners)
+        if not is_known.all():
+            tag = block.corners[~is_known][0]
+            raise ValueError(f"a {block.kind} between nodes of which {tag} is none of the {len(tags)} in $Nodes.")
+        numbered.append(dataclasses.replace(block, corners=ids))
+    return numbered
+
+
+def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int], str]) -> meshio.Mesh:
+    """Makes a mesh with a set of cells for each physical group."""
+    sets: dict[str, Any] = {}
+    for k, block in enumerate(cells):
+        for tag, rows in block.groups.items():
+            name = names.get((DIMENSION.get(block.kind, 0), tag), f"physical_{tag}")
+            members = sets.setdefault(name, [None] * len(cells))
+            members[k] = np.arange(len(block.corners)) if rows is None else rows
+    return meshio.Mesh(points, [(block.kind, block.corners) for block in cells], cell_sets=sets)
+
+
+def check(path: pathlib.Path, mesh: Mesh) -> None:
+    """Raises `ValueError` for patches of a new file that boundary faces cannot express, or whose name ends before its end."""
+    if source_of(mesh, NAME) is not None:
+        return
+    for name in mesh.patches:
+        if any(mark in name for mark in '"\r\n') or not name:
+            message = f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or a line break."
+            raise ValueError(message)
+    patch_faces(mesh)
+
+
+def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    """Writes the file the mesh came from with new coordinates; for any other mesh a new file of version 2.2, binary.
+
+    In a new file a patch becomes a physical group, with the boundary faces between its nodes as elements.
+    """
+    source = source_of(mesh, NAME)
+    if source is None:
+        meshio.gmsh.write(str(path), _new(mesh), fmt_version="2.2", binary=True)
+        return
+    points = np.array(source.content.points)
+    points[:, : mesh.points.shape[1]] = np.asarray(mesh.points)
+    with path.open("wb") as file:
+        file.writelines(_replaced(source.content, points))
+
+
+def _new(mesh: Mesh) -> meshio.Mesh:
+    blocks: list[Any] = [(kind, np.asarray(corners)) for kind, corners in mesh.cells.items()]
+    tags = [np.zeros(len(corners), np.int32) for _, corners in blocks]
+    groups = {}
+    for tag, (name, faces) in enumerate(patch_faces(mesh).items(), start=1):
+        for kind, corners in faces.items():
+            if len(corners):
+                groups[name] = np.array([tag, DIMENSION[kind]])
+                blocks.append((kind, corners))
+                tags.append(np.full(len(corners), tag, np.int32))
+    cell_data: Any = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+    return meshio.Mesh(mesh.to_meshio().points, blocks, cell_data=cell_data, field_data=groups)
+
+
+def _replaced(content: _GmshContent, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:
+    """Yields the file with other coordinates, in pieces."""
+    data, places = content.section.text, content.places
+    if content.form.is_text:
+        words = (places[:, None] + np.arange(3)).ravel()
+        yield from replace_numbers(data, slice(content.section.start, content.section.stop), words, points.ravel())
+        return
+    copy = bytearray(data)
+    for rows, step in runs(places):
+        shape = rows.stop - rows.start, 3
+        np.ndarray(shape, content.form.dtype("d"), copy, places[rows.start], (step, 8))[:] = points[rows]
+    yield copy

@@ -1,0 +1,78 @@
+"""Every format into every other one: what cannot be written is told before any work, in Python and on the command line."""
+
+import pathlib
+
+import cgns
+import foam
+import h5py
+import numpy as np
+import pytest
+from small import bricks
+from test_openfoam import PATCHES, mixed
+from test_plot3d import write as write_plot3d
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.cli import main
+from jaxmorph.io._registry import FORMATS
+
+ENDINGS = [ending for form in FORMATS for ending in form.suffixes or ("",)]
+
+
+def written(folder: pathlib.Path, ending: str) -> pathlib.Path:
+    """Writes a small mesh with a patch `floor` in the format of an ending."""
+    path, mesh = folder / f"in{ending}", bricks(2)
+    if ending == "":
+        foam.write_case(path, *mixed(), PATCHES)
+    elif ending == ".cgns":
+        corners = np.asarray(mesh.cells["hexahedron"]) + 1
+        with h5py.File(path, "w") as file:
+            base = cgns.base(file, 3, 3)
+            zone = cgns.zone(base, "box", tuple(np.asarray(mesh.points).T), len(corners))
+            cgns.elements(zone, "cells", 17, corners, 1, len(corners))
+    elif ending in (".xyz", ".p3d", ".p3dfmt", ".x", ".g"):
+        grid = np.stack(np.meshgrid(*(np.linspace(0, 1, 3),) * 3, indexing="ij"))
+        write_plot3d(path, [grid], "text")
+    else:
+        io.write(path, mesh)
+    return path
+
+
+@pytest.mark.parametrize("to", ENDINGS)
+@pytest.mark.parametrize("source", ENDINGS)
+def test_every_pair_is_decided_before_any_work(tmp_path, capsys, source, to):
+    mesh, out = io.read(written(tmp_path, source)), tmp_path / f"out{to}"
+    moved = mesh.moved(np.asarray(mesh.points) + 1)
+    patch = next(iter(mesh.patches))
+    words = ["deform", str(tmp_path / f"in{source}"), str(out), "--moving", patch, "--translate", "0", "0", "1e-3"]
+    refusal = ""
+    try:
+        io.check_output(out, mesh)
+    except ValueError as error:
+        refusal = str(error)
+    if refusal:
+        assert refusal.startswith(f"{out}: only a mesh that was read from")
+        with pytest.raises(ValueError, match="only a mesh that was read from"):
+            io.write(out, moved)
+        assert main(words) == 2
+        told = capsys.readouterr()
+        assert "only a mesh that was read from" in told.err
+        assert not told.out
+    else:
+        io.write(out, moved)
+        np.testing.assert_array_equal(io.read(out).points, moved.points)
+    one_way = {".cgns": "CGNS", "": "OpenFOAM"} | dict.fromkeys((".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "PLOT3D")
+    assert bool(refusal) == (to in one_way and one_way.get(source) != one_way[to])
+    assert {path.name for path in tmp_path.iterdir()} <= {f"in{source}", f"out{to}"}
+
+
+@pytest.mark.parametrize("ending", [".su2", ".msh"])
+def test_a_patch_that_faces_cannot_express_is_told_before_any_work(tmp_path, ending):
+    mesh = bricks(2)
+    inner = np.flatnonzero((np.asarray(mesh.points) == 0.5).all(axis=1))
+    for patches, message in (({"inside": inner}, "on no boundary face"), ({'"a\n': [0, 1, 2]}, "cannot be")):
+        loose = jm.Mesh(mesh.points, mesh.cells, patches)
+        for refused in (io.check_output, io.write):
+            with pytest.raises(ValueError, match=message):
+                refused(tmp_path / f"a{ending}", loose)
+    assert not list(tmp_path.iterdir())

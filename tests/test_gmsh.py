@@ -1,0 +1,179 @@
+"""gmsh's files as gmsh writes them: what its own Python module reads of each is read here, and all but coordinates stays."""
+
+import re
+
+import numpy as np
+import pytest
+
+from jaxmorph import io
+
+gmsh = pytest.importorskip("gmsh")
+FORMS = [(2.2, 0), (2.2, 1), (4.0, 0), (4.1, 0), (4.1, 1)]
+VARIANTS = ("plain", "all", "two groups", "parametric", "partitioned", "ghosts", "periodic", "nameless", "corners")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def session():
+    gmsh.initialize(interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    yield
+    gmsh.finalize()
+
+
+def write(path, dimension: int, version: float, binary: int, variant: str) -> None:
+    """Meshes a square or cube of several groups, and lets gmsh write it."""
+    gmsh.clear()
+    make = gmsh.model.occ.addRectangle if dimension == 2 else gmsh.model.occ.addBox
+    box = make(0, 0, 0.5, *(1,) * dimension)
+    gmsh.model.occ.synchronize()
+    sides = [tag for _, tag in gmsh.model.getBoundary([(dimension, box)], oriented=False)]
+    gmsh.model.addPhysicalGroup(dimension, [box], name="" if variant == "nameless" else "the fluid")
+    gmsh.model.addPhysicalGroup(dimension - 1, sides[:2], name="" if variant == "nameless" else "two sides")
+    if variant == "two groups":
+        gmsh.model.addPhysicalGroup(dimension - 1, sides[:1], name="a side")
+        gmsh.model.addPhysicalGroup(dimension, [box], name="all")
+    if variant == "corners":
+        gmsh.model.addPhysicalGroup(0, [1, 2], name="corners")
+    if variant == "periodic":
+        x = [1 if k in (0, 5, 10, 15) else 0 for k in range(16)]
+        x[3] = 1  # moved by 1 along x
+        at = {round(gmsh.model.occ.getCenterOfMass(dimension - 1, side)[0], 6): side for side in sides}
+        gmsh.model.mesh.setPeriodic(dimension - 1, [at[1.0]], [at[0.0]], x)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.6)
+    gmsh.model.mesh.generate(dimension)
+    gmsh.option.setNumber("Mesh.PartitionCreateGhostCells", variant == "ghosts")
+    if variant in ("partitioned", "ghosts"):
+        gmsh.model.mesh.partition(3)
+    options = {"MshFileVersion": version, "Binary": binary, "SaveAll": variant == "all"}
+    for name, value in (options | {"SaveParametric": variant == "parametric"}).items():
+        gmsh.option.setNumber(f"Mesh.{name}", value)
+    gmsh.write(str(path))
+
+
+def rows(values) -> np.ndarray:
+    """Distinct rows of numbers in ascending order."""
+    return np.unique(np.asarray(values).reshape(len(values), -1), axis=0)
+
+
+def oracle(path, dimension: int):
+    """What gmsh reads: places of nodes, of the corners of each cell, and of the nodes of each group by dimension and name."""
+    gmsh.clear()
+    gmsh.open(str(path))
+    tags, places, _ = gmsh.model.mesh.getNodes()
+    places = places.reshape(-1, 3)[:, :dimension]
+    at = dict(zip(tags.tolist(), places, strict=True))
+    (cells,) = (
+        nodes for kind, nodes in zip(*gmsh.model.mesh.getElements(dimension)[::2], strict=True) if kind in (2, 4)
+    )
+    corners = np.array([at[tag] for tag in cells.tolist()]).reshape(-1, dimension + 1, dimension)
+    groups = {}
+    for level, tag in gmsh.model.getPhysicalGroups():
+        found = gmsh.model.mesh.getNodesForPhysicalGroup(level, tag)[1].reshape(-1, 3)[:, :dimension]
+        if level < dimension and len(found):
+            groups[gmsh.model.getPhysicalName(level, tag) or f"physical_{tag}"] = rows(found)
+    return places, corners, groups
+
+
+def assert_as_gmsh_reads(path, mesh, dimension: int) -> None:
+    places, corners, groups = oracle(path, dimension)
+    assert mesh.points.shape == places.shape
+    np.testing.assert_array_equal(rows(mesh.points), rows(places))
+    (cells,) = mesh.cells.values()
+    np.testing.assert_array_equal(rows(np.asarray(mesh.points)[cells]), rows(corners))
+    assert set(mesh.patches) == (set(groups) or {"boundary"})
+    for name, expected in groups.items():
+        np.testing.assert_array_equal(rows(np.asarray(mesh.points)[mesh.patch(name)]), expected)
+
+
+def outside_of_nodes(data: bytes) -> tuple[bytes, bytes]:
+    before, _, rest = re.split(rb"(\$(?:Parametric)?Nodes)\n", data, maxsplit=1)
+    return before, rest[rest.index(b"$End") :]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(("version", "binary"), FORMS)
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_what_gmsh_writes_is_read_as_gmsh_reads_it(tmp_path, dimension, version, binary, variant):
+    path = tmp_path / "a.msh"
+    write(path, dimension, version, binary, variant)
+    mesh = io.read(path)
+    assert_as_gmsh_reads(path, mesh, dimension)
+    io.write(tmp_path / "same.msh", mesh)
+    assert (tmp_path / "same.msh").read_bytes() == path.read_bytes()
+    # gmsh places nodes of a periodic side by those of the other one: these must go the same way
+    moved = mesh.moved(np.asarray(mesh.points) * np.pi if variant != "periodic" else np.asarray(mesh.points) + 8)
+    io.write(tmp_path / "b.msh", moved)
+    assert_as_gmsh_reads(tmp_path / "b.msh", moved, dimension)
+    assert outside_of_nodes((tmp_path / "b.msh").read_bytes()) == outside_of_nodes(path.read_bytes())
+    np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, moved.points)
+
+
+@pytest.mark.parametrize(("version", "binary"), [form for form in FORMS if form[0] > 4])
+def test_a_file_without_entities_is_read(tmp_path, version, binary):
+    """Its elements are in no group."""
+    write(tmp_path / "whole.msh", 3, version, binary, "all")
+    data = (tmp_path / "whole.msh").read_bytes()
+    start, stop = data.index(b"$Entities"), data.index(b"$EndEntities\n") + len(b"$EndEntities\n")
+    (tmp_path / "a.msh").write_bytes(data[:start] + data[stop:])
+    mesh = io.read(tmp_path / "a.msh")
+    assert list(mesh.patches) == ["boundary"]
+    assert_as_gmsh_reads(tmp_path / "a.msh", mesh, 3)
+
+
+def test_parameters_of_nodes_stay(tmp_path):
+    """Between the coordinates in the text of a file, parameters of the nodes keep their digits."""
+    for version in (2.2, 4.0, 4.1):
+        path = tmp_path / f"{version}.msh"
+        write(path, 2, version, 0, "parametric")
+        mesh = io.read(path)
+        io.write(tmp_path / "b.msh", mesh.moved(np.asarray(mesh.points) + 10.0))
+        column = {2.2: slice(4, None), 4.0: slice(4, None), 4.1: slice(3, None)}[version]
+        kept = [[line.split()[column] for line in file.read_text().splitlines()] for file in (path, tmp_path / "b.msh")]
+        assert kept[0] == kept[1]
+
+
+def test_a_file_of_the_other_byte_order_is_read_as_gmsh_reads_it(tmp_path):
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1.5, 0]])
+    nodes = b"".join(np.array([k + 5], ">i4").tobytes() + x.astype(">f8").tobytes() for k, x in enumerate(points))
+    cells = np.array([2, 2, 2, 1, 7, 1, 5, 6, 7, 2, 7, 1, 6, 8, 7], ">i4").tobytes()
+    data = b"$MeshFormat\n2.2 1 8\n" + np.array([1], ">i4").tobytes() + b"\n$EndMeshFormat\n$Nodes\n4\n" + nodes
+    (tmp_path / "a.msh").write_bytes(data + b"\n$EndNodes\n$Elements\n2\n" + cells + b"\n$EndElements\n")
+    mesh = io.read(tmp_path / "a.msh")
+    assert_as_gmsh_reads(tmp_path / "a.msh", mesh, 2)
+    io.write(tmp_path / "b.msh", mesh.moved(np.asarray(mesh.points) * np.pi))
+    np.testing.assert_array_equal(io.read(tmp_path / "b.msh").points, np.asarray(mesh.points) * np.pi)
+
+
+@pytest.mark.parametrize(("version", "binary"), FORMS)
+def test_tags_far_apart_take_no_memory(tmp_path, version, binary):
+    """gmsh's tags need not follow each other: a table as long as the largest would take gigabytes."""
+    gmsh.clear()
+    gmsh.model.addDiscreteEntity(2, 1)
+    gmsh.model.mesh.addNodes(2, 1, [7, 10**9, 3], [0, 0, 0, 1, 0, 0, 0, 1, 0])
+    gmsh.model.mesh.addElementsByType(1, 2, [10**9], [3, 7, 10**9])
+    for name, value in (("MshFileVersion", version), ("Binary", binary), ("SaveAll", 1)):
+        gmsh.option.setNumber(f"Mesh.{name}", value)
+    gmsh.write(str(tmp_path / "a.msh"))
+    assert_as_gmsh_reads(tmp_path / "a.msh", io.read(tmp_path / "a.msh"), 2)
+
+
+@pytest.mark.parametrize(("version", "binary"), FORMS)
+@pytest.mark.parametrize("variant", ["plain", "partitioned", "parametric"])
+def test_a_damaged_file_is_refused_or_read_as_it_is(tmp_path, version, binary, variant):
+    """A byte or a line less anywhere is a `ValueError` that names the file, or changes nothing but groups and digits."""
+    write(tmp_path / "whole.msh", 2, version, binary, variant)
+    data, good = (tmp_path / "whole.msh").read_bytes(), io.read(tmp_path / "whole.msh")
+    lines = data.splitlines(keepends=True)
+    rng = np.random.default_rng(0)
+    damaged = [b"".join(lines[:k] + lines[k + 1 :]) for k in rng.permutation(len(lines))[:60].tolist()]
+    damaged += [data[:at] + data[at + 1 :] for at in rng.integers(len(data), size=60).tolist()]
+    for each in damaged:
+        (tmp_path / "a.msh").write_bytes(each)
+        told, mesh = "", good
+        try:
+            mesh = io.read(tmp_path / "a.msh")
+        except ValueError as error:
+            told = str(error)
+        assert not told or "a.msh" in told
+        assert len(mesh.points) == len(good.points)  # of three coordinates where one z is damaged
+        assert np.shape(mesh.cells["triangle"]) == np.shape(good.cells["triangle"])
