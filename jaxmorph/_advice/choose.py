@@ -28,6 +28,7 @@ from .._plan.plan import Plan
 from .._plan.prepare import surface_of
 from .._plan.slide import Slide
 from .._plan.symmetry import Plane
+from .resolved import leaves_enough
 from .rivals import WORTH, is_better, judged, others, tried
 
 COLUMNS = ("leaves", "sources", "radius", "fit", "error", "rounding", "inverted", "jacobian", "angle", "seconds")
@@ -97,7 +98,8 @@ def choose(
 ) -> Choice:
     """Chooses a method, its sources and support radius, and whether to fit the field to the wall, for a family of motions.
 
-    For each number of leaves a thin plate spline, a Wendland C2 function and a fitted thin plate spline are tried. The radius
+    In 3-D one more number of leaves is tried where the motions need more sources than those of `leaves`. For each number a thin
+    plate spline, a Wendland C2 function and a fitted thin plate spline are tried. The radius
     of the second minimises the sum of `error` and `rounding` (see `Choice`). It is found by optimistix's golden section search,
     between a fifth of the moving nodes' extent and ten times it.
 
@@ -137,6 +139,7 @@ def choose(
     named.warn_of_free_faces()
     motions = _checked_motions(motions, (len(named.moving), mesh.points.shape[1]))
     _check_tries(leaves, tolerance, methods)
+    leaves = _resolving(leaves, named.points[named.moving], motions)
     known = named.alone() if len(named.guided) else named
     surface, images, _ = surface_of(known)
     columns = _columns(motions, len(known.nodes), images)
@@ -195,6 +198,14 @@ def _tries(leaves: Sequence[int]) -> list[tuple[bool, int, bool]]:
     """Lists what is tried: whether the field is fitted, the number of leaves, and whether its basis has a radius."""
     interpolating = [(False, count, with_radius) for count in leaves for with_radius in (False, True)]
     return interpolating + [(True, count, False) for count in leaves]
+
+
+def _resolving(leaves: Sequence[int], points: np.ndarray, motions: np.ndarray) -> Sequence[int]:
+    """Adds the leaves in 3-D whose sources resolve all motions, where none of those to try does."""
+    if points.shape[1] == 2:
+        return leaves
+    enough = max(leaves_enough(points, motion) or 0 for motion in motions)
+    return (*leaves, enough) if enough > max(leaves) else leaves
 
 
 def _columns(motions: np.ndarray, nodes: int, images: Images | None) -> np.ndarray:

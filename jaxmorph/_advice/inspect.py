@@ -20,6 +20,7 @@ from .._plan.judge import ended, ends
 from .._plan.plan import Plan
 from .crossings import Crossings, crossings_of, names_of, simplices
 from .overshoot import overshoot
+from .resolved import UNRESOLVED, leaves_enough, missed
 from .torn import remedies, share_faces, torn_pairs
 
 PUT_BACK = 0.01
@@ -64,6 +65,8 @@ class Inspection:
     - `reach`: how far from the surface a field of compact support reaches, `CompactRBF`; infinity for other methods.
     - `torn`: the patches of the worst pair's two nodes, "" for none; empty without a mesh, and without such a pair.
     - `rests` (k,): whether one node of each pair is fixed while the other one moves.
+    - `missed`: what an interpolation from the moving sources misses of the displacement in 3-D, relative to the largest one.
+    - `leaves`: leaves of a `KDTree` whose sources miss less than a third of it; None where that is so already, or nowhere.
     - `touches` (k,): whether the boundaries of these two nodes have faces in common there. Without a mesh: `rests`.
     """
 
@@ -88,6 +91,8 @@ class Inspection:
     torn: tuple[str, ...] = ()
     rests: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
     touches: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
+    missed: float = 0.0
+    leaves: int | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -119,7 +124,16 @@ class Inspection:
     @property
     def advice(self) -> tuple[str, ...]:
         """One sentence for another method, or for more steps, that may do better."""
-        return (*self._narrow, *self._short, *self._steep)
+        return (*self._narrow, *self._short, *self._unresolved, *self._steep)
+
+    @property
+    def _unresolved(self) -> tuple[str, ...]:
+        if self.leaves is None:
+            return ()
+        return (
+            f"the sources do not resolve the displacement: between them {100 * self.missed:.2g} % of it is missed. Take "
+            f"SurfaceReconstruction(FittedRBF(RBF(reduction=KDTree({self.leaves}, extremes=True)))).",
+        )
 
     @property
     def _short(self) -> tuple[str, ...]:
@@ -255,6 +269,8 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
     back = np.flatnonzero(changed > PUT_BACK * np.linalg.norm(given, axis=1).max())
     places = points[nodes] + vectors
     rows = ended(plan, places)
+    base, own = points[nodes[: plan.n_moving]], np.flatnonzero(np.isin(nodes[: plan.n_moving], plan.sources))
+    too_few = missed(base, given, own) if points.shape[1] == 3 and len(own) else 0.0
     return Inspection(
         offset=float(offset[worst]),
         offset_node=int(nodes[worst]),
@@ -273,6 +289,8 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
         reach=plan.reach,
         rests=rests,
         touches=rests,
+        missed=too_few,
+        leaves=leaves_enough(base, given) if too_few > UNRESOLVED else None,
     )
 
 

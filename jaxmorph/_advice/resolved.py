@@ -1,0 +1,36 @@
+"""Whether the sources of a field resolve a displacement of the wall, and how many would."""
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+
+from .._host.reduction import KDTree, drop_close, roundoff
+
+UNRESOLVED = 1 / 3
+"""What sources miss between them, relative to the largest displacement, from which on they are too few."""
+
+LEAVES = (64, 128, 256, 512, 1024, 2048)
+"""Numbers of leaves of a k-d tree that are tried."""
+
+
+def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
+    """Measures what an interpolation from `sources` misses of displacements `u` (m, d) at `points` (m, d).
+
+    It is relative to the largest displacement, and zero without one. The interpolation is that of SciPy by distances.
+    """
+    largest = np.linalg.norm(u, axis=1).max(initial=0)
+    rows = drop_close(points, sources, roundoff(points))
+    if largest == 0 or not len(rows):
+        return 0.0
+    found = RBFInterpolator(points[rows], u[rows], kernel="linear", degree=0)(points)
+    return float(np.linalg.norm(found - u, axis=1).max() / largest)
+
+
+def leaves_enough(points: np.ndarray, u: np.ndarray) -> int | None:
+    """Finds the least of `LEAVES` whose sources miss less than a third of the displacement; None where none does."""
+    for leaves in LEAVES:
+        sources = KDTree(leaves, extremes=True)(points)
+        if missed(points, u, sources) <= UNRESOLVED:
+            return leaves
+        if len(sources) == len(points):
+            break
+    return None
