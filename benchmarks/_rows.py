@@ -207,10 +207,7 @@ def blocks(axes: list[np.ndarray], is_solid: Callable[..., np.ndarray]) -> tuple
     """Makes the grid between axes without the cells whose middle is solid: points, and cells."""
     ids = ids_of(*map(len, axes))
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    if len(axes) == 2:
-        cells = quads(ids)[:, ::-1]
-    else:
-        cells = hexahedra(ids)[:, [4, 5, 6, 7, 0, 1, 2, 3]]
+    cells = quads(ids)[:, ::-1] if len(axes) == 2 else hexahedra(ids)[:, [4, 5, 6, 7, 0, 1, 2, 3]]
     cells = cells[~is_solid(*places[cells].mean(axis=1).T)]
     used, cells = np.unique(cells, return_inverse=True)
     return places[used], cells.reshape(-1, 2 ** len(axes))

@@ -131,7 +131,7 @@ class Inspection:
         if self.leaves is None:
             return ()
         return (
-            f"the sources do not resolve the displacement: between them {100 * self.missed:.2g} % of it is missed. Take "
+            f"the sources do not resolve the displacement: between them {100 * self.missed:.0f} % of it is missed. Take "
             f"SurfaceReconstruction(FittedRBF(RBF(reduction=KDTree({self.leaves}, extremes=True)))).",
         )
 

@@ -25,7 +25,7 @@ ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
 A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
 """
 
-THIN = 1.65
+THIN = 2.25
 """Largest default of `ell`, relative to the mean thickness of a closed wall in 2-D.
 
 Both sides of a thin body may change in opposite senses.
