@@ -34,8 +34,11 @@ Both sides of a thin body may change in opposite senses.
 JOINT = 0.05
 """Largest `ell`, relative to the distance of the nearest node that is fixed or of another wall."""
 
-BEHIND = 0.01
-"""Distance of the source behind a sharp tip, relative to the mean chord, or to that of the nearest held node if that is less."""
+BEHIND, BEYOND_TIP = 0.01, 0.2
+"""Distance of the source behind a sharp tip, relative to the mean chord, or to that of the nearest held node if that is less.
+
+Its largest distance is `BEYOND_TIP`, relative to the same.
+"""
 
 SOURCES_ALONE = 64
 """Fewest leaves of the k-d tree if the field interpolates instead of being fitted."""
@@ -66,14 +69,17 @@ class FittedRBF(AbstractMethod):
     has a fixed source behind it: its displacement is the wall's own, continued straight on. Tips of less than 60 degrees are sharp.
 
     A free side is a side of the mesh that is neither moving, fixed nor a symmetry plane. A field that turns with the body
-    would carry it out of its plane. A mesh with a free side gets the interpolation of many sources instead of the fit.
+    would carry it out of its plane. A mesh with a free side gets the interpolation of many sources instead of the fit. So do
+    points without faces: they show neither sharp edges nor which nodes are neighbours.
 
     **Arguments:**
 
-    - `rbf`: basis and sources. Few sources are enough: by default 16 leaves of a k-d tree, and 32 if another boundary is near.
+    - `rbf`: basis and sources. By default the moving sources are those of 16 leaves of a k-d tree, 32 if another boundary is
+      near, and then the nodes farthest from them: 96 in 2-D, 400 in 3-D.
     - `ell`: the length that weighs strain, in the mesh's units. A large one keeps the wall's lines at right angles, a small one
-      follows the skin. It is nowhere more than 0.2 of the distance to the nearest node that is held or of another wall.
-      Default 0.17 of each wall's mean chord, half of its perimeter; in 3-D 0.1 of half of its area over its span.
+      follows the skin. It is nowhere more than 0.05 of the distance to the nearest node that is held or of another wall.
+      Default 0.17 of each wall's mean chord, half of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07
+      of half of the wall's area over its span.
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of each wall's mean chord, in 3-D
       0.4.
 
@@ -103,7 +109,9 @@ class FittedRBF(AbstractMethod):
 
     def connect(self, surface: Surface, points):
         is_open = surface.is_open
-        if is_open is None:
+        if surface.faces is None:
+            is_open = True
+        elif is_open is None:
             is_open = has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points)
         key = ("fitted", id(self), bool(is_open))
         return surface.once(key, lambda: (self, self._ids(surface, is_open)))[
@@ -111,7 +119,7 @@ class FittedRBF(AbstractMethod):
         ], None  # `self` kept: its id stays its own
 
     def _ids(self, surface: Surface, is_open: bool) -> "WallIds":
-        if is_open or surface.faces is None:
+        if is_open:
             return self._sources_alone(surface, self._denser.chosen(surface))
         sources = self.rbf.chosen(surface)
         is_moving = sources < surface.moving
@@ -119,7 +127,7 @@ class FittedRBF(AbstractMethod):
 
     @property
     def _denser(self) -> RBF:
-        """The field for meshes with free sides: as many sources as an interpolation needs."""
+        """The field for meshes with free sides and points alone: as many sources as an interpolation needs."""
         reduction = self.rbf.reduction
         if isinstance(reduction, KDTree | Filled) and reduction.leaves is not None:
             reduction = dataclasses.replace(reduction, leaves=max(SOURCES_ALONE, reduction.leaves), crowded=None)
@@ -161,7 +169,7 @@ class FittedRBF(AbstractMethod):
         apart = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
         room = np.where(held == pairs[:, 0], chord, np.minimum(chord, apart))
         closest = self.rbf.reduction.closest(surface.points[: surface.moving])
-        return behind_tips(surface.points, pairs, BEHIND * room, closest, JOINT * room)
+        return behind_tips(surface.points, pairs, BEHIND * room, closest, BEYOND_TIP * room)
 
     def matched(self, ids):
         return self.sources(ids) if not len(ids.edges) else np.asarray(ids.fixed)
