@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 import jaxmorph as jm
 
@@ -286,7 +287,11 @@ def test_a_base_on_which_nodes_come_nearer_is_refused_or_nan(name):
     traced = jax.jit(lambda base: jm.deform(jm.refit(plan, base), u))
     if name != "corrected":  # its sources may be others
         expected = jm.deform(jm.prepare(near, lower, border, method=method), u)
-        np.testing.assert_allclose(traced(near), expected, rtol=0, atol=1e-6)
+        distance = KDTree(points[np.r_[lower, border]]).query(points, k=2)[0]
+        is_clear = (
+            np.diff(distance, axis=1)[:, 0] > 5e-3
+        )  # of two nodes that are equally near either may be the nearest later
+        np.testing.assert_allclose(traced(near)[is_clear], expected[is_clear], rtol=0, atol=1e-6)
     np.testing.assert_allclose(traced(points + 7.0), jm.deform(plan, u) + 7.0, rtol=0, atol=1e-12)
     assert np.isnan(traced(squeezed)).any()
     with pytest.raises(ValueError, match="points have lost their place at the new base points, first node"):

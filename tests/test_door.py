@@ -51,7 +51,7 @@ def surface_of(mesh, moving, fixed, symmetry=()):
 
 def test_names_and_ids_are_one_plan():
     mesh = ring()
-    plan, other = jm.prepare(mesh, "body", ["far"]), jm.prepare(mesh.points, mesh.patch("body"), mesh.patch("far"))
+    plan, other = jm.prepare(mesh, "body", ["far"]), jm.prepare(mesh, mesh.patch("body"), mesh.patch("far"))
     u = np.random.default_rng(0).normal(size=(24, 2)) * 1e-2
     assert (np.asarray(plan.moving) == other.moving).all()
     np.testing.assert_allclose(jm.deform(plan, u), jm.deform(other, u), rtol=0, atol=1e-12)
