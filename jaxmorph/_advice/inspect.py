@@ -269,8 +269,11 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
     back = np.flatnonzero(changed > PUT_BACK * np.linalg.norm(given, axis=1).max())
     places = points[nodes] + vectors
     rows = ended(plan, places)
-    base, own = points[nodes[: plan.n_moving]], np.flatnonzero(np.isin(nodes[: plan.n_moving], plan.sources))
-    too_few = missed(base, given, own) if points.shape[1] == 3 and len(own) else 0.0
+    base, rows_of_sources = (
+        points[nodes[: plan.n_moving]],
+        np.flatnonzero(np.isin(nodes[: plan.n_moving], plan.sources)),
+    )
+    too_few = missed(base, given, rows_of_sources) if points.shape[1] == 3 and len(rows_of_sources) else 0.0
     return Inspection(
         offset=float(offset[worst]),
         offset_node=int(nodes[worst]),

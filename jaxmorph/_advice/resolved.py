@@ -1,4 +1,4 @@
-"""Whether the sources of a field resolve a displacement of the wall, and how many would."""
+"""Tells whether the sources of a field resolve a displacement of the wall, and how many would."""
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -6,7 +6,7 @@ from scipy.interpolate import RBFInterpolator
 from .._host.reduction import KDTree, drop_close, roundoff
 
 UNRESOLVED = 1 / 3
-"""What sources miss between them, relative to the largest displacement, from which on they are too few."""
+"""Share of the largest displacement that sources may miss between them."""
 
 LEAVES = (64, 128, 256, 512, 1024, 2048)
 """Numbers of leaves of a k-d tree that are tried."""
@@ -21,8 +21,8 @@ def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
     rows = drop_close(points, sources, roundoff(points))
     if largest == 0 or not len(rows):
         return 0.0
-    found = RBFInterpolator(points[rows], u[rows], kernel="linear", degree=0)(points)
-    return float(np.linalg.norm(found - u, axis=1).max() / largest)
+    field = RBFInterpolator(points[rows], u[rows], kernel="linear", degree=0)(points)
+    return float(np.linalg.norm(field - u, axis=1).max() / largest)
 
 
 def leaves_enough(points: np.ndarray, u: np.ndarray) -> int | None:

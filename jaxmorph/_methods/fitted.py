@@ -83,7 +83,7 @@ class FittedRBF(AbstractMethod):
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of each wall's mean chord, in 3-D
       0.4.
 
-    Walls of more than 4,096 nodes or edges are sampled.
+    Walls of more than 4,096 nodes or edges, in 3-D 2,048, are sampled.
 
     The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s moving sources.
     """
@@ -134,7 +134,7 @@ class FittedRBF(AbstractMethod):
         return RBF(self.rbf.basis, reduction, self.rbf.fixed_reduction, self.rbf.degree)
 
     def _sources_alone(self, surface: Surface, sources: np.ndarray) -> "WallIds":
-        """Makes ids without edges, and with the sources as the only nodes: the fit is then the interpolation."""
+        """Makes ids without edges: the field is then the interpolation."""
         moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
         none = np.zeros((0, 2))
         each_row = (moving, fixed, moving, none, none[:, 0], none, none[:, 0], np.zeros((0, 3)))
@@ -185,6 +185,8 @@ class FittedRBF(AbstractMethod):
     def fit(self, ids: "WallIds", surface, points):
         sources = _sources(ids, surface)
         rbf = self.rbf.fit(jnp.arange(len(sources)), sources, points)
+        if not len(ids.edges):
+            return FitFactors(rbf, *(jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 2, 4, 1, 2, 2, 2, 2)))
         surface = surface.astype(rbf.lu.dtype)
         count, moves, dimension = len(rbf.sources), len(ids.moving), surface.shape[1]
         start, end = surface[ids.edges[:, 0]], surface[ids.edges[:, 1]]
@@ -224,6 +226,8 @@ class FittedRBF(AbstractMethod):
 
     def field(self, ids: "WallIds", factors: "FitFactors", surface, u):
         values = u.astype(factors.rbf.lu.dtype)
+        if not len(ids.edges):  # an interpolation: fitting it to its own sources would lose half of the digits
+            return self.rbf.through(factors.rbf, jnp.concatenate([values[ids.moving], values[ids.fixed]]), u.dtype)
         affine = self._affine_part(factors, values)
         rest = values - _product(factors.polynomial, affine)
         difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]
