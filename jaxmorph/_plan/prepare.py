@@ -169,7 +169,7 @@ def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray
     ids = np.where(copies.kind == 0, nodes[copies.rows], -1)
     cells = None if named.cells is None else _cells(named, on_plane)
     listed = len(named.moving) + len(named.fixed)
-    in_planes = (copies.rows >= listed) & on_plane[nodes].any(axis=1)[copies.rows]
+    in_planes = (copies.rows >= listed) & np.asarray(on_plane[nodes].any(axis=1))[copies.rows]
     surface = Surface(
         *(everything, ids, copies.moving, copies.first),
         faces=faces,
