@@ -82,6 +82,7 @@ EXTENSION = of_the_notebook()
 
 CASES = [
     Case("default", lambda length: jm.SurfaceReconstruction(), turns=False),
+    Case("default with faces", lambda length: jm.SurfaceReconstruction(), turns=False, dimensions=(2,), faces=True),
     Case("published", lambda length: jm.SurfaceReconstruction.published(), turns=False, dimensions=(2,)),
     Case("few-sources", lambda length: jm.SurfaceReconstruction(few(), jm.DelaunayGraph()), turns=False),
     Case(
@@ -114,7 +115,8 @@ CASES = [
         lambda length: jm.FittedRBF(few(), ell=0.2 * length, mu=0.1 * length),
         exact=False,
         turns=False,
-        dimensions=(3,),
+        dimensions=(2,),
+        faces=True,
     ),
     Case("reduced", lambda length: few(), exact=False, turns=False),
     Case("thin-plate-1", lambda length: full(jm.ThinPlateSpline(), 1), dimensions=(3,)),

@@ -15,6 +15,7 @@ ROOT = pathlib.Path(__file__).parents[1]
 
 KNOWN = {
     ("C-grid 0015", "bump"),
+    ("C-grid 0015", "stretch"),
     ("C-grid 4412, thin cells", "thickness"),
     ("C-grid 4412, thin cells", "bump"),
     ("C-grid 4412, thin cells", "nose droop"),
