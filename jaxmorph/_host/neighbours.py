@@ -55,7 +55,7 @@ def near_walls(
         part = slice(start, start + 65536)
         candidates = around[first[part]]
         apart = [surface[candidates, axis] - points[near[part], axis, None] for axis in range(points.shape[1])]
-        rows[part, :count] = _closest(candidates, sum((a * a for a in apart[1:]), start=apart[0] * apart[0]), count)
+        rows[part, :count] = _closest(candidates, np.sum([a * a for a in apart], axis=0), count)
     rows[:, count] = rows[:, 0]
     is_nearest = np.ones(len(near), dtype=bool)
     for label in np.unique(wall[first]):
