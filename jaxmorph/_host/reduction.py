@@ -18,6 +18,9 @@ class AbstractReduction(abc.ABC):
     """Chooses source points: called with points (k, d), it returns the ids of the chosen ones, each once, ascending.
 
     A reduction of your own is a frozen (hashable) dataclass with this one method, `__call__`.
+
+    A choice is discontinuous in the coordinates: as nodes move, another one becomes a source. Round-off chooses none in the
+    library's own reductions: lengths within a relative 1e-9 are equal, and the first of equals in the order of coordinates counts.
     """
 
     most_on_far_walls: ClassVar[int] = 0

@@ -30,9 +30,9 @@ class LocalCorrection(AbstractMethod):
     reduced set of sources misses on the surface (Journal of Computational Physics 228 and 229, 2009 and 2010). It is exact at
     the surface's nodes, solves no system and needs no graph, so the mesh may reach beyond the hull of its boundary.
 
-    The field jumps where the nearest node changes, by as much as the offsets of two neighbours differ. Between two walls closer
-    than twice the radius it may tear cells: `NearWall` does not. Alone it reproduces no polynomial, and cells fold where the
-    offset is a good part of the radius.
+    The field jumps where the nearest node changes, by as much as the offsets of two neighbours differ. Of nodes that are equally
+    near the first counts. Between two walls closer than twice the radius it may tear cells: `NearWall` does not. Alone it
+    reproduces no polynomial, and cells fold where the offset is a good part of the radius.
 
     **Arguments:**
 

@@ -25,6 +25,9 @@ class Multiscale(AbstractMethod):
     exact at the surface's nodes, has continuous derivatives, and is zero beyond the radii. Points may lie anywhere: there is
     no graph, and no hull.
 
+    The order of the nodes is discontinuous in their coordinates. Distances within a relative 1e-9 are equal, and the first node
+    in the order of coordinates counts, so round-off decides nothing.
+
     As a correction, the sources of the coarse field come before all other nodes. Alone, the first function reaches across the
     whole surface, and not even a translation is reproduced; `Multiscale.whole` makes the method with its first stage.
     """
