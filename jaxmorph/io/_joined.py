@@ -6,9 +6,9 @@ import itertools
 import numpy as np
 
 from jaxmorph import Mesh
-from jaxmorph._host.pairs import columns_of, is_single, sorted_columns
+from jaxmorph._host.cells.pairs import columns_of, is_single, sorted_columns
 
-from ._blocks import open_faces, shared_nodes
+from ._structured import open_faces, shared_nodes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
