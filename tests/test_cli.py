@@ -237,8 +237,6 @@ def test_bad_arguments_are_answered_in_one_line(capsys, arguments):
         (["defrom"], "there is no command defrom; did you mean deform?"),
         (["deform", "ring.su2", "a.su2", "--movng", "wall"], "there is no flag --movng; did you mean --moving?"),
         (["quality", "ring.su2", "--max-skewnes=1"], "there is no flag --max-skewnes; did you mean --max-skewness?"),
-        (["deform", "ring.su2", "a.su2", "--method", "paper"], "'paper' is now called 'default'"),
-        (["deform", "ring.su2", "a.su2", "--method", "dgm"], "'dgm' is now called 'graph'"),
     ],
 )
 def test_what_was_perhaps_meant(capsys, arguments, message):

@@ -10,7 +10,6 @@ from ._deform import deform
 from ._inspect import info, quality
 from ._modes import modes
 from ._output import Output
-from ._ranges import deform_ranges
 from ._requests import Deform, Demo, Info, Modes, Quality, Request, Sensitivity
 from ._sensitivity import sensitivity
 
@@ -20,8 +19,6 @@ def run(request: Request, out: Output) -> int:
     jax.config.update("jax_enable_x64", True)
     keep_compiled()
     match request:
-        case Deform(ranges=int()):
-            return deform_ranges(request, out)
         case Deform(decomposed=True):
             return deform_parts(request, out)
         case Deform():

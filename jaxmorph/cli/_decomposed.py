@@ -45,7 +45,7 @@ def deform_parts(request: Deform, out: Output) -> int:
         every = {k: side for each in gathered or () for k, side in each.items()}
         if not gathered:
             return None
-        return prepared_half(request, case.surface([every[k] for k in range(len(case))]), out, "--decomposed")
+        return _prepared(request, case.surface([every[k] for k in range(len(case))]), out)
 
     half, path, dtype = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
     verdicts: list[Verdict] = []
@@ -63,15 +63,15 @@ def deform_parts(request: Deform, out: Output) -> int:
             if judged.faults and not request.allow_inverted:
                 raise _Bad
     except _Bad:
-        complain(request, judged, out)  # pyright: ignore[reportPossiblyUnboundVariable]
+        _complain(request, judged, out)  # pyright: ignore[reportPossiblyUnboundVariable]
         out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
         return 1
-    complain(request, judged, out)
+    _complain(request, judged, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 1 if judged.faults else 0
 
 
-def complain(request: Deform, judged: Verdicts, out: Output) -> None:
+def _complain(request: Deform, judged: Verdicts, out: Output) -> None:
     """Says the faults of all parts, with what to try."""
     for k, sentence in enumerate(judged.faults):
         hint = (
@@ -117,24 +117,21 @@ def _checked(request: Deform) -> io.Decomposed:
     """Opens the case. Raises `ValueError` for a request that is sure to fail, before any work."""
     case = io.Decomposed(request.file)
     case.check_output(request.output)
-    check_flags(request, "--decomposed")
+    _check_flags(request)
     return case
 
 
-def check_flags(request: Deform, way: str) -> None:
-    """Raises `ValueError` for flags that need the whole mesh; `way` is the flag by which it comes in pieces."""
+def _check_flags(request: Deform) -> None:
+    """Raises `ValueError` for flags that need the whole mesh."""
     if request.picture is not None or request.chunk is not None:
         flag = "--picture" if request.picture is not None else "--chunk"
-        raise ValueError(f"{flag} is not for {way}, which never has the whole mesh: leave it away.")
+        raise ValueError(f"{flag} is not for --decomposed, which never has the whole mesh: leave it away.")
     if request.steps < 1:
         raise ValueError(f"--steps must be 1 or more, found {request.steps}.")
 
 
-def prepared_half(request: Deform, surface: jm.Mesh, out: Output, way: str) -> tuple[jm.SurfaceHalf, np.ndarray, str]:
-    """Prepares the surface and its motion, describes both, and warns of what no method moves well.
-
-    `way` is the flag by which the mesh comes in pieces.
-    """
+def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray, str]:
+    """Prepares the surface and its motion, describes both, and warns of what no method moves well."""
     check_files(request, surface)
     patches = patches_of(request.surface, surface, request.file)
     wall = np.asarray(surface.points)[patches.nodes]
@@ -142,7 +139,7 @@ def prepared_half(request: Deform, surface: jm.Mesh, out: Output, way: str) -> t
     with out.progress("preparing the surface"):
         choice = named_method(request.method, wall)
         if choice.method.needs_cells:
-            raise ValueError(f"{way} is not for {request.method.name}, which solves for all nodes at once.")
+            raise ValueError(f"--decomposed is not for {request.method.name}, which solves for all nodes at once.")
         path = moves.path(wall, request.steps)
         out.say(f"{title(request.file)}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
         described(request, patches, choice, path[-1], out)
@@ -170,13 +167,13 @@ def _moved(
         return None
     mesh = case.read(k)
     base = np.asarray(mesh.points)
-    points = moved_points(half, path, dtype, largest, base, io.global_nodes(mesh), f"processor{k}")
+    points = _moved_points(half, path, dtype, largest, base, io.global_nodes(mesh), f"processor{k}")
     before = Judged(mesh, base)
     verdicts.append(verdict(k, before, Judged(mesh, points, before), request.gates))
     return mesh.moved(points)
 
 
-def moved_points(
+def _moved_points(
     half: jm.SurfaceHalf,
     path: np.ndarray,
     dtype: str,

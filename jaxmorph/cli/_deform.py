@@ -24,8 +24,8 @@ from ._trials import explain
 SMALL = 10_000
 """Points, times steps, up to which compilation takes longer than all else."""
 
-LARGE, LONG = 500_000, 30.0
-"""Points, and seconds, from which on the estimate is told."""
+LARGE = 500_000
+"""Points from which on the estimate is told."""
 
 
 def deform(request: Deform, out: Output) -> int:
@@ -38,9 +38,9 @@ def deform(request: Deform, out: Output) -> int:
 
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     attempt, choice, chunks = _attempt(request, mesh, out)
-    foreseen = _foreseen(attempt, choice, out)
-    points, inspection, boundary = _moved(attempt, chunks, foreseen, out)
-    with out.progress("judging the cells", foreseen.judging / 2):
+    _foresee(attempt, choice, out)
+    points, inspection, boundary = _moved(attempt, chunks, out)
+    with out.progress("judging the cells"):
         after, bad = attempt.judge(points)
         wall = wall_numbers(attempt.wall_quality(points))
         rows = wall_rows(wall, inspection, points)
@@ -112,37 +112,32 @@ def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndar
     out.say(moving=moving, largest=float(way.max()), sources=choice.sources)
 
 
-def _foreseen(attempt: Attempt, choice: NamedMethod, out: Output) -> jm.Estimate:
-    """Estimates memory and time, and prints them if they are large or requested."""
+def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
+    """Estimates the memory, prints it if the mesh is large or with `--verbose`, and warns where it may not fit."""
     patches, request = attempt.patches, attempt.request
     mesh = patches.mesh.moved(patches.points(choice))
     surface = (patches.nodes, patches.fixed_nodes)
-    foreseen = jm.estimate(mesh, *surface, method=choice.method, steps=request.steps, chunk=request.chunk)
-    if foreseen.points >= LARGE or foreseen.seconds >= LONG or request.verbose:
+    foreseen = jm.estimate(mesh, *surface, method=choice.method, chunk=request.chunk)
+    if foreseen.points >= LARGE or request.verbose:
         out.say(textwrap.fill(str(foreseen), 80, subsequent_indent=" " * 9))
     if foreseen.is_too_large:
         size = f"{foreseen.memory / 1e9:.2g} GB"
         fewer = "fewer --sources, " if request.method.name in ("default", "published") else ""
         other = "--method default and" if choice.method.needs_cells else f"{fewer}--chunk and"
         out.warn(f"{size} may not fit into memory; {other} --dtype float32 need less.")
-    return foreseen
 
 
-def _moved(
-    attempt: Attempt, chunks: jm.Chunks, foreseen: jm.Estimate, out: Output
-) -> tuple[np.ndarray, jm.Inspection, jm.BoundaryQuality]:
+def _moved(attempt: Attempt, chunks: jm.Chunks, out: Output) -> tuple[np.ndarray, jm.Inspection, jm.BoundaryQuality]:
     """Moves the points, inspects the motion before, warns of what no method moves well, and judges the moved boundary."""
     steps = attempt.request.steps
-    first = foreseen.preparing / len(chunks)
-    with out.progress("preparing", first):
+    with out.progress("preparing"):
         plan = attempt.patches.plan(chunks)
     with out.progress("inspecting the motion"):
         u, mesh = attempt.motion.path(attempt.wall, 1)[-1], attempt.patches.mesh
         inspection = jm.inspect(plan, u, mesh=mesh, nodes=chunks.nodes[0])
         for warning in inspection.warnings:
             out.warn(warning)
-    left = foreseen.preparing - first + foreseen.deforming
-    with out.progress(f"deforming in {count(steps, 'step')}", left) as stage:
+    with out.progress(f"deforming in {count(steps, 'step')}") as stage:
         points, part = attempt.points(chunks, plan, steps, stage.done), chunks.nodes[0]
         return points, inspection, jm.boundary_quality(plan, points[part]).renumbered(part)
 

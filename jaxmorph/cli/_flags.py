@@ -14,8 +14,6 @@ METHODS = (
     *("default", "published", "rbf", "graph"),
     *("elasticity", "laplacian", "biharmonic", "springs", "torsional", "inverse-distance", "compact"),
 )
-RENAMED = {"paper": "default", "dgm": "graph"}
-"""Methods by the names that they had."""
 
 GATES = {
     "max_aspect_ratio": "largest aspect ratio",
@@ -96,8 +94,6 @@ def _deform(command: Parser) -> None:
     add("output", everyday=True, metavar="OUT", type=_output, help=what)
     what = "IN is a decomposed OpenFOAM case: take its folders processor* part by part, under mpiexec several at a time"
     add("--decomposed", action="store_true", help=what)
-    what = "never hold the whole of an SU2 or CGNS file: read, move, judge and write it by ranges of N nodes, and of N cells"
-    add("--ranges", metavar="N", type=int, help=what)
     add("--job", metavar="FILE", type=Path, action=Job, help="read the flags from a TOML file")
     add("--save-job", metavar="FILE", type=_output, help="write such a file of this run")
     what = "draw before and after (.png), in 3-D also a page to turn and deform it (.html)"
@@ -125,7 +121,7 @@ def _deform(command: Parser) -> None:
 def _modes(command: Parser) -> None:
     add = command.section()
     _input(add)
-    what = "a time series, OUT.xdmf with OUT.h5, or OUT.pvd of .vtu files; else files OUT_0001, OUT_0002, ... of its ending"
+    what = "a time series, OUT.pvd of .vtu files; else files OUT_0001, OUT_0002, ... of its ending"
     add("output", everyday=True, metavar="OUT", type=_output, help=what)
     _surface(command)
     add = command.section("shapes")
@@ -226,8 +222,6 @@ def _method(command: Parser) -> Add:
 
 
 def _method_name(word: str) -> str:
-    if word in RENAMED:
-        raise argparse.ArgumentTypeError(f"{word!r} is now called {RENAMED[word]!r}")
     if word not in METHODS:
         raise argparse.ArgumentTypeError(
             f"there is no method {word!r}{meant(word, METHODS)} (methods: {', '.join(METHODS)})"

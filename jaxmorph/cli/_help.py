@@ -39,8 +39,6 @@ that are not named as moving, fixed, symmetry, sliding, periodic or free is an
 error: its nodes would follow like inner ones, and may leave the boundary.
 With --decomposed the parts processor* of an OpenFOAM case go one by one, under
 mpiexec (jaxmorph[mpi]) several at a time; OUT has them all, or is not written.
-With --ranges N an SU2 or CGNS file goes by ranges of N nodes and N cells:
-memory is that of the surface and of one range.
 
 Cyclic patches of an OpenFOAM case, and periodic interfaces of a CGNS file, are
 periodic where no flag names them. Likewise nodes of a case's symmetry and

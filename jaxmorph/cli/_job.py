@@ -16,7 +16,7 @@ from ._groups import Group
 from ._parser import meant
 
 LISTS = ("fixed", "symmetry", "free", "sliding", "periodic")
-VALUES = ("method", "sources", "steps", "chunk", "ranges", "dtype", "preset", "picture", *GATES)
+VALUES = ("method", "sources", "steps", "chunk", "dtype", "preset", "picture", *GATES)
 SWITCHES = {"decomposed": True, "allow_inverted": True, "dry_run": False}
 """Names that are either true or false, and the value that has a flag."""
 

@@ -1,6 +1,5 @@
 """`jaxmorph modes`: many motions of one mesh through one plan."""
 
-import contextlib
 import dataclasses
 import itertools
 import pathlib
@@ -12,7 +11,6 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph._host.package.files import output_path
 
 from . import _gates
 from ._judged import Judged
@@ -54,8 +52,7 @@ def modes(request: Modes, out: Output) -> int:
     ratio = "V" if before.by_faces else "J"
     out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
-    xdmf = io.XDMFSeries(request.output, mesh) if _is_xdmf(request) else None
-    with xdmf or contextlib.nullcontext(), out.progress("moving") as stage:
+    with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
             judged = Judged(mesh, points, before)
             failed = [inverted_cells(judged), *_gates.failures(request.gates, before, judged)]
@@ -63,10 +60,7 @@ def modes(request: Modes, out: Output) -> int:
             bad += bool(failed)
             _tell(case, request.modes[case.mode], judged, failed, out)
             if not failed or request.allow_inverted:
-                if xdmf:
-                    xdmf.add(case.time, mesh.moved(points), judged.report)
-                else:
-                    judged.write(case.output)
+                judged.write(case.output)
                 good.append(case)
             stage.done(case.number / len(cases))
     return _end(request, good, bad, len(cases), out)
@@ -81,13 +75,9 @@ def _cases(request: Modes) -> list[Case]:
     name = request.output.stem
     cases = []
     for k, (mode, a) in enumerate(pairs, start=1):
-        output = request.output if _is_xdmf(request) else request.output.with_name(f"{name}_{k:04d}{suffix}")
+        output = request.output.with_name(f"{name}_{k:04d}{suffix}")
         cases.append(Case(k, mode, a, output, a if go_up else float(k)))
     return cases
-
-
-def _is_xdmf(request: Modes) -> bool:
-    return request.output.suffix == ".xdmf"
 
 
 def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
@@ -95,9 +85,7 @@ def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
     patches = patches_of(request.surface, mesh, request.file)
     if not np.isfinite(request.amplitudes).all():
         raise ValueError("--amplitude needs finite numbers.")
-    if _is_xdmf(request):
-        output_path(request.output)
-    for case in cases if not _is_xdmf(request) else ():
+    for case in cases:
         io.check_output(case.output, mesh)
     return patches
 
@@ -132,9 +120,6 @@ def _end(request: Modes, good: list[Case], bad: int, total: int, out: Output) ->
     out.say("")
     if good:
         files = good[0].output if len(good) == 1 else f"{good[0].output} to {good[-1].output.name}"
-        if _is_xdmf(request):
-            files = f"{request.output} and {request.output.with_suffix('.h5').name}"
-            out.facts["output"] = str(request.output)
         out.say(f"wrote {files} ({out.seconds:.1f} s)")
     if request.output.suffix == ".pvd" and good:
         io.write_pvd(request.output, [case.output for case in good], [case.time for case in good])

@@ -111,11 +111,10 @@ def _worst(part: int, kind: str, name: str, before: Judged, after: Judged) -> Wo
 
 @dataclasses.dataclass(frozen=True)
 class Verdicts:
-    """All parts' verdicts, the gates they were judged by, and what a part is called."""
+    """All parts' verdicts, and the gates they were judged by."""
 
     parts: Sequence[Verdict]
     gates: Sequence[_gates.Gate]
-    name: str = "processor"
 
     @property
     def cells(self) -> int:
@@ -196,7 +195,7 @@ class Verdicts:
                     worst = self.worst(kind, name)
                     side[f"{kind}_{name}"] = (worst.before, worst.after)[when]
                     if when:
-                        side[f"worst_{name}"] = {self.name.strip(): worst.part, "cell": worst.cell}
+                        side[f"worst_{name}"] = {"processor": worst.part, "cell": worst.cell}
             sides.append(side)
         gates = []
         for k, gate in enumerate(self.gates):
@@ -208,7 +207,7 @@ class Verdicts:
         return {"before": sides[0], "after": sides[1], "gates": gates, **more}
 
     def _where(self, worst: Worst) -> str:
-        return f"{self.name}{worst.part} cell {worst.cell} near {worst.place}"
+        return f"processor{worst.part} cell {worst.cell} near {worst.place}"
 
     def _inverted(self, when: int) -> int:
         return sum(part.inverted[when] for part in self.parts)

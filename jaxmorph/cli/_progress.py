@@ -13,8 +13,8 @@ PATIENCE = 2.0
 class Stage:
     """One stage of the work, and how much of it is done."""
 
-    def __init__(self, name: str, expected: float | None):
-        self.name, self.expected = name, expected
+    def __init__(self, name: str):
+        self.name = name
         self.began, self.share = time.monotonic(), 0.0
 
     def done(self, share: float) -> None:
@@ -26,8 +26,6 @@ class Stage:
         text = f"{self.name} ... {passed:.0f} s"
         if self.share > 0:
             return f"{text}, {self.share:.0%}, {passed / self.share - passed:.0f} s left"
-        if self.expected is not None and self.expected > passed:
-            return f"{text}, about {self.expected - passed:.0f} s left"
         return text
 
 
@@ -43,8 +41,8 @@ class Progress:
         self.seconds: dict[str, float] = {}
 
     @contextlib.contextmanager
-    def __call__(self, name: str, expected: float | None = None) -> Iterator[Stage]:
-        stage, over = Stage(name, expected), threading.Event()
+    def __call__(self, name: str) -> Iterator[Stage]:
+        stage, over = Stage(name), threading.Event()
         clock = threading.Thread(target=self._tell, args=(stage, over), daemon=True)
         is_heard = sys.stderr.isatty()
         if is_heard:

@@ -52,7 +52,6 @@ class Deform:
     dry_run: bool
     verbose: bool
     decomposed: bool = False
-    ranges: int | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,7 +132,6 @@ def _deform(arguments: argparse.Namespace) -> Deform:
         arguments.dry_run,
         arguments.verbose,
         arguments.decomposed,
-        arguments.ranges,
     )
 
 
