@@ -5,12 +5,13 @@ import functools
 import importlib
 import typing
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 if typing.TYPE_CHECKING:
     from .._methods.base import AbstractMethod
 
 
+@runtime_checkable
 class Lengths(Protocol):
     """Lengths of a boundary, in the mesh's units: the moving nodes' extent, and the gap to the nearest fixed node."""
 

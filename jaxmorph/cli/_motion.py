@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from jaxmorph import Mesh, io, shapes
 
 from ._groups import MOTIONS, Group
+from ._requests import Deform
 
 Points = Float[np.ndarray, "m d"]
 Parts = dict[str, tuple[shapes.AbstractShape, Any]]
@@ -52,27 +53,25 @@ class Motion:
         return files
 
 
-def motion(
-    groups: Sequence[Group], mesh: Mesh, moving: Int[np.ndarray, " m"], changes: Mapping[str, Sequence[float]]
-) -> Motion:
-    """Makes the requested motion of the nodes `moving`, with `changes` to its parameters.
+def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion:
+    """Makes the requested motion of the nodes `moving`.
 
     Raises `ValueError` if there is none, or if it does not fit the mesh or the nodes.
     """
     chains, parameters, boxes = {}, {}, []
-    for group in groups:
+    for group in request.groups:
         nodes = mesh.patch(*group.patches)
         try:
             parts = _parts(group, mesh, nodes)
         except ValueError as error:
-            raise ValueError(f"{group.title}: {error}" if len(groups) > 1 else str(error)) from None
+            raise ValueError(f"{group.title}: {error}" if len(request.groups) > 1 else str(error)) from None
         key = _key(group, chains)
         chain = shapes.Chain({name: shape for name, (shape, _) in parts.items()})
         chains[key] = shapes.OnRows(chain, np.searchsorted(moving, nodes))
         parameters[key] = {name: values for name, (_, values) in parts.items()}
         if group.lattice is not None:
             boxes.append((group.lattice, parts["box"][0], (key, "box")))
-    return Motion(shapes.Chain(chains), parameters, tuple(boxes)).varied(changes)
+    return Motion(shapes.Chain(chains), parameters, tuple(boxes)).varied(dict(request.set))
 
 
 def _key(group: Group, others: Mapping[str, Any]) -> str:
