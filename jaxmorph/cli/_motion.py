@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from jaxmorph import Mesh, io, shapes
 
 from ._groups import MOTIONS, Group
+from ._parser import flag_of
 from ._requests import Deform
 
 Points = Float[np.ndarray, "m d"]
@@ -176,7 +177,7 @@ def _check_used(group: Group) -> None:
     }
     for name, owners in needs.items():
         if getattr(group, name) is not None and all(getattr(group, owner) is None for owner in owners):
-            flags = [f"--{each.replace('_', '-')}" for each in (name, *owners)]
+            flags = [flag_of(each) for each in (name, *owners)]
             raise ValueError(f"{flags[0]} without {' or '.join(flags[1:])}.")
 
 

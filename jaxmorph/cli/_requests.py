@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from jaxmorph._advice.methods import METHODS
 
 from ._groups import SEVERAL, WHAT_MOVES, Group, Job
-from ._parser import Fields, flag, one_of, part, positional, several, switch
+from ._parser import Fields, flag, flag_of, one_of, part, positional, several, switch
 
 MESH = "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D (.xyz, .p3d), or an OpenFOAM case"
 
@@ -101,14 +101,16 @@ class Gates:
         choices=tuple(PRESETS),
     )
 
+    def __post_init__(self):
+        wrong = [name for name, limit in self.limits.items() if limit != limit]
+        if wrong:
+            raise ValueError(f"{flag_of(wrong[0])} needs a number, found nan.")
+
     @property
     def limits(self) -> dict[str, float]:
-        """Limits of the preset and of flags, which win. `ValueError` is raised for one that is no number."""
+        """Limits by the names of their flags: those of the preset, and of flags, which win."""
         own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "preset"}
         limits = PRESETS.get(self.preset or "", {}) | {name: limit for name, limit in own.items() if limit is not None}
-        wrong = [name for name, limit in limits.items() if limit != limit]
-        if wrong:
-            raise ValueError(f"--{wrong[0].replace('_', '-')} needs a number, found nan.")
         return {name: limits[name] for name in own if name in limits}
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ._judged import RATIOS, Judged
+from ._parser import flag_of
 
 WORST = 5
 """Cells named for each gate that fails."""
@@ -263,7 +264,7 @@ def faults(before: Summary | None, after: Summary) -> list[str]:
     for k, gate in enumerate(after.gates):
         if gate.beyond:
             are = "cell is" if gate.beyond == 1 else "cells are"
-            limit = f"--{gate.flag.replace('_', '-')} {gate.limit:g}"
+            limit = f"{flag_of(gate.flag)} {gate.limit:g}"
             start = 0 if before is None else before.gates[k].beyond
             old = f" ({start} before the motion)" if start else ""
             sentences.append(
