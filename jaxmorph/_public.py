@@ -85,8 +85,8 @@ from ._plan.steps import march as march
 from ._plan.steps import replay as replay
 from ._plan.velocity import velocity as velocity
 from ._quality.distortion import distortion as distortion
-from ._quality.face_quality import FaceQuality as FaceQuality
 from ._quality.face_quality import face_quality as face_quality
+from ._quality.face_report import FaceQuality as FaceQuality
 from ._quality.quality import inverted as inverted
 from ._quality.quality import quality as quality
 from ._quality.report import QualityReport as QualityReport

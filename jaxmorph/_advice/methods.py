@@ -54,7 +54,8 @@ def _made(path: str, *numbers: Any, **options: Any) -> Any:
     words = path.split(".")
     first = next(k for k, word in enumerate(words) if word[0].isupper())
     module = importlib.import_module("." + ".".join(words[:first]), "jaxmorph._methods")
-    return functools.reduce(getattr, words[first:], module)(*numbers, **options)
+    make: Any = functools.reduce(getattr, words[first:], module)
+    return make(*numbers, **options)
 
 
 def _corrected(coarse: Any) -> Any:

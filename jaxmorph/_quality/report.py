@@ -27,7 +27,7 @@ class Report(Protocol):
 
     - `rule`: by what a cell is inverted.
     - `is_inverted`, `counted`: masks (k,) of inverted cells, and of cells that count; `count` is the number of these.
-    - `centroid`: where the cells are (k, d).
+    - `volume`, `centroid`: how large the cells are (k,), and where (k, d).
     - `min`, `mean`, `max`: a measure over the cells that count, by its name; the mean is weighted by volume.
     - `worst`: ids of the worst cells by a measure; without one, inverted cells come first.
     """
@@ -36,6 +36,8 @@ class Report(Protocol):
 
     @property
     def is_inverted(self) -> Any: ...
+    @property
+    def volume(self) -> Any: ...
     @property
     def centroid(self) -> Any: ...
     @property

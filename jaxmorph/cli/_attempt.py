@@ -15,8 +15,10 @@ from ._judged import Judged
 from ._method import NamedMethod, Patches, in_double, named_method
 from ._motion import Motion
 from ._output import Output
-from ._requests import Deform, Method
-from ._summary import Summary, faults
+from ._parts import Method
+from ._requests import Deform
+from ._summary import Summary
+from ._tables import faults
 
 MORE = "more --sources or --steps"
 CURES = tuple(each.name for each in METHODS if each.is_cure)

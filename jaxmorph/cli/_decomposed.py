@@ -15,7 +15,8 @@ from ._method import in_double, named_method, patches_of
 from ._motion import motion
 from ._output import Output, title
 from ._requests import Deform
-from ._summary import Summary, faults, gate_facts, gate_table, table
+from ._summary import Summary
+from ._tables import faults, gate_facts, gate_table, table
 from ._told import check_files, described, write_job
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")

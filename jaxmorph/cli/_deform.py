@@ -17,7 +17,8 @@ from ._method import NamedMethod, named_method, patches_of
 from ._motion import motion
 from ._output import Output, title
 from ._requests import Deform
-from ._summary import Summary, coordinates, count, gate_facts, gate_table, table
+from ._summary import Summary, coordinates, count
+from ._tables import gate_facts, gate_table, table
 from ._told import check_files, described, wrapped, write_job
 
 SMALL = 10_000

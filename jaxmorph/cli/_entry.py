@@ -14,7 +14,8 @@ from ._flags import parser, request_of
 from ._interrupt import STATUS, raise_again
 from ._output import Output
 from ._parser import Parser, meant
-from ._requests import COMMANDS, Request, Speech
+from ._parts import Speech
+from ._requests import COMMANDS, Request
 
 
 def answer(words: Sequence[str], *, is_own: bool = False) -> int:

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ._parser import flag
+from ._parts import SEVERAL
 
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
-SEVERAL: dict[str, Any] = {"metavar": "NAME", "nargs": "+", "default": ()}
-"""Settings of flags of several patches."""
 
 
 class Moving(argparse.Action):

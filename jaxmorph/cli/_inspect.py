@@ -9,7 +9,8 @@ from jaxmorph import Mesh, _demo, io
 from ._judged import Judged
 from ._output import Output, title
 from ._requests import Demo, Info, Quality
-from ._summary import Summary, faults, gate_facts, gate_table, table
+from ._summary import Summary
+from ._tables import faults, gate_facts, gate_table, table
 
 
 def quality(request: Quality, out: Output) -> int:

@@ -13,7 +13,8 @@ from jaxmorph._host.package.toml import read, written
 
 from ._groups import Group
 from ._parser import Fields, flag_of, flags_of, meant
-from ._requests import Deform, Speech
+from ._parts import Speech
+from ._requests import Deform
 
 NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.fields(Speech)))
 """Flags that a job has not, or as a table."""

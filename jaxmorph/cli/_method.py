@@ -15,7 +15,8 @@ from jaxmorph._boundary.outer_faces import FreeFaces, OuterFaces
 from jaxmorph._boundary.symmetry import check_planes
 from jaxmorph._plan.halves import half_of
 
-from ._requests import Boundary, Deform, Method, Modes, Sensitivity
+from ._parts import Boundary, Method
+from ._requests import Deform, Modes, Sensitivity
 
 
 @dataclasses.dataclass(frozen=True)

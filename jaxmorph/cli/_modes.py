@@ -16,7 +16,8 @@ from ._judged import Judged
 from ._method import Patches, in_double, named_method, patches_of
 from ._output import Output, title
 from ._requests import Modes
-from ._summary import Summary, count, faults
+from ._summary import Summary, count
+from ._tables import faults
 
 BATCH = 8
 """Motions computed together."""

@@ -77,11 +77,10 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *, is_short: bool = False, **settings: Any):
         super().__init__(**settings, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
-        self.is_short, self.flags, self.sections = is_short, ["--help"], {None: self}
+        self.is_short, self.flags = is_short, ["--help"]
+        self.sections: dict[str, Any] = {"": self}
 
-    def add(
-        self, names: Sequence[str], settings: dict[str, Any], *, section: str | None = None, everyday: bool = False
-    ):
+    def add(self, names: Sequence[str], settings: dict[str, Any], *, section: str = "", everyday: bool = False):
         """Adds a flag, or a word without one, to a section of the page of help."""
         self.flags += [name for name in names if name.startswith("--")]
         if self.is_short and not everyday:
@@ -98,7 +97,7 @@ class Parser(argparse.ArgumentParser):
                 names = (field.name,)
             else:
                 names, settings = names or (flag_of(field.name),), settings | {"dest": field.name}
-            section = field.metadata["section"] or getattr(owner, "SECTION", None)
+            section = field.metadata["section"] or getattr(owner, "SECTION", "")
             self.add(names, settings, section=section, everyday=field.metadata["everyday"] or not self.is_short)
 
     def check_flags(self, words: Sequence[str]) -> None:

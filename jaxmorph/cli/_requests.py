@@ -5,17 +5,11 @@ import dataclasses
 from pathlib import Path
 from typing import Any, ClassVar
 
-from jaxmorph._advice.methods import METHODS
-
-from ._groups import SEVERAL, WHAT_MOVES, Group, Job
-from ._parser import Fields, flag, flag_of, one_of, part, positional, several, switch
+from ._groups import WHAT_MOVES, Group, Job
+from ._parser import Fields, flag, part, positional, several, switch
+from ._parts import SEVERAL, Boundary, Gates, Method, Speech
 
 MESH = "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D (.xyz, .p3d), or an OpenFOAM case"
-
-PRESETS = {"checkmesh": {"max_face_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
-"""OpenFOAM's checkMesh: `primitiveMesh::aspectThreshold_`, `nonOrthThreshold_`, `skewThreshold_`."""
-
-NAMES = [entry.name for entry in METHODS]
 
 
 def _output(name: str) -> Path:
@@ -40,88 +34,6 @@ def _change(word: str) -> tuple[str, tuple[float, ...]]:
     if not name or not values:
         raise argparse.ArgumentTypeError(f"{word!r} is not NAME=NUMBER or NAME=NUMBER,NUMBER,...")
     return name, values
-
-
-@dataclasses.dataclass(frozen=True)
-class Boundary:
-    """Patches that stay, lie in a plane, slide, repeat, and follow like inner nodes: names, patterns or groups."""
-
-    SECTION: ClassVar = "surface"
-
-    fixed: tuple[str, ...] = flag("patches that stay", everyday=True, **SEVERAL)
-    symmetry: tuple[str, ...] = flag("plane patches in which nodes slide", everyday=True, **SEVERAL)
-    sliding: tuple[str, ...] = flag("patches whose nodes move along their faces", action="extend", **SEVERAL)
-    periodic: tuple[str, ...] = flag(
-        "pairs of patches of which the second repeats the first, one name after the other", action="extend", **SEVERAL
-    )
-    free: tuple[str, ...] = flag(
-        "patches that may leave their place: their nodes follow like inner ones", action="extend", **SEVERAL
-    )
-
-
-@dataclasses.dataclass(frozen=True)
-class Method:
-    """The method by its name, how many sources it has on the moving patches (None: its own choice), and the precision."""
-
-    SECTION: ClassVar = "method"
-
-    method: str = flag(
-        "a method of the list below (default default)",
-        metavar="NAME",
-        choices=NAMES,
-        type=one_of("method", NAMES),
-        default="default",
-    )
-    sources: int | None = flag(
-        "about how many nodes of the moving patches are sources", metavar="N", type=int, everyday=True
-    )
-    dtype: str = flag(
-        "precision of the calculation; float32 takes half the memory, and is too coarse for boundary layers",
-        choices=("float64", "float32"),
-        default="float64",
-    )
-
-
-@dataclasses.dataclass(frozen=True)
-class Gates:
-    """Limits of quality, by the names of their flags."""
-
-    SECTION: ClassVar = "quality gates"
-
-    max_aspect_ratio: float | None = flag("largest aspect ratio", metavar="X", type=float)
-    max_non_orthogonality: float | None = flag("largest non-orthogonality in degrees", metavar="X", type=float)
-    max_skewness: float | None = flag("largest skewness of a cell, 0 to 1", metavar="X", type=float)
-    max_face_skewness: float | None = flag("largest skewness of a face, as checkMesh's", metavar="X", type=float)
-    max_face_aspect_ratio: float | None = flag(
-        "largest aspect ratio from areas of faces, as checkMesh's", metavar="X", type=float
-    )
-    min_jacobian_ratio: float | None = flag("smallest corner Jacobian over its initial value", metavar="X", type=float)
-    preset: str | None = flag(
-        "limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, skewness 4",
-        choices=tuple(PRESETS),
-    )
-
-    def __post_init__(self):
-        wrong = [name for name, limit in self.limits.items() if limit != limit]
-        if wrong:
-            raise ValueError(f"{flag_of(wrong[0])} needs a number, found nan.")
-
-    @property
-    def limits(self) -> dict[str, float]:
-        """Limits by the names of their flags: those of the preset, and of flags, which win."""
-        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "preset"}
-        limits = PRESETS.get(self.preset or "", {}) | {name: limit for name, limit in own.items() if limit is not None}
-        return {name: limits[name] for name in own if name in limits}
-
-
-@dataclasses.dataclass(frozen=True)
-class Speech:
-    """How a command speaks."""
-
-    SECTION: ClassVar = "output"
-
-    json: bool = switch("one JSON object on standard output in place of text")
-    verbose: bool = switch("how long each stage took")
 
 
 CHANGES: dict[str, Any] = {

@@ -12,7 +12,8 @@ from ._flags import request_of
 from ._method import named_method, patches_of
 from ._motion import Motion, motion
 from ._output import Output, title
-from ._requests import Boundary, Deform, Method, Sensitivity
+from ._parts import Boundary, Method
+from ._requests import Deform, Sensitivity
 from ._summary import count
 
 LISTED = 20

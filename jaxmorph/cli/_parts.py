@@ -1,0 +1,100 @@
+"""Flags that several commands have: the boundary, the method, limits of quality, and how a command speaks."""
+
+import dataclasses
+from typing import Any, ClassVar
+
+from jaxmorph._advice.methods import METHODS
+
+from ._parser import flag, flag_of, one_of, switch
+
+SEVERAL: dict[str, Any] = {"metavar": "NAME", "nargs": "+", "default": ()}
+"""Settings of flags of several patches."""
+
+PRESETS = {"checkmesh": {"max_face_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
+"""OpenFOAM's checkMesh: `primitiveMesh::aspectThreshold_`, `nonOrthThreshold_`, `skewThreshold_`."""
+
+NAMES = [entry.name for entry in METHODS]
+
+
+@dataclasses.dataclass(frozen=True)
+class Boundary:
+    """Patches that stay, lie in a plane, slide, repeat, and follow like inner nodes: names, patterns or groups."""
+
+    SECTION: ClassVar = "surface"
+
+    fixed: tuple[str, ...] = flag("patches that stay", everyday=True, **SEVERAL)
+    symmetry: tuple[str, ...] = flag("plane patches in which nodes slide", everyday=True, **SEVERAL)
+    sliding: tuple[str, ...] = flag("patches whose nodes move along their faces", action="extend", **SEVERAL)
+    periodic: tuple[str, ...] = flag(
+        "pairs of patches of which the second repeats the first, one name after the other", action="extend", **SEVERAL
+    )
+    free: tuple[str, ...] = flag(
+        "patches that may leave their place: their nodes follow like inner ones", action="extend", **SEVERAL
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """The method by its name, how many sources it has on the moving patches (None: its own choice), and the precision."""
+
+    SECTION: ClassVar = "method"
+
+    method: str = flag(
+        "one of the methods listed below",
+        metavar="NAME",
+        choices=NAMES,
+        type=one_of("method", NAMES),
+        default="default",
+    )
+    sources: int | None = flag(
+        "about how many nodes of the moving patches are sources", metavar="N", type=int, everyday=True
+    )
+    dtype: str = flag(
+        "precision of the calculation; float32 takes half the memory, and is too coarse for boundary layers",
+        choices=("float64", "float32"),
+        default="float64",
+    )
+
+
+def _limit(what: str) -> Any:
+    return flag(what, metavar="X", type=float)
+
+
+@dataclasses.dataclass(frozen=True)
+class Gates:
+    """Limits of quality, by the names of their flags."""
+
+    SECTION: ClassVar = "quality gates"
+
+    max_aspect_ratio: float | None = _limit("largest aspect ratio")
+    max_non_orthogonality: float | None = _limit("largest non-orthogonality in degrees")
+    max_skewness: float | None = _limit("largest skewness of a cell, 0 to 1")
+    max_face_skewness: float | None = _limit("largest skewness of a face, as checkMesh's")
+    max_face_aspect_ratio: float | None = _limit("largest aspect ratio from areas of faces, as checkMesh's")
+    min_jacobian_ratio: float | None = _limit("smallest corner Jacobian over its initial value")
+    preset: str | None = flag(
+        "limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, skewness 4",
+        choices=tuple(PRESETS),
+    )
+
+    def __post_init__(self):
+        wrong = [name for name, limit in self.limits.items() if limit != limit]
+        if wrong:
+            raise ValueError(f"{flag_of(wrong[0])} needs a number, found nan.")
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """Limits by the names of their flags: those of the preset, and of flags, which win."""
+        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "preset"}
+        limits = PRESETS.get(self.preset or "", {}) | {name: limit for name, limit in own.items() if limit is not None}
+        return {name: limits[name] for name in own if name in limits}
+
+
+@dataclasses.dataclass(frozen=True)
+class Speech:
+    """How a command speaks."""
+
+    SECTION: ClassVar = "output"
+
+    json: bool = switch("one JSON object on standard output in place of text")
+    verbose: bool = switch("how long each stage took")
