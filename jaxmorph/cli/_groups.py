@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -80,7 +81,7 @@ class Group:
 
     SECTION: ClassVar = "motion of the patches of the last --moving (one at least)"
 
-    patches: list[str] = flag(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving, **SEVERAL)
+    patches: Sequence[str] = flag(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving, **SEVERAL)
     displacement: Path | None = _in_group(
         "rows of node id, x, y[, z]; or .npz, .stl, .obj", metavar="FILE", type=Path, everyday=True
     )
@@ -92,7 +93,7 @@ class Group:
         choices=("position", "displacement"),
         default="position",
     )
-    mode: list[tuple[str, float]] = _in_group(
+    mode: Sequence[tuple[str, float]] = _in_group(
         "a file of displacements, times a number; may come several times",
         metavar=("FILE", "AMPLITUDE"),
         nargs=2,
