@@ -160,7 +160,7 @@ def _others(mesh: jm.Mesh) -> tuple[str, ...]:
 
 
 METHODS: dict[str, Callable[[Extent], jm.AbstractMethod]] = {
-    **{entry.title: entry.make for entry in methods.METHODS},
+    **{entry.title or entry.name: entry.make for entry in methods.METHODS},
     "compact RBF": lambda wall: jm.CompactRBF(wall.size),
     "elasticity 1/d": lambda wall: jm.LinearElasticity(jm.ByDistance(1.0)),
     "local correction": lambda wall: jm.SurfaceReconstruction(jm.RBF(), jm.LocalCorrection()),

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import importlib
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 if typing.TYPE_CHECKING:
@@ -27,137 +27,73 @@ class Entry:
     """One method of the list.
 
     - `name`: its name as a word, for flags and the table of `choose`.
-    - `make`: makes it for the lengths of a boundary. The module of the method is imported then, not before.
+    - `path`: the class, or its constructor, in `_methods`: `cells.springs.TorsionalSprings` stands in `cells/springs.py`.
     - `sentence`: what it is, for help and the output of commands.
     - `needs_cells`: True where it solves on the mesh's cells.
     - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or `none`.
     - `is_tried`: True where `choose` tries it, beside the radial functions that it varies itself.
     - `is_cure`: True where `jaxmorph deform` tries it after the default has inverted cells.
-    - `title`: its name in tables of the benchmarks. Default `name`.
+    - `title`: its name in tables of the benchmarks, where it is another one.
+    - `numbers`, `options`: what it is called with, the numbers from the lengths of a boundary.
+    - `is_coarse`: True for a field that `NearWall` corrects.
     """
 
     name: str
-    make: "Callable[[Lengths], AbstractMethod]"
+    path: str
     sentence: str
     needs_cells: bool = False
     sources: str = "none"
     is_tried: bool = False
     is_cure: bool = False
     title: str = ""
+    numbers: Callable[[Lengths], tuple[float, ...]] = lambda wall: ()
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    is_coarse: bool = False
 
-    def __post_init__(self):
-        object.__setattr__(self, "title", self.title or self.name)
+    def make(self, wall: Lengths) -> "AbstractMethod":
+        """Makes the method for the lengths of a boundary. Its module is imported now, not before."""
+        method = _found(self.path)(*self.numbers(wall), **self.options)
+        if self.is_coarse:
+            return _found("reconstruction.SurfaceReconstruction")(method, _found("nearwall.NearWall")())
+        return method
 
 
-def _made(path: str, *numbers: Any, **options: Any) -> Any:
-    """Calls a class or constructor of `_methods`: `cells.springs.TorsionalSprings` stands in `cells/springs.py`."""
+def _found(path: str) -> Any:
+    """Imports the module whose name comes before the first capital letter, and finds the rest in it."""
     words = path.split(".")
     first = next(k for k, word in enumerate(words) if word[0].isupper())
     module = importlib.import_module("." + ".".join(words[:first]), "jaxmorph._methods")
-    make: Any = functools.reduce(getattr, words[first:], module)
-    return make(*numbers, **options)
+    return functools.reduce(getattr, words[first:], module)
 
 
-def _corrected(coarse: Any) -> Any:
-    """Corrects a coarse field near the wall."""
-    return _made("reconstruction.SurfaceReconstruction", coarse, _made("nearwall.NearWall"))
+_COARSE = "reduced radial basis functions"
 
-
+# fmt: off
 METHODS = (
-    Entry(
-        "default",
-        lambda wall: _made("reconstruction.SurfaceReconstruction"),
-        "reduced radial basis functions + near-wall correction",
-        sources="some",
-    ),
-    Entry(
-        "published",
-        lambda wall: _made("reconstruction.SurfaceReconstruction.published"),
-        "reduced radial basis functions + graph",
-        sources="some",
-    ),
-    Entry(
-        "rbf",
-        lambda wall: _made("rbf.rbf.RBF.classic"),
-        "full radial basis functions",
-        sources="all",
-        title="classic RBF",
-    ),
-    Entry("graph", lambda wall: _made("delaunay.DelaunayGraph"), "Delaunay graph mapping", is_tried=True),
-    Entry(
-        "multiscale",
-        lambda wall: _made("multiscale.Multiscale.whole", 2 * wall.size, 0.1),
-        "compact functions from the largest scale to the smallest",
-        is_tried=True,
-    ),
-    Entry(
-        "laplacian",
-        lambda wall: _made("cells.laplacian.Laplacian"),
-        "Laplace's equation, diffusivity 1/distance^2",
-        needs_cells=True,
-        title="Laplacian 1/d^2",
-    ),
-    Entry(
-        "biharmonic",
-        lambda wall: _made("cells.laplacian.Biharmonic"),
-        "the biharmonic equation",
-        needs_cells=True,
-        is_tried=True,
-    ),
-    Entry(
-        "elasticity",
-        lambda wall: _made("cells.elasticity.LinearElasticity"),
-        "linear elasticity, stiff by 1/volume",
-        needs_cells=True,
-        is_tried=True,
-        is_cure=True,
-        title="elasticity 1/V",
-    ),
-    Entry(
-        "springs",
-        lambda wall: _made("cells.springs.SpringAnalogy"),
-        "springs along the edges",
-        needs_cells=True,
-        title="springs 1/l^2",
-    ),
-    Entry(
-        "torsional",
-        lambda wall: _made("cells.springs.TorsionalSprings"),
-        "torsional springs",
-        needs_cells=True,
-        is_tried=True,
-        is_cure=True,
-        title="torsional springs",
-    ),
-    Entry(
-        "inverse-distance",
-        lambda wall: _made("inverse_distance.InverseDistance"),
-        "inverse distances",
-        sources="all",
-        title="inverse distance",
-    ),
-    Entry(
-        "turning",
-        lambda wall: _made("inverse_distance.InverseDistance", rotations=True),
-        "inverse distances, with nodes that turn",
-        sources="all",
-        is_tried=True,
-        title="inverse distance, turning",
-    ),
-    Entry(
-        "rigid",
-        lambda wall: _corrected(_made("rigid.RigidBlend", 0.25 * wall.size, wall.gap)),
-        "a rigid motion that fades + near-wall correction",
-        is_tried=True,
-    ),
-    Entry(
-        "compact",
-        lambda wall: _made("rbf.compact.CompactRBF"),
-        "radial basis functions of compact support",
-        sources="all",
-        title="compact RBF",
-    ),
+    Entry("default", "reconstruction.SurfaceReconstruction", f"{_COARSE} + near-wall correction", sources="some"),
+    Entry("published", "reconstruction.SurfaceReconstruction.published", f"{_COARSE} + graph", sources="some"),
+    Entry("rbf", "rbf.rbf.RBF.classic", "full radial basis functions", sources="all", title="classic RBF"),
+    Entry("graph", "delaunay.DelaunayGraph", "Delaunay graph mapping", is_tried=True),
+    Entry("multiscale", "multiscale.Multiscale.whole", "compact functions from the largest scale to the smallest",
+          numbers=lambda wall: (2 * wall.size, 0.1), is_tried=True),
+    Entry("laplacian", "cells.laplacian.Laplacian", "Laplace's equation, diffusivity 1/distance^2",
+          needs_cells=True, title="Laplacian 1/d^2"),
+    Entry("biharmonic", "cells.laplacian.Biharmonic", "the biharmonic equation", needs_cells=True, is_tried=True),
+    Entry("elasticity", "cells.elasticity.LinearElasticity", "linear elasticity, stiff by 1/volume",
+          needs_cells=True, is_tried=True, is_cure=True, title="elasticity 1/V"),
+    Entry("springs", "cells.springs.SpringAnalogy", "springs along the edges", needs_cells=True, title="springs 1/l^2"),
+    Entry("torsional", "cells.springs.TorsionalSprings", "torsional springs",
+          needs_cells=True, is_tried=True, is_cure=True, title="torsional springs"),
+    Entry("inverse-distance", "inverse_distance.InverseDistance", "inverse distances",
+          sources="all", title="inverse distance"),
+    Entry("turning", "inverse_distance.InverseDistance", "inverse distances, with nodes that turn",
+          sources="all", is_tried=True, title="inverse distance, turning", options={"rotations": True}),
+    Entry("rigid", "rigid.RigidBlend", "a rigid motion that fades + near-wall correction",
+          numbers=lambda wall: (0.25 * wall.size, wall.gap), is_coarse=True, is_tried=True),
+    Entry("compact", "rbf.compact.CompactRBF", "radial basis functions of compact support",
+          sources="all", title="compact RBF"),
 )
+# fmt: on
 """Methods in the order in which `choose` tries them; ones that are not linear in `u` come after those that are."""
 
 

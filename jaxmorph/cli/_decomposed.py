@@ -130,7 +130,7 @@ def _check_flags(request: Deform) -> None:
     """Raises `ValueError` for flags that need the whole mesh."""
     if request.picture is not None or request.chunk is not None:
         flag = "--picture" if request.picture is not None else "--chunk"
-        raise ValueError(f"{flag} is not for --decomposed, which never has the whole mesh: leave it away.")
+        raise ValueError(f"{flag} is not for --decomposed, which never has the whole mesh: remove it.")
 
 
 def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray, str]:

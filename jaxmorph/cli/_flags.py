@@ -16,8 +16,13 @@ def parser(*, is_short: bool = True) -> tuple[Parser, dict[str, Parser]]:
     The command's name is parsed as `command`. `is_short` leaves rare flags out of the pages of help.
     """
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
-    top.add(["--version"], {"action": Version, "nargs": 0, "help": "show the versions of all that computes"})
-    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=Parser)
+    top.add(
+        ["--version"],
+        {"action": Version, "nargs": 0, "help": "show the versions of jaxmorph, JAX, NumPy, SciPy and Python"},
+    )
+    commands = top.add_subparsers(
+        title="commands", dest="command", metavar="COMMAND", required=True, parser_class=Parser
+    )
     parsers = {}
     for name, fields in COMMANDS.items():
         page = _help.PAGES[name]

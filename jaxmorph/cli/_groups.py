@@ -83,38 +83,44 @@ class Group:
 
     patches: Sequence[str] = flag(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving, **SEVERAL)
     displacement: Path | None = _in_group(
-        "rows of node id, x, y[, z]; or .npz, .stl, .obj", metavar="FILE", type=Path, everyday=True
+        "new positions: rows of node id, x, y[, z]; or .npz, .stl, .obj", metavar="FILE", type=Path, everyday=True
     )
     displacement_from: Path | None = _in_group(
-        "the surface (.stl, .obj, .npz) that --displacement's is the moved one of", metavar="FILE", type=Path
+        "the undeformed surface (.stl, .obj, .npz), if --displacement is a deformed one",
+        metavar="FILE",
+        type=Path,
     )
     displacement_is: str = _in_group(
-        "what x, y[, z] of the file are: new positions (default), or displacements",
+        "whether x, y[, z] of the file are new positions (default) or displacements",
         choices=("position", "displacement"),
         default="position",
     )
     mode: Sequence[tuple[str, float]] = _in_group(
-        "a file of displacements, times a number; may come several times",
+        "a file of displacements, and a factor; may be repeated",
         metavar=("FILE", "AMPLITUDE"),
         nargs=2,
         default=(),
     )
     box: str | None = _in_group("a free-form deformation box, see below", metavar="FILE")
     lattice: Path | None = _in_group(
-        "its lattice for ParaView, before and after: FILE_before.vts, FILE_after.vts", metavar="FILE.vts", type=Path
+        "write the lattice of the box for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts", type=Path
     )
-    scale: list[float] | None = _in_group("factor, or one for each coordinate", metavar="S", type=float, nargs="+")
-    twist: float | None = _angle("degrees by which the end of the line along --along is turned about it, 3-D only")
+    scale: list[float] | None = _in_group("factor, or a factor for each coordinate", metavar="S", type=float, nargs="+")
+    twist: float | None = _angle("degrees by which the end of the line --along turns about the line, 3-D only")
     bend: float | None = _angle(
-        "degrees by which that line becomes an arc, towards the cross product of --axis and --along"
+        "degrees of the arc that the line --along becomes, towards the cross product of --axis and --along"
     )
     rotate: float | None = _angle("degrees, counterclockwise; right-handed about --axis", everyday=True)
     translate: list[float] | None = _vector("vector to translate by", everyday=True)
-    about: list[float] | None = _vector("point to scale, twist, bend, rotate about (the origin)", everyday=True)
-    axis: list[float] | None = _vector("axis of rotation and bending, 3-D only", everyday=True)
-    along: list[float] | None = _vector("line from --about of twisting and bending")
-    length: float | None = _in_group("its length; default as far as the patches reach", metavar="L", type=float)
-    name: str | None = _in_group("what --set calls this motion (default its patches)", metavar="NAME")
+    about: list[float] | None = _vector(
+        "centre of scaling, twist, bend and rotation (default: the origin)", everyday=True
+    )
+    axis: list[float] | None = _vector("axis of rotation and bend, 3-D only", everyday=True)
+    along: list[float] | None = _vector("direction of the line from --about, for twist and bend")
+    length: float | None = _in_group(
+        "length of the line (default: up to the end of the patches)", metavar="L", type=float
+    )
+    name: str | None = _in_group("name of this motion for --set (default: its patches)", metavar="NAME")
     said: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
 
     @property

@@ -24,13 +24,11 @@ class Boundary:
 
     fixed: tuple[str, ...] = flag("patches that stay", everyday=True, **SEVERAL)
     symmetry: tuple[str, ...] = flag("plane patches in which nodes slide", everyday=True, **SEVERAL)
-    sliding: tuple[str, ...] = flag("patches whose nodes move along their faces", action="extend", **SEVERAL)
+    sliding: tuple[str, ...] = flag("patches whose nodes slide along their faces", action="extend", **SEVERAL)
     periodic: tuple[str, ...] = flag(
-        "pairs of patches of which the second repeats the first, one name after the other", action="extend", **SEVERAL
+        "pairs of patches that repeat each other, one name after the other", action="extend", **SEVERAL
     )
-    free: tuple[str, ...] = flag(
-        "patches that may leave their place: their nodes follow like inner ones", action="extend", **SEVERAL
-    )
+    free: tuple[str, ...] = flag("patches whose nodes follow like inner nodes", action="extend", **SEVERAL)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,5 +94,5 @@ class Speech:
 
     SECTION: ClassVar = "output"
 
-    json: bool = switch("one JSON object on standard output in place of text")
-    verbose: bool = switch("how long each stage took")
+    json: bool = switch("print one JSON object in place of text")
+    verbose: bool = switch("print how long each stage took")

@@ -43,7 +43,7 @@ CHANGES: dict[str, Any] = {
     "type": _change,
     "default": (),
 }
-CHANGES_HELP = "other numbers for named parts of the motion, such as twist=2 or 'box[1,2,0]=0.1'"
+CHANGES_HELP = "new values of design variables, such as twist=2 or 'box[1,2,0]=0.1'"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,15 +52,17 @@ class Deform:
 
     file: Path = positional(MESH, "IN", type=Path)
     output: Path = positional(
-        "where to write it; the ending chooses the format; for a case a new one, or CASE/TIME", "OUT", type=_output
+        "where to write the mesh: the ending chooses the format; for an OpenFOAM case a new folder, or CASE/TIME",
+        "OUT",
+        type=_output,
     )
     decomposed: bool = switch(
-        "IN is a decomposed OpenFOAM case: take its folders processor* part by part, under mpiexec several at a time"
+        "IN is a decomposed OpenFOAM case: move its folders processor* one by one, or several at a time under mpiexec"
     )
     job: Path | None = flag("read the flags from a TOML file", metavar="FILE", type=Path, action=Job)
-    save_job: Path | None = flag("write such a file of this run", metavar="FILE", type=_output)
+    save_job: Path | None = flag("write a TOML file with the flags of this run", metavar="FILE", type=_output)
     picture: Path | None = flag(
-        "draw before and after (.png), in 3-D also a page to turn and deform it (.html)",
+        "draw the mesh before and after (.png); in 3-D also as a page to turn and deform (.html)",
         metavar="FILE",
         type=_output,
         everyday=True,
@@ -69,11 +71,9 @@ class Deform:
     boundary: Boundary = part(Boundary)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
     method: Method = part(Method)
-    steps: int = flag(
-        "steps to make the motion in (default 1)", metavar="N", type=int, default=1, section="method", everyday=True
-    )
+    steps: int = flag("number of steps (default 1)", metavar="N", type=int, default=1, section="method", everyday=True)
     chunk: int | None = flag(
-        "prepare and move N points at a time: less memory until the cells are judged, some more time, the same mesh",
+        "prepare and move N points at a time: less memory until the cells are judged, a little more time",
         metavar="N",
         type=int,
         section="method",
@@ -83,7 +83,7 @@ class Deform:
         "write OUT even when cells are inverted or a gate fails", section="when cells are bad"
     )
     dry_run: bool = switch(
-        "do not try more sources and steps for advice", "--no-dry-run", default=True, section="when cells are bad"
+        "do not try other flags for advice", "--no-dry-run", default=True, section="when cells are bad"
     )
     speech: Speech = part(Speech)
 
@@ -104,7 +104,9 @@ class Modes:
 
     file: Path = positional(MESH, "IN", type=Path)
     output: Path = positional(
-        "a time series, OUT.pvd of .vtu files; else files OUT_0001, OUT_0002, ... of its ending", "OUT", type=_output
+        "a time series OUT.pvd of .vtu files; with another ending one file a case, OUT_0001, OUT_0002, ...",
+        "OUT",
+        type=_output,
     )
     moving: tuple[str, ...] = flag(WHAT_MOVES, section="surface", everyday=True, **SEVERAL)
     boundary: Boundary = part(Boundary)
@@ -119,7 +121,7 @@ class Modes:
         everyday=True,
     )
     amplitude: tuple[float, ...] = flag(
-        "factors for each of them (default 1)",
+        "factors for each mode (default 1)",
         metavar="A",
         type=float,
         nargs="+",
@@ -145,9 +147,11 @@ class Sensitivity:
         "SENS",
         type=Path,
     )
-    output: Path = positional("where to write it: .csv or .npz; with --job .csv or .json", "OUT", type=_output)
+    output: Path = positional(
+        "where to write dJ/d(moving nodes): .csv or .npz; with --job .csv or .json", "OUT", type=_output
+    )
     job: Path | None = flag(
-        "a job of deform: go on to its design variables (IN is then its file)",
+        "a job of deform: take derivatives by its design variables (leave IN out)",
         metavar="FILE",
         type=Path,
         everyday=True,
