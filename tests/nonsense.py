@@ -529,23 +529,6 @@ TABLE: dict[str, dict[str, Argument]] = {
         "path": path("new") - "ending folder",  # the folder is looked for on entering
         "ranks": Argument(None, {"number": 3, "word": "a", "list": [1]}),
     },
-    "io.Ranges": {
-        "path": Argument(Lazy(lambda: ranges().path), (path("box.su2") - "folder").nonsense),
-        "rows": count(9),
-        "folder": Argument(FOLDER, (path("folder") - "none").nonsense),
-    },
-    "io.Ranges.cells": {},
-    "io.Ranges.surface": {},
-    "io.Ranges.check_output": {"path": path("new.su2")},
-    "io.Ranges.nodes": {"k": count(0, 0, beyond=3)},
-    "io.Ranges.put": {
-        "k": count(0, 0, beyond=3),
-        "points": Argument(
-            np.ones((9, 3)), {"none": None, "word": "a", "fewer": np.ones((3, 3)), "nan": np.full((9, 3), np.nan)}
-        ),
-    },
-    "io.Ranges.read": {"k": count(0, 0, beyond=3)},
-    "io.Ranges.write": {"path": path("new.su2")},
     "io.XDMFSeries": {"path": path("a.xdmf"), "mesh": mesh()},
     "io.cell_arrays": {"report": instance(report, jm.QualityReport)},
     "io.check_gradient_output": {"path": path("a.csv")},
@@ -875,16 +858,7 @@ def decomposed() -> io.Decomposed:
     return io.Decomposed(FOLDER / "case")
 
 
-@functools.cache
-def ranges() -> io.Ranges:
-    """The bricks in three ranges, all of their boundary in one marker."""
-    outside = np.flatnonzero(((PLACES.min(axis=0) == PLACES) | (PLACES.max(axis=0) == PLACES)).any(axis=1))
-    io.write(FOLDER / "box.su2", jm.Mesh(PLACES, BRICKS.cells, {"all": outside}))
-    return io.Ranges(FOLDER / "box.su2", 9)
-
-
 OWNERS: dict[str, Callable[[], Any]] = {
-    "io.Ranges": ranges,
     "io.Decomposed": decomposed,
     "io.XDMFSeries": series,
     "jm.Chunks": chunks,

@@ -10,7 +10,6 @@ from ._moved import cell_arrays as cell_arrays
 from ._moved import write_moved as write_moved
 from ._periodic import periodic as periodic
 from ._periodic import symmetry as symmetry
-from ._ranges import Ranges as Ranges
 from ._registry import check_output as check_output
 from ._registry import read as read
 from ._registry import write as write
