@@ -514,7 +514,6 @@ TABLE: dict[str, dict[str, Argument]] = {
         "points": MOVED - "none nan infinite",
         "softness": LENGTH - "none",
     },
-    "io.XDMFSeries.add": {"time": number(0.0), "moved": mesh(), "report": instance(report, jm.QualityReport)},
     "io.Decomposed": {"path": path("case") - "folder"},
     "io.Decomposed.check_output": {"path": path("new") - "ending"},
     "io.Decomposed.folder": {"k": count(0, 0, beyond=2)},
@@ -529,7 +528,6 @@ TABLE: dict[str, dict[str, Argument]] = {
         "path": path("new") - "ending folder",  # the folder is looked for on entering
         "ranks": Argument(None, {"number": 3, "word": "a", "list": [1]}),
     },
-    "io.XDMFSeries": {"path": path("a.xdmf"), "mesh": mesh()},
     "io.cell_arrays": {"report": instance(report, jm.QualityReport)},
     "io.check_gradient_output": {"path": path("a.csv")},
     "io.check_lattice_output": {"file": path("a.vts")},
@@ -845,11 +843,6 @@ def half() -> jm.SurfaceHalf:
 
 
 @functools.cache
-def series() -> io.XDMFSeries:
-    return io.XDMFSeries(FOLDER / "series.xdmf", MESH)
-
-
-@functools.cache
 def decomposed() -> io.Decomposed:
     """A case of two parts, of four hexahedra each."""
     sides = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
@@ -860,7 +853,6 @@ def decomposed() -> io.Decomposed:
 
 OWNERS: dict[str, Callable[[], Any]] = {
     "io.Decomposed": decomposed,
-    "io.XDMFSeries": series,
     "jm.Chunks": chunks,
     "jm.Mesh": lambda: MESH,
     "jm.Plan": plan,

@@ -8,6 +8,7 @@ from ._lattice import check_lattice_output as check_lattice_output
 from ._lattice import write_lattice as write_lattice
 from ._moved import cell_arrays as cell_arrays
 from ._moved import write_moved as write_moved
+from ._moved import write_pvd as write_pvd
 from ._periodic import periodic as periodic
 from ._periodic import symmetry as symmetry
 from ._registry import check_output as check_output
@@ -16,8 +17,6 @@ from ._registry import write as write
 from ._sensitivity import check_sensitivity_output as check_sensitivity_output
 from ._sensitivity import read_sensitivity as read_sensitivity
 from ._sensitivity import write_sensitivity as write_sensitivity
-from ._series import XDMFSeries as XDMFSeries
-from ._series import write_pvd as write_pvd
 from ._surface import read_surface as read_surface
 from .openfoam.parts import Decomposed as Decomposed
 from .openfoam.parts import global_nodes as global_nodes

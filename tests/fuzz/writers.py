@@ -143,18 +143,6 @@ def plans(folder: pathlib.Path) -> Output:
     return Output("a.npz", lambda path, k: jm.save(path, prepared[k]))
 
 
-def series(folder: pathlib.Path) -> Output:
-    mesh = bricks(12)
-    report = jm.quality(mesh)
-
-    def write(path: pathlib.Path, k: int) -> None:
-        with io.XDMFSeries(path, mesh) as opened:
-            for step in range(2):
-                opened.add(float(step), moved(mesh, k + step), report)
-
-    return Output("a.xdmf", write, beside=(".h5",))
-
-
 def collection(folder: pathlib.Path) -> Output:
     steps = np.arange(5000)
     names = [f"{k}.vtu" for k in steps]
@@ -217,7 +205,6 @@ FORMATS: dict[str, Callable[[pathlib.Path], Output]] = {
     "OpenFOAM, binary": foam_case("binary", "case/0.5"),
     "OpenFOAM, parts": parts,
     "plans": plans,
-    "XDMF": series,
     "PVD": collection,
     "sensitivities": of_rows("s.csv", lambda path, rows: io.write_sensitivity(path, TABLE, rows)),
     "sensitivities, packed": of_rows("s.npz", lambda path, rows: io.write_sensitivity(path, TABLE, rows)),
