@@ -507,7 +507,6 @@ TABLE: dict[str, dict[str, Argument]] = {
         "axis": count(0, 0, beyond=3) - "none less",
     },
     "jm.velocity": {"plan": a_plan(), "u": MOTION, "u_dot": MOTION},
-    "jm.untangle": {"mesh": mesh(), "points": MOVED},
     "jm.wall_quality": {
         "mesh": mesh(),
         "wall": ids(MESH.patch("wall"), N, name="nonsense"),
