@@ -48,8 +48,6 @@ class Output:
 
     name: str
     write: Write
-    beside: tuple[str, ...] = ()
-    """Endings of further files of the same name."""
     source: pathlib.Path | None = None
     """The file that the mesh was read from, where `io.write` would write to it."""
     is_folder: bool = False
@@ -310,17 +308,8 @@ class Attack:
         self.output.write(self.target, k)
 
     def found(self) -> dict[str, bytes]:
-        """What stands at the target and beside it."""
-        found = without(tree(self.target))
-        for ending in self.output.beside:
-            found |= dict.fromkeys([ending], *tree(self.target.with_suffix(ending)).values())
-        return found
-
-    def is_one_of(self, found: dict[str, bytes], *states: dict[str, bytes]) -> bool:
-        """Whether each file is that of one state; a folder as a whole."""
-        if self.output.beside:
-            return all(any(found[name] == state[name] for state in states) for name in states[0])
-        return found in states
+        """What stands at the target."""
+        return without(tree(self.target))
 
     def old(self, k: int) -> dict[str, bytes]:
         """Brings the target into the state `k`; a new folder is none."""
@@ -347,7 +336,7 @@ class Attack:
                 os.kill(number, signal.SIGKILL)
             inside += os.WIFSIGNALED(os.waitpid(number, 0)[1])
             halves += bool(leftovers(self.folder))
-            is_right = self.is_one_of(self.found(), old, self.states[k])
+            is_right = self.found() in (old, self.states[k])
             self.expect(is_right, "kill", f"kill {tries} after {moment:.4f} of {duration:.4f} s: neither old nor new")
             self.good(k)
             self.expect(not leftovers(self.folder), "kill", f"kill {tries}: left {leftovers(self.folder)}")
@@ -378,7 +367,6 @@ class Attack:
         kind, words = answer(work)
         self.expect(kind in (kinds or ("OSError",)), how, f"{kind or 'no error'}: {words}")
         name = str(target or self.target)
-        name = str(pathlib.Path(name).with_suffix("")) if self.output.beside else name
         self.expect(name in words and ".partial" not in words, how, f"target not named: {words}")
         after = tree(self.folder)
         changed = sorted({*before} ^ {*after}) + sorted(
@@ -393,7 +381,7 @@ class Attack:
         for limit in (0, sizes[-1] // 2, sizes[-1] - 1):
             if self.output.is_new or limit < sizes[-1]:
                 self.refused(f"limit of {limit} bytes", lambda limit=limit: self._limited(limit))
-        if not self.output.is_folder and not self.output.beside:
+        if not self.output.is_folder:
             self.refused("full device", self._on_full_device)
 
     def _limited(self, limit: int) -> None:
