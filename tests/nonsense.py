@@ -425,7 +425,6 @@ TABLE: dict[str, dict[str, Argument]] = {
         "mesh": mesh(),
         **NODES,
         **METHOD,
-        "steps": count(1),
         "chunk": count(4) - "none",
     },
     "jm.face_quality": {"mesh": mesh(), "points": MOVED - "none nan infinite"},

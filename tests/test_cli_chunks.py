@@ -158,8 +158,6 @@ def test_the_estimate_is_of_one_chunk():
     moving, fixed = mesh.patch("z0"), mesh.patch("z1", "x1", "y1")
     whole, parts = (jm.estimate(large, moving, fixed, chunk=size) for size in (None, 9000))
     assert parts.memory < whole.memory - 40e6
-    assert parts.seconds > whole.seconds
-    assert parts.judging == whole.judging
     half = jm.estimate(large.moved(large.points.astype(np.float32)), moving, fixed)
     assert half.memory < whole.memory - 40e6
 
@@ -175,7 +173,7 @@ def test_the_estimate_knows_the_sources():
 
 
 def test_the_estimate_of_many_sources_is_that_of_iterations():
-    """Known from a run: 17,147 sources took 0.55 GB and 7 s."""
+    """Known from a run: 17,147 sources took 0.55 GB."""
     rng = np.random.default_rng(0)
     mesh = jm.Mesh(rng.random((64764, 3)), {"tetra": np.array([[0, 1, 2, 3]])})
     every = jm.AllPoints()
@@ -189,4 +187,3 @@ def test_the_estimate_of_many_sources_is_that_of_iterations():
         for solver in (None, jm.Iterative(dense=100), jm.Direct())
     )
     assert 0.4e9 < few.memory < iterated.memory < 0.8e9 < direct.memory
-    assert 5 < iterated.deforming < 40 < direct.deforming
