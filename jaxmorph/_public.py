@@ -67,7 +67,6 @@ from ._methods.rbf.solvers import Direct as Direct
 from ._methods.rbf.solvers import Iterative as Iterative
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._methods.rigid import RigidBlend as RigidBlend
-from ._plan.chunks import Chunks as Chunks
 from ._plan.chunks import prepare_in_chunks as prepare_in_chunks
 from ._plan.halves import SurfaceHalf as SurfaceHalf
 from ._plan.halves import prepare_surface as prepare_surface

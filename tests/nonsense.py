@@ -21,7 +21,6 @@ BUILT = {
     *(
         "jm.BoundaryQuality",
         "jm.Choice",
-        "jm.Chunks",
         "jm.Estimate",
         "jm.FaceQuality",
         "jm.FreeFaces",
@@ -281,8 +280,6 @@ TABLE: dict[str, dict[str, Argument]] = {
     "jm.ByDistance": {"exponent": number(1.0)},
     "jm.ByVolume": {"exponent": number(1.0)},
     "jm.Centre": {},
-    "jm.Chunks.march": {"path": PATH},
-    "jm.Chunks.plan": {"k": count(0, 0, beyond=99)},
     "jm.CompactC0": WIDTH,
     "jm.CompactC1": WIDTH,
     "jm.CompactC2a": WIDTH,
@@ -831,11 +828,6 @@ TABLE: dict[str, dict[str, Argument]] = {
 
 
 @functools.cache
-def chunks() -> jm.Chunks:
-    return jm.prepare_in_chunks(MESH, "wall", "far", size=8, method=jm.InverseDistance())
-
-
-@functools.cache
 def half() -> jm.SurfaceHalf:
     return jm.prepare_surface(MESH, "wall", "far", method=jm.InverseDistance())
 
@@ -851,7 +843,6 @@ def decomposed() -> io.Decomposed:
 
 OWNERS: dict[str, Callable[[], Any]] = {
     "io.Decomposed": decomposed,
-    "jm.Chunks": chunks,
     "jm.Mesh": lambda: MESH,
     "jm.Plan": plan,
     "jm.QualityReport": report,

@@ -181,10 +181,9 @@ def test_what_crossed_before_is_no_news(squares):
 
 
 def test_a_part_names_nodes_of_the_whole(squares):
-    chunks = jm.prepare_in_chunks(squares, "left", ("right", "outer"), size=40, method=METHOD)
-    plan = chunks.plan(0)
+    nodes, plan = next(jm.prepare_in_chunks(squares, "left", ("right", "outer"), size=40, method=METHOD))
     whole = found(squares, "left", (1.4, 0.7))
-    part = jm.inspect(plan, np.tile([1.4, 0.7], (plan.n_moving, 1)), mesh=squares, nodes=chunks.nodes[0])
+    part = jm.inspect(plan, np.tile([1.4, 0.7], (plan.n_moving, 1)), mesh=squares, nodes=nodes)
     assert part.crossings is not None
     np.testing.assert_array_equal(np.sort(part.crossings.nodes, axis=None), np.sort(whole.nodes, axis=None))
     assert part.offset_node in squares.patch("left", "right", "outer")

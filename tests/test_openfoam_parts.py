@@ -62,9 +62,9 @@ def test_a_part_has_no_boundary_to_other_parts(divided):
     assert (part.points[between][:, :, 0] == 1).all()
     inner = np.setdiff1d(np.arange(len(ids)), part.patch("floor", "roof", "sides"))
     assert len(inner) == 2  # one between the parts, one between the last cells
-    named = jm.prepare_in_chunks(part, "floor", "roof", free="sides")
-    assert named.free_faces is not None
-    assert named.free_faces.total == 20  # of 24 around these eight cubes
+    left = boundary(part, "floor", "roof", (), "sides", (), ()).left
+    assert left is not None
+    assert left.total == 20  # of 24 around these eight cubes
 
 
 def test_the_surface_is_that_of_the_whole(divided):

@@ -30,7 +30,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
         given = io.read_sensitivity(request.sensitivity, mesh)
     with out.progress("preparing"):
         choice = named_method(request.method, np.asarray(mesh.points)[moving])
-        plan = patches.plan(patches.chunks(choice))
+        plan = patches.plan(choice)
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
     out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
     if job is None or moves is None:

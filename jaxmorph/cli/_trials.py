@@ -77,8 +77,9 @@ def _works(attempt: Attempt, method: Method, steps: int) -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            chunks = attempt.patches.chunks(named_method(method, attempt.wall), attempt.request.chunk)
-            points = attempt.points(chunks, attempt.patches.plan(chunks), steps)
+            points = attempt.points(
+                attempt.patches.chunks(named_method(method, attempt.wall), attempt.request.chunk), steps
+            )
         except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
             return False
         return not attempt.judge(points)[1]
