@@ -21,6 +21,7 @@ BUILT = {
     *(
         "jm.BoundaryQuality",
         "jm.Choice",
+        "jm.Control",
         "jm.Estimate",
         "jm.FaceQuality",
         "jm.FreeFaces",
@@ -42,6 +43,7 @@ CONTRACT = {
         "check",
         "closest",
         "connect",
+        "control",
         "dense_count",
         "entries",
     ),

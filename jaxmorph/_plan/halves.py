@@ -21,6 +21,7 @@ from .._host.surface.skin import has_free_sides
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface, check_kind
+from .._methods.rbf.fitted import sees_free_sides
 from .._methods.reconstruction import SurfaceReconstruction
 from .plan import Plan, SurfacePart
 from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
@@ -83,6 +84,9 @@ class SurfaceHalf:
         **Raises:** `ValueError` for a surface node that is named twice, or lies elsewhere than in the half. Also what `prepare`
         raises for points: outside of the hull, or not finite.
         """
+        # Methods connect to the whole surface and to the piece at once: the piece's points come first, then the half's points that
+        # it lacks, so that tolerances are those of the whole mesh. Rows of the surface name points of this list; the rows
+        # from n on are cut off again, and their numbers stay in the plan for nodes that other pieces have.
         plan, points = self.plan, checked_points(points)
         if points.shape[1] != plan.points.shape[1]:
             raise ValueError(f"`points` has shape {points.shape}; the surface has {plan.points.shape[1]} dimensions.")
@@ -92,7 +96,6 @@ class SurfaceHalf:
         self._check_sides(points, place)
         points = points.astype(plan.points.dtype)
         points[place[place >= 0]] = np.asarray(plan.points)[place >= 0]
-        # nodes of the half that the piece does not have: tolerances are those of the whole mesh, whatever the piece
         absent = np.flatnonzero(place < 0)
         count, rows = len(points), np.where(place < 0, len(points) + np.cumsum(place < 0) - 1, place)
         together = np.concatenate([points, np.asarray(plan.points)[absent]])
@@ -109,7 +112,7 @@ class SurfaceHalf:
 
     def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:
         """Raises `ValueError` for points on a free side of a mesh that was taken for one without."""
-        if self.faces is not None or self.is_open or not self.plan.method.sees_free_sides:
+        if self.faces is not None or self.is_open or not sees_free_sides(self.plan.method):
             return
         is_inner = np.ones(len(points), dtype=bool)
         is_inner[place[place >= 0]] = False
