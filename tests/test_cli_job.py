@@ -16,7 +16,7 @@ from ring import write_ring
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._plan import chunks as _chunks
-from jaxmorph.cli import _progress, main
+from jaxmorph.cli import _output, main
 
 
 @pytest.fixture
@@ -246,7 +246,7 @@ def test_single_precision_moves_to_its_precision_and_the_wall_exactly(here):
 
 
 def test_time_left_is_told_where_it_is_known():
-    stage = _progress.Stage("deforming")
+    stage = _output.Stage("deforming")
     stage.began = time.monotonic() - 10
     assert str(stage) == "deforming ... 10 s"
     stage.done(0.25)
@@ -312,7 +312,7 @@ jaxmorph.io.read = reading
         WHILE_IMPORTING.format(module="jax"),
         *(
             pytest.param(how, marks=pytest.mark.slow)
-            for how in (WHILE_IMPORTING.format(module="jaxmorph.cli._modes"), IN_A_CALLBACK)
+            for how in (WHILE_IMPORTING.format(module="jaxmorph.cli._inspect"), IN_A_CALLBACK)
         ),
     ],
     ids=["importing JAX", "importing the last", "collecting garbage"],

@@ -2,21 +2,22 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from .._host.cells.adjacency import handedness, neighbours
 from .._host.linear.products import cross, dot
-from .._host.package.arguments import checked
+from .._host.package.arguments import checked, whole
 from .._mesh.mesh import Mesh
-from .report import HEADING, place_of, table_row
+from .report import check_inverted, ranked, table_of
 from .sides import Block, Group, Sides
 
 Columns = Any
 """Components of vectors: a sequence of columns, or an array whose first axis runs over them."""
 
+MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid", "volume_ratio")
 FLOOR = 1e-300
 
 
@@ -38,11 +39,15 @@ class FaceQuality:
       least a sixth of the sums' total over the volume to the power of 2/3. It depends on how a cell lies in the axes.
     - `non_orthogonality`: in degrees, the largest over the inner faces.
     - `centroid`: the centre of mass (k, d).
-    - `counted`: False for boundary elements. They have 0, and aspect ratio and pyramid 1.
+    - `counted`: False for boundary elements. They have 0, and aspect ratio, pyramid and volume ratio 1.
+    - `volume_ratio`: volume over undeformed volume; 1 where that was zero.
 
     `mean_non_orthogonality` is checkMesh's average, one number: the angle whose cosine is the mean of the inner faces' cosines.
-    `str(measured)` is a table. Its other means are weighted by volume.
+    `min`, `mean`, `max` of a measure, `worst` and `raise_if_inverted` are those of `QualityReport`, over the cells that count.
+    Other means are weighted by volume. `str(measured)` is a table.
     """
+
+    rule: ClassVar[str] = "volumes and face pyramids"
 
     volume: Float[np.ndarray, " k"]
     pyramid: Float[np.ndarray, " k"]
@@ -53,23 +58,62 @@ class FaceQuality:
     centroid: Float[np.ndarray, "k d"]
     counted: Bool[np.ndarray, " k"]
     mean_non_orthogonality: float
+    volume_ratio: Float[np.ndarray, " k"]
+
+    @property
+    def count(self) -> int:
+        """Number of cells that count."""
+        return int(np.count_nonzero(self.counted))
+
+    @property
+    def inverted(self) -> int:
+        """Number of inverted cells."""
+        return int(self.is_inverted[self.counted].sum())
+
+    def min(self, name: str) -> float:
+        """Returns the smallest value of the measure called `name`."""
+        return float(self._measure(name)[self.counted].min())
+
+    def max(self, name: str) -> float:
+        """Returns the largest value of the measure called `name`."""
+        return float(self._measure(name)[self.counted].max())
+
+    def mean(self, name: str) -> float:
+        """Averages the measure called `name`, weighted by area or volume; non-orthogonality as checkMesh does."""
+        if name == "non_orthogonality":
+            return self.mean_non_orthogonality
+        values, weight = self._measure(name)[self.counted], np.abs(self.volume[self.counted])
+        return float(np.average(values, weights=weight)) if weight.sum() > 0 else float("nan")
+
+    @checked
+    def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray:
+        """Lists the ids of the worst cells, the worst first; `centroid[ids]` is where they are.
+
+        **Arguments:**
+
+        - `k`: how many cells, default 5.
+        - `by`: the measure to rank by. By default inverted cells come first, then those of the smallest pyramid.
+
+        **Raises:** `ValueError` for a measure that is not known.
+        """
+        whole("k", k, 0)
+        name = by or "pyramid"
+        return ranked(self._measure(name), name, self.counted, None if by else self.is_inverted)[:k]
+
+    def raise_if_inverted(self) -> None:
+        """Raises `ValueError` where cells are inverted: how many, and where the first one is."""
+        check_inverted(self)
+
+    def _measure(self, name: str) -> np.ndarray:
+        if name not in MEASURES:
+            raise ValueError(f"no measure is called {name!r}; there are {', '.join(MEASURES)}.")
+        return getattr(self, name)
 
     def __repr__(self) -> str:
-        return f"FaceQuality({np.count_nonzero(self.counted)} cells)"
+        return f"FaceQuality({self.count} cells)"
 
     def __str__(self) -> str:
-        ids = np.flatnonzero(self.counted)
-        lines = [f"{len(ids)} cells: {int(self.is_inverted[ids].sum())} inverted", HEADING]
-        weight = np.abs(self.volume[ids])
-        for name in ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid"):
-            values = getattr(self, name)[ids]
-            badness = -values if name in ("volume", "pyramid") else values
-            cell = ids[np.where(np.isnan(badness), np.inf, badness).argmax()]
-            mean = np.average(values, weights=weight) if weight.sum() > 0 else np.nan
-            mean = self.mean_non_orthogonality if name == "non_orthogonality" else mean
-            numbers = [float(values.min()), float(mean), float(values.max())]
-            lines.append(table_row(name, numbers, cell, place_of(self.centroid[cell])))
-        return "\n".join(lines)
+        return table_of(self, f"{self.count} cells: {self.inverted} inverted", MEASURES[:-1])
 
 
 @checked
@@ -92,16 +136,27 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
     return measured(mesh, Sides.listed(mesh), points)
 
 
-def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> FaceQuality:
-    """Measures cells as `face_quality` does, with the faces found before: `sides` are those of `mesh`."""
+def measured(
+    mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None, undeformed: FaceQuality | None = None
+) -> FaceQuality:
+    """Measures cells as `face_quality` does, with what was found before: `sides` of `mesh`, and its quality `undeformed`."""
     points = np.asarray(mesh.points if points is None else points, dtype=float)
     if points.shape != tuple(mesh.points.shape):
         raise ValueError(f"`points` has shape {points.shape}; this mesh has {tuple(mesh.points.shape)}.")
+    is_turned = mesh.polyhedra is None and mesh.between is None
     with np.errstate(all="ignore"):  # points may be NaN
-        shape = _Shape.measured(sides, points)
-        if mesh.polyhedra is None and mesh.between is None:
-            shape.turn(_turns(mesh, sides, points, shape.volume))
-        return _of_shape(sides, shape, points)
+        shape, base = _Shape.measured(sides, points), np.asarray(mesh.points, dtype=float)
+        if np.array_equal(points, base):
+            old = shape.volume.copy()
+        elif undeformed is None or is_turned:
+            old = _Shape.measured(sides, base).volume
+        else:
+            old = undeformed.volume * points.shape[1]
+        if is_turned:
+            sign = _turns(mesh, old)
+            shape.turn(sign)
+            old = old if sign is None else old * sign
+        return _of_shape(sides, shape, points, old)
 
 
 @dataclasses.dataclass(eq=False)
@@ -150,7 +205,10 @@ class _Shape:
                 area *= sign[group.owner]
 
 
-def _of_shape(sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"]) -> FaceQuality:
+def _of_shape(
+    sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"], old: Float[np.ndarray, " k"]
+) -> FaceQuality:
+    """Makes the report of a shape; `old` are the undeformed volumes, `d` times, as those of the shape."""
     columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
     counts, noise = sides.counts, 8 * np.finfo(float).eps * np.abs(points).max()
     is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
@@ -183,6 +241,7 @@ def _of_shape(sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"]) -> 
         shape.middle.T.copy(),
         counted,
         float(np.degrees(np.arccos(np.clip(cosines[0] / cosines[1], -1, 1)))) if cosines[1] else 0.0,
+        np.where(old == 0, 1.0, shape.volume / np.where(old == 0, 1.0, old)),
     )
 
 
@@ -256,15 +315,11 @@ def _polygon(x: Sequence[Columns]) -> tuple[Columns, Columns]:
     return [m - each / (3 * total) for m, each in zip(mean, moment, strict=True)], [a / 2 for a in area]
 
 
-def _turns(
-    mesh: Mesh, sides: Sides, points: Float[np.ndarray, "n d"], volume: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, " k"] | None:
-    """Finds the sign that makes cells positive where the mesh has them: by neighbours, and by the volume that they enclose.
+def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"] | None:
+    """Finds the sign that makes the undeformed volumes positive: by neighbours, and by the volume that they enclose.
 
     None where all are. A motion that turns a part of the mesh inside out leaves no neighbour to tell so.
     """
-    if points is not mesh.points and not np.array_equal(points, np.asarray(mesh.points)):
-        volume = _Shape.measured(sides, np.asarray(mesh.points, dtype=float)).volume
     if not (volume < 0).any():
         return None
     turn = np.ones(len(volume))

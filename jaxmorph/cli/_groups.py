@@ -2,40 +2,14 @@
 
 import argparse
 import dataclasses
-import pathlib
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
+from ._parser import flag
 
-@dataclasses.dataclass
-class Group:
-    """Patches and their motion, as the flags give it; `given` are the flags that have been."""
-
-    patches: list[str] = dataclasses.field(default_factory=list)
-    name: str | None = None
-    displacement: pathlib.Path | None = None
-    displacement_from: pathlib.Path | None = None
-    displacement_is: str = "position"
-    mode: list[tuple[str, float]] = dataclasses.field(default_factory=list)
-    box: str | None = None
-    lattice: pathlib.Path | None = None
-    scale: list[float] | None = None
-    twist: float | None = None
-    bend: float | None = None
-    rotate: float | None = None
-    translate: list[float] | None = None
-    about: list[float] | None = None
-    axis: list[float] | None = None
-    along: list[float] | None = None
-    length: float | None = None
-    given: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
-
-    @property
-    def title(self) -> str:
-        return ", ".join(self.patches)
-
-
-MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box")
-"""The fields of a group that move something."""
+WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
+SEVERAL: dict[str, Any] = {"metavar": "NAME", "nargs": "+", "default": ()}
+"""Settings of flags of several patches."""
 
 
 class Moving(argparse.Action):
@@ -49,7 +23,7 @@ class Moving(argparse.Action):
             groups.append(Group(list(values)))
 
 
-class Part(argparse.Action):
+class InGroup(argparse.Action):
     """One flag of the motion of the last group."""
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
@@ -58,11 +32,11 @@ class Part(argparse.Action):
             groups.append(Group())
         group = groups[-1]
         if self.dest == "mode":
-            group.mode.append(_mode(parser, values))
+            group.mode = [*group.mode, _mode(parser, values)]
             return
-        if self.dest in group.given:
+        if self.dest in group.said:
             parser.error(f"{option_string} twice for one --moving; name the patches by --moving again to go on.")
-        group.given.add(self.dest)
+        group.said.add(self.dest)
         setattr(group, self.dest, values)
 
 
@@ -71,14 +45,14 @@ class Job(argparse.Action):
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
         for group in _groups(namespace):
-            group.given.clear()
+            group.said.clear()
         setattr(namespace, self.dest, values)
 
 
-def _groups(namespace: argparse.Namespace) -> list[Group]:
-    if namespace.moving is None:
-        namespace.moving = []
-    return namespace.moving
+def _groups(namespace: argparse.Namespace) -> "list[Group]":
+    if "groups" not in namespace:
+        namespace.groups = []
+    return namespace.groups
 
 
 def _mode(parser: argparse.ArgumentParser, values: Any) -> tuple[str, float]:
@@ -87,3 +61,66 @@ def _mode(parser: argparse.ArgumentParser, values: Any) -> tuple[str, float]:
         return file, float(amplitude)
     except ValueError:
         parser.error(f"argument --mode: the amplitude of {file} is a number, found {amplitude!r}.")
+
+
+def _in_group(what: str, **settings: Any) -> Any:
+    return flag(what, action=InGroup, **settings)
+
+
+def _vector(what: str, **settings: Any) -> Any:
+    return _in_group(what, metavar=("X", "Y"), type=float, nargs="+", **settings)
+
+
+def _angle(what: str, **settings: Any) -> Any:
+    return _in_group(what, metavar="DEG", type=float, **settings)
+
+
+@dataclasses.dataclass
+class Group:
+    """Patches that move and their motion: `--moving` and the flags after it. `said` are the flags that have been."""
+
+    SECTION: ClassVar = "motion of the patches of the last --moving (one at least)"
+
+    patches: list[str] = flag(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving, **SEVERAL)
+    displacement: Path | None = _in_group(
+        "rows of node id, x, y[, z]; or .npz, .stl, .obj", metavar="FILE", type=Path, everyday=True
+    )
+    displacement_from: Path | None = _in_group(
+        "the surface (.stl, .obj, .npz) that --displacement's is the moved one of", metavar="FILE", type=Path
+    )
+    displacement_is: str = _in_group(
+        "what x, y[, z] of the file are: new positions (default), or displacements",
+        choices=("position", "displacement"),
+        default="position",
+    )
+    mode: list[tuple[str, float]] = _in_group(
+        "a file of displacements, times a number; may come several times",
+        metavar=("FILE", "AMPLITUDE"),
+        nargs=2,
+        default=(),
+    )
+    box: str | None = _in_group("a free-form deformation box, see below", metavar="FILE")
+    lattice: Path | None = _in_group(
+        "its lattice for ParaView, before and after: FILE_before.vts, FILE_after.vts", metavar="FILE.vts", type=Path
+    )
+    scale: list[float] | None = _in_group("factor, or one for each coordinate", metavar="S", type=float, nargs="+")
+    twist: float | None = _angle("degrees by which the end of the line along --along is turned about it, 3-D only")
+    bend: float | None = _angle(
+        "degrees by which that line becomes an arc, towards the cross product of --axis and --along"
+    )
+    rotate: float | None = _angle("degrees, counterclockwise; right-handed about --axis", everyday=True)
+    translate: list[float] | None = _vector("vector to translate by", everyday=True)
+    about: list[float] | None = _vector("point to scale, twist, bend, rotate about (the origin)", everyday=True)
+    axis: list[float] | None = _vector("axis of rotation and bending, 3-D only", everyday=True)
+    along: list[float] | None = _vector("line from --about of twisting and bending")
+    length: float | None = _in_group("its length; default as far as the patches reach", metavar="L", type=float)
+    name: str | None = _in_group("what --set calls this motion (default its patches)", metavar="NAME")
+    said: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
+
+    @property
+    def title(self) -> str:
+        return ", ".join(self.patches)
+
+
+MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box")
+"""The fields of a group that move something."""

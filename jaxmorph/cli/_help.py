@@ -2,6 +2,8 @@
 
 import dataclasses
 
+from jaxmorph._advice.methods import METHODS
+
 
 @dataclasses.dataclass(frozen=True)
 class Page:
@@ -14,6 +16,13 @@ class Page:
     usage: str
     long: str
     short: str = ""
+
+
+def _with_methods(text: str) -> str:
+    """Puts the list of methods before the examples of a page."""
+    lines = [f"  {entry.name + ' *' * entry.needs_cells:<17} {entry.sentence}" for entry in METHODS]
+    above, examples, below = text.partition("examples:\n")
+    return "\n".join([f"{above}methods (* is solved on the cells):", *lines, "", examples + below])
 
 
 MAIN = """\
@@ -190,14 +199,14 @@ PAGES = {
         """IN OUT --moving NAME ... MOTION ... [--moving ...]
            --fixed NAME ... [--symmetry NAME ...] [METHOD ...] [GATE ...]
        jaxmorph deform --job FILE""",
-        DEFORM,
+        _with_methods(DEFORM),
         DEFORM_SHORT,
     ),
     "modes": Page(
         "move a mesh by many shapes or amplitudes at once",
         """IN OUT --moving NAME ... --fixed NAME ... --mode FILE ...
            [--amplitude A ...] [--symmetry NAME ...] [METHOD ...] [GATE ...]""",
-        MODES,
+        _with_methods(MODES),
         MODES_SHORT,
     ),
     "sensitivity": Page(
@@ -205,7 +214,7 @@ PAGES = {
         """IN SENS OUT --moving NAME ... --fixed NAME ...
            [--symmetry NAME ...] [METHOD ...]
        jaxmorph sensitivity --job FILE SENS OUT""",
-        SENSITIVITY,
+        _with_methods(SENSITIVITY),
         SENSITIVITY_SHORT,
     ),
     "quality": Page("quality of a mesh's cells", "FILE [FILE2] [GATE ...]", QUALITY),

@@ -12,12 +12,11 @@ from jaxtyping import Float
 import jaxmorph as jm
 from jaxmorph import Mesh, io
 
-from . import _gates
 from ._judged import Judged
 from ._method import Patches, in_double, named_method, patches_of
 from ._output import Output, title
 from ._requests import Modes
-from ._tables import count, inverted_cells, numbers
+from ._summary import Summary, count, faults
 
 BATCH = 8
 """Motions computed together."""
@@ -41,24 +40,25 @@ def modes(request: Modes, out: Output) -> int:
     cases = _cases(request)
     patches = _check(request, mesh, cases)
     with out.progress("reading the modes"):
-        shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.modes]
+        shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.mode]
     with out.progress("preparing"):
-        choice = named_method(request.method, np.asarray(mesh.points)[patches.nodes])
+        choice = named_method(request.method, patches)
         plan = patches.plan(choice)
-    what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitudes), 'amplitude')}"
+    what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)
-    before = Judged(mesh, mesh.points)
-    ratio = "V" if before.by_faces else "J"
+    base, limits = Judged(mesh, mesh.points), request.gates.limits
+    before = Summary.of(base, limits)
+    ratio = "V" if base.by_faces else "J"
     out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
     with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
-            judged = Judged(mesh, points, before)
-            failed = [inverted_cells(judged), *_gates.failures(request.gates, before, judged)]
-            failed = [sentence for sentence in failed if sentence]
+            judged = Judged(mesh, points, base)
+            after = Summary.of(judged, limits)
+            failed = faults(before, after)
             bad += bool(failed)
-            _tell(case, request.modes[case.mode], judged, failed, out)
+            _tell(case, request.mode[case.mode], after, failed, out)
             if not failed or request.allow_inverted:
                 judged.write(case.output)
                 good.append(case)
@@ -68,9 +68,9 @@ def modes(request: Modes, out: Output) -> int:
 
 def _cases(request: Modes) -> list[Case]:
     """Names a file beside OUT for each case, with the case's number. Times are amplitudes if these go up."""
-    amplitudes = request.amplitudes
-    pairs = [(mode, amplitude) for mode in range(len(request.modes)) for amplitude in amplitudes]
-    go_up = len(request.modes) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
+    amplitudes = request.amplitude
+    pairs = [(mode, amplitude) for mode in range(len(request.mode)) for amplitude in amplitudes]
+    go_up = len(request.mode) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
     suffix = ".vtu" if request.output.suffix == ".pvd" else request.output.suffix
     name = request.output.stem
     cases = []
@@ -82,8 +82,8 @@ def _cases(request: Modes) -> list[Case]:
 
 def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
     """Looks up the patches. Raises `ValueError` for a request that is sure to fail, before any work."""
-    patches = patches_of(request.surface, mesh, request.file)
-    if not np.isfinite(request.amplitudes).all():
+    patches = patches_of(request, mesh)
+    if not np.isfinite(request.amplitude).all():
         raise ValueError("--amplitude needs finite numbers.")
     for case in cases:
         io.check_output(case.output, mesh)
@@ -105,13 +105,15 @@ def _moved(
             yield case, in_double(np.asarray(mesh.points), moved[k], np.asarray(plan.moving), u[k], plan.method.exact)
 
 
-def _tell(case: Case, file: pathlib.Path, judged: Judged, failed: list[str], out: Output) -> None:
-    skewness, ratio = judged.number(*judged.measures[1]), judged.number(*judged.ratios[-1])
-    inverted = int(judged.inverted[judged.counted].sum())
+def _tell(case: Case, file: pathlib.Path, judged: Summary, failed: list[str], out: Output) -> None:
+    skewness = next(
+        number.value for (kind, name), number in judged.rows.items() if kind == "max" and "skewness" in name
+    )
+    ratio, inverted = list(judged.rows.values())[-1].value, judged.inverted
     name = file.name if len(file.name) <= 26 else f"...{file.name[-23:]}"
     out.say(f"{case.number:>6}{case.amplitude:>12.5g}{skewness:>12.5g}{ratio:>12.5g}{inverted:>10}  {name}")
     facts = {"mode": str(file), "amplitude": case.amplitude, "output": str(case.output), "problems": failed}
-    out.facts.setdefault("cases", []).append(facts | numbers(judged))
+    out.facts.setdefault("cases", []).append(facts | judged.facts)
     for sentence in failed:
         out.complain(f"case {case.number}: {sentence}")
 
