@@ -128,3 +128,12 @@ class SumField(AbstractField):
 
     def evaluate(self, points, ids):
         return map_points(self.first, points, ids[0]) + map_points(self.second, points, ids[1])
+
+
+def sees_free_sides(method: AbstractMethod) -> bool:
+    """Tells whether a method is a `FittedRBF` or has one, whose field depends on `Surface.is_open`."""
+
+    def is_fitted(each: object) -> bool:
+        return isinstance(each, FittedRBF)
+
+    return any(map(is_fitted, jax.tree.leaves(method, is_leaf=is_fitted)))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike, Int, Integer, Real
 
-from .._boundary.boundary import Boundary, boundary
+from .._boundary.boundary import Boundary, find_boundary
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane
@@ -56,23 +56,23 @@ def prepare_in_chunks(
         check_kind(method, AbstractMethod, "method", "jm.RBF()")
         if size is not None:
             refuse_cells(method)
-    return chunks_of(boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method, size)
+    return chunks_of(find_boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method, size)
 
 
 def chunks_of(
-    named: Boundary, method: AbstractMethod | None, size: int | None
+    boundary: Boundary, method: AbstractMethod | None, size: int | None
 ) -> Iterator[tuple[Int[np.ndarray, " c"], Plan]]:
     """Yields nodes and plans of the chunks of what has been checked.
 
     Each of k chunks has the surface and every k-th of the other nodes. Those that are one node short start again with the first,
     so that all chunks have one length and share compiled code.
     """
-    points = named.points
+    points = boundary.points
     if size is None:
-        yield np.arange(len(points)), plan_of(named, method)
+        yield np.arange(len(points)), plan_of(boundary, method)
         return
-    named = between_planes(named, method)
-    half, surface = half_of(named, method, np.arange(len(points))), np.unique(named.nodes)
+    boundary = between_planes(boundary, method)
+    half, surface = half_of(boundary, method, np.arange(len(points))), np.unique(boundary.nodes)
     others = np.setdiff1d(np.arange(len(points)), surface, assume_unique=True)
     count = max(1, -(-len(others) // size))
     steps = count * np.arange(-(-len(others) // count))

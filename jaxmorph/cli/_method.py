@@ -11,8 +11,8 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._advice.methods import METHODS, Entry, entry
 from jaxmorph._advice.rivals import Extent
-from jaxmorph._boundary import boundary as nodes_and_planes
-from jaxmorph._boundary.boundary import boundary, planes_of
+from jaxmorph._boundary.boundary import Boundary as NodeLists
+from jaxmorph._boundary.boundary import find_boundary, planes_of
 from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._boundary.symmetry import check_planes
 from jaxmorph._plan.chunks import chunks_of
@@ -106,7 +106,7 @@ class Patches:
         return self._plans(named, choice, size)
 
     def _plans(
-        self, named: nodes_and_planes.Boundary, choice: NamedMethod, size: int | None
+        self, named: NodeLists, choice: NamedMethod, size: int | None
     ) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
         try:
             yield from chunks_of(named, choice.method, size)
@@ -125,10 +125,10 @@ class Patches:
         """Prepares the mesh as a whole. Raises as `chunks` does."""
         return next(self.chunks(choice))[1]
 
-    def _boundary(self, choice: NamedMethod, outer: OuterFaces | None = None) -> nodes_and_planes.Boundary:
+    def _boundary(self, choice: NamedMethod, outer: OuterFaces | None = None) -> NodeLists:
         """Looks up all nodes in the lists. Raises `ValueError` for boundary faces of patches that no flag names."""
         mesh, lists = self.mesh.moved(self.points(choice)), (self.planes, self.free, self.periodic, self.sliding)
-        named = boundary(mesh, self.moving, self.fixed, *lists, outer=outer)
+        named = find_boundary(mesh, self.moving, self.fixed, *lists, outer=outer)
         free = named.left
         if free is not None and free.patches:
             raise ValueError(

@@ -240,15 +240,6 @@ class FittedRBF(AbstractMethod):
         return jax.scipy.linalg.cho_solve((factors.moments, True), moments)
 
 
-def sees_free_sides(method: AbstractMethod) -> bool:
-    """Tells whether a method is a `FittedRBF` or has one, whose field depends on `Surface.is_open`."""
-
-    def is_fitted(each: object) -> bool:
-        return isinstance(each, FittedRBF)
-
-    return any(map(is_fitted, jax.tree.leaves(method, is_leaf=is_fitted)))
-
-
 class WallIds(eqx.Module):
     """Rows of the surface: sources, nodes and edges of the fit; for each edge the nearest held row and two ends of its wall.
 
