@@ -264,9 +264,7 @@ def test_what_may_not_fit_into_memory_is_told_before_the_work(here, capsys, monk
     assert "estimate" not in said.out
     monkeypatch.setattr(_deform, "LARGE", 200)
     assert main(["deform", "ring.su2", "out.su2", *MOVE, "--method", "rbf"]) == 0
-    assert re.search(
-        r"estimate 216 points, 48 surface nodes, 48 sources: about \S+ GB, \S+ s\n", capsys.readouterr().out
-    )
+    assert re.search(r"estimate 216 points, 48 surface nodes, 48 sources: about \S+ GB\n", capsys.readouterr().out)
 
 
 @pytest.mark.slow

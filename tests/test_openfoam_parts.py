@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._boundary.boundary import boundary
+from jaxmorph._boundary.boundary import find_boundary
 from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._host.package.ranks import Agreement, Alone, together
 from jaxmorph.cli import main
@@ -64,9 +64,9 @@ def test_a_part_has_no_boundary_to_other_parts(divided):
     assert (part.points[between][:, :, 0] == 1).all()
     inner = np.setdiff1d(np.arange(len(ids)), part.patch("floor", "roof", "sides"))
     assert len(inner) == 2  # one between the parts, one between the last cells
-    named = jm.prepare_in_chunks(part, "floor", "roof", free="sides")
-    assert named.free_faces is not None
-    assert named.free_faces.total == 20  # of 24 around these eight cubes
+    left = find_boundary(part, "floor", "roof", (), "sides", (), ()).left
+    assert left is not None
+    assert left.total == 20  # of 24 around these eight cubes
 
 
 def test_the_surface_is_that_of_the_whole(divided):
@@ -76,8 +76,8 @@ def test_the_surface_is_that_of_the_whole(divided):
     np.testing.assert_array_equal(surface.points, whole.points[ids])
     for name in whole.patches:
         np.testing.assert_array_equal(ids[surface.patch(name)], whole.patch(name))
-    named = boundary(surface, "floor", "roof", (), "sides", outer=OuterFaces.numbered(surface.cells))
-    expected = boundary(whole, "floor", "roof", (), "sides")
+    named = find_boundary(surface, "floor", "roof", (), "sides", outer=OuterFaces.numbered(surface.cells))
+    expected = find_boundary(whole, "floor", "roof", (), "sides")
     np.testing.assert_array_equal(ids[named.nodes], expected.nodes)
     assert named.is_open == expected.is_open
     assert str(named.left) == str(expected.left)

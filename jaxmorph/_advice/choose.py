@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._boundary.boundary import boundary
+from .._boundary.boundary import find_boundary
 from .._boundary.images import Images
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
@@ -127,7 +127,7 @@ def choose(
     **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for no `leaves`, and for `methods` that are
     no methods by name. Also what `prepare` raises where it refuses every candidate.
     """
-    named = boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
+    named = find_boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
     named.warn_of_free_faces()
     motions = _checked_motions(motions, (len(named.moving), mesh.points.shape[1]))
     _check_tries(leaves, tolerance, methods)

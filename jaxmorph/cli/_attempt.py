@@ -2,10 +2,10 @@
 
 import dataclasses
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 import jaxmorph as jm
 from jaxmorph._advice.methods import METHODS, entry
@@ -49,12 +49,23 @@ class Attempt:
         return self.base[self.patches.nodes]
 
     def points(
-        self, chunks: jm.Chunks, plan: jm.Plan, steps: int, done: Callable[[float], None] | None = None
+        self,
+        chunks: Iterable[tuple[Int[np.ndarray, " c"], jm.Plan]],
+        steps: int,
+        done: Callable[[float], None] | None = None,
     ) -> Float[np.ndarray, "n d"]:
-        """Moves the points, in double precision; `done` is called with the finished share."""
-        path = self.motion.path(self.wall, steps)
-        moved = chunks.march(path, first=plan, done=done if len(chunks) > 1 else None)
-        return in_double(self.base, moved, self.patches.nodes, path[-1], plan.method.exact)
+        """Moves the points chunk by chunk, in double precision; `done` is called with the finished share."""
+        path, points = self.motion.path(self.wall, steps), self.base.copy()
+        is_moved = np.zeros(len(points), dtype=bool)
+        for nodes, plan in chunks:
+            moved = jm.deform(plan, path[0]) if steps == 1 else jm.march(plan, path)[1]
+            here = np.flatnonzero(np.isin(nodes, self.patches.nodes))
+            of_wall = np.searchsorted(self.patches.nodes, nodes[here])
+            points[nodes] = in_double(self.base[nodes], moved, here, path[-1][of_wall], plan.method.exact)
+            is_moved[nodes] = True
+            if done is not None:
+                done(is_moved.mean())
+        return points
 
     def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, Summary, list[str]]:
         """Judges the moved mesh, sums it up, and says one sentence for each fault."""
@@ -123,7 +134,7 @@ def _works(attempt: Attempt, method: Method, steps: int) -> bool:
         warnings.simplefilter("ignore")
         try:
             chunks = attempt.patches.chunks(named_method(method, attempt.patches), attempt.request.chunk)
-            points = attempt.points(chunks, attempt.patches.plan(chunks), steps)
+            points = attempt.points(chunks, steps)
         except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
             return False
         return not attempt.judge(points)[2]

@@ -2,7 +2,9 @@
 
 import dataclasses
 import importlib
+import itertools
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,9 @@ from ._requests import Deform
 from ._summary import Summary, coordinates, count
 from ._tables import gate_facts, gate_table, table
 from ._told import check_files, described, wrapped, write_job
+
+Chunks = Iterator[tuple[np.ndarray, jm.Plan]]
+"""Nodes and plans of a mesh in chunks, one after the other."""
 
 SMALL = 10_000
 """Points, times steps, up to which compilation takes longer than all else."""
@@ -65,7 +70,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod, jm.Chunks]:
+def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMethod, Chunks]:
     """Checks the request, describes it on the terminal, and collects what an attempt needs."""
     _check(request, mesh)
     patches = patches_of(request, mesh)
@@ -101,19 +106,19 @@ def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
         out.warn(f"{size} may not fit into memory; {other} --dtype float32 need less.")
 
 
-def _moved(attempt: Attempt, chunks: jm.Chunks, out: Output) -> tuple[np.ndarray, jm.Inspection, jm.BoundaryQuality]:
+def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, jm.Inspection, jm.BoundaryQuality]:
     """Moves the points, inspects the motion before, warns of what no method moves well, and judges the moved boundary."""
     steps = attempt.request.steps
     with out.progress("preparing"):
-        plan = attempt.patches.plan(chunks)
+        nodes, plan = next(chunks)
     with out.progress("inspecting the motion"):
         u, mesh = attempt.motion.path(attempt.wall, 1)[-1], attempt.patches.mesh
-        inspection = jm.inspect(plan, u, mesh=mesh, nodes=chunks.nodes[0])
+        inspection = jm.inspect(plan, u, mesh=mesh, nodes=nodes)
         for warning in inspection.warnings:
             out.warn(warning)
     with out.progress(f"deforming in {count(steps, 'step')}") as stage:
-        points, part = attempt.points(chunks, plan, steps, stage.done), chunks.nodes[0]
-        return points, inspection, jm.boundary_quality(plan, points[part]).renumbered(part)
+        points = attempt.points(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
+        return points, inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
@@ -10,9 +11,11 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._advice.methods import METHODS, Entry, entry
 from jaxmorph._advice.rivals import Extent
-from jaxmorph._boundary.boundary import boundary, planes_of
-from jaxmorph._boundary.outer_faces import FreeFaces, OuterFaces
+from jaxmorph._boundary.boundary import Boundary as NodeLists
+from jaxmorph._boundary.boundary import find_boundary, planes_of
+from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._boundary.symmetry import check_planes
+from jaxmorph._plan.chunks import chunks_of
 from jaxmorph._plan.halves import half_of
 
 from ._parts import Boundary, Method
@@ -92,41 +95,47 @@ class Patches:
         """Returns the mesh's points in the precision of the calculation."""
         return np.asarray(self.mesh.points).astype(choice.dtype, copy=False)
 
-    def chunks(self, choice: NamedMethod, size: int | None = None) -> jm.Chunks:
-        """Cuts the mesh into parts of `size` inner nodes. Raises the `ValueError` of `explained`, and one for unnamed patches."""
-        mesh, surface = self.mesh.moved(self.points(choice)), (self.moving, self.fixed)
-        kept = {"symmetry": self.planes, "sliding": self.sliding, "periodic": self.periodic, "free": self.free}
+    def chunks(self, choice: NamedMethod, size: int | None = None) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
+        """Cuts the mesh into chunks of `size` inner nodes: an iterator over the nodes and the plan of each.
+
+        It raises the `ValueError` of `explained`, and one for unnamed patches.
+        """
         try:
-            chunks = jm.prepare_in_chunks(mesh, *surface, size=size, method=choice.method, **kept)
+            named = self._boundary(choice)
         except jm.MeshError as error:
             raise self.explained(error) from None
-        self._check_free(chunks.free_faces)
-        return chunks
+        return self._plans(named, choice, size)
+
+    def _plans(
+        self, named: NodeLists, choice: NamedMethod, size: int | None
+    ) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
+        try:
+            yield from chunks_of(named, choice.method, size)
+        except jm.MeshError as error:
+            raise self.explained(error) from None
 
     def half(self, choice: NamedMethod) -> jm.SurfaceHalf:
-        """Prepares the surface of a mesh in parts, which `mesh` is. Raises what `chunks` does."""
-        mesh, outer = self.mesh.moved(self.points(choice)), OuterFaces.numbered(self.mesh.cells)
-        kept = (self.planes, self.free, self.periodic, self.sliding)
+        """Prepares the surface of a mesh in parts, which `mesh` is. Raises as `chunks` does."""
         try:
-            named = boundary(mesh, self.moving, self.fixed, *kept, outer=outer)
-            self._check_free(named.left)
-            return half_of(named, choice.method, io.global_nodes(mesh))
+            named = self._boundary(choice, OuterFaces.numbered(self.mesh.cells))
+            return half_of(named, choice.method, io.global_nodes(self.mesh))
         except jm.MeshError as error:
             raise self.explained(error) from None
 
-    def _check_free(self, free: FreeFaces | None) -> None:
-        """Raises `ValueError` for boundary faces of patches that no flag names."""
+    def plan(self, choice: NamedMethod) -> jm.Plan:
+        """Prepares the mesh as a whole. Raises as `chunks` does."""
+        return next(self.chunks(choice))[1]
+
+    def _boundary(self, choice: NamedMethod, outer: OuterFaces | None = None) -> NodeLists:
+        """Looks up all nodes in the lists. Raises `ValueError` for boundary faces of patches that no flag names."""
+        mesh, lists = self.mesh.moved(self.points(choice)), (self.planes, self.free, self.periodic, self.sliding)
+        named = find_boundary(mesh, self.moving, self.fixed, *lists, outer=outer)
+        free = named.left
         if free is not None and free.patches:
             raise ValueError(
                 f"{free} Name them by --fixed, --moving, --symmetry, --sliding or --periodic, or by --free."
             )
-
-    def plan(self, chunks: jm.Chunks) -> jm.Plan:
-        """Prepares the first part. Raises the `ValueError` of `explained`."""
-        try:
-            return chunks.plan(0)
-        except jm.MeshError as error:
-            raise self.explained(error) from None
+        return named
 
 
 def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:

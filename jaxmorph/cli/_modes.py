@@ -44,7 +44,7 @@ def modes(request: Modes, out: Output) -> int:
         shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.mode]
     with out.progress("preparing"):
         choice = named_method(request.method, patches)
-        plan = patches.plan(patches.chunks(choice))
+        plan = patches.plan(choice)
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)

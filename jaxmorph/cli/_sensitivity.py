@@ -35,7 +35,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
         given = io.read_sensitivity(request.sensitivity, mesh)
     with out.progress("preparing"):
         choice = named_method((job or request).method, patches)
-        plan = patches.plan(patches.chunks(choice))
+        plan = patches.plan(choice)
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
     out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
     if job is None or moves is None:
