@@ -12,7 +12,7 @@ from jaxmorph._advice.methods import METHODS, entry
 from jaxmorph._advice.rivals import MOST_POINTS
 
 from ._judged import Judged
-from ._method import NamedMethod, Patches, in_double, named_method
+from ._method import NamedMethod, Patches, in_double
 from ._motion import Motion
 from ._output import Output
 from ._parts import Method
@@ -133,7 +133,7 @@ def _works(attempt: Attempt, method: Method, steps: int) -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            chunks = attempt.patches.chunks(named_method(method, attempt.patches), attempt.request.chunk)
+            chunks = attempt.patches.chunks(attempt.patches.method(method), attempt.request.chunk)
             points = attempt.points(chunks, steps)
         except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
             return False

@@ -11,7 +11,7 @@ from jaxmorph._host.package.ranks import Alone, Ranks, together
 
 from ._attempt import MORE
 from ._judged import Judged
-from ._method import in_double, named_method, patches_of
+from ._method import in_double, patches_of
 from ._motion import motion
 from ._output import Output, title
 from ._requests import Deform
@@ -140,7 +140,7 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
     wall = np.asarray(surface.points)[patches.nodes]
     moves = motion(request, surface, patches.nodes)
     with out.progress("preparing the surface"):
-        choice = named_method(request.method, patches)
+        choice = patches.method(request.method)
         if choice.method.needs_cells:
             raise ValueError(f"--decomposed is not for {request.method.method}, which solves for all nodes at once.")
         path = moves.path(wall, request.steps)

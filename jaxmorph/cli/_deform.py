@@ -15,7 +15,7 @@ from jaxmorph._kernels.compile import quickly_compiled
 
 from ._attempt import Attempt, explain
 from ._judged import Judged
-from ._method import NamedMethod, named_method, patches_of
+from ._method import NamedMethod, patches_of
 from ._motion import motion
 from ._output import Output, title
 from ._requests import Deform
@@ -79,7 +79,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     wall = np.asarray(mesh.points)[patches.nodes]
     moves = motion(request, mesh, patches.nodes)
     with out.progress("choosing sources"):
-        choice = named_method(request.method, patches, request.chunk)
+        choice = patches.method(request.method, request.chunk)
         chunks = patches.chunks(choice, request.chunk)
     n, d = mesh.points.shape
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())

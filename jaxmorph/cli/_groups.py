@@ -12,6 +12,11 @@ from ._parts import SEVERAL
 WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
 
 
+def table(word: str) -> str:
+    """Reads the name of a TOML file, or its table as JSON."""
+    return word
+
+
 class Moving(argparse.Action):
     """Begins a group; motion flags that came before the first `--moving` belong to it."""
 
@@ -101,7 +106,7 @@ class Group:
         nargs=2,
         default=(),
     )
-    box: str | None = _in_group("a free-form deformation box, see below", metavar="FILE")
+    box: str | None = _in_group("a free-form deformation box, see below", metavar="FILE", type=table)
     lattice: Path | None = _in_group(
         "write the lattice of the box for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts", type=Path
     )

@@ -11,7 +11,7 @@ from typing import Any
 
 from jaxmorph._host.package.toml import read, written
 
-from ._groups import Group
+from ._groups import Group, table
 from ._parser import Fields, flag_of, flags_of, meant
 from ._parts import Speech
 from ._requests import Deform
@@ -19,10 +19,16 @@ from ._requests import Deform
 NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.fields(Speech)))
 """Flags that a job has not, or as a table."""
 
+KINDS = {int: "number", float: "number", table: "table"}
+"""Kinds of values by the types of flags; others are text, paths, or switches."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """What a job may say by the name of a flag: its kind of value, and whether it may be a list."""
+    """What a job may say by the name of a flag: its kind of value, and whether it may be a list.
+
+    A path is relative to the folder of the job. A table stands in the job, or in a file at a path.
+    """
 
     name: str
     kind: str
@@ -33,12 +39,11 @@ class Key:
     @classmethod
     def of(cls, field: dataclasses.Field) -> "Key":
         settings, names = field.metadata["settings"], field.metadata["names"]
-        is_switch = settings.get("action") in ("store_true", "store_false")
-        is_path = field.type in (Path, Path | None) or field.name in ("box", "mode")
-        kind = "number" if settings.get("type") in (int, float) else "path" if is_path else "text"
+        kind = KINDS.get(settings.get("type"), "path" if field.type in (Path, Path | None) else "text")
+        kind = "switch" if settings.get("action") in ("store_true", "store_false") else kind
         is_list = settings.get("nargs") == "+"
         flag = "" if names == ("",) else names[0] if names else flag_of(field.name)
-        return cls(field.name, "switch" if is_switch else kind, is_list, field.default, flag)
+        return cls(field.name, kind, is_list, field.default, flag)
 
 
 def _keys(fields: Fields) -> dict[str, Key]:
@@ -140,7 +145,7 @@ def _known(path: Path, what: str, table: dict[str, Any], names: Sequence[str]) -
 
 def _words(path: Path, key: Key, value: Any) -> list[str]:
     """Converts a value to words; a path becomes relative to the current folder."""
-    if key.name == "box" and isinstance(value, dict):
+    if key.kind == "table" and isinstance(value, dict):
         return [json.dumps(value)]
     is_number = key.kind == "number"
     values = value if isinstance(value, list) and key.is_list else [value]
@@ -151,7 +156,8 @@ def _words(path: Path, key: Key, value: Any) -> list[str]:
     wrong = [word for word in words if not is_number and (word.startswith("-") or "\0" in word)]
     if wrong:
         raise ValueError(f"{path}: {key.name} cannot be {reprlib.repr(wrong[0])}; a job has no flags as values.")
-    if key.kind == "path" and not words[0].lstrip().startswith("{"):
+    is_path = key.kind in ("path", "table") or key.name == "mode"
+    if is_path and not words[0].lstrip().startswith("{"):
         words[0] = str(path.parent / words[0])
     return words
 
@@ -190,7 +196,7 @@ def _seen(key: Key, value: Any, folder: Path) -> Any:
     """Makes the paths of a value relative to a folder, unless they are absolute; turns a box in JSON into a table."""
     if key.name == "mode":
         return [(_seen(MOTION["displacement"], file, folder), amplitude) for file, amplitude in value]
-    if key.kind != "path":
+    if key.kind not in ("path", "table"):
         return value
     if str(value).lstrip().startswith("{"):
         return json.loads(value)

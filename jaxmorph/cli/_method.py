@@ -33,10 +33,14 @@ class NamedMethod:
     dtype: str
 
 
-def named_method(asked: Method, patches: "Patches", chunk: int | None = None) -> NamedMethod:
-    """Makes the requested method. Raises `ValueError` for a number of sources, or a size of parts, that it cannot take."""
-    points = np.asarray(patches.mesh.points)
-    wall, listed = points[patches.nodes], entry(asked.method)
+def named_method(
+    asked: Method, wall: Float[np.ndarray, "m d"], fixed: Float[np.ndarray, "f d"], chunk: int | None = None
+) -> NamedMethod:
+    """Makes the requested method for the points of the moving and of the fixed nodes.
+
+    It raises `ValueError` for a number of sources, or a size of chunks, that the method cannot take.
+    """
+    listed = entry(asked.method)
     if asked.sources is not None and listed.sources != "some":
         free = " and ".join(each.name for each in METHODS if each.sources == "some")
         raise ValueError(f"--sources is for the methods {free}; {asked.method} has no sources to choose.")
@@ -44,7 +48,7 @@ def named_method(asked: Method, patches: "Patches", chunk: int | None = None) ->
         raise ValueError(f"--sources must be {wall.shape[1] + 1} or more in {wall.shape[1]}-D, found {asked.sources}.")
     if chunk is not None and listed.needs_cells:
         raise ValueError(f"--chunk is not for {asked.method}, which solves for all nodes at once.")
-    method = listed.make(Extent(wall, points[np.setdiff1d(patches.fixed_nodes, patches.nodes)]))
+    method = listed.make(Extent(wall, fixed))
     if listed.sources != "some":
         return NamedMethod(method, listed, listed.sentence, len(wall) * (listed.sources == "all"), asked.dtype)
     assert isinstance(method, jm.SurfaceReconstruction)
@@ -90,6 +94,11 @@ class Patches:
         left = [name for name in left if np.isin(error.nodes, self.mesh.patch(name)).any()]
         others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
         return ValueError(f"{error}{others}")
+
+    def method(self, asked: Method, chunk: int | None = None) -> NamedMethod:
+        """Makes the requested method. Raises what `named_method` does."""
+        points = np.asarray(self.mesh.points)
+        return named_method(asked, points[self.nodes], points[np.setdiff1d(self.fixed_nodes, self.nodes)], chunk)
 
     def points(self, choice: NamedMethod) -> Float[np.ndarray, "n d"]:
         """Returns the mesh's points in the precision of the calculation."""

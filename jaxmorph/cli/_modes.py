@@ -13,7 +13,7 @@ import jaxmorph as jm
 from jaxmorph import Mesh, io
 
 from ._judged import Judged
-from ._method import Patches, in_double, named_method, patches_of
+from ._method import Patches, in_double, patches_of
 from ._output import Output, title
 from ._requests import Modes
 from ._summary import Summary, count
@@ -43,7 +43,7 @@ def modes(request: Modes, out: Output) -> int:
     with out.progress("reading the modes"):
         shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.mode]
     with out.progress("preparing"):
-        choice = named_method(request.method, patches)
+        choice = patches.method(request.method)
         plan = patches.plan(choice)
     what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))

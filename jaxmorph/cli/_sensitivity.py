@@ -9,7 +9,7 @@ import jaxmorph as jm
 from jaxmorph import io, shapes
 
 from ._flags import request_of
-from ._method import named_method, patches_of
+from ._method import patches_of
 from ._motion import Motion, motion
 from ._output import Output, title
 from ._parts import Boundary, Method
@@ -34,7 +34,7 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
     with out.progress(f"reading {request.sensitivity.name}"):
         given = io.read_sensitivity(request.sensitivity, mesh)
     with out.progress("preparing"):
-        choice = named_method((job or request).method, patches)
+        choice = patches.method((job or request).method)
         plan = patches.plan(choice)
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
     out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
