@@ -184,7 +184,7 @@ class AbstractRows(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class Control:
-    """What controls a field: rows of the surface, and how far they are felt.
+    """Rows of the surface that control a field, and how far the field reaches.
 
     - `sources` (s,): rows that are the field's control points, the centres of its functions.
     - `matched` (k,): rows whose displacement the field takes. They leave nothing to a correction.

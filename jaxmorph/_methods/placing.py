@@ -12,7 +12,7 @@ class AbstractPlacing(AbstractMethod):
 
     Arguments are those of `AbstractMethod`; `ids` in `place` and `carry_place` is what `connect` returned for the point. The field
     then gets for each point what `place` made of it. On the mesh that a step of `march` left, `carry` and `carry_place` say what
-    changes; by default the solve is new and points keep their places, as a graph that stands on the undeformed mesh wants.
+    changes. By default the solve is new and points keep their places, for a graph stands on the undeformed mesh.
     """
 
     @abc.abstractmethod
