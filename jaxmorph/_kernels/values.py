@@ -15,9 +15,9 @@ Either = Any
 
 def namespace(array: Any) -> Any:
     """Returns NumPy for an array of NumPy, whose formulas need no compilation, and `jax.numpy` for any other."""
-    # Two forms of a formula stand only where a first call gains a tenth or more by it. CPU seconds of a process, imports (3)
-    # included, with NumPy and with JAX, for 3,000 points in 2-D and 9,000 in 3-D: `quality` 3.4 and 4.4, 3.3 and 6.2; `inverted`
-    # 3.5 and 4.0, 3.4 and 7.1; `wall_quality` 3.2 and 3.6, 3.2 and 4.1; `prepare`, by the layer's width, 4.2 and 5.3 in 2-D.
+    # Two forms of a formula stand only where a first call gains a tenth of a process's time by it: `quality`, `inverted` and
+    # `wall_quality` 0.4 to 0.9 CPU seconds of 3.5 in 2-D, 0.9 to 3.6 in 3-D; the layer's width in `prepare` 1.1 of 4.2. See
+    # "First calls" in benchmarks/README.md.
     return np if isinstance(array, np.ndarray | np.generic) else jnp
 
 
@@ -39,13 +39,6 @@ def array(values: Any) -> Any:
     if isinstance(values, jax.Array) or not is_known(values):
         return jnp.asarray(values)
     return as_jax(np.asarray(values))
-
-
-def taken(values: Any, rows: Any) -> Any:
-    """Takes rows of an array of JAX: by NumPy where it can, since JAX compiles a program for each new shape."""
-    if not on_host(values, rows) or getattr(values, "committed", False):
-        return values[rows]
-    return as_jax(np.asarray(values)[rows if isinstance(rows, slice) else np.asarray(rows)])
 
 
 def on_host(*values: Any) -> bool:
