@@ -66,7 +66,13 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
 
     parameters = inspect.signature(compute).parameters.values()
     static = tuple(option.name for option in parameters if option.kind is option.KEYWORD_ONLY)
-    primitive.def_impl(jax.jit(primitive.bind, static_argnames=static))
+    program = jax.jit(primitive.bind, static_argnames=static)  # of the primitive: each platform has its own lowering
+
+    def evaluated(*arguments, **options):
+        function = compute if jax.config.values["jax_disable_jit"] else program  # without `jit` the program would call itself
+        return function(*arguments, **options)
+
+    primitive.def_impl(evaluated)
     primitive.def_abstract_eval(abstract)
     ad.primitive_jvps[primitive] = jvp
     ad.primitive_transposes[primitive] = transposed
