@@ -69,7 +69,9 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
     program = jax.jit(primitive.bind, static_argnames=static)  # of the primitive: each platform has its own lowering
 
     def evaluated(*arguments, **options):
-        function = compute if jax.config.values["jax_disable_jit"] else program  # without `jit` the program would call itself
+        function = (
+            compute if jax.config.values["jax_disable_jit"] else program
+        )  # without `jit` the program would call itself
         return function(*arguments, **options)
 
     primitive.def_impl(evaluated)
