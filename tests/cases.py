@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import nbformat
 import numpy as np
+from meshes import sphere
 from scipy.spatial import Delaunay
 
 import jaxmorph as jm
@@ -217,13 +218,6 @@ class Body:
         return np.setdiff1d(np.arange(len(self.points)), self.boundary)
 
 
-def sphere(count: int) -> np.ndarray:
-    """Points spread evenly over the unit sphere, no four of them in one plane but by accident."""
-    i = np.arange(count) + 0.5
-    polar, azimuth = np.arccos(1 - 2 * i / count), np.pi * (1 + 5**0.5) * i
-    return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
-
-
 @functools.cache
 def body(dimension: int) -> Body:
     """An ellipse in 310 points, or an ellipsoid in 605, in layers that grow towards a far field; nothing aligned."""
@@ -275,3 +269,9 @@ def whole_and_part(dimension, planes):
         whole_role, image_of = np.concatenate([whole_role, whole_role[off]]), np.concatenate([image_of, image_of[off]])
         signs = np.concatenate([signs, signs[off] * flip])
     return part, role, whole, whole_role, image_of, signs
+
+
+def surface_values(mesh):
+    """u on the moving nodes, nothing on the fixed ones."""
+    u = motion(mesh.points[mesh.moving])
+    return u, np.concatenate([u, np.zeros((len(mesh.fixed), u.shape[1]))])

@@ -10,7 +10,7 @@ from typing import Any
 
 import foam
 import numpy as np
-from small import bricks
+from meshes import bricks
 
 import jaxmorph as jm
 from jaxmorph import cases, io, plot, shapes

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from meshes import lattice
 
 import jaxmorph as jm
 from jaxmorph import cases, shapes
@@ -83,8 +84,7 @@ def test_pieces_march_and_replay(mesh):
 
 def brick():
     """A unit square of 6 by 6 nodes: its lower side moves, the upper one is fixed, the left one lies in a symmetry plane."""
-    x, y = np.meshgrid(np.linspace(0, 1, 6), np.linspace(0, 1, 6))
-    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    points = lattice(*[np.linspace(0, 1, 6)] * 2)[:, ::-1]
     return points, np.arange(6), np.arange(30, 36)
 
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few
+from meshes import cusped
 from scipy.spatial.distance import cdist
-from test_naca4 import cusped
 
 import jaxmorph as jm
 from jaxmorph import cases

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small import bricks, mixed
+from meshes import bricks, mixed
 
 from jaxmorph import cases
 from jaxmorph._advice.largest_step import Corners

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import pyvista
+from meshes import grid
 from scipy.spatial import ConvexHull, Delaunay
 from vtkmodules.vtkFiltersVerdict import vtkMeshQuality
 
@@ -93,11 +94,8 @@ def grid_of(mesh: jm.Mesh) -> pyvista.UnstructuredGrid:
 
 def box(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Points and cells of a grid of unit squares or cubes."""
-    ids = np.arange(np.prod([n + 1 for n in shape])).reshape([n + 1 for n in shape])
-    points = np.stack(np.meshgrid(*[np.arange(n + 1.0) for n in shape], indexing="ij"), axis=-1)
-    corners = np.array(IDEAL["quad" if len(shape) == 2 else "hexahedron"], dtype=int)
-    cells = [ids[tuple(slice(c, c + n) for c, n in zip(corner, shape, strict=True))].ravel() for corner in corners]
-    return points.reshape(-1, len(shape)), np.stack(cells, axis=1)
+    mesh = grid(*[np.arange(n + 1.0) for n in shape])
+    return np.asarray(mesh.points), next(iter(mesh.cells.values()))
 
 
 def tetrahedra(count: int = 60, seed: int = 1) -> jm.Mesh:

@@ -7,8 +7,8 @@ import cgns
 import h5py
 import numpy as np
 import pytest
-from small import bricks
-from test_cgns import two_blocks
+from cgns import two_blocks
+from meshes import bricks
 
 import jaxmorph as jm
 from jaxmorph import io
