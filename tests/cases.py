@@ -67,7 +67,8 @@ def farthest(count=8):
     return jm.RBF(reduction=jm.FarthestPoints(count, extremes=True), fixed_reduction=jm.Graded())
 
 
-def of_the_notebook():
+@functools.cache
+def extension():
     """What `notebooks/07_extend.ipynb` defines, as it stands there."""
     path = pathlib.Path(__file__).parents[1] / "notebooks" / "07_extend.ipynb"
     cells = nbformat.read(path, as_version=4).cells
@@ -78,8 +79,6 @@ def of_the_notebook():
     exec(compile(source, str(path), "exec"), vars(module))
     return module
 
-
-EXTENSION = of_the_notebook()
 
 CASES = [
     Case("default", lambda length: jm.SurfaceReconstruction(), turns=False),
@@ -128,8 +127,8 @@ CASES = [
         translates=False,
         dimensions=(2,),
     ),
-    Case("notebook's basis", lambda length: full(EXTENSION.Cubic(), 1), dimensions=(3,)),
-    Case("notebook's method", lambda length: EXTENSION.Shepard(), affine=False, dimensions=(2,)),
+    Case("notebook's basis", lambda length: full(extension().Cubic(), 1), dimensions=(3,)),
+    Case("notebook's method", lambda length: extension().Shepard(), affine=False, dimensions=(2,)),
     Case("elasticity", lambda length: jm.LinearElasticity(), affine=False),
     Case("torsional", lambda length: jm.TorsionalSprings(), affine=False),
     Case("springs", lambda length: jm.SpringAnalogy(), affine=False, dimensions=(2,)),
