@@ -44,7 +44,7 @@ SMOOTH = ("WendlandC2", "WendlandC4", "WendlandC6", *(kind.__name__ for kind in 
 FAST = ("WendlandC2", "WendlandC4", "CompactC1", "CubicSpline", "ThinPlateSpline", "Gaussian", "Multiquadric")
 NAMES = [type(row[0]).__name__ for row in ALL]
 MARKED = [
-    pytest.param(*row, marks=() if name in FAST else pytest.mark.slow) for name, row in zip(NAMES, ALL, strict=True)
+    pytest.param(*row, marks=() if name in FAST else pytest.mark.nightly) for name, row in zip(NAMES, ALL, strict=True)
 ]
 every = pytest.mark.parametrize(("basis", "form", "radius"), MARKED, ids=NAMES)
 

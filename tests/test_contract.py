@@ -30,8 +30,13 @@ CHEAP = {("reduced", 3), ("elasticity", 2), ("compact", 2), ("inverse-distance",
 def over(names, is_cheap=False):
     """Parametrises a law over cases, each marked by the run that holds it."""
     fast = FAST | CHEAP if is_cheap else FAST
-    marks = [[] if pair in fast else [pytest.mark.slow if is_cheap or pair in WHOLE else pytest.mark.nightly] for pair in names]
-    cases = [pytest.param(*pair, marks=mark, id=f"{pair[0]}-{pair[1]}d") for pair, mark in zip(names, marks, strict=True)]
+    marks = [
+        [] if pair in fast else [pytest.mark.slow if is_cheap or pair in WHOLE else pytest.mark.nightly]
+        for pair in names
+    ]
+    cases = [
+        pytest.param(*pair, marks=mark, id=f"{pair[0]}-{pair[1]}d") for pair, mark in zip(names, marks, strict=True)
+    ]
     return pytest.mark.parametrize(("name", "dimension"), cases)
 
 
@@ -79,7 +84,7 @@ def test_every_class_of_fields_has_a_case_with_all_laws():
     found = set()
     for name, dimension in WHOLE:
         plan = planned(name, dimension)
-        u, surface = jnp.zeros((plan.surface.points.shape)), plan.surface
+        u, surface = jnp.zeros(plan.surface.points.shape), plan.surface
         field = plan.method.field(surface.ids, surface.factors, surface.points, u)
         found |= {type(each) for each in (field, *fields(field))}
     known, every = [jm.AbstractField], set()

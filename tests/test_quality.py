@@ -67,7 +67,7 @@ KINDS = tuple(IDEAL)
 DEGENERATE = [
     ("quad", np.float64),
     *(
-        pytest.param(kind, np.float32, marks=pytest.mark.slow)
+        pytest.param(kind, np.float32, marks=pytest.mark.nightly)
         for kind in ("triangle", "quad", "tetra", "pyramid", "wedge", "hexahedron")
     ),
 ]
@@ -496,7 +496,7 @@ def test_jit_vmap_and_meshes_as_arguments():
     [
         "triangle",
         "quad",
-        *(pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS if kind not in ("triangle", "quad")),
+        *(pytest.param(kind, marks=pytest.mark.nightly) for kind in KINDS if kind not in ("triangle", "quad")),
     ],
 )
 def test_what_the_host_measures_is_what_a_trace_does(kind):
