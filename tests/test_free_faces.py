@@ -154,7 +154,7 @@ def test_faces_of_polyhedra_are_those_of_the_file(tmp_path, shape):
 def test_front_and_back_of_a_2d_case_are_no_boundary(tmp_path):
     points = np.array([[x, y, z] for z in (0, 1) for y in (0, 1, 2) for x in (0, 1, 2)], float)
     corners = np.array([0, 1, 4, 3, 9, 10, 13, 12])
-    cells = [[(corners + first)[face].tolist() for face in HEXAHEDRON] for first in (0, 1, 3, 4)]
+    cells = [[(corners + first)[list(face)].tolist() for face in HEXAHEDRON] for first in (0, 1, 3, 4)]
     sides = [
         ("planes", "empty", lambda face: np.ptp(points[face, 2]) == 0),
         ("floor", "wall", lambda face: not points[face, 1].any()),
