@@ -111,7 +111,7 @@ GOOD: dict[str, dict[str, Any]] = {
         **{"moving": WALL, "fixed": FAR, "nodes": np.arange(N), "cotangent": POINTS},
         **{"path": np.zeros((2, len(WALL), 2))},
         **{"motions": np.ones((1, len(WALL), 2)), "motion": lambda t: t * U, "displacement": lambda y: U, "wall": WALL},
-        **each("radius support_radius ell mu width", 0.5),
+        **each("radius support_radius ell mu width exponent alpha lineal poisson", 0.5),
         **{"inner": 0.1, "outer": 0.5, "leaves": 4, "points_per_leaf": 4, "crowded": 4, "count": 4, "sources": 4},
         **{"k": 0},
         **{"values": np.array([1.0, 2.0]), "name": "skewness", "parameters": Lazy(BOX.neutral), "steps": 2},
@@ -176,6 +176,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.OnRows": {"rows": np.array([0, 1])},
     "shapes.Part": {"kept": np.ones(4, bool)},
     "shapes.ReferenceAxis": {"points": np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])},
+    **each("shapes.Smoother shapes.Smoother.on", {"held": np.array([0])}),
     "shapes.Stations.on": {"points": np.array([[0.5, 0.0]]), "direction": np.array([0.0, 1.0])},
     "shapes.Together": {"*": BOX},
     "shapes.bend": {"along": np.array([1.0, 0.0])},
@@ -228,17 +229,21 @@ POSITIVE = {"negative": -1.0, "zero": 0.0, "infinite": np.inf}
 EXTRA: dict[str, dict[str, Any]] = {
     **each("separation group min_jacobian_ratio share slope decrease size_weight", RATIO),
     **each("radius support_radius ell mu width outer max_step spacing first_cell gap pitch lift", POSITIVE),
-    **each("softness sharpness jm.Iterative.tolerance span edge shapes.bend.length thickness", POSITIVE),
-    **each("rate shapes.twist.length widths jm.Multiscale.whole.fraction jm.Graded.share", POSITIVE),
-    **each("tolerance smallest_box largest_box ridge inner shapes.Smoother.length", {"negative": -1.0}),
+    **each("softness sharpness span edge shapes.bend.length thickness", POSITIVE),
+    **each("rate shapes.twist.length widths jm.Graded.share", POSITIVE),
+    **each("tolerance smallest_box largest_box", {"negative": -1.0}),
     **each("count most sources neighbours copies leaves fixed_leaves steps max_steps rows order points", LEAST),
     **each("stations layers columns around mode frames dense chunk size points_per_leaf crowded", LEAST),
-    **{"k": {"less": -1}, "degree": {"less": -1, "beyond": 99}, "d": {"less": 1, "beyond": 4}},
+    **{"k": {"less": -1, "beyond": 99}, "degree": {"less": -1, "beyond": 99}, "d": {"less": 1, "beyond": 4}},
     **{"shapes.FreeForm.linked.mirror": {"less": -1, "beyond": 2}},
-    **{"nose": {"beyond": 9}, "tail": {"beyond": 9}, "poisson": {"below": -1.0, "beyond": 0.5}, "mesh": {"plan": plan}},
+    **{"nose": {"beyond": 9}, "tail": {"beyond": 9}, "poisson": {"below": -1.0, "beyond": 0.5}, "plan": {"mesh": MESH}},
     **{"dimensions": {"less": 1, "beyond": 4}, "kind": {"other": "cube"}, "mode": {"less": 0, "beyond": 9}},
     **{"place": {"below": 0.0, "beyond": 1.0}, "margin": {"negative": -1.0, "infinite": np.inf}},
     "camber": {"infinite": np.inf},
+    **each("mesh moved before", {"plan": plan, "empty": Lazy(lambda: jm.Mesh(np.zeros((0, 2))))}),
+    **each("jm.prepare.mesh jm.prepare_in_chunks.mesh jm.prepare_surface.mesh", {"far": POINTS + 1e300}),
+    **each("ridge inner shapes.Smoother.length shapes.Smoother.on.length", {"negative": -1.0, "infinite": np.inf}),
+    **each("jm.Multiscale.whole.fraction jm.Iterative.tolerance", POSITIVE | {"beyond": 1.5}),
     "name": {"unknown": "nonsense"},
     "measure": {"unknown": "nonsense"},
     "counts": {"half": (2.5, 3), "less": (1, 3)},
@@ -350,6 +355,8 @@ def of_kind(kind: str, good: Any) -> dict[str, Any]:
                 "mask": np.ones(N, bool),
             }
         )
+    if bases := [base for base in type(good).__mro__ if base.__name__.startswith("Abstract")]:
+        return ANY | {"array": array, "base": bases[-1]}
     return ANY | {"array": array} | {"mapping": {"contents": {"a": 3}}, "sequence": {"list": [3]}}.get(kind, {})
 
 
@@ -363,7 +370,7 @@ def arguments(name: str) -> Iterator[tuple[str, Any, dict[str, Any]]]:
         is_given, key = parameter.default is inspect.Parameter.empty or key in GOOD.get(name, {}), "*" if many else key
         good = scope[key] if is_given else parameter.default if parameter.default is not None else scope.get(key)
         value = made(good)
-        value = None if type(value).__name__ == "_HAS_DEFAULT_FACTORY_CLASS" else value
+        value = scope.get(key) if type(value).__name__ == "_HAS_DEFAULT_FACTORY_CLASS" else value
         kind = "word" if many and isinstance(value, str) else kind_of(parameter, value)
         places = kind, key, f"{name.split('.')[0]}.{key}", f"{name}.{key}"
         wrong = functools.reduce(lambda found, place: found | EXTRA.get(place, {}), places, of_kind(kind, value))
@@ -381,7 +388,6 @@ UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.p
 
 SENSE = {
     "x": "nan infinite",
-    **each("exponent alpha lineal", "number"),
     **each("jm.Graded.share jm.Greedy.motions", "beyond wide short"),
     **each("jm.Chunks.march.path jm.march.path jm.replay.path", "nan infinite"),
     **each("jm.deform.u jm.pullback.u jm.velocity.u", "nan infinite"),
@@ -408,7 +414,8 @@ SENSE = {
     "shapes.names.parameters": "none number list array",
     "shapes.scale.factors": "number",
     "cases.agard445_mode.points": "nan infinite",
-    "held": "list",
+    "jm.QualityReport.worst.k": "beyond",
+    **each("io.check_output.mesh io.periodic.mesh io.symmetry.mesh io.read_displacement.mesh io.write.mesh", "empty"),
     "continuity": "less",
     "io.Decomposed.check_output.path": "ending",
     "io.Decomposed.writing.path": "ending folder",
