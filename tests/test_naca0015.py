@@ -76,6 +76,7 @@ def test_other_numbers_of_points(points):
     check_geometry(mesh)
 
 
+@pytest.mark.nightly
 def test_a_million_points():
     mesh = cases.naca0015(points=1_000_000)
     assert len(mesh.points) == pytest.approx(1_000_000, rel=0.01)
