@@ -173,6 +173,14 @@ def test_options_of_jax_belong_to_the_user():
                 assert not ast.unparse(node.value).endswith("config"), file
 
 
+def test_no_test_imports_a_test():
+    """What several need stands in `meshes`, `oracles`, `cases` and the writers of formats."""
+    tests = [file for folder in ("tests", "benchmarks") for file in (ROOT / folder).rglob("*.py")]
+    wrong = [file.name for file in tests if re.search(r"^\s*(from|import) test_", file.read_text(), re.MULTILINE)]
+    assert len(tests) > 100
+    assert not wrong
+
+
 LONGEST = 30
 """Words in a sentence of a docstring."""
 
