@@ -27,14 +27,14 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 
 BUILT = words("""
-jm.BoundaryQuality jm.Choice jm.Chunks jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
+jm.BoundaryQuality jm.Choice jm.Chunks jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
 jm.LargestStep jm.MeshError jm.Plan jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf
 jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.Stations
 """)
 """Classes whose constructors the library alone calls."""
 
 CONTRACT = words("""
-__call__ altered among anchors apply at beside boxes carry carry_place check check_surface chosen closest connect
+__call__ altered among anchors apply at beside boxes carry carry_place check check_surface chosen closest connect control
 coordinates dense_count entries equals evaluate field fit fixed_reduction given guarded height holds init iterative
 lattice local masses matched neutral of_surface offset once pairs place raise_if_inverted raise_if_singular reach
 reduced reduction renumbered rows RBF.through sensitivities slope sources step value walls weights with_faces
@@ -95,6 +95,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "io.Ranges": ranges,
     "io.XDMFSeries": Lazy(lambda: io.XDMFSeries(FOLDER / "series.xdmf", MESH)),
     "jm.Chunks": Lazy(lambda: jm.prepare_in_chunks(MESH, "wall", "far", size=8, method=jm.InverseDistance())),
+    "jm.FaceQuality": Lazy(lambda: jm.face_quality(BRICKS, PLACES)),
     "jm.Mesh": lambda: MESH,
     "jm.Plan": plan,
     "jm.QualityReport": report,
@@ -414,7 +415,7 @@ SENSE = {
     "shapes.names.parameters": "none number list array",
     "shapes.scale.factors": "number",
     "cases.agard445_mode.points": "nan infinite",
-    "jm.QualityReport.worst.k": "beyond",
+    **each("jm.QualityReport.worst.k jm.FaceQuality.worst.k", "beyond"),
     **each("io.check_output.mesh io.periodic.mesh io.symmetry.mesh io.read_displacement.mesh io.write.mesh", "empty"),
     "continuity": "less",
     "io.Decomposed.check_output.path": "ending",
