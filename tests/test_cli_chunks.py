@@ -78,7 +78,7 @@ def test_nodes_slide_in_their_planes_in_every_chunk(sizes):
     assert len(sizes) == 3
     assert sizes[1] == sizes[2] < 200
     np.testing.assert_allclose(moved[1], moved[0], rtol=0, atol=1e-14)
-    for axis, side in enumerate(sides):
+    for axis, side in enumerate(slides):
         inner = np.setdiff1d(mesh.patch(side), mesh.patch("z0", "z1", "x1", "y1"))
         np.testing.assert_array_equal(moved[1][mesh.patch(side), axis], 0)
         assert np.abs(moved[1] - mesh.points)[inner].max() > 0.003

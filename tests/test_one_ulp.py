@@ -209,4 +209,4 @@ def test_of_equal_distances_the_first_counts():
     distance = np.linalg.norm(middles[:, None] - nodes[None], axis=2)
     by_hand = [np.flatnonzero(row <= row.min() + 1e-9)[0] for row in distance]
     for seed in range(3):
-        np.testing.assert_array_equal(nearest_few(middles, noisy(lattice, seed), 1)[:, 0], by_hand)
+        np.testing.assert_array_equal(nearest_few(middles, noisy(nodes, seed), 1)[:, 0], by_hand)
