@@ -27,7 +27,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 
 BUILT = words("""
-jm.BoundaryQuality jm.Choice jm.Chunks jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
+jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
 jm.LargestStep jm.MeshError jm.Plan jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf
 jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.Stations
 """)
@@ -82,19 +82,8 @@ def decomposed() -> io.Decomposed:
     return io.Decomposed(FOLDER / "case")
 
 
-@Lazy
-def ranges():
-    """The bricks in three ranges, all of their boundary in one marker."""
-    outside = np.flatnonzero(((PLACES.min(axis=0) == PLACES) | (PLACES.max(axis=0) == PLACES)).any(axis=1))
-    io.write(FOLDER / "box.su2", jm.Mesh(PLACES, BRICKS.cells, {"all": outside}))
-    return io.Ranges(FOLDER / "box.su2", 9)
-
-
 OWNERS: dict[str, Callable[[], Any]] = {
     "io.Decomposed": decomposed,
-    "io.Ranges": ranges,
-    "io.XDMFSeries": Lazy(lambda: io.XDMFSeries(FOLDER / "series.xdmf", MESH)),
-    "jm.Chunks": Lazy(lambda: jm.prepare_in_chunks(MESH, "wall", "far", size=8, method=jm.InverseDistance())),
     "jm.FaceQuality": Lazy(lambda: jm.face_quality(BRICKS, PLACES)),
     "jm.Mesh": lambda: MESH,
     "jm.Plan": plan,
@@ -124,7 +113,6 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes": {"points": X, "faces": LOOP, "loop": np.arange(4), "wall": np.arange(4)},
     "plot": {"path": FOLDER / "a.png", "patch": "floor", "reduction": jm.AllPoints()},
     "io": {"path": FOLDER / "a.vtu"},
-    "jm.Chunks.plan": {"k": 0},
     "jm.Mesh": {"cells": {"quad": np.asarray(MESH.cells["quad"])}, "patches": {"a": [0, 1]}},
     "jm.Mesh.from_meshio": {"mesh": Lazy(MESH.to_meshio)},
     "jm.Mesh.from_pyvista": {"grid": Lazy(MESH.to_pyvista)},
@@ -139,7 +127,7 @@ GOOD: dict[str, dict[str, Any]] = {
     },
     "jm.Slide": {"patch": np.array([0]), "on": jm.Plane([0.0, 1.0], [0.0, 0.0])},
     "jm.choose": {"fixed": FAR, "leaves": (4,), "methods": {}},
-    "jm.estimate": {"fixed": FAR, "steps": 1},
+    "jm.estimate": {"fixed": FAR},
     "jm.load": {"path": FOLDER / "a.npz"},
     **each("jm.prepare jm.prepare_in_chunks jm.prepare_surface", {"mesh": POINTS, "fixed": FAR}),
     "jm.shard": {"devices": ()},
@@ -148,11 +136,6 @@ GOOD: dict[str, dict[str, Any]] = {
     "io.Decomposed.check_output": {"path": FOLDER / "new"},
     "io.Decomposed.surface": {"sides": Lazy(lambda: [decomposed().side(k) for k in (0, 1)])},
     "io.Decomposed.writing": {"path": FOLDER / "new"},
-    "io.Ranges": {"path": Lazy(lambda: ranges().path), "rows": 9, "folder": FOLDER},
-    "io.Ranges.check_output": {"path": FOLDER / "new.su2"},
-    "io.Ranges.put": {"points": np.ones((9, 3))},
-    "io.Ranges.write": {"path": FOLDER / "new.su2"},
-    "io.XDMFSeries": {"path": FOLDER / "a.xdmf"},
     "io.check_gradient_output": {"path": FOLDER / "a.csv"},
     "io.check_sensitivity_output": {"path": FOLDER / "a.csv"},
     "io.global_nodes": {"mesh": Lazy(lambda: decomposed().read(0))},
@@ -390,7 +373,7 @@ UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.p
 SENSE = {
     "x": "nan infinite",
     **each("jm.Graded.share jm.Greedy.motions", "beyond wide short"),
-    **each("jm.Chunks.march.path jm.march.path jm.replay.path", "nan infinite"),
+    **each("jm.march.path jm.replay.path", "nan infinite"),
     **each("jm.deform.u jm.pullback.u jm.velocity.u", "nan infinite"),
     **each("u_dot cotangent jm.distortion.points jm.inverted.points jm.quality.points", "nan infinite"),
     **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),

@@ -16,6 +16,7 @@ from cases import BY_NAME, NAMES, body, motion
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
+from jaxmorph._methods.placing import place
 
 FAST = {("default", 2), ("delaunay", 2), ("reduced", 2)}
 """Cases whose laws the fast tests hold."""
@@ -319,7 +320,7 @@ def test_blocks_agree_with_the_one_point_form(name, dimension):
 
     def one_by_one(own):
         field = method.field(surface.ids, surface.factors, surface.points, own)
-        return jax.vmap(lambda x, ids: field(x, method.place(x, ids, surface.factors, surface.points)))(
+        return jax.vmap(lambda x, ids: field(x, place(method, x, ids, surface.factors, surface.points)))(
             plan.points, plan.volume.ids
         )
 

@@ -4,20 +4,17 @@ A mesh that came from an SU2 file goes back into a copy of its text, with new co
 """
 
 import dataclasses
-import mmap
 import pathlib
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxmorph import Mesh, Periodic
-from jaxmorph._host.cells.topology import CORNERS, VTK, solid
+from jaxmorph import Mesh
+from jaxmorph._host.cells.topology import CORNERS, VTK
 
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
-from ._outer import outer_faces
-from .text.sections import Rows, Section, Uncommented, blank_comments, replace
+from .text.sections import Rows, Section, blank_comments, replace
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -58,67 +55,6 @@ class _SU2Content:
     shape: tuple[int, int]
 
 
-@dataclasses.dataclass(frozen=True)
-class Layout:
-    """Knows where a file's points, cells and markers stand, and reads them some rows at a time. `d` is the dimension."""
-
-    path: pathlib.Path
-    text: Any
-    keywords: list[_Keyword]
-    d: int
-    name: ClassVar[str] = NAME
-    periodic: ClassVar[tuple[Periodic, ...]] = ()
-
-    @classmethod
-    def by_ranges(cls, path: pathlib.Path) -> "Layout":
-        """Opens a file whose text is never in memory as a whole."""
-        with path.open("rb") as file:
-            if not file.read(1):
-                raise ValueError(f"{path}: the file is empty.")
-            text = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        return cls.in_text(path, text, Uncommented(text))
-
-    @classmethod
-    def in_text(cls, path: pathlib.Path, original: Any, text: Any) -> "Layout":
-        """Finds the keywords of a text without comments. Raises `ValueError` for several zones, and other dimensions."""
-        keywords = list(_keywords(path, text))
-        dimension = _only(path, keywords, "NDIME")
-        if (d := dimension.number()) not in (2, 3):
-            raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-        for keyword in keywords:
-            if keyword.name == "NZONE" and keyword.number() > 1:
-                raise keyword.section.error(
-                    f"the file holds {keyword.number()} zones; one is read. Split it into one file for each zone."
-                )
-        return cls(path, original, keywords, d)
-
-    @property
-    def section(self) -> Section:
-        """The rows of points."""
-        return _only(self.path, self.keywords, "NPOIN").section
-
-    def points(self) -> Iterator[np.ndarray]:
-        """Yields points (k, d)."""
-        return _points(_only(self.path, self.keywords, "NPOIN"), self.d)
-
-    def cells(self, n: int) -> Iterator[dict[str, np.ndarray]]:
-        """Yields corners (k, corners) by type, of cells between `n` points."""
-        return _elements(_only(self.path, self.keywords, "NELEM"), n)
-
-    def markers(self, n: int) -> dict[str, np.ndarray]:
-        """Reads the nodes of each marker."""
-        return _markers(self.path, self.keywords, n)
-
-    def outer(self, n: int, patches: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Finds the outer faces by type; those between nodes of `patches` at once."""
-        return outer_faces(lambda: (solid(block, self.d) for block in self.cells(n)), n, patches)
-
-    def write(self, partial: pathlib.Path, before: np.ndarray, after: np.ndarray) -> None:
-        """Writes the text with the points `after` (n, d) in place of those `before`."""
-        with partial.open("wb") as file:
-            file.writelines(_with_points(self.text, self.section.start, self.section.stop, after))
-
-
 def read(path: pathlib.Path) -> Mesh:
     """Reads points in the order of the file; `patches` are the markers, those of one name together.
 
@@ -126,12 +62,20 @@ def read(path: pathlib.Path) -> Mesh:
     `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
-    layout = Layout.in_text(path, text, blank_comments(text))
-    points = np.concatenate(list(layout.points()))
-    cells = _joined(layout.cells(len(points)))
-    section = layout.section
-    content = _SU2Content(text, section.start, section.stop, points.shape)
-    return Mesh(points, cells, layout.markers(len(points)), source=Source(path, NAME, content))
+    keywords = list(_keywords(path, blank_comments(text)))
+    dimension = _only(path, keywords, "NDIME")
+    if (d := dimension.number()) not in (2, 3):
+        raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
+    for keyword in keywords:
+        if keyword.name == "NZONE" and keyword.number() > 1:
+            raise keyword.section.error(
+                f"the file holds {keyword.number()} zones; one is read. Split it into one file for each zone."
+            )
+    rows = _only(path, keywords, "NPOIN")
+    points = np.concatenate(list(_points(rows, d)))
+    cells = _joined(_elements(_only(path, keywords, "NELEM"), len(points)))
+    content = _SU2Content(text, rows.section.start, rows.section.stop, points.shape)
+    return Mesh(points, cells, _markers(path, keywords, len(points)), source=Source(path, NAME, content))
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
@@ -160,13 +104,13 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         file.writelines(_with_points(content.text, content.start, content.stop, points))
 
 
-def _with_points(text: Any, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
+def _with_points(text: bytes, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
     """Yields the text with `points` (n, d) in place of those that stand from `start` to `stop`."""
     d = points.shape[1]
     return replace(text, slice(start, stop), points, lambda counts: counts >= d)
 
 
-def _keywords(path: pathlib.Path, text: Any) -> Iterator[_Keyword]:
+def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:
     lines = []
     at = text.find(b"=")
     while at >= 0:

@@ -26,7 +26,7 @@ from .zone import DIMENSION, TYPES, Connection, Content, Zone, children, data, w
 
 NAME = "CGNS"
 _FOREIGN = "{0}: {1} {2}. Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
-LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
+_LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ def read(path: pathlib.Path) -> Mesh:
     path.open("rb").close()
     try:
         with h5py.File(path, "r") as file:
-            refuse_foreign_data(path, file)
+            _refuse_foreign_data(path, file)
             zones, cells, pairs = _zones(path, file)
     except Exception as error:  # HDF5 answers damage by a dozen classes
         if isinstance(error, ValueError) and str(path) in str(error):
@@ -58,8 +58,8 @@ def read(path: pathlib.Path) -> Mesh:
     try:
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
-        content = _CGNSContent(joined, stamp_of(path))
-        source = Source(path, NAME, content, whole, ids, periodic=periodic_of(pairs, joined.is_flat))
+        content = _CGNSContent(joined, _stamp_of(path))
+        source = Source(path, NAME, content, whole, ids, periodic=_periodic_of(pairs, joined.is_flat))
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
@@ -72,7 +72,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
         raise ValueError(
             f"{path}: only a mesh that was read from a CGNS file can be written to one; write .vtu or .su2."
         )
-    if stamp_of(source.path) != source.content.stamp:
+    if _stamp_of(source.path) != source.content.stamp:
         raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
 
 
@@ -82,25 +82,25 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     assert source is not None
     content: _CGNSContent = source.content
     with h5py.File(source.path, "r") as file:
-        refuse_foreign_data(source.path, file)
+        _refuse_foreign_data(source.path, file)
     shutil.copyfile(source.path, path)
     points = content.joined.in_file(np.asarray(mesh.points))
     if np.array_equal(points, content.joined.points):
         return
     with h5py.File(path, "r+") as file:
-        for zone in open_zones(path, file)[0]:
+        for zone in _open_zones(path, file)[0]:
             rows = slice(zone.first, zone.first + zone.count)
             for axis, values in enumerate(zone.coordinates()):
                 if not np.array_equal(points[rows, axis], content.joined.points[rows, axis]):
                     values[...] = points[rows, axis].reshape(values.shape)
 
 
-def stamp_of(path: pathlib.Path) -> tuple[int, int]:
+def _stamp_of(path: pathlib.Path) -> tuple[int, int]:
     status = path.stat()
     return status.st_size, status.st_mtime_ns
 
 
-def refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
+def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
     """Raises `ValueError` where anything in the file has its data in another one: writing would go through to it.
 
     Links to other files, data sets in external storage and virtual ones are refused, wherever they stand.
@@ -126,7 +126,7 @@ def refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
                     groups.append(child)
 
 
-def open_zones(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
+def _open_zones(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
     """Lists the zones of the base, and the dimension of its cells."""
     bases = [base for _, base in children(file, "CGNSBase_t")]
     if len(bases) != 1:
@@ -145,24 +145,24 @@ def open_zones(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
 
 
 def _zones(path: pathlib.Path, file: h5py.File) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]]]:
-    zones, dimension = open_zones(path, file)
+    zones, dimension = _open_zones(path, file)
     points, contents, patches, faces = [], [], {}, []
     for zone in zones:
         points.append(np.stack([values[()].ravel() for values in zone.coordinates()], axis=1).astype(float))
         content = zone.cells(points[-1])
-        solid = [block for block in content.blocks if LEVEL[block.kind] == dimension and len(block.corners)]
+        solid = [block for block in content.blocks if _LEVEL[block.kind] == dimension and len(block.corners)]
         if not solid:
             raise zone.error(f"no cells of {dimension} dimensions")
         contents.append(dataclasses.replace(content, blocks=solid))
         for name, nodes in zone.patches(content.elements):
             patches.setdefault(name, []).append(nodes)
         faces += content.sides or _outer(zone, points[-1], solid)
-    pairs = pairs_of(zones, contents, patches)
+    pairs = _pairs_of(zones, contents, patches)
     cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
     return Zones(np.concatenate(points), cells, patches, faces), contents, pairs
 
 
-def pairs_of(
+def _pairs_of(
     zones: list[Zone], contents: list[Content], patches: dict[str, list[np.ndarray]]
 ) -> list[tuple[str, str, Connection]]:
     """Adds the sides of periodic interfaces to the patches, and lists their names in pairs."""
@@ -183,7 +183,7 @@ def pairs_of(
     return pairs
 
 
-def periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tuple[jm.Periodic, ...]:
+def _periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tuple[jm.Periodic, ...]:
     """Makes periodic pairs of interfaces; their translation or angle is that of the nodes, for files differ in its sign."""
     made = []
     for first, second, each in pairs:
