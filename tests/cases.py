@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import nbformat
 import numpy as np
+from meshes import sphere
 from scipy.spatial import Delaunay
 
 import jaxmorph as jm
@@ -66,7 +67,8 @@ def farthest(count=8):
     return jm.RBF(reduction=jm.FarthestPoints(count, extremes=True), fixed_reduction=jm.Graded())
 
 
-def of_the_notebook():
+@functools.cache
+def extension():
     """What `notebooks/07_extend.ipynb` defines, as it stands there."""
     path = pathlib.Path(__file__).parents[1] / "notebooks" / "07_extend.ipynb"
     cells = nbformat.read(path, as_version=4).cells
@@ -77,8 +79,6 @@ def of_the_notebook():
     exec(compile(source, str(path), "exec"), vars(module))
     return module
 
-
-EXTENSION = of_the_notebook()
 
 CASES = [
     Case("default", lambda length: jm.SurfaceReconstruction(), turns=False),
@@ -127,8 +127,8 @@ CASES = [
         translates=False,
         dimensions=(2,),
     ),
-    Case("notebook's basis", lambda length: full(EXTENSION.Cubic(), 1), dimensions=(3,)),
-    Case("notebook's method", lambda length: EXTENSION.Shepard(), affine=False, dimensions=(2,)),
+    Case("notebook's basis", lambda length: full(extension().Cubic(), 1), dimensions=(3,)),
+    Case("notebook's method", lambda length: extension().Shepard(), affine=False, dimensions=(2,)),
     Case("elasticity", lambda length: jm.LinearElasticity(), affine=False),
     Case("torsional", lambda length: jm.TorsionalSprings(), affine=False),
     Case("springs", lambda length: jm.SpringAnalogy(), affine=False, dimensions=(2,)),
@@ -217,13 +217,6 @@ class Body:
         return np.setdiff1d(np.arange(len(self.points)), self.boundary)
 
 
-def sphere(count: int) -> np.ndarray:
-    """Points spread evenly over the unit sphere, no four of them in one plane but by accident."""
-    i = np.arange(count) + 0.5
-    polar, azimuth = np.arccos(1 - 2 * i / count), np.pi * (1 + 5**0.5) * i
-    return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
-
-
 @functools.cache
 def body(dimension: int) -> Body:
     """An ellipse in 310 points, or an ellipsoid in 605, in layers that grow towards a far field; nothing aligned."""
@@ -275,3 +268,9 @@ def whole_and_part(dimension, planes):
         whole_role, image_of = np.concatenate([whole_role, whole_role[off]]), np.concatenate([image_of, image_of[off]])
         signs = np.concatenate([signs, signs[off] * flip])
     return part, role, whole, whole_role, image_of, signs
+
+
+def surface_values(mesh):
+    """u on the moving nodes, nothing on the fixed ones."""
+    u = motion(mesh.points[mesh.moving])
+    return u, np.concatenate([u, np.zeros((len(mesh.fixed), u.shape[1]))])

@@ -1,5 +1,6 @@
 """CGNS files for tests, node by node after the SIDS' mapping to HDF5."""
 
+import foam
 import h5py
 import numpy as np
 
@@ -89,3 +90,42 @@ def everything(path):
         file.visititems(lambda name, item: found.update({name: item[()].tobytes() if isinstance(item, h5py.Dataset) else
                                                          sorted((k, str(v)) for k, v in item.attrs.items())}))  # fmt: skip
     return found
+
+
+def two_blocks(path, kind="<f8"):
+    """A box in two blocks, 4 x 3 x 3 and 3 x 3 x 3 nodes, that meet at x = 1, the second one with j and k exchanged."""
+    x, y, z = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
+    x2, y2, z2 = (
+        np.swapaxes(a, 1, 2) for a in np.meshgrid([1, 1.5, 2], np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
+    )
+    with h5py.File(path, "w", track_order=True) as file:
+        root = base(file, 3, 3)
+        first = zone(root, "one", (x, y, z), kind=kind)
+        second = zone(root, "two", (x2, y2, z2), kind=kind)
+        condition(first, "a", [[1, 1, 1], [1, 3, 3]], "inlet")
+        condition(first, "b", [[1, 1, 1], [3, 2, 1]], "floor", "FaceCenter")
+        condition(first, "c", [[1, 1, 3], [4, 3, 3]])
+        condition(second, "d", [[1, 1, 1], [2, 1, 2]], "floor", "JFaceCenter")
+        condition(second, "e", [[3, 2, 1], [3, 3, 3]])
+        condition(second, "f", [[2, 2, 2], [3, 3, 3]], what="PointList")
+
+
+def joined_polyhedra(path):
+    """A cube, four small ones against its side; all as polyhedra, the face of each boundary cell seen from either side."""
+    points, cells = foam.split()
+    faces, owner, neighbour, outer = foam.polyhedral(cells)
+    count = len(faces)
+    faces += [sides[0][1] if i % 3 else sides[0][1][::-1] for i, sides in enumerate(outer)]
+    members = [[] for _ in cells]
+    for number, (a, b) in enumerate(zip(owner, neighbour, strict=True), start=1):
+        members[a].append(number)
+        members[b].append(-number)
+    for i, sides in enumerate(outer):
+        members[sides[0][0]].append((count + 1 + i) * (1 if i % 3 else -1))
+    with h5py.File(path, "w", track_order=True) as file:
+        group = zone(base(file, 3, 3), "p", tuple(points.T), len(cells))
+        polygons(group, "faces", 22, [np.array(face) + 1 for face in faces], 1)
+        polygons(group, "cells", 23, members, len(faces) + 1)
+        low = [i + 1 for i, face in enumerate(faces) if (points[face, 2] == 0).all()]
+        condition(group, "low", [[i] for i in low], "floor", "FaceCenter", "PointList")
+    return points

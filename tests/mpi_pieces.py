@@ -4,6 +4,7 @@ import sys
 
 import jax
 import numpy as np
+from meshes import lattice
 from mpi4py import MPI
 
 import jaxmorph as jm
@@ -90,7 +91,7 @@ for whole, patches in (
         assert error < 1e-10, error
 
 # between two parallel planes: all of their nodes count, whoever has them
-grid = np.stack(np.meshgrid(np.linspace(-2, 2, 13), np.linspace(0, 1, 7), indexing="ij"), axis=-1).reshape(-1, 2)
+grid = lattice(np.linspace(-2, 2, 13), np.linspace(0, 1, 7))
 round_body = [0, 0.5] + 0.2 * np.stack([np.cos(np.arange(12)), np.sin(np.arange(12))], axis=1)
 channel = np.concatenate([round_body, grid[np.linalg.norm(grid - [0, 0.5], axis=1) > 0.25]])
 planes = [jm.Plane([0, 1], [0, 0]), jm.Plane([0, 1], [0, 1])]

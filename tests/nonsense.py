@@ -1,83 +1,44 @@
-"""Nonsense of every kind, and the table of every public callable with arguments that are good: what `test_nonsense.py` mixes."""
+"""Nonsense for every argument of every public callable, made from signatures and from one good value of each argument."""
 
-import dataclasses
 import functools
 import inspect
 import pathlib
+import re
 import tempfile
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import foam
 import numpy as np
-from small import bricks
+from meshes import bricks, square
 
 import jaxmorph as jm
 from jaxmorph import cases, io, plot, shapes
 
 MODULES = {"jm": jm, "io": io, "shapes": shapes, "plot": plot, "cases": cases}
 
-BUILT = {
-    *(
-        "jm.BoundaryQuality",
-        "jm.Choice",
-        "jm.Control",
-        "jm.Estimate",
-        "jm.FaceQuality",
-        "jm.FreeFaces",
-        "jm.Improvement",
-    ),
-    *("jm.Inspection", "jm.LargestStep", "jm.Plan", "jm.QualityReport", "jm.SmoothQuality", "jm.Steps", "jm.Surface"),
-    *("jm.SurfaceHalf", "jm.WallQuality", "jm.MeshError", "shapes.Fit", "shapes.Stations", "plot.SurfaceErrors"),
-}
+
+def words(text: str) -> set[str]:
+    return {*text.split()}
+
+
+def each(names: str, value: Any) -> dict[str, Any]:
+    return dict.fromkeys(names.split(), value)
+
+
+BUILT = words("""
+jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
+jm.LargestStep jm.MeshError jm.Plan jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf
+jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.Stations
+""")
 """Classes whose constructors the library alone calls."""
 
-CONTRACT = {
-    *(
-        "__call__",
-        "at",
-        "beside",
-        "boxes",
-        "carry",
-        "carry_place",
-        "check",
-        "closest",
-        "connect",
-        "control",
-        "dense_count",
-        "entries",
-    ),
-    *(
-        "equals",
-        "evaluate",
-        "field",
-        "fit",
-        "fixed_reduction",
-        "given",
-        "height",
-        "holds",
-        "iterative",
-        "local",
-        "masses",
-        "matched",
-        "neutral",
-    ),
-    *("offset", "pairs", "place", "reduction", "rows", "slope", "sources", "RBF.through", "value", "check_surface"),
-    *("of_surface", "init", "step", "guarded", "altered", "among", "reduced", "with_faces", "coordinates", "weights"),
-    *(
-        "lattice",
-        "anchors",
-        "apply",
-        "sensitivities",
-        "renumbered",
-        "raise_if_inverted",
-        "raise_if_singular",
-        "reach",
-        "walls",
-        "chosen",
-        "once",
-    ),
-}
+CONTRACT = words("""
+__call__ altered among anchors apply at beside boxes carry carry_place check check_surface chosen closest connect control
+coordinates dense_count entries equals evaluate field fit fixed_reduction given guarded height holds init iterative
+lattice local masses matched neutral of_surface offset once pairs place raise_if_inverted raise_if_singular reach
+reduced reduction renumbered rows RBF.through sensitivities slope sources step value walls weights with_faces
+""")
 """Methods that the driver calls, or that take no argument, or an array that `at` takes as well."""
 
 
@@ -91,24 +52,14 @@ class Lazy:
         return self.make()
 
 
-def square(k: int = 3) -> jm.Mesh:
-    """A square of k by k quads with the patches `wall` (bottom), `far` (the three other sides) and `left`."""
-    x, y = np.meshgrid(*[np.linspace(0, 1, k + 1)] * 2, indexing="ij")
-    ids = np.arange((k + 1) ** 2).reshape(k + 1, k + 1)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
-    far = np.unique(np.concatenate([ids[0, 1:], ids[-1, 1:], ids[:, -1]]))
-    patches = {"wall": ids[:, 0], "far": far, "left": ids[0]}
-    return jm.Mesh(np.stack([x.ravel(), y.ravel()], axis=1), {"quad": quads}, patches)
-
-
 MESH, BRICKS = square(), bricks(2)
 POINTS, PLACES = np.asarray(MESH.points), np.asarray(BRICKS.points)
-N, M = len(POINTS), len(MESH.patch("wall"))
-U, X = np.zeros((M, 2)), np.array([[0.0, 0.0], [0.5, -0.1], [1.0, 0.0], [0.5, 0.1]])
+N, WALL, FAR = len(POINTS), MESH.patch("wall"), MESH.patch("far")
+U, X = np.zeros((len(WALL), 2)), np.array([[0.0, 0.0], [0.5, -0.1], [1.0, 0.0], [0.5, 0.1]])
+LOOP = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
 FOLDER = pathlib.Path(tempfile.mkdtemp(prefix="jaxmorph-nonsense-"))
-CHORD = shapes.Chord()
-(FOLDER / "moves.dat").write_text("".join(f"{node} 0.0 0.0\n" for node in MESH.patch("wall")))
-np.savez(FOLDER / "moves.npz", displacement=U, ids=MESH.patch("wall"))
+(FOLDER / "moves.dat").write_text("".join(f"{node} 0.0 0.0\n" for node in WALL))
+np.savez(FOLDER / "moves.npz", displacement=U, ids=WALL)
 np.savez(FOLDER / "every.npz", sensitivity=POINTS)
 BOX = shapes.FreeForm([-1.0, -1.0], 3 * np.eye(2), (3, 3))
 
@@ -119,743 +70,352 @@ def plan() -> jm.Plan:
 
 
 @Lazy
-def reduced() -> jm.Plan:
-    return jm.prepare(MESH, "wall", "far", method=jm.RBF(reduction=jm.AllPoints()))
-
-
-@Lazy
 def report() -> jm.QualityReport:
     return jm.quality(MESH, POINTS)
 
 
-@dataclasses.dataclass(frozen=True)
-class Argument:
-    """A good value, or a function without arguments that makes it, and nonsense by name."""
-
-    good: Any
-    nonsense: dict[str, Any]
-
-    def __sub__(self, names: str) -> "Argument":
-        """Leaves out kinds that are sense here."""
-        return Argument(self.good, {name: value for name, value in self.nonsense.items() if name not in names.split()})
-
-    def __add__(self, more: dict[str, Any]) -> "Argument":
-        return Argument(self.good, self.nonsense | more)
-
-
-def instance(good: Any, cls: type) -> Argument:
-    """An object of a class."""
-    others = {"none": None, "word": "word", "number": 3, "list": [1, 2], "array": np.zeros(3), "class": cls}
-    return Argument(good, others | {"object": object()})
-
-
-def reals(good: Any, **more: Any) -> Argument:
-    """An array of real numbers of one shape."""
-    array = np.asarray(good, dtype=float)
-    masked = np.ma.masked_array(array, mask=np.ones(array.shape, bool))
-    return Argument(
-        array,
-        {
-            "none": None,
-            "word": "word",
-            "words": array.astype(str),
-            "objects": np.full(array.shape, None),
-            "dates": np.zeros(array.shape, "M8[s]"),
-            "complex": array + 1j,
-            "masked": masked,
-            "ragged": [[1.0, 2.0], [3.0]],
-            "axis": array[None],
-            "scalar": 0.1,
-            "class": np.ndarray,
-            **more,
-        },
-    )
-
-
-def finite(good: Any, **more: Any) -> Argument:
-    """The same where the values are read."""
-    array = np.asarray(good, dtype=float)
-    return reals(good, nan=np.full(array.shape, np.nan), infinite=np.full(array.shape, np.inf), **more)
-
-
-def ids(good: Any, count: int, **more: Any) -> Argument:
-    """Rows of `count` points."""
-    array = np.asarray(good)
-    return Argument(
-        array,
-        {
-            "none": None,
-            "word": "word",
-            "objects": np.full(3, None),
-            "dates": np.zeros(3, "M8[s]"),
-            "complex": array + 1j,
-            "floats": array + 0.5,
-            "below": np.array([-1]),
-            "beyond": np.array([count]),
-            "huge": np.array([2**62]),
-            "axis": array[None],
-            "mask": np.ones(count, bool),
-            "class": np.ndarray,
-            **more,
-        },
-    )
-
-
-def count(good: int, least: int = 1, **more: Any) -> Argument:
-    """A whole number."""
-    values = {"none": None, "word": "4", "half": 2.5, "nan": np.nan, "complex": 2j, "list": [1, 2], "less": least - 1}
-    return Argument(good, values | {"flag": True, "array": np.ones(3, int), "class": int, **more})
-
-
-def number(good: float, **more: Any) -> Argument:
-    """A real number."""
-    values = {"none": None, "word": "0.5", "complex": 1j, "list": [0.5, 0.6], "nan": np.nan, "object": object()}
-    return Argument(good, values | {"array": np.ones(3), "class": float, **more})
-
-
-def positive(good: float, **more: Any) -> Argument:
-    return number(good, negative=-1.0, zero=0.0, infinite=np.inf, **more)
-
-
-def flag(good: bool) -> Argument:
-    return Argument(good, {"none": None, "word": "yes", "number": 2, "array": np.ones(3, bool), "class": bool})
-
-
-def path(name: str) -> Argument:
-    values = {"none": None, "number": 3, "list": ["a"], "mesh": MESH, "ending": FOLDER / "a.nonsense"}
-    return Argument(FOLDER / name, values | {"folder": FOLDER / "nowhere" / name, "class": pathlib.Path})
-
-
-def function(good: Callable) -> Argument:
-    return Argument(good, {"none": None, "word": "word", "number": 3, "array": np.zeros(3)})
-
-
-def mapping(good: dict) -> Argument:
-    values = {"none": None, "word": "word", "number": 3, "list": [1], "empty": {}, "class": dict}
-    return Argument(good, values | {"contents": {"a": 3}})
-
-
-def mesh(good: jm.Mesh = MESH) -> Argument:
-    return instance(good, jm.Mesh) + {"plan": plan, "empty": Lazy(lambda: jm.Mesh(np.zeros((0, 2))))}
-
-
-def a_plan() -> Argument:
-    return instance(plan, jm.Plan) + {"mesh": MESH}
-
-
-def one_of(good: Any, *, optional: bool = False) -> Argument:
-    """An object of one of the classes that a user extends."""
-    base = next(each for each in type(good).__mro__ if each.__name__.startswith("Abstract"))
-    made = instance(good, type(good)) + {"base": base}
-    return made - "none" if optional else made
-
-
-def word(good: str) -> Argument:
-    return Argument(good, {"none": None, "number": 3, "list": [1], "word": "nonsense", "empty": "", "class": str})
-
-
-NODES = {"moving": ids(MESH.patch("wall"), N), "fixed": ids(MESH.patch("far"), N)}
-BOUNDARIES = {
-    "symmetry": Argument((), {"none": None, "number": 3, "word": "nonsense", "list": [3], "class": jm.Plane}),
-    "periodic": Argument((), {"none": None, "number": 3, "word": "nonsense", "list": [3], "class": jm.Periodic}),
-    "sliding": Argument((), {"number": 3, "word": "nonsense", "list": [3], "class": jm.Slide}),
-}
-METHOD = {"method": one_of(jm.DelaunayGraph(), optional=True)}
-FREE = {"free": ids([0], N)}
-MOVED = finite(POINTS, short=POINTS[:3], wide=np.zeros((N, 3)))
-MOTION = reals(U, short=U[:-1], wide=np.zeros((M, 3)))
-KNOWN_MOTION = finite(U, short=U[:-1], wide=np.zeros((M, 3)))
-PATH = reals(np.zeros((2, M, 2)), short=np.zeros((2, M - 1, 2)))
-SHAPE = {"shape": one_of(BOX)}
-LOOP = ids([0, 1, 2, 3], 4)
-WALL = LOOP - "none"
-AIRFOIL = reals(X, wide=np.zeros((4, 4)))
-RATIO = number(0.1, below=-0.1, beyond=1.5)
-LENGTH = positive(0.5)
-WIDTH = {"support_radius": LENGTH}
-CASE = {"points": count(400, 1)}
-FIRST = {"first_cell": positive(1e-3)}
-
-TABLE: dict[str, dict[str, Argument]] = {
-    "jm.AllPoints": {},
-    "jm.Biharmonic": {},
-    "jm.ByDistance": {"exponent": number(1.0)},
-    "jm.ByVolume": {"exponent": number(1.0)},
-    "jm.Centre": {},
-    "jm.CompactC0": WIDTH,
-    "jm.CompactC1": WIDTH,
-    "jm.CompactC2a": WIDTH,
-    "jm.CompactC2b": WIDTH,
-    "jm.CompactRBF": {"radius": LENGTH - "none"},
-    "jm.Corners": {},
-    "jm.CubicSpline": {},
-    "jm.DelaunayGraph": {},
-    "jm.FarthestPoints": {"count": count(4), "separation": RATIO, "extremes": flag(True)},
-    "jm.FittedRBF": {"rbf": instance(jm.RBF(), jm.RBF), "ell": LENGTH - "none", "mu": LENGTH - "none"},
-    "jm.GaussPoints": {},
-    "jm.Gaussian": {"radius": LENGTH},
-    "jm.Graded": {"share": LENGTH - "none", "most": count(8), "separation": RATIO},
-    "jm.Greedy": {
-        "sources": count(4),
-        "motions": finite(np.zeros((1, M, 2))) - "none",
-        "tolerance": number(0.1, negative=-1.0),
-        "group": RATIO,
-        "separation": RATIO,
-    },
-    "jm.InverseDistance": {
-        "far": number(3.0),
-        "near": number(5.0),
-        "alpha": number(0.1),
-        "rotations": flag(False),
-    },
-    "jm.InverseMultiquadric": {"radius": LENGTH},
-    "jm.InverseQuadratic": {"radius": LENGTH},
-    "jm.KDTree": {
-        "leaves": count(4) - "none",
-        "search_points": one_of(jm.Corners()),
-        "points_per_leaf": count(4) - "none",
-        "smallest_box": number(0.1, negative=-1.0),
-        "largest_box": number(1.0, negative=-1.0),
-        "separation": RATIO,
-        "extremes": flag(False),
-        "crowded": count(4) - "none",
-    },
-    "jm.KDTree.with_sources": {"count": count(4), "points": finite(POINTS)},
-    "jm.Laplacian": {"diffusivity": one_of(jm.ByVolume())},
-    "jm.LinearElasticity": {"stiffening": one_of(jm.ByVolume()), "poisson": number(0.1, beyond=0.5, below=-1.0)},
-    "jm.LinearSpline": {},
-    "jm.Direct": {},
-    "jm.Iterative": {
-        "tolerance": positive(1e-8, beyond=1.5),
-        "neighbours": count(20, 8),
-        "dense": count(20, 8) - "none",
-    },
-    "jm.Mesh": {
-        "points": reals(POINTS, wide=np.zeros((N, 4)), flags=np.zeros((N, 2), bool)),
-        "cells": mapping({"quad": np.asarray(MESH.cells["quad"])}) - "none empty",
-        "patches": mapping({"a": [0, 1]}) - "none empty contents",
-    },
-    "jm.Mesh.from_meshio": {"mesh": instance(Lazy(lambda: MESH.to_meshio()), object)},
-    "jm.Mesh.from_pyvista": {"grid": instance(Lazy(lambda: MESH.to_pyvista()), object)},
-    "jm.Mesh.moved": {"points": reals(POINTS, short=POINTS[:3], wide=np.zeros((N, 3)))},
-    "jm.Mesh.patch": {"*": word("wall")},
-    "jm.Mesh.patch_names": {"*": word("wall")},
-    "jm.Mesh.to_meshio": {
-        "point_data": mapping({"a": np.zeros(N)}) - "none empty",
-        "cell_data": mapping({}) - "none empty",
-    },
-    "jm.Mesh.to_pyvista": {
-        "point_data": mapping({"a": np.zeros(N)}) - "none empty",
-        "cell_data": mapping({}) - "none empty",
-    },
-    "jm.Multiquadric": {"radius": LENGTH},
-    "jm.LocalCorrection": {"radius": LENGTH - "none"},
-    "jm.Multiscale": {},
-    "jm.Multiscale.whole": {"radius": LENGTH, "fraction": positive(0.1, beyond=1.5)},
-    "jm.NearWall": {"correction": one_of(jm.DelaunayGraph()), "width": LENGTH - "none"},
-    "jm.PGreedy": {"count": count(4), "separation": RATIO},
-    "jm.Periodic": {
-        "patch": ids([0], N) - "word below beyond huge",
-        "partner": ids([1], N) - "word below beyond huge",
-        "translation": finite([0.0, 1.0]) - "none",
-        "copies": count(1),
-    },
-    "jm.Plane": {"normal": finite([0.0, 1.0], zero=np.zeros(2), wide=np.ones(3)), "origin": finite([0.0, 0.0])},
-    "jm.Plane.through": {"points": finite(POINTS), "nodes": ids(MESH.patch("wall"), N)},
-    "jm.QualityReport.max": {"name": word("skewness")},
-    "jm.QualityReport.mean": {"name": word("skewness"), "weighted": flag(True)},
-    "jm.QualityReport.min": {"name": word("skewness")},
-    "jm.QualityReport.worst": {"k": count(3, 0), "by": word("skewness") - "none"},
-    "jm.RBF": {
-        "basis": one_of(jm.ThinPlateSpline()),
-        "reduction": one_of(jm.AllPoints()),
-        "fixed_reduction": one_of(jm.AllPoints()),
-        "degree": count(1, 0, beyond=2) - "none",
-        "ridge": number(0.1, negative=-1.0, infinite=np.inf),
-    },
-    "jm.RBF.classic": {"basis": one_of(jm.ThinPlateSpline(), optional=True), "degree": count(1, 0, beyond=2) - "none"},
-    "jm.Revolution": {
-        "axis": finite([0.0, 0.0, 1.0], zero=np.zeros(3), short=np.ones(2)) - "none",
-        "origin": finite(np.zeros(3)) - "none",
-        "profile": finite([[0.0, 1.0], [1.0, 1.0]], back=[[1.0, 1.0], [0.0, 1.0]]) - "none",
-    },
-    "jm.RigidBlend": {"inner": number(0.1, negative=-1.0, infinite=np.inf), "outer": LENGTH},
-    "jm.Slide": {
-        "patch": ids([0], N) - "word below beyond huge",
-        "on": instance(jm.Plane([0.0, 1.0], [0.0, 0.0]), jm.Plane) - "none",
-    },
-    "jm.SpringAnalogy": {"exponent": number(1.0)},
-    "jm.SurfaceHalf.attach": {"points": finite(POINTS), "nodes": ids(np.arange(N), N) - "beyond huge"},
-    "jm.SurfaceReconstruction": {"coarse": one_of(jm.RBF()), "correction": one_of(jm.DelaunayGraph())},
-    "jm.SurfaceReconstruction.published": {"leaves": count(4), "fixed_leaves": count(4)},
-    "jm.ThinPlateSpline": {},
-    "jm.TorsionalSprings": {"lineal": number(0.1)},
-    "jm.ValidSteps": {
-        "plan": a_plan(),
-        "mesh": mesh(),
-        "displacement": function(lambda y: U),
-        "min_jacobian_ratio": RATIO,
-        "share": RATIO,
-        "slope": RATIO,
-        "decrease": RATIO,
-    },
-    "jm.WendlandC0": WIDTH,
-    "jm.WendlandC2": WIDTH,
-    "jm.WendlandC4": WIDTH,
-    "jm.WendlandC6": WIDTH,
-    "jm.boundary_quality": {"plan": a_plan(), "points": MOVED},
-    "jm.choose": {
-        "mesh": mesh(),
-        **NODES,
-        "motions": finite(np.ones((1, M, 2)), short=np.zeros((1, M - 1, 2))),
-        **BOUNDARIES,
-        "leaves": Argument((4,), {"none": None, "empty": (), "word": "4", "number": 4, "half": (2.5,), "less": (0,)}),
-        "tolerance": number(0.01, negative=-1.0),
-    },
-    "jm.deform": {"plan": a_plan(), "u": MOTION},
-    "jm.distortion": {
-        "mesh": mesh(),
-        "points": reals(POINTS, short=POINTS[:3], wide=np.zeros((N, 3))) - "none",
-        "ideal": flag(False),
-        "size_weight": RATIO,
-        "softness": positive(1e-3),
-    },
-    "jm.estimate": {
-        "mesh": mesh(),
-        **NODES,
-        **METHOD,
-        "chunk": count(4) - "none",
-    },
-    "jm.face_quality": {"mesh": mesh(), "points": MOVED - "none nan infinite"},
-    "jm.fewest_steps": {
-        "plan": a_plan(),
-        "mesh": mesh(),
-        "motion": function(lambda t: t * U),
-        "min_jacobian_ratio": RATIO,
-        "max_steps": count(4),
-    },
-    "jm.improve": {
-        "mesh": mesh(),
-        "points": MOVED,
-        "fixed": ids(MESH.patch("far"), N) - "none",
-        "symmetry": BOUNDARIES["symmetry"],
-        "periodic": BOUNDARIES["periodic"],
-        "sliding": BOUNDARIES["sliding"],
-        "ideal": flag(False),
-        "size_weight": RATIO,
-        "tolerance": number(0.03, negative=-1.0),
-        "max_steps": count(2),
-        "progress": function(lambda *_: None) - "none",
-    },
-    "jm.inspect": {
-        "plan": a_plan(),
-        "u": KNOWN_MOTION,
-        "mesh": mesh() - "none",
-        "nodes": ids(np.arange(N), N) - "none beyond huge",
-    },
-    "jm.inverted": {"mesh": mesh(), "points": MOVED - "nan infinite"},
-    "jm.largest_step": {
-        "plan": a_plan(),
-        "u": KNOWN_MOTION,
-        "direction": KNOWN_MOTION,
-        "mesh": mesh(),
-        "min_jacobian_ratio": RATIO,
-        "max_step": positive(1.0),
-    },
-    "jm.load": {"path": path("a.npz") - "ending folder"},
-    "jm.march": {"plan": a_plan(), "path": PATH, "rebuild": flag(False)},
-    "jm.prepare": {"mesh": finite(POINTS, far=POINTS + 1e300), **NODES, **METHOD, **BOUNDARIES, **FREE},
-    "jm.prepare_in_chunks": {
-        "mesh": finite(POINTS, far=POINTS + 1e300),
-        **NODES,
-        "size": count(4) - "none",
-        **METHOD,
-        **BOUNDARIES,
-        **FREE,
-    },
-    "jm.prepare_surface": {
-        "mesh": finite(POINTS, far=POINTS + 1e300),
-        **NODES,
-        "nodes": ids(np.arange(N), N) - "none beyond huge",
-        **METHOD,
-        **BOUNDARIES,
-        **FREE,
-    },
-    "jm.pullback": {"plan": a_plan(), "u": MOTION, "cotangent": reals(POINTS, short=POINTS[:3])},
-    "jm.quality": {"mesh": mesh(), "points": MOVED - "none nan infinite"},
-    "jm.refit": {"plan": a_plan(), "points": reals(POINTS, short=POINTS[:3])},
-    "jm.replay": {
-        "plans": Argument(Lazy(lambda: (plan(),)), {"none": None, "empty": (), "word": "a", "number": 3, "list": [3]}),
-        "path": PATH,
-    },
-    "jm.save": {"path": path("a.npz") - "ending folder", "plan": a_plan()},
-    "jm.shard": {
-        "plan": a_plan(),
-        "devices": Argument((), {"none": None, "empty": (), "word": "cpu", "number": 1, "list": [1]}),
-    },
-    "jm.smooth_quality": {
-        "mesh": mesh(),
-        "points": MOVED - "none nan infinite",
-        "sharpness": LENGTH,
-        "softness": LENGTH,
-    },
-    "jm.soft_maximum": {
-        "values": reals([1.0, 2.0]) - "axis scalar",
-        "sharpness": LENGTH,
-        "axis": count(0, 0, beyond=3) - "none less",
-    },
-    "jm.velocity": {"plan": a_plan(), "u": MOTION, "u_dot": MOTION},
-    "jm.wall_quality": {
-        "mesh": mesh(),
-        "wall": ids(MESH.patch("wall"), N, name="nonsense"),
-        "points": MOVED - "none nan infinite",
-        "softness": LENGTH - "none",
-    },
-    "io.Decomposed": {"path": path("case") - "folder"},
-    "io.Decomposed.check_output": {"path": path("new") - "ending"},
-    "io.Decomposed.folder": {"k": count(0, 0, beyond=2)},
-    "io.Decomposed.read": {"k": count(0, 0, beyond=2)},
-    "io.Decomposed.side": {"k": count(0, 0, beyond=2)},
-    "io.Decomposed.surface": {
-        "sides": Argument(
-            Lazy(lambda: [decomposed().side(k) for k in (0, 1)]), {"word": "a", "number": 3, "list": [1], "empty": []}
-        )
-    },
-    "io.Decomposed.writing": {
-        "path": path("new") - "ending folder",  # the folder is looked for on entering
-        "ranks": Argument(None, {"number": 3, "word": "a", "list": [1]}),
-    },
-    "io.cell_arrays": {"report": instance(report, jm.QualityReport)},
-    "io.check_gradient_output": {"path": path("a.csv")},
-    "io.check_lattice_output": {"file": path("a.vts")},
-    "io.check_output": {"path": path("a.vtu"), "mesh": mesh() - "empty"},
-    "io.check_sensitivity_output": {"path": path("a.csv")},
-    "io.global_nodes": {"mesh": instance(Lazy(lambda: decomposed().read(0)), jm.Mesh) + {"another": MESH}},
-    "io.periodic": {"mesh": mesh() - "empty"},
-    "io.symmetry": {"mesh": mesh() - "empty"},
-    "io.read": {"path": path("a.vtu") - "folder"},
-    "io.read_box": {
-        "source": Argument(
-            {"low": [0, 0], "high": [1, 1], "points": [2, 2], "moved": []},
-            {"none": None, "number": 3, "list": [1], "empty": {}, "class": dict},
-        ),
-        "dimensions": count(2, 2, beyond=4),
-    },
-    "io.read_displacement": {
-        "path": path("moves.npz") - "ending folder",
-        "mesh": mesh() - "empty",
-        "moving": ids(MESH.patch("wall"), N) - "axis",
-        "is_position": flag(True),
-    },
-    "io.read_sensitivity": {"path": path("every.npz") - "ending folder", "mesh": mesh()},
-    "io.read_surface": {"path": path("moves.dat") - "ending folder", "d": count(2, 2, beyond=4)},
-    "io.write": {
-        "path": path("a.vtu"),
-        "mesh": mesh(),
-        "point_data": mapping({"a": np.zeros(N)}) - "none empty",
-        "cell_data": mapping({"a": np.zeros(9)}) - "none empty",
-    },
-    "io.write_gradient": {
-        "path": path("a.csv"),
-        "parameters": Argument({"a": 1.0}, {"word": "word", "object": object()}),
-        "gradient": Argument({"a": 1.0}, {"none": None, "word": "word", "other": {"b": 1.0}}),
-    },
-    "io.write_lattice": {"file": path("a.vts"), "points": reals(np.zeros((2, 2, 2)))},
-    "io.write_moved": {
-        "path": path("a.vtu"),
-        "mesh": mesh(),
-        "moved": mesh(),
-        "report": instance(report, jm.QualityReport),
-    },
-    "io.write_pvd": {
-        "path": path("a.pvd"),
-        "files": Argument(("a.vtu",), {"none": None, "number": 3, "word": "a", "list": [3]}),
-        "times": Argument(
-            (0.0,), {"none": None, "number": 3, "word": "a", "words": ["a"], "nan": [np.nan], "longer": [0.0, 1.0]}
-        ),
-    },
-    "io.write_sensitivity": {
-        "path": path("a.csv"),
-        "ids": ids(np.arange(3), 3) - "beyond huge",
-        "values": reals(np.zeros((3, 2)), short=np.zeros((2, 2))),
-    },
-    "shapes.BSplineCurve": {"points": finite(X), "count": count(3, 2), "degree": count(2)},
-    "shapes.CST": {"order": count(3), "chord": instance(CHORD, shapes.Chord) - "none"},
-    "shapes.Chain": {"shapes": mapping({"a": BOX})},
-    "shapes.Child": {"child": one_of(BOX), "parent": one_of(BOX)},
-    "shapes.Chord": {
-        "nose": finite([0.0, 0.0]),
-        "tail": finite([1.0, 0.0], same=[0.0, 0.0]),
-        "up": finite([0.0, 1.0]) - "none",
-    },
-    "shapes.Chord.along": {"points": finite(X)},
-    "shapes.FreeForm": {
-        "origin": finite([0.0, 0.0]),
-        "axes": finite(np.eye(2), flat=np.ones((2, 2))),
-        "counts": Argument(
-            (3, 3),
-            {
-                "none": None,
-                "word": "33",
-                "number": 3,
-                "half": (2.5, 3),
-                "less": (1, 3),
-                "longer": (3, 3, 3),
-                "flags": (True, True),
-            },
-        ),
-        "degree": count(1) - "none list",
-        "continuity": count(0, 0) - "none",
-    },
-    "shapes.FreeForm.around": {
-        "points": finite(X),
-        "counts": Argument((3, 3), {"none": None, "word": "33", "number": 3, "half": (2.5, 3), "less": (1, 3)}),
-        "margin": number(0.1, infinite=np.inf, negative=-1.0),
-        "degree": count(1) - "none list",
-        "continuity": count(0, 0) - "none",
-    },
-    "shapes.FreeForm.linked": {
-        "free": Argument(
-            np.ones((3, 3), bool), {"word": "a", "number": 3, "shape": np.ones(3, bool), "floats": np.ones((3, 3))}
-        ),
-        "groups": Argument((), {"none": None, "number": 3, "word": "a", "list": [3], "beyond": [[(0, 0), (9, 9)]]}),
-        "mirror": count(0, 0, beyond=2) - "none",
-    },
-    "shapes.FreeForm.raise_if_outside": {"x": finite(X)},
-    "shapes.FreeForm.raise_if_torn": {"x": finite(X), "control": reals(np.zeros((3, 3, 2)))},
-    "shapes.Function": {"function": function(lambda x, p: x), "rest": Argument(0.0, {})},
-    "shapes.HicksHenne": {
-        "centres": finite([0.3, 0.5], beyond=[1.5], twice=[0.5, 0.5]) - "scalar",
-        "widths": positive(3.0) - "list array",
-        "chord": instance(CHORD, shapes.Chord) - "none",
-    },
-    "shapes.Linked": {**SHAPE, "matrix": finite(np.ones((18, 1)))},
-    "shapes.Modes": {"fields": finite(np.zeros((1, 4, 2)))},
-    "shapes.NACA4": {
-        "camber": number(0.02, infinite=np.inf),
-        "place": number(0.4, below=0.0, beyond=1.0),
-        "thickness": positive(0.12),
-        "chord": instance(CHORD, shapes.Chord) - "none",
-    },
-    "shapes.OnRows": {**SHAPE, "rows": ids([0, 1], 4) - "beyond huge"},
-    "shapes.Part": {
-        **SHAPE,
-        "kept": Argument(np.ones(4, bool), {"none": None, "word": "a", "floats": np.ones(4), "scalar": True}),
-    },
-    "shapes.ReferenceAxis": {
-        "points": finite([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], one=np.zeros((1, 3))),
-        "chordwise": finite([1.0, 0.0, 0.0]),
-        "spanwise": finite([0.0, 1.0, 0.0]),
-        "cubic": flag(False),
-    },
-    "shapes.Smoother": {
-        "points": finite(X),
-        "faces": ids([[0, 1], [1, 2], [2, 3], [3, 0]], 4),
-        "length": number(0.1, negative=-1.0, infinite=np.inf),
-        "held": ids([0], 4),
-    },
-    "shapes.Smoother.on": {
-        "mesh": mesh(),
-        "patch": word("wall"),
-        "length": number(0.1, negative=-1.0),
-        "held": ids([0], 4),
-    },
-    "shapes.Stations.on": {
-        "x": finite(X),
-        "faces": ids([[0, 1], [1, 2], [2, 3], [3, 0]], 4),
-        "points": finite([[0.5, 0.0]]),
-        "direction": finite([0.0, 1.0]) - "axis",
-    },
-    "shapes.Together": {"*": one_of(BOX)},
-    "shapes.area": {"x": AIRFOIL, "loop": LOOP},
-    "shapes.bend": {
-        "x": reals(X),
-        "angle": number(0.1),
-        "about": finite([0.0, 0.0]),
-        "along": finite([1.0, 0.0]),
-        "length": positive(1.0),
-        "axis": Argument(None, {"plane": [0.0, 0.0, 1.0]}),
-    },
-    "shapes.centroid": {"x": AIRFOIL, "loop": LOOP},
-    "shapes.chord": {
-        "x": AIRFOIL,
-        "nose": count(0, 0, beyond=9) - "list array",
-        "tail": count(2, 0, beyond=9) - "list array",
-    },
-    "shapes.curvature": {"x": AIRFOIL, "loop": LOOP},
-    "shapes.displacement": {
-        "shape": function(BOX),
-        "plan": a_plan(),
-        "parameters": Argument(Lazy(lambda: BOX.neutral()), {"none": None, "word": "a", "shape": np.zeros(3)}),
-    },
-    "shapes.fit": {**SHAPE, "points": finite(X), "targets": finite(X), "max_steps": count(2)},
-    "shapes.fit_cst": {
-        "points": finite(X),
-        "order": count(3),
-        "chord": instance(CHORD, shapes.Chord) - "none",
-        "wall": WALL,
-    },
-    "shapes.leading_edge_radius": {"x": AIRFOIL, "loop": LOOP, "tail": count(2, 0, beyond=9), "around": count(1)},
-    "shapes.names": {"parameters": Argument({"a": 1.0}, {"word": "word", "object": object()})},
-    "shapes.path": {
-        "shape": function(BOX),
-        "x": reals(X),
-        "parameters": Argument(Lazy(lambda: BOX.neutral()), {"word": "a", "shape": np.zeros(3)}),
-        "steps": count(2),
-    },
-    "shapes.pullback": {
-        "shape": function(BOX),
-        "plan": a_plan(),
-        "parameters": Argument(Lazy(lambda: BOX.neutral()), {"word": "a"}),
-        "cotangent": reals(POINTS),
-    },
-    "shapes.rotate": {
-        "x": reals(X),
-        "angle": number(0.1) - "list array",
-        "about": finite([0.0, 0.0]),
-        "axis": Argument(None, {"plane": [0.0, 0.0, 1.0]}),
-    },
-    "shapes.scale": {"x": reals(X), "factors": finite([1.0, 2.0]) - "scalar", "about": finite([0.0, 0.0])},
-    "shapes.thickness": {
-        "x": AIRFOIL,
-        "stations": instance(
-            Lazy(lambda: shapes.Stations.on(X, [[0, 1], [1, 2], [2, 3], [3, 0]], [[0.5, 0.0]], [0.0, 1.0])),
-            shapes.Stations,
-        ),
-    },
-    "shapes.trailing_edge_angle": {"x": AIRFOIL, "upper": ids([3, 2], 4), "lower": ids([1, 2], 4)},
-    "shapes.translate": {"x": reals(X), "by": finite([0.0, 0.0])},
-    "shapes.twist": {
-        "x": reals(PLACES),
-        "angle": number(0.1),
-        "about": finite(np.zeros(3)),
-        "axis": finite([0.0, 0.0, 1.0]),
-        "length": positive(1.0),
-    },
-    "shapes.upper_side": {"points": finite(X), "chord": instance(CHORD, shapes.Chord) - "none", "wall": WALL},
-    "shapes.varied": {
-        "parameters": Argument({"a": 1.0}, {"word": "word"}),
-        "changes": mapping({"a": 1.0}) - "empty contents",
-    },
-    "shapes.volume": {"x": reals(PLACES), "faces": ids([[0, 1, 2]], 27), "plane": finite(np.zeros(3)) - "none"},
-    "shapes.wall_faces": {"mesh": mesh(BRICKS), "patch": word("floor")},
-    "shapes.wall_loop": {"mesh": mesh(), "patch": word("wall")},
-    "plot.animate": {
-        "path": path("a.gif"),
-        "draw": function(lambda x: plot.mesh(MESH, x)),
-        "frames": finite(np.stack([POINTS, POINTS])),
-        "rate": positive(12.0),
-    },
-    "plot.before_after": {"mesh": mesh(), "points": MOVED},
-    "plot.before_after_3d": {"mesh": mesh(BRICKS), "points": finite(PLACES), "patch": word("floor") - "none"},
-    "plot.convergence": {"errors": mapping({"a": plot.SurfaceErrors(np.array([3]), np.array([0.1]), np.array([0.1]))})},
-    "plot.cut": {
-        "mesh": mesh(BRICKS),
-        "points": finite(PLACES) - "none",
-        "plane": instance(jm.Plane([0.0, 0.0, 1.0], [0.0, 0.0, 0.3]), jm.Plane),
-        "values": reals(np.zeros(8)) - "none",
-        "limits": finite([0.0, 1.0]) - "none",
-        "bar": flag(True),
-    },
-    "plot.graph": {"plan": a_plan(), "u": KNOWN_MOTION - "none", "interior": flag(False)},
-    "plot.histogram": {"reports": mapping(Lazy(lambda: {"a": report()})), "measure": word("skewness")},
-    "plot.mesh": {
-        "mesh": mesh(),
-        "points": MOVED - "none",
-        "values": reals(np.zeros(9)) - "none",
-        "limits": finite([0.0, 1.0]) - "none",
-        "bar": flag(True),
-    },
-    "plot.page": {
-        "path": path("a.html"),
-        "mesh": mesh(BRICKS),
-        "points": finite(PLACES),
-        "values": reals(np.zeros(8)) - "none",
-        "limits": finite([0.0, 1.0]) - "none",
-        "patch": word("floor") - "none",
-    },
-    "plot.picture": {"path": path("a.png"), "before": mesh(), "points": MOVED, "moving": ids(MESH.patch("wall"), N)},
-    "plot.sources": {
-        "surface": a_plan(),
-        "reduction": one_of(jm.AllPoints(), optional=True),
-        "fixed": flag(False),
-        "search_points": flag(False),
-    },
-    "plot.sources_3d": {"surface": finite(PLACES), "reduction": one_of(jm.AllPoints())},
-    "plot.surface": {
-        "mesh": mesh(BRICKS),
-        "points": finite(PLACES) - "none",
-        "values": reals(np.zeros(8)) - "none",
-        "limits": finite([0.0, 1.0]) - "none",
-        "patch": word("floor") - "none",
-    },
-    "plot.surface_errors": {
-        "plan": instance(reduced, jm.Plan),
-        "u": finite(np.ones((M, 2)), short=U[:-1]),
-        "reductions": Argument(
-            (jm.AllPoints(),), {"none": None, "empty": (), "word": "a", "number": 3, "list": [3], "class": jm.AllPoints}
-        ),
-    },
-    "plot.swing": {"points": finite(POINTS), "extreme": finite(POINTS, short=POINTS[:3]), "frames": count(4, 2)},
-    "plot.whole": {"points": finite(POINTS)},
-    "cases.agard445": {"points": count(5000)},
-    "cases.agard445_mode": {"points": reals(PLACES), "mode": count(1, 1, beyond=9), "amplitude": number(1.0)},
-    "cases.blade_tip": {"gap": positive(0.01), "layers": count(5)},
-    "cases.bodies": {
-        "boxes": mapping({"a": [-1.0, 1.0, -1.0, 1.0]}) - "empty",
-        "box": finite([-4.0, 4.0, -4.0, 4.0], short=[0.0, 1.0], back=[4.0, -4.0, -4.0, 4.0]),
-        "spacing": positive(0.5),
-    },
-    "cases.bricks": {"kind": word("tetra"), "cells": count(3), "first_cell": positive(0.1) - "none"},
-    "cases.cascade": {
-        "around": count(40, 4),
-        "layers": count(8, 2),
-        **FIRST,
-        "pitch": positive(1.0),
-        "periodic": flag(False),
-    },
-    "cases.channel": {"columns": count(6, 2), "rows": count(4, 2), "gap": positive(0.2), **FIRST},
-    "cases.naca0015": CASE,
-    "cases.naca4": {"code": word("2412"), **CASE, **FIRST, "sharp": flag(False)},
-    "cases.sharp_o_grid": {
-        "around": count(16, 4),
-        "layers": count(8, 2),
-        **FIRST,
-        "camber": number(0.0),
-        "edge": positive(12.0),
-    },
-    "cases.valve": {"lift": positive(0.1), "layers": count(5)},
-    "cases.wing": {"code": word("6409"), **CASE, "stations": count(3, 2), "span": positive(2.0), **FIRST},
-}
-
-
-@functools.cache
-def half() -> jm.SurfaceHalf:
-    return jm.prepare_surface(MESH, "wall", "far", method=jm.InverseDistance())
-
-
-@functools.cache
+@Lazy
 def decomposed() -> io.Decomposed:
     """A case of two parts, of four hexahedra each."""
-    sides = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
-    cells = np.asarray(BRICKS.cells["hexahedron"])[:, sides].tolist()
+    cells = [foam.cell(foam.HEXAHEDRON, *row) for row in BRICKS.cells["hexahedron"].tolist()]
     foam.write_parts(FOLDER / "case", PLACES, cells, [("all", "wall", lambda face: True)], np.arange(8) // 4)
     return io.Decomposed(FOLDER / "case")
 
 
 OWNERS: dict[str, Callable[[], Any]] = {
     "io.Decomposed": decomposed,
+    "jm.FaceQuality": Lazy(lambda: jm.face_quality(BRICKS, PLACES)),
     "jm.Mesh": lambda: MESH,
     "jm.Plan": plan,
     "jm.QualityReport": report,
-    "jm.SurfaceHalf": half,
+    "jm.SurfaceHalf": Lazy(lambda: jm.prepare_surface(MESH, "wall", "far", method=jm.InverseDistance())),
     "shapes.FreeForm": lambda: BOX,
 }
 """What the methods of a class are called on."""
 
 
+GOOD: dict[str, dict[str, Any]] = {
+    "": {
+        **{"plan": plan, "report": report, "plans": Lazy(lambda: (plan(),)), "shape": BOX, "parent": BOX, "child": BOX},
+        **{"mesh": MESH, "moved": MESH, "points": POINTS, "u": U, "u_dot": U, "direction": U},
+        **{"moving": WALL, "fixed": FAR, "nodes": np.arange(N), "cotangent": POINTS},
+        **{"path": np.zeros((2, len(WALL), 2))},
+        **{"motions": np.ones((1, len(WALL), 2)), "motion": lambda t: t * U, "displacement": lambda y: U, "wall": WALL},
+        **each("radius support_radius ell mu width exponent alpha lineal poisson", 0.5),
+        **{"inner": 0.1, "outer": 0.5, "leaves": 4, "points_per_leaf": 4, "crowded": 4, "count": 4, "sources": 4},
+        **{"k": 0},
+        **{"values": np.array([1.0, 2.0]), "name": "skewness", "parameters": Lazy(BOX.neutral), "steps": 2},
+        **{"patch": "wall", "x": X, "angle": 0.1, "length": 0.5, "about": np.zeros(2), "degree": 1, "tail": 2},
+        **{"nose": 0},
+        **{"file": FOLDER / "a.vts", "time": 0.0, "d": 2, "dimensions": 2, "order": 3},
+        **{"methods": {"a": jm.DelaunayGraph()}},
+    },
+    "shapes": {"points": X, "faces": LOOP, "loop": np.arange(4), "wall": np.arange(4)},
+    "plot": {"path": FOLDER / "a.png", "patch": "floor", "reduction": jm.AllPoints()},
+    "io": {"path": FOLDER / "a.vtu"},
+    "jm.Mesh": {"cells": {"quad": np.asarray(MESH.cells["quad"])}, "patches": {"a": [0, 1]}},
+    "jm.Mesh.from_meshio": {"mesh": Lazy(MESH.to_meshio)},
+    "jm.Mesh.from_pyvista": {"grid": Lazy(MESH.to_pyvista)},
+    "jm.Mesh.patch": {"*": "wall"},
+    "jm.Mesh.patch_names": {"*": "wall"},
+    "jm.KDTree": {"leaves": 4},
+    "jm.Periodic": {"patch": np.array([0]), "partner": np.array([1]), "translation": np.array([0.0, 1.0])},
+    "jm.Plane": {"normal": np.array([0.0, 1.0]), "origin": np.zeros(2)},
+    "jm.Plane.through": {"nodes": WALL},
+    "jm.Revolution": {
+        **{"axis": np.array([0.0, 0.0, 1.0]), "origin": np.zeros(3), "profile": np.array([[0.0, 1.0], [1.0, 1.0]])}
+    },
+    "jm.Slide": {"patch": np.array([0]), "on": jm.Plane([0.0, 1.0], [0.0, 0.0])},
+    "jm.choose": {"fixed": FAR, "leaves": (4,), "methods": {}},
+    "jm.estimate": {"fixed": FAR},
+    "jm.load": {"path": FOLDER / "a.npz"},
+    **each("jm.prepare jm.prepare_in_chunks jm.prepare_surface", {"mesh": POINTS, "fixed": FAR}),
+    "jm.shard": {"devices": ()},
+    "jm.save": {"path": FOLDER / "a.npz"},
+    "io.Decomposed": {"path": FOLDER / "case"},
+    "io.Decomposed.check_output": {"path": FOLDER / "new"},
+    "io.Decomposed.surface": {"sides": Lazy(lambda: [decomposed().side(k) for k in (0, 1)])},
+    "io.Decomposed.writing": {"path": FOLDER / "new"},
+    "io.check_gradient_output": {"path": FOLDER / "a.csv"},
+    "io.check_sensitivity_output": {"path": FOLDER / "a.csv"},
+    "io.global_nodes": {"mesh": Lazy(lambda: decomposed().read(0))},
+    "io.read_box": {"source": {"low": [0, 0], "high": [1, 1], "points": [2, 2], "moved": []}},
+    "io.read_displacement": {"path": FOLDER / "moves.npz"},
+    "io.read_sensitivity": {"path": FOLDER / "every.npz"},
+    "io.read_surface": {"path": FOLDER / "moves.dat"},
+    "io.write_gradient": {"path": FOLDER / "a.csv", "parameters": {"a": 1.0}, "gradient": {"a": 1.0}},
+    "io.write_lattice": {"points": np.zeros((2, 2, 2))},
+    "io.write_pvd": {"path": FOLDER / "a.pvd", "files": ("a.vtu",), "times": (0.0,)},
+    "io.write_sensitivity": {"path": FOLDER / "a.csv", "ids": np.arange(3), "values": np.zeros((3, 2))},
+    "shapes.Chain": {"shapes": {"a": BOX}},
+    "shapes.FreeForm": {"origin": np.zeros(2), "axes": np.eye(2), "counts": (3, 3), "degree": 1, "continuity": 0},
+    "shapes.FreeForm.around": {"counts": (3, 3)},
+    "shapes.FreeForm.linked": {"free": np.ones((3, 3), bool), "mirror": 0},
+    "shapes.FreeForm.raise_if_torn": {"control": np.zeros((3, 3, 2))},
+    "shapes.Function": {"function": lambda x, p: x, "rest": {}},
+    "shapes.HicksHenne": {"centres": np.array([0.3, 0.5])},
+    "shapes.Linked": {"matrix": np.ones((18, 1))},
+    "shapes.Modes": {"fields": np.zeros((1, 4, 2))},
+    "shapes.NACA4": {"camber": 0.02, "place": 0.4, "thickness": 0.12},
+    "shapes.OnRows": {"rows": np.array([0, 1])},
+    "shapes.Part": {"kept": np.ones(4, bool)},
+    "shapes.ReferenceAxis": {"points": np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])},
+    **each("shapes.Smoother shapes.Smoother.on", {"held": np.array([0])}),
+    "shapes.Stations.on": {"points": np.array([[0.5, 0.0]]), "direction": np.array([0.0, 1.0])},
+    "shapes.Together": {"*": BOX},
+    "shapes.bend": {"along": np.array([1.0, 0.0])},
+    "shapes.fit": {"targets": X, "max_steps": 2},
+    "shapes.names": {"parameters": {"a": 1.0}},
+    "shapes.scale": {"factors": np.array([1.0, 2.0])},
+    "shapes.thickness": {"stations": Lazy(lambda: shapes.Stations.on(X, LOOP, [[0.5, 0.0]], [0.0, 1.0]))},
+    "shapes.trailing_edge_angle": {"upper": np.array([3, 2]), "lower": np.array([1, 2])},
+    "shapes.translate": {"by": np.zeros(2)},
+    "shapes.twist": {"x": PLACES, "about": np.zeros(3), "axis": np.array([0.0, 0.0, 1.0])},
+    "shapes.varied": {"parameters": {"a": 1.0}, "changes": {"a": 1.0}},
+    "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
+    "shapes.wall_faces": {"mesh": BRICKS, "patch": "floor"},
+    "plot.animate": {
+        "path": FOLDER / "a.gif",
+        "draw": lambda x: plot.mesh(MESH, x),
+        "frames": np.stack([POINTS, POINTS]),
+    },
+    "plot.before_after_3d": {"mesh": BRICKS, "points": PLACES},
+    "plot.convergence": {"errors": {"a": plot.SurfaceErrors(np.array([3]), np.array([0.1]), np.array([0.1]))}},
+    "plot.cut": {
+        "mesh": BRICKS,
+        "points": PLACES,
+        "plane": jm.Plane([0.0, 0.0, 1.0], [0.0, 0.0, 0.3]),
+        "values": np.zeros(8),
+    },
+    "plot.graph": {"interior": False},
+    "plot.histogram": {"reports": Lazy(lambda: {"a": report()})},
+    "plot.mesh": {"values": np.zeros(9)},
+    "plot.page": {"path": FOLDER / "a.html", "mesh": BRICKS, "points": PLACES, "values": np.zeros(8)},
+    "plot.picture": {"before": MESH},
+    "plot.sources": {"surface": plan},
+    "plot.sources_3d": {"surface": PLACES},
+    "plot.surface": {"mesh": BRICKS, "points": PLACES, "values": np.zeros(8)},
+    "plot.surface_errors": {
+        "plan": Lazy(lambda: jm.prepare(MESH, "wall", "far", method=jm.RBF(reduction=jm.AllPoints()))),
+        **{"u": np.ones_like(U), "reductions": (jm.AllPoints(),)},
+    },
+    "plot.swing": {"extreme": POINTS, "frames": 4},
+    "cases.agard445": {"points": 5000},
+    "cases.agard445_mode": {"points": PLACES, "mode": 1},
+    "cases.bodies": {"boxes": {"a": [-1.0, 1.0, -1.0, 1.0]}},
+    "cases.bricks": {"first_cell": 0.1},
+    "cases.naca4": {"code": "2412"},
+}
+"""Good values by name: of every callable, of a module, of one callable. A default needs none."""
+
+RATIO, LEAST = {"below": -0.1, "beyond": 1.5}, {"less": 0}
+POSITIVE = {"negative": -1.0, "zero": 0.0, "infinite": np.inf}
+EXTRA: dict[str, dict[str, Any]] = {
+    **each("separation group min_jacobian_ratio share slope decrease size_weight", RATIO),
+    **each("radius support_radius ell mu width outer max_step spacing first_cell gap pitch lift", POSITIVE),
+    **each("softness sharpness span edge shapes.bend.length thickness", POSITIVE),
+    **each("rate shapes.twist.length widths jm.Graded.share", POSITIVE),
+    **each("tolerance smallest_box largest_box", {"negative": -1.0}),
+    **each("count most sources neighbours copies leaves fixed_leaves steps max_steps rows order points", LEAST),
+    **each("stations layers columns around mode frames dense chunk size points_per_leaf crowded", LEAST),
+    **{"k": {"less": -1, "beyond": 99}, "degree": {"less": -1, "beyond": 99}, "d": {"less": 1, "beyond": 4}},
+    **{"shapes.FreeForm.linked.mirror": {"less": -1, "beyond": 2}},
+    **{"nose": {"beyond": 9}, "tail": {"beyond": 9}, "poisson": {"below": -1.0, "beyond": 0.5}, "plan": {"mesh": MESH}},
+    **{"dimensions": {"less": 1, "beyond": 4}, "kind": {"other": "cube"}, "mode": {"less": 0, "beyond": 9}},
+    **{"place": {"below": 0.0, "beyond": 1.0}, "margin": {"negative": -1.0, "infinite": np.inf}},
+    "camber": {"infinite": np.inf},
+    **each("mesh moved before", {"plan": plan, "empty": Lazy(lambda: jm.Mesh(np.zeros((0, 2))))}),
+    **each("jm.prepare.mesh jm.prepare_in_chunks.mesh jm.prepare_surface.mesh", {"far": POINTS + 1e300}),
+    **each("ridge inner shapes.Smoother.length shapes.Smoother.on.length", {"negative": -1.0, "infinite": np.inf}),
+    **each("jm.Multiscale.whole.fraction jm.Iterative.tolerance", POSITIVE | {"beyond": 1.5}),
+    "name": {"unknown": "nonsense"},
+    "measure": {"unknown": "nonsense"},
+    "counts": {"half": (2.5, 3), "less": (1, 3)},
+    "shapes.FreeForm.counts": {"half": (2.5, 3), "less": (1, 3), "longer": (3, 3, 3), "flags": (True, True)},
+    "jm.choose.leaves": {"empty": (), "half": (2.5,), "less": (0,)},
+    "jm.Plane.normal": {"zero": np.zeros(2), "wide": np.ones(3)},
+    "jm.Revolution.axis": {"zero": np.zeros(3), "short": np.ones(2)},
+    "jm.Revolution.profile": {"back": [[1.0, 1.0], [0.0, 1.0]]},
+    "jm.replay.plans": {"empty": ()},
+    **each("jm.points jm.cotangent extreme", {"short": POINTS[:3]}),
+    **each("u u_dot direction", {"short": U[:-1]}),
+    **each("path motions", {"short": np.zeros((2, len(WALL) - 1, 2))}),
+    "jm.shard.devices": {"empty": (), "list": [1]},
+    "io.global_nodes.mesh": {"another": MESH},
+    "io.write_gradient.gradient": {"other": {"b": 1.0}},
+    "io.write_pvd.times": {"words": ["a"], "nan": [np.nan], "longer": [0.0, 1.0]},
+    "shapes.Chord.tail": {"same": [0.0, 0.0]},
+    "shapes.FreeForm.axes": {"flat": np.ones((2, 2))},
+    "shapes.FreeForm.linked.groups": {"beyond": [[(0, 0), (9, 9)]]},
+    "shapes.HicksHenne.centres": {"beyond": [1.5], "twice": [0.5, 0.5]},
+    "shapes.ReferenceAxis.points": {"one": np.zeros((1, 3))},
+    "shapes.bend.axis": {"plane": [0.0, 0.0, 1.0]},
+    "shapes.rotate.axis": {"plane": [0.0, 0.0, 1.0]},
+    "plot.surface_errors.reductions": {"empty": ()},
+    "cases.bodies.box": {"short": [0.0, 1.0], "back": [4.0, -4.0, -4.0, 4.0]},
+}
+"""Values out of range, by the name of an argument, everywhere or of one callable."""
+
+PATTERNS = (
+    ("sequence", r"^(collections\.abc\.)?(Sequence|tuple)\b"),
+    ("flag", r"^bool\b"),
+    ("function", r"Callable"),
+    ("path", r"PathLike"),
+    ("mapping", r"Mapping|^dict"),
+    ("ids", r"\bInt(eger)?\["),
+    ("array", r"(Real|Float)\["),
+    ("sequence", r"Sequence"),
+    ("count", r"^int\b"),
+    ("number", r"^float\b"),
+    ("word", r"^str\b"),
+)
+"""Kinds of arguments by their annotations, the first that fits."""
+
+
+def kind_of(parameter: inspect.Parameter, good: Any) -> str:
+    """Names the kind of an argument by its annotation, and by its good value where that says more."""
+    note = parameter.annotation
+    text = "" if note in (inspect.Parameter.empty, Any) else inspect.formatannotation(note)
+    kind = next((kind for kind, pattern in PATTERNS if re.search(pattern, text)), "instance")
+    if kind == "array" and isinstance(good, jm.Plan):
+        return "instance"
+    if kind in ("array", "instance") and isinstance(good, int | float) and not isinstance(good, bool):
+        return "count" if isinstance(good, int) and kind == "instance" else "number"
+    if kind == "instance" and (isinstance(good, np.ndarray) or (isinstance(good, tuple) and good)):
+        return "array" if np.asarray(good).dtype.kind == "f" else "ids"
+    return kind
+
+
+ANY: dict[str, Any] = {"none": None, "word": "word", "number": 3, "list": [1, 2], "object": object(), "class": dict}
+"""Nonsense for most kinds; `of_kind` leaves out what is sense."""
+
+
+def of_kind(kind: str, good: Any) -> dict[str, Any]:
+    """Makes the nonsense that every argument of a kind meets."""
+    array = np.zeros(3)
+    if kind == "number":
+        return ANY | {"number": 1j, "nan": np.nan, "array": array}
+    if kind == "count":
+        return ANY | {"number": 2.5, "complex": 2j, "nan": np.nan, "flag": True, "array": np.ones(3, int)}
+    if kind == "flag":
+        return ANY | {"array": np.ones(3, bool)}
+    if kind == "word":
+        return ANY | {"word": "nonsense", "empty": ""}
+    if kind == "path":
+        path = good if isinstance(good, pathlib.Path) else FOLDER / "a.vtu"
+        ways = {"mesh": MESH, "ending": FOLDER / "a.nonsense", "folder": FOLDER / "nowhere" / path.name}
+        return {key: value for key, value in (ANY | ways).items() if key != "word"}
+    if kind == "array":
+        good = np.asarray(good if good is not None else array, dtype=float)
+        masked = np.ma.masked_array(good, mask=np.ones(good.shape, bool))
+        forms = {
+            "words": good.astype(str),
+            "objects": np.full(good.shape, None),
+            "dates": np.zeros(good.shape, "M8[s]"),
+        }
+        forms |= {"complex": good + 1j, "masked": masked, "ragged": [[1.0, 2.0], [3.0]], "axis": good[None]}
+        forms |= {"nan": np.full(good.shape, np.nan), "infinite": np.full(good.shape, np.inf), "number": 0.1}
+        if good.ndim > 1:
+            forms["wide"] = np.zeros((*good.shape[:-1], 5))
+        return ANY | forms | {"list": [[1.0], "a"]}
+    if kind == "ids":
+        ids = {
+            "objects": np.full(3, None),
+            "dates": np.zeros(3, "M8[s]"),
+            "complex": np.ones(3) + 1j,
+            "below": np.array([-1]),
+        }
+        ids |= {
+            "beyond": np.array([N]),
+            "huge": np.array([2**62]),
+            "floats": np.array([0.5, 1.5]),
+            "list": [[0, 1], [1]],
+        }
+        return (
+            ANY
+            | ids
+            | {
+                "axis": np.asarray(good)[None] if np.size(good) and good is not None else [[0]],
+                "mask": np.ones(N, bool),
+            }
+        )
+    if bases := [base for base in type(good).__mro__ if base.__name__.startswith("Abstract")]:
+        return ANY | {"array": array, "base": bases[-1]}
+    return ANY | {"array": array} | {"mapping": {"contents": {"a": 3}}, "sequence": {"list": [3]}}.get(kind, {})
+
+
+def arguments(name: str) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """Yields the name, the good value and the nonsense of every argument of a callable."""
+    scope = GOOD[""] | GOOD.get(name.split(".")[0], {}) | GOOD.get(name, {})
+    for key, parameter in inspect.signature(callable_of(name)).parameters.items():
+        if key in UNCHECKED or f"{name}.{key}" in UNCHECKED:
+            continue
+        many = parameter.kind is inspect.Parameter.VAR_POSITIONAL
+        is_given, key = parameter.default is inspect.Parameter.empty or key in GOOD.get(name, {}), "*" if many else key
+        good = scope[key] if is_given else parameter.default if parameter.default is not None else scope.get(key)
+        value = made(good)
+        value = scope.get(key) if type(value).__name__ == "_HAS_DEFAULT_FACTORY_CLASS" else value
+        kind = "word" if many and isinstance(value, str) else kind_of(parameter, value)
+        places = kind, key, f"{name.split('.')[0]}.{key}", f"{name}.{key}"
+        wrong = functools.reduce(lambda found, place: found | EXTRA.get(place, {}), places, of_kind(kind, value))
+        sense = " ".join(SENSE.get(place, "") for place in places).split()
+        if parameter.default is None or "None" in str(parameter.annotation):
+            sense.append("none")
+        yield key, good if is_given else None, {label: case for label, case in wrong.items() if label not in sense}
+
+
+UNCHECKED = words("""
+jm.Mesh.source ax plotter label window exponents cache_directory progress done first classes is_open start
+""")
+UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.prepare_surface.faces")
+"""Arguments of other packages, and those that mean something only beside others."""
+
+SENSE = {
+    "x": "nan infinite",
+    **each("jm.Graded.share jm.Greedy.motions", "beyond wide short"),
+    **each("jm.march.path jm.replay.path", "nan infinite"),
+    **each("jm.deform.u jm.pullback.u jm.velocity.u", "nan infinite"),
+    **each("u_dot cotangent jm.distortion.points jm.inverted.points jm.quality.points", "nan infinite"),
+    **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),
+    **each("jm.wall_quality.points jm.soft_maximum.values plot.values", "nan infinite number axis"),
+    **each("jm.save.path jm.soft_maximum.axis jm.choose.leaves", "ending less list"),
+    "jm.KDTree.with_sources.points": "short",
+    "jm.Mesh.points": "nan infinite short",
+    "jm.Mesh.moved.points": "nan infinite",
+    "jm.Periodic.patch": "word beyond huge below",
+    "jm.Periodic.partner": "word beyond huge below",
+    "jm.Plane.through.points": "short",
+    "jm.Slide.patch": "word beyond huge below",
+    "shapes.FreeForm.raise_if_torn.control": "nan infinite",
+    "shapes.HicksHenne.widths": "list",
+    "shapes.Linked.matrix": "wide",
+    "shapes.Modes.fields": "wide",
+    "shapes.OnRows.rows": "beyond huge",
+    "shapes.Part.kept": "mask",
+    "shapes.Stations.on.direction": "axis",
+    "shapes.chord.nose": "list array less",
+    "shapes.chord.tail": "list array less",
+    "shapes.names.parameters": "none number list array",
+    "shapes.scale.factors": "number",
+    "cases.agard445_mode.points": "nan infinite",
+    **each("jm.QualityReport.worst.k jm.FaceQuality.worst.k", "beyond"),
+    **each("io.check_output.mesh io.periodic.mesh io.symmetry.mesh io.read_displacement.mesh io.write.mesh", "empty"),
+    "continuity": "less",
+    "io.Decomposed.check_output.path": "ending",
+    "io.Decomposed.writing.path": "ending folder",
+    "io.read_displacement.moving": "axis",
+    "io.write_gradient.parameters": "none number list array",
+    "io.write_pvd.times": "list",
+    "shapes.Function.rest": "none word number list object class nan array",
+    "shapes.varied.parameters": "none list number array",
+    "shapes.varied.changes": "contents",
+    "io.write_sensitivity.ids": "below beyond huge",
+}
+"""Kinds that are sense for an argument: values that are read in traced code alone, names of patches, several numbers for one."""
+
+
 def callable_of(name: str) -> Callable:
-    """The callable of a name in the table; a method is that of its owner."""
+    """Returns the callable of a name; a method is that of its owner."""
     module, first, *rest = name.split(".")
     owner = f"{module}.{first}"
     found = OWNERS[owner]() if rest and owner in OWNERS else getattr(MODULES[module], first)
@@ -872,12 +432,12 @@ def public() -> Iterator[str]:
             if f"{module}.{name}" not in BUILT:
                 yield f"{module}.{name}"
             for member, value in vars(each).items() if inspect.isclass(each) else ():
-                is_method = isinstance(value, staticmethod | classmethod) or inspect.isroutine(value)
-                if (
-                    (is_method or hasattr(value, "method"))
-                    and not member.startswith("_")
-                    and not {member, f"{name}.{member}"} & CONTRACT
-                ):
+                is_method = (
+                    isinstance(value, staticmethod | classmethod)
+                    or inspect.isroutine(value)
+                    or hasattr(value, "method")
+                )
+                if is_method and not member.startswith("_") and not {member, f"{name}.{member}"} & CONTRACT:
                     yield f"{module}.{name}.{member}"
 
 

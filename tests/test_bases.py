@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+from meshes import lattice
 from scipy.spatial import KDTree
 
 import jaxmorph as jm
@@ -43,7 +44,7 @@ SMOOTH = ("WendlandC2", "WendlandC4", "WendlandC6", *(kind.__name__ for kind in 
 FAST = ("WendlandC2", "WendlandC4", "CompactC1", "CubicSpline", "ThinPlateSpline", "Gaussian", "Multiquadric")
 NAMES = [type(row[0]).__name__ for row in ALL]
 MARKED = [
-    pytest.param(*row, marks=() if name in FAST else pytest.mark.slow) for name, row in zip(NAMES, ALL, strict=True)
+    pytest.param(*row, marks=() if name in FAST else pytest.mark.nightly) for name, row in zip(NAMES, ALL, strict=True)
 ]
 every = pytest.mark.parametrize(("basis", "form", "radius"), MARKED, ids=NAMES)
 
@@ -210,7 +211,7 @@ def test_compact_functions_are_a_sparse_system():
 
 def slit(gap):
     """A square's nodes, and a plate in its middle with two nodes a place: the mesh, the plate's two sides, the border."""
-    grid = np.stack(np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21)), axis=-1).reshape(-1, 2)
+    grid = lattice(*[np.linspace(0, 1, 21)] * 2)
     border = np.flatnonzero((np.abs(grid - 0.5) == 0.5).any(axis=1))
     lower = np.flatnonzero((np.abs(grid[:, 1] - 0.5) < 1e-9) & (np.abs(grid[:, 0] - 0.5) < 0.24))
     points = np.concatenate([grid, grid[lower] + [0, gap]])

@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 from cases import full
-from test_periodic import joined, sector
-from test_slide import AXIS, TPS, box, drum, ring
+from meshes import box_with_hole, drum, joined, ring, sector
 
 import jaxmorph as jm
 from jaxmorph._boundary.closest import rim
 
+TPS = full(jm.ThinPlateSpline(), 1)
+AXIS = jm.Revolution((0, 0, 3))
+
 
 def arc():
     """The upper half of a ring: its outer polygon has two ends."""
-    mesh = ring()
+    mesh = ring(16, (1, 1.5, 2), ("inner", "outer"))
     upper = mesh.points[:, 1] > -1e-9
     place = np.cumsum(upper) - 1
     quads = mesh.cells["quad"][upper[mesh.cells["quad"]].all(axis=1)]
@@ -21,7 +23,7 @@ def arc():
 
 
 def on_box(*lists, **keywords):
-    return lambda: jm.prepare(box(), *lists, method=TPS, **keywords)
+    return lambda: jm.prepare(box_with_hole(), *lists, method=TPS, **keywords)
 
 
 def on_drum(*lists, **keywords):
@@ -60,7 +62,7 @@ REFUSED = {
         r"all 9 nodes of the sliding patch 'left' are in `moving`, first node \d+ at \(-4, -4\): it would not slide",
     ),
     "a corner that moves": (
-        on_box(box().patch("left")[-3:], "right", sliding=("left", "top")),
+        on_box(box_with_hole().patch("left")[-3:], "right", sliding=("left", "top")),
         r"1 moving nodes are corners of sliding patches and cannot move, the first is node \d+ at \(-4, 4\)\. Leave them out",
     ),
     "fixed and sliding": (
@@ -72,7 +74,7 @@ REFUSED = {
         r"the patch 'left' is named in `sliding` and in `symmetry`",
     ),
     "fixed by its ids": (
-        on_box("hole", box().patch("left", "right"), sliding=("left", "top")),
+        on_box("hole", box_with_hole().patch("left", "right"), sliding=("left", "top")),
         r"all 9 nodes of the sliding patch 'left' are in `fixed`, first node \d+ at \(-4, .*\): it would not slide\.",
     ),
     "no edge between": (

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, motion
+from meshes import blocks, lattice
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
@@ -67,7 +68,7 @@ def slab(columns):
     x, y = np.meshgrid(np.arange(-columns, columns + 1.0), np.arange(5.0), indexing="ij")
     points = np.stack([x + 0.1 * np.sin(3 * x) * (abs(x) < columns), y + 0.1 * x**2 * y * (4 - y) / 16], axis=-1)
     ids = np.arange(x.size).reshape(x.shape)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = blocks(ids)
     return points.reshape(-1, 2), quads, ids
 
 
@@ -103,10 +104,10 @@ def test_nodes_slide_in_symmetry_planes(method, turn):
 
 def test_a_stretched_bar_grows_thin():
     """In plane strain by -nu / (1 - nu) of its stretch, where its sides are free."""
-    points = np.stack(np.meshgrid([0.0, 0.3, 1, 1.4], [0.0, 0.2, 0.7], indexing="ij"), axis=-1).reshape(-1, 2)
+    points = lattice([0.0, 0.3, 1, 1.4], [0.0, 0.2, 0.7])
     ids = np.arange(12).reshape(4, 3)
     points[ids[1:3, 1]] += [[0.1, 0.05], [-0.1, 0.1]]
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = blocks(ids)
     method = jm.LinearElasticity(jm.ByVolume(0.0), poisson=0.2)
     ends = np.concatenate([ids[0], ids[-1]])
     plan = jm.prepare(jm.Mesh(points, {"quad": quads}), ends, method=method, free=ids.ravel())
@@ -355,10 +356,10 @@ def test_a_quad_with_two_corners_in_one_place_is_a_triangle():
 @pytest.mark.parametrize("make", [jm.LinearElasticity, jm.Laplacian])
 def test_a_quad_with_a_straight_corner_depends_on_no_rounding(make):
     """Blocks may meet on a straight line: the triangle at such a corner has no area but round-off."""
-    x, y = (each.ravel() for each in np.meshgrid(np.arange(7.0), np.arange(7.0), indexing="ij"))
-    points, ids = np.stack([x, y], axis=1), np.arange(49).reshape(7, 7)
+    points, ids = lattice(np.arange(7.0), np.arange(7.0)), np.arange(49).reshape(7, 7)
+    x = points[:, 0].copy()
     points[24] = [2.5, 2.5]  # on the line between its neighbours across one quad
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = blocks(ids)
     moving, fixed = np.flatnonzero(x == 0), np.flatnonzero(x == 6)
     turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
     u = np.tile([0.0, 0.5], (len(moving), 1))

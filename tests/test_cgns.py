@@ -3,32 +3,13 @@
 import os
 
 import cgns
-import foam
 import h5py
 import numpy as np
 import pytest
-from test_openfoam import split
+from cgns import joined_polyhedra, two_blocks
 
 import jaxmorph as jm
 from jaxmorph import io
-
-
-def two_blocks(path, kind="<f8"):
-    """A box in two blocks, 4 x 3 x 3 and 3 x 3 x 3 nodes, that meet at x = 1, the second one with j and k exchanged."""
-    x, y, z = np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
-    x2, y2, z2 = (
-        np.swapaxes(a, 1, 2) for a in np.meshgrid([1, 1.5, 2], np.linspace(0, 1, 3) ** 2, [0, 0.25, 1], indexing="ij")
-    )
-    with h5py.File(path, "w", track_order=True) as file:
-        base = cgns.base(file, 3, 3)
-        first = cgns.zone(base, "one", (x, y, z), kind=kind)
-        second = cgns.zone(base, "two", (x2, y2, z2), kind=kind)
-        cgns.condition(first, "a", [[1, 1, 1], [1, 3, 3]], "inlet")
-        cgns.condition(first, "b", [[1, 1, 1], [3, 2, 1]], "floor", "FaceCenter")
-        cgns.condition(first, "c", [[1, 1, 3], [4, 3, 3]])
-        cgns.condition(second, "d", [[1, 1, 1], [2, 1, 2]], "floor", "JFaceCenter")
-        cgns.condition(second, "e", [[3, 2, 1], [3, 3, 3]])
-        cgns.condition(second, "f", [[2, 2, 2], [3, 3, 3]], what="PointList")
 
 
 def test_structured_zones_are_joined_and_written_back(tmp_path):
@@ -156,29 +137,8 @@ def test_what_is_refused(tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == [f"{name}.cgns" for name in "acde"]
 
 
-def polyhedral(path):
-    """A cube, four small ones against its side; all as polyhedra, the face of each boundary cell seen from either side."""
-    points, cells = split()
-    faces, owner, neighbour, outer = foam.polyhedral(cells)
-    count = len(faces)
-    faces += [sides[0][1] if i % 3 else sides[0][1][::-1] for i, sides in enumerate(outer)]
-    members = [[] for _ in cells]
-    for number, (a, b) in enumerate(zip(owner, neighbour, strict=True), start=1):
-        members[a].append(number)
-        members[b].append(-number)
-    for i, sides in enumerate(outer):
-        members[sides[0][0]].append((count + 1 + i) * (1 if i % 3 else -1))
-    with h5py.File(path, "w", track_order=True) as file:
-        zone = cgns.zone(cgns.base(file, 3, 3), "p", tuple(points.T), len(cells))
-        cgns.polygons(zone, "faces", 22, [np.array(face) + 1 for face in faces], 1)
-        cgns.polygons(zone, "cells", 23, members, len(faces) + 1)
-        low = [i + 1 for i, face in enumerate(faces) if (points[face, 2] == 0).all()]
-        cgns.condition(zone, "low", [[i] for i in low], "floor", "FaceCenter", "PointList")
-    return points
-
-
 def test_polyhedra(tmp_path):
-    points = polyhedral(tmp_path / "a.cgns")
+    points = joined_polyhedra(tmp_path / "a.cgns")
     mesh = io.read(tmp_path / "a.cgns")
     np.testing.assert_array_equal(mesh.points, points)
     assert len(mesh.cells["hexahedron"]) == 4

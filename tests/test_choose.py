@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy.interpolate
 import scipy.spatial
+from meshes import blocks, lattice
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -101,11 +102,11 @@ def test_a_change_of_shape_asks_for_the_fit_and_a_turn_does_not(problem, choice)
 @pytest.mark.slow
 def test_a_symmetry_plane_counts_the_image_too():
     """Half a ring: the errors are those of SciPy's interpolation on the whole one, whose motion is known."""
-    angle, radius = np.meshgrid(np.pi * np.arange(17) / 16, np.geomspace(1, 6, 8))
-    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1).reshape(-1, 2)
+    radius, angle = lattice(np.geomspace(1, 6, 8), np.pi * np.arange(17) / 16).T
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     points[np.abs(points) < 1e-12] = 0
     ids = np.arange(len(points)).reshape(8, 17)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = blocks(ids)
     plane = jm.Plane((0, 1), (0, 0))
 
     def motion(x):

@@ -9,9 +9,8 @@ import time
 import foam
 import numpy as np
 import pytest
-from ring import write_ring
-from small import bricks
-from test_openfoam import PATCHES, mixed
+from foam import PATCHES, mixed
+from meshes import bricks, lattice, sides, tetrahedra, write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -317,18 +316,11 @@ def test_progress_speaks_on_a_terminal_alone_and_only_of_long_work(capsys, monke
 
 def _box(tmp_path):
     """A brick of tetrahedra with its six sides as patches."""
-    axis = np.linspace(0, 1, 5)
-    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    corner = np.arange(125).reshape(5, 5, 5)
-    block = [corner[i : i + 4, j : j + 4, k : k + 4].ravel() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    v = np.stack(block, axis=1)
-    cells = np.concatenate(
-        [v[:, ids] for ids in ([0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7])]
-    )
-    sides = {f"{'xyz'[a]}{side}": np.flatnonzero(points[:, a] == side) for a in range(3) for side in (0, 1)}
+    points = lattice(*[np.linspace(0, 1, 5)] * 3)
     file = tmp_path / "box.su2"
-    io.write(file, jm.Mesh(points, {"tetra": cells}, sides))
-    return file, points, sides
+    patches = sides(points)
+    io.write(file, jm.Mesh(points, {"tetra": tetrahedra(np.arange(125).reshape(5, 5, 5))}, patches))
+    return file, points, patches
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from ring import write_ring
+from meshes import lattice, sides, write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -58,20 +58,16 @@ def test_chunks_give_the_mesh_of_the_whole(here, sizes, flags):
 
 def brick():
     """Points between z = 0 and 1, in any order; x = 0 and y = 0 are planes of symmetry."""
-    axis = np.linspace(0, 1, 6)
-    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = np.random.default_rng(0).permutation(points)
-    return jm.Mesh(
-        points, {}, {f"{'xyz'[a]}{side}": np.flatnonzero(points[:, a] == side) for a in range(3) for side in (0, 1)}
-    )
+    points = np.random.default_rng(0).permutation(lattice(*[np.linspace(0, 1, 6)] * 3))
+    return jm.Mesh(points, {}, sides(points))
 
 
 @pytest.mark.slow
 def test_nodes_slide_in_their_planes_in_every_chunk():
     """Without the judging of cells, which takes ten times longer to compile."""
-    mesh, sides = brick(), ["x0", "y0"]
+    mesh, slides = brick(), ["x0", "y0"]
     moving, fixed = mesh.patch("z0"), mesh.patch("z1", "x1", "y1")
-    planes = [jm.Plane.through(mesh.points, mesh.patch(side)) for side in sides]
+    planes = [jm.Plane.through(mesh.points, mesh.patch(side)) for side in slides]
     x, y, _ = mesh.points[moving].T
     u = (np.cos(np.pi * x / 2) * np.cos(np.pi * y / 2))[:, None] * [0.1, 0.2, 0.3]
     moved, sizes = [], []
@@ -84,7 +80,7 @@ def test_nodes_slide_in_their_planes_in_every_chunk():
     assert len(sizes) == 3
     assert sizes[1] == sizes[2] < 200
     np.testing.assert_allclose(moved[1], moved[0], rtol=0, atol=1e-14)
-    for axis, side in enumerate(sides):
+    for axis, side in enumerate(slides):
         inner = np.setdiff1d(mesh.patch(side), mesh.patch("z0", "z1", "x1", "y1"))
         np.testing.assert_array_equal(moved[1][mesh.patch(side), axis], 0)
         assert np.abs(moved[1] - mesh.points)[inner].max() > 0.003

@@ -8,7 +8,7 @@ import shutil
 import foam
 import numpy as np
 import pytest
-from ring import write_ring
+from meshes import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io

@@ -12,7 +12,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from ring import write_ring
+from meshes import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io

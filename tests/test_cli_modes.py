@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 import pyvista
-from ring import write_ring
+from meshes import write_ring
 
 from jaxmorph import io
 from jaxmorph.cli import main

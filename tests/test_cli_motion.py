@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from meshes import lattice, tetrahedra
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
@@ -17,16 +18,17 @@ from jaxmorph.cli import main
 def brick(tmp_path_factory):
     """Tetrahedra between -2 and 2 with the two patches `low` (x = -2) and `high` (x = 2); all other sides are `rest`."""
     axis = np.linspace(-2, 2, 6)
-    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    ids = np.arange(216).reshape(6, 6, 6)
-    block = [ids[i : i + 5, j : j + 5, k : k + 5].ravel() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    paths = [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]]
-    cells = np.concatenate([np.stack(block, axis=1)[:, path] for path in paths])
+    points = lattice(axis, axis, axis)
     side = np.abs(points).max(axis=1) == 2
     low, high = np.flatnonzero(points[:, 0] == -2), np.flatnonzero(points[:, 0] == 2)
     rest = np.setdiff1d(np.flatnonzero(side), np.concatenate([low, high]))
     file = tmp_path_factory.mktemp("motion") / "brick.su2"
-    io.write(file, jm.Mesh(points, {"tetra": cells}, {"low": low, "high": high, "rest": rest}))
+    io.write(
+        file,
+        jm.Mesh(
+            points, {"tetra": tetrahedra(np.arange(216).reshape(6, 6, 6))}, {"low": low, "high": high, "rest": rest}
+        ),
+    )
     return file
 
 

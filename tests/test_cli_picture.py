@@ -9,9 +9,8 @@ matplotlib.use("Agg")
 
 import numpy as np
 import pytest
+from meshes import bricks, write_ring
 from PIL import Image
-from ring import write_ring
-from small import bricks
 
 import jaxmorph as jm
 from jaxmorph import io

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import body, full, motion
-from test_rbf import dense, surface_values, wendland
+from cases import body, full, motion, surface_values
+from oracles import dense, wendland
 
 import jaxmorph as jm
 from jaxmorph import cases

@@ -18,38 +18,32 @@ from scipy.spatial.transform import Rotation
 import jaxmorph as jm
 from jaxmorph._methods.placing import place
 
-FIRST = [
-    *(("default", 2), ("published", 2), ("delaunay", 2), ("delaunay", 3)),
-    *(("reduced", 2), ("reduced", 3), ("wendland-none", 2), ("notebook's method", 2)),
-]
-"""Methods whose laws every run holds; those of the others, which compile for minutes, are among the slow tests."""
+FAST = {("default", 2), ("delaunay", 2), ("reduced", 2)}
+"""Cases whose laws the fast tests hold."""
+
+WHOLE = FAST | {("inverse-distance", 2), ("elasticity", 2), ("rigid-blend", 3), ("notebook's method", 2)}
+"""One case for each class of fields: `.ci/run` holds all laws of these. `.ci/nightly` holds every law of every case."""
+
+CHEAP = {("reduced", 3), ("elasticity", 2), ("compact", 2), ("inverse-distance", 2), ("torsional", 3), ("laplacian", 2)}
+"""Cases of which the fast tests hold the cheap laws too; of all others `.ci/run` holds them."""
 
 
-def over(names, more=(), without=()):
-    fast = {*FIRST, *more} - {*without}
-    marked = [case if case in fast else pytest.param(*case, marks=pytest.mark.slow) for case in names]
-    return pytest.mark.parametrize(("name", "dimension"), marked, ids=[f"{name}-{d}d" for name, d in names])
+def over(names, is_cheap=False):
+    """Parametrises a law over cases, each marked by the run that holds it."""
+    fast = FAST | CHEAP if is_cheap else FAST
+    marks = [
+        [] if pair in fast else [pytest.mark.slow if is_cheap or pair in WHOLE else pytest.mark.nightly]
+        for pair in names
+    ]
+    cases = [
+        pytest.param(*pair, marks=mark, id=f"{pair[0]}-{pair[1]}d") for pair, mark in zip(names, marks, strict=True)
+    ]
+    return pytest.mark.parametrize(("name", "dimension"), cases)
 
 
-every_method = over(NAMES)
-CHEAP = [
-    ("elasticity", 2),
-    ("compact", 2),
-    ("inverse-distance", 2),
-    ("torsional", 2),
-    ("torsional", 3),
-    ("laplacian", 2),
-    ("biharmonic", 2),
-]
-"""Methods of which every run holds the cheap laws alone."""
-every_method_at_least = over(NAMES, CHEAP)
-every_piece = over(
-    [
-        pair
-        for pair in NAMES
-        if pair[0] in ("few-sources", "near-wall", "multiscale", "delaunay", "wendland-none", "reduced")
-    ][::2]
-)
+every_method, every_method_cheaply = over(NAMES), over(NAMES, is_cheap=True)
+PIECES = ("default", "few-sources", "near-wall", "multiscale", "delaunay", "wendland-none", "reduced")
+every_piece = over([pair for pair in NAMES if pair[0] in PIECES and pair[1] == 2])
 
 
 @functools.cache
@@ -80,7 +74,29 @@ def rotation(dimension):
     return Rotation.from_rotvec([0.5, -0.4, 0.8]).as_matrix()
 
 
-@every_method_at_least
+def fields(tree):
+    """Yields the fields of a tree, those within other fields too."""
+    for node in jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, jm.AbstractField) and node is not tree):
+        if isinstance(node, jm.AbstractField):
+            yield from (node, *fields(node))
+
+
+@pytest.mark.slow
+def test_every_class_of_fields_has_a_case_with_all_laws():
+    found = set()
+    for name, dimension in WHOLE:
+        plan = planned(name, dimension)
+        u, surface = jnp.zeros(plan.surface.points.shape), plan.surface
+        field = plan.method.field(surface.ids, surface.factors, surface.points, u)
+        found |= {type(each) for each in (field, *fields(field))}
+    known, every = [jm.AbstractField], set()
+    while known:
+        known = [each for parent in known for each in parent.__subclasses__()]
+        every |= {each for each in known if each.__module__.startswith("jaxmorph.")}
+    assert every <= found
+
+
+@every_method_cheaply
 def test_the_surface_goes_where_it_is_told(name, dimension):
     plan, (u, _) = planned(name, dimension), given(dimension)
     mesh, moved = body(dimension), np.asarray(jm.deform(plan, u))
@@ -95,7 +111,7 @@ def test_the_surface_goes_where_it_is_told(name, dimension):
     assert 1e-3 < np.abs(inner).max() < 3 * np.abs(u).max()  # the volume follows, and does not overshoot
 
 
-@every_method
+@every_method_cheaply
 def test_interior_is_continuous_at_the_wall(name, dimension):
     """The first layer, 1e-3 of the far field's distance off the wall, moves nearly as its wall node does."""
     plan, (u, _) = planned(name, dimension), given(dimension)
@@ -108,7 +124,7 @@ def test_interior_is_continuous_at_the_wall(name, dimension):
     assert np.abs(difference).max() < allowed * np.abs(u).max()
 
 
-@every_method_at_least
+@every_method_cheaply
 def test_nothing_moves_when_nothing_is_asked(name, dimension):
     plan = planned(name, dimension)
     assert (np.asarray(jm.deform(plan, np.zeros((plan.n_moving, dimension)))) == body(dimension).points).all()
@@ -131,7 +147,7 @@ def test_affine_motions_of_the_whole_boundary(name, dimension):
         np.testing.assert_allclose(moved, target, rtol=0, atol=1e-10)
 
 
-@every_method_at_least
+@every_method_cheaply
 def test_linear_in_u(name, dimension):
     if not BY_NAME[name].make(1.0).linear:
         pytest.skip("is not linear")
@@ -179,7 +195,7 @@ def test_pullback_is_the_transpose(name, dimension):
     assert abs(np.vdot(pushed, w) - np.vdot(u, pulled)) <= round_off
 
 
-@over([pair for pair in NAMES if pair[1] == 2 or pair[0] == "delaunay"], without=[("default", 2), ("delaunay", 3)])
+@over([pair for pair in NAMES if pair[1] == 2 or pair[0] == "delaunay"])
 def test_derivatives_with_respect_to_the_base_points(name, dimension):
     """The ids stay, everything else moves: the gradient is that of the plan's own arithmetic. Also jvp, and grad of grad."""
     plan, (u, w), mesh = planned(name, dimension), given(dimension), body(dimension)
@@ -201,11 +217,7 @@ def test_derivatives_with_respect_to_the_base_points(name, dimension):
         np.testing.assert_allclose(found[node, axis], difference, rtol=1e-6, atol=2e-6)
 
 
-@over(
-    [(name, 2) for name in ("reduced", "wendland-none", "elasticity", "laplacian")]
-    + [(name, 3) for name in ("elasticity", "laplacian")],
-    without=[("wendland-none", 2)],
-)
+@over([("reduced", 2), ("wendland-none", 2), ("elasticity", 2), ("laplacian", 2), ("elasticity", 3), ("laplacian", 3)])
 def test_second_derivatives_with_respect_to_the_base_points(name, dimension):
     plan, (u, w), mesh = planned(name, dimension), given(dimension), body(dimension)
     v = np.linalg.norm(mesh.points, axis=1)[:, None] * 0.1 * np.random.default_rng(6).normal(size=w.shape)

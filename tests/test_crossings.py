@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from meshes import blocks, lattice
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -18,11 +19,8 @@ def grid(shape, holes):
     """Unit cells from the origin, without those in `holes` {name: (low, high)}, whose nodes are patches; `outer` is the rest."""
     d = len(shape)
     number = np.arange(np.prod(np.array(shape) + 1)).reshape(np.array(shape) + 1)
-    low, high = slice(0, -1), slice(1, None)
-    ring = [(low, low), (high, low), (high, high), (low, high)]
-    corners = [(*side, *end) for end in ([()] if d == 2 else [(low,), (high,)]) for side in ring]
-    cells = np.stack([number[corner] for corner in corners], axis=-1)
-    points = np.stack(np.meshgrid(*[np.arange(k + 1.0) for k in shape], indexing="ij"), axis=-1).reshape(-1, d)
+    cells = blocks(number).reshape(*shape, -1)
+    points = lattice(*[np.arange(k + 1.0) for k in shape])
     keep, patches = np.ones(shape, bool), {}
     for name, (first, last) in holes.items():
         keep[tuple(slice(a, b) for a, b in zip(first, last, strict=True))] = False

@@ -3,7 +3,7 @@
 import meshio
 import numpy as np
 import pytest
-from test_io import brick, ring
+from meshes import ring, wedges
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -68,7 +68,7 @@ def test_the_closest_place_is_the_one_that_vtk_finds(tmp_path):
 
 @pytest.mark.slow
 def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
-    mesh = ring()
+    mesh = ring(12, (1, 1.5, 2))
     nodes = mesh.patch("wall")
     lines = np.stack([nodes, np.roll(nodes, -1)], axis=1)
     at = np.column_stack([mesh.points[nodes], np.zeros(len(nodes))])
@@ -89,7 +89,7 @@ def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
         "--moving",
         "wall",
         "--fixed",
-        "far field",
+        "far",
     ]
     assert main([*deform, *files]) == 0
     moved = io.read(tmp_path / "out.su2").points
@@ -101,7 +101,7 @@ def test_a_curve_carries_a_mesh_in_2d(tmp_path, capsys):
 
 
 def test_arrays_by_node_id(tmp_path):
-    mesh = brick()
+    mesh = wedges()
     moving = mesh.patch("roof")
     u = np.random.default_rng(0).random((6, 3))
     np.savez(tmp_path / "a.npz", ids=moving[::-1], displacement=u[::-1])

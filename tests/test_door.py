@@ -5,32 +5,16 @@ import re
 import jax
 import numpy as np
 import pytest
+from meshes import lattice, ring, unit_box
 
 import jaxmorph as jm
 
 
-def ring(n=24, layers=7):
-    """A ring of quads: patches `body` and `far`, and `half`, the far nodes with y > 0."""
-    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
-    radius = np.geomspace(0.5, 4, layers)
-    points = (radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
-    i, j = np.meshgrid(np.arange(layers - 1), np.arange(n), indexing="ij")
-    after = (j + 1) % n
-    quads = np.stack([i * n + j, (i + 1) * n + j, (i + 1) * n + after, i * n + after], axis=-1).reshape(-1, 4)
-    far = np.arange((layers - 1) * n, layers * n)
-    half = far[points[far, 1] > -1e-9]
-    return jm.Mesh(points, {"quad": quads}, {"body": np.arange(n), "far": far, "half": half})
-
-
-def box(n=3):
-    """A brick of hexahedra, its six sides as patches."""
-    k, j, i = np.meshgrid(*[np.arange(n + 1)] * 3, indexing="ij")
-    points = np.stack([i, j, k], axis=-1).reshape(-1, 3) / n
-    first = (i + (n + 1) * (j + (n + 1) * k))[:-1, :-1, :-1].ravel()
-    step = np.array([0, 1, n + 2, n + 1])
-    cells = first[:, None] + np.concatenate([step, step + (n + 1) ** 2])
-    sides = {f"{'xyz'[a]}{s}": np.flatnonzero(points[:, a] == s) for a in range(3) for s in (0, 1)}
-    return jm.Mesh(points, {"hexahedron": cells}, sides)
+def rings():
+    """A ring with the patches `body` and `far`, and `half`, the far nodes with y > 0."""
+    mesh = ring(24, np.geomspace(0.5, 4, 7), ("body", "far"))
+    far = mesh.patch("far")
+    return jm.Mesh(mesh.points, mesh.cells, {**mesh.patches, "half": far[mesh.points[far, 1] > -1e-9]})
 
 
 SURFACES = []
@@ -50,7 +34,7 @@ def surface_of(mesh, moving, fixed, symmetry=()):
 
 
 def test_names_and_ids_are_one_plan():
-    mesh = ring()
+    mesh = rings()
     plan, other = jm.prepare(mesh, "body", ["far"]), jm.prepare(mesh, mesh.patch("body"), mesh.patch("far"))
     u = np.random.default_rng(0).normal(size=(24, 2)) * 1e-2
     assert (np.asarray(plan.moving) == other.moving).all()
@@ -58,49 +42,49 @@ def test_names_and_ids_are_one_plan():
 
 
 def test_a_node_in_both_moves():
-    mesh = ring()
+    mesh = rings()
     plan = jm.prepare(mesh, ("body", "half"), "far")
     assert plan.n_moving == 24 + len(mesh.patch("half"))
     assert len(plan.fixed) == 24 - len(mesh.patch("half"))
 
 
 def test_boundary_faces_in_no_list_are_told():
-    mesh = ring()
+    mesh = rings()
     with pytest.warns(UserWarning, match=r"12 of 48 boundary faces are neither .* in patch 'far'"):
         jm.prepare(mesh, "body", "half", method=jm.RBF(fixed_reduction=jm.AllPoints()))
 
 
 def test_methods_see_the_faces_between_surface_nodes():
-    faces = surface_of(ring(), "body", "far").faces
+    faces = surface_of(rings(), "body", "far").faces
     assert set(faces) == {"line"}
     assert len(faces["line"]) == 48
     assert np.bincount(faces["line"].ravel()).tolist() == [2] * 48
-    assert surface_of(ring().points, np.arange(24), np.arange(144, 168)).faces is None
+    assert surface_of(rings().points, np.arange(24), np.arange(144, 168)).faces is None
 
 
 def test_mirror_images_have_faces_too():
     """Of a brick's quarter with two planes: the moving side z = 1 becomes one closed patch of four times its faces."""
-    mesh = box()
+    mesh = unit_box()
     surface = surface_of(mesh, "z1", ("z0", "x1", "y1"), ("x0", "y0"))
     faces, points = surface.faces["quad"], surface.points
     moving = faces[(faces < surface.moving).all(axis=1)]
     assert len(moving) == 4 * 9
     centres = points[moving].mean(axis=1)
-    expected = (np.stack(np.meshgrid(*[np.arange(-2.5, 3)] * 2), axis=-1).reshape(-1, 2)) / 3
+    expected = lattice(*[np.arange(-2.5, 3)] * 2) / 3
     np.testing.assert_allclose(sorted(map(tuple, centres[:, :2].round(9))), sorted(map(tuple, expected.round(9))))
     assert (points[moving][..., 2] == 1).all()
     assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
 
 
 def test_planes_by_name_each_once():
-    mesh = box()
+    mesh = unit_box()
     both = jm.Mesh(mesh.points, mesh.cells, {**mesh.patches, "again": mesh.patch("y0")})
     plan = jm.prepare(both, "z1", ("z0", "x1", "y1", "x0"), symmetry=("y0", "again"))
     assert plan.images.normals.shape == (1, 3)
 
 
 def test_sources_and_offset_of_a_plan():
-    mesh = box(4)
+    mesh = unit_box(4)
     u = np.zeros((25, 3))
     u[:, 2] = 0.05 * np.cos(mesh.points[mesh.patch("z1"), 0] * 7)
     fixed = ("z0", "x1", "y1", "y0")
@@ -115,7 +99,7 @@ def test_sources_and_offset_of_a_plan():
 
 
 def test_the_default_and_its_two_neighbours():
-    mesh = ring()
+    mesh = rings()
     assert jm.prepare(mesh, "body", "far").method == jm.SurfaceReconstruction()
     published = jm.SurfaceReconstruction.published(3, 2)
     assert isinstance(published.correction, jm.DelaunayGraph)
@@ -126,7 +110,7 @@ def test_the_default_and_its_two_neighbours():
     assert len(jm.prepare(mesh, "body", "far", method=classic).sources) == 48
 
 
-MESH = ring()
+MESH = rings()
 PLAN = jm.prepare(MESH, "body", "far")
 MISTAKES = {
     "patch names without a mesh": (lambda: jm.prepare(MESH.points, "body", "far"), r"prepare\(mesh, \.\.\.\)"),

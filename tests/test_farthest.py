@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from meshes import lattice
 from scipy.spatial.distance import cdist
 
 import jaxmorph as jm
@@ -42,7 +43,7 @@ def test_each_is_the_farthest_from_those_before():
 
 @pytest.mark.parametrize("extremes", [False, True])
 def test_order_does_not_matter(extremes):
-    grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * 3), axis=-1).reshape(-1, 3)  # ties everywhere
+    grid = lattice(*[np.linspace(0, 1, 9)] * 3)  # ties everywhere
     reduction = jm.FarthestPoints(40, extremes=extremes)
     for points in (uneven(2), grid):
         order = np.random.default_rng(0).permutation(len(points))

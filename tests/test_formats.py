@@ -7,9 +7,9 @@ import foam
 import h5py
 import numpy as np
 import pytest
-from small import bricks
-from test_openfoam import PATCHES, mixed
-from test_plot3d import write as write_plot3d
+from foam import PATCHES, mixed
+from meshes import bricks
+from plot3d import write as write_plot3d
 
 import jaxmorph as jm
 from jaxmorph import io

@@ -6,8 +6,8 @@ import warnings
 import foam
 import numpy as np
 import pytest
-from test_door import box
-from test_openfoam import PATCHES, mixed, split
+from foam import HEXAHEDRON, PATCHES, mixed, split
+from meshes import unit_box
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -113,7 +113,7 @@ def test_faces_that_have_no_name_are_warned_of(here, capsys):
 
 
 def test_free_patches_are_not_warned_of_in_python():
-    mesh = box()
+    mesh = unit_box()
     names = [name for name in mesh.patches if name not in ("z0", "z1")]
     with pytest.warns(UserWarning, match=r"36 of 54 boundary faces .* 'x0' \(9\)") as caught:
         plan = jm.prepare(mesh, "z1", "z0")
@@ -154,7 +154,7 @@ def test_faces_of_polyhedra_are_those_of_the_file(tmp_path, shape):
 def test_front_and_back_of_a_2d_case_are_no_boundary(tmp_path):
     points = np.array([[x, y, z] for z in (0, 1) for y in (0, 1, 2) for x in (0, 1, 2)], float)
     corners = np.array([0, 1, 4, 3, 9, 10, 13, 12])
-    cells = [[(corners + first)[face].tolist() for face in HEXAHEDRON] for first in (0, 1, 3, 4)]
+    cells = [[(corners + first)[list(face)].tolist() for face in HEXAHEDRON] for first in (0, 1, 3, 4)]
     sides = [
         ("planes", "empty", lambda face: np.ptp(points[face, 2]) == 0),
         ("floor", "wall", lambda face: not points[face, 1].any()),
@@ -168,9 +168,6 @@ def test_front_and_back_of_a_2d_case_are_no_boundary(tmp_path):
     assert (left.count, left.total, left.patches) == (6, 8, {"rest": 6})
 
 
-HEXAHEDRON = [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
-
-
 def test_a_surface_in_3d_has_no_boundary_faces():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], float)
     mesh = jm.Mesh(points, {"triangle": [[0, 1, 2], [1, 3, 2]]})
@@ -179,7 +176,7 @@ def test_a_surface_in_3d_has_no_boundary_faces():
 
 def test_a_part_knows_what_the_whole_knows():
     """Faces off the surface are in no part, but a method that treats free sides otherwise sees that there are some."""
-    mesh = box()
+    mesh = unit_box()
     for fixed in ("z0", ("z0", "x0", "x1", "y0", "y1")):
         named = find_boundary(mesh, "z1", fixed, ())
         part = named.part(np.unique(named.nodes))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from meshes import lattice
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -105,7 +106,7 @@ def test_a_step_lays_the_layer_anew():
     """A layer far too wide ends half way between walls: where the gap has halved, it ends at half of what it did."""
     across = np.linspace(0, 1, 21)
     x = np.linspace(0, 1, 11)
-    points = np.stack(np.meshgrid(x, across, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = lattice(x, across)
     moving, fixed = np.flatnonzero(points[:, 1] == 0), np.flatnonzero(points[:, 1] == 1)
     resting = jm.SurfaceReconstruction(
         jm.RBF(reduction=jm.KDTree(1), fixed_reduction=jm.KDTree(1)), jm.NearWall(width=9.0)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from oracles import boundary_edges, polydata, shoelace
 from scipy.spatial import cKDTree
-from test_naca0015 import boundary_edges, polydata, shoelace
 
 from jaxmorph import cases
 from jaxmorph._host.cells.topology import boundary_faces

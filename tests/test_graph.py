@@ -4,7 +4,8 @@ import pathlib
 
 import numpy as np
 import pytest
-from cases import body, motion, sphere
+from cases import body, motion
+from meshes import lattice, sphere
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -39,7 +40,7 @@ def box(cells, size=(1, 1, 1), growth=1.0):
     axes = [np.linspace(0, 1, n + 1) for n in cells]
     if growth > 1:
         axes[-1] = (growth ** np.arange(cells[-1] + 1) - 1) / (growth ** cells[-1] - 1)
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(cells)) * np.array(size)[: len(cells)]
+    points = lattice(*axes) * np.array(size)[: len(cells)]
     return points, np.concatenate([points == points.min(axis=0), points == points.max(axis=0)], axis=1)
 
 

@@ -4,18 +4,12 @@ import pickle
 
 import numpy as np
 import pytest
+from meshes import lattice
 
 import jaxmorph as jm
 from jaxmorph import cases, shapes
 from jaxmorph._host.surface.graph import graph_of
 from jaxmorph._methods import delaunay
-
-METHODS = {
-    "default": lambda: None,
-    "graph": jm.DelaunayGraph,
-    "multiscale": lambda: jm.SurfaceReconstruction(correction=jm.Multiscale()),
-    "rbf": lambda: jm.RBF(reduction=jm.KDTree(4)),
-}
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +17,12 @@ def mesh():
     return cases.naca0015(points=300)
 
 
-def displacement(half, mesh):
-    x = np.asarray(mesh.points)[half.moving]
+def wave(x):
     return np.stack([0.02 * np.cos(5 * x[:, 1]), 0.05 * x[:, 0] * (1 - x[:, 0])], axis=1)
+
+
+def displacement(half, mesh):
+    return wave(np.asarray(mesh.points)[half.moving])
 
 
 def pieces_of(mesh, count=3):
@@ -38,19 +35,48 @@ def pieces_of(mesh, count=3):
     return shares
 
 
-SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("default", "multiscale", "rbf")]
+def brick():
+    """A unit square of 6 by 6 nodes: its lower side moves, the upper one is fixed, the left one lies in a symmetry plane."""
+    points = lattice(*[np.linspace(0, 1, 6)] * 2)[:, ::-1]
+    return points, np.arange(6), np.arange(30, 36)
 
 
-@pytest.mark.parametrize("name", ["graph", *SLOW])
+def airfoil(method, mesh):
+    base = np.asarray(mesh.points)[mesh.patch("airfoil")]
+    return mesh, ("airfoil", "farfield"), {"method": method}, pieces_of(mesh), wave(base)
+
+
+def square(mesh, **boundary):
+    points, moving, fixed = brick()
+    u = 0.1 * np.stack([0 * points[moving, 0], np.sin(2 * points[moving, 0])], axis=1)
+    return points, (moving, fixed), boundary, (np.arange(3, 20), np.arange(18, 36), np.arange(3)), u
+
+
+CASES = {
+    "graph": lambda mesh: airfoil(jm.DelaunayGraph(), mesh),
+    "default": lambda mesh: airfoil(None, mesh),
+    "multiscale": lambda mesh: airfoil(jm.SurfaceReconstruction(correction=jm.Multiscale()), mesh),
+    "rbf": lambda mesh: airfoil(jm.RBF(reduction=jm.KDTree(4)), mesh),
+    "symmetry": lambda mesh: square(mesh, symmetry=[jm.Plane((1, 0), (0, 0)), jm.Plane((1, 0), (1, 0))]),
+    "sliding": lambda mesh: square(mesh, sliding=jm.Slide(np.arange(6, 30, 6), jm.Plane((1, 0), (0, 0)))),
+}
+"""A mesh, its lists, the rest of `prepare`'s arguments, the nodes of each piece, and a displacement."""
+
+
+@pytest.mark.parametrize(
+    "name", [name if name == "graph" else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
 def test_pieces_move_as_the_whole(mesh, name):
-    plan = jm.prepare(mesh, "airfoil", "farfield", method=METHODS[name]())
-    half = pickle.loads(pickle.dumps(jm.prepare_surface(mesh, "airfoil", "farfield", method=METHODS[name]())))
+    """Whatever the splitting: places, walls, nodes that pieces share, and the sum of the pieces' gradients."""
+    given, lists, options, pieces, u = CASES[name](mesh)
+    plan = jm.prepare(given, *lists, **options)
+    half = pickle.loads(pickle.dumps(jm.prepare_surface(given, *lists, **options)))
     np.testing.assert_array_equal(half.moving, plan.moving)
     np.testing.assert_array_equal(half.surface_nodes, plan.surface_nodes)
-    u, points = displacement(half, mesh), np.asarray(mesh.points)
+    points = np.asarray(plan.points)
     whole, cotangent = np.asarray(jm.deform(plan, u)), np.random.default_rng(2).normal(size=points.shape)
     seen, total = {}, 0.0
-    for nodes in pieces_of(mesh):
+    for nodes in pieces:
         piece = half.attach(points[nodes], nodes)
         assert piece.is_piece
         moved = np.asarray(jm.deform(piece, u))
@@ -79,30 +105,6 @@ def test_pieces_march_and_replay(mesh):
     np.testing.assert_array_equal(jm.replay(steps, path), moved)
     with pytest.raises(ValueError, match="march of a piece keeps its ids"):
         jm.march(piece, path, rebuild=True)
-
-
-def brick():
-    """A unit square of 6 by 6 nodes: its lower side moves, the upper one is fixed, the left one lies in a symmetry plane."""
-    x, y = np.meshgrid(np.linspace(0, 1, 6), np.linspace(0, 1, 6))
-    points = np.stack([x.ravel(), y.ravel()], axis=1)
-    return points, np.arange(6), np.arange(30, 36)
-
-
-@pytest.mark.slow
-def test_planes_and_guided_nodes_go_with_the_half():
-    points, moving, fixed = brick()
-    kinds = {
-        "symmetry": {"symmetry": [jm.Plane((1, 0), (0, 0)), jm.Plane((1, 0), (1, 0))]},
-        "sliding": {"sliding": jm.Slide(np.arange(6, 30, 6), jm.Plane((1, 0), (0, 0)))},
-    }
-    for chosen in kinds.values():
-        plan = jm.prepare(points, moving, fixed, **chosen)
-        half = jm.prepare_surface(points, moving, fixed, **chosen)
-        u = 0.1 * np.stack([0 * points[moving, 0], np.sin(2 * points[moving, 0])], axis=1)
-        whole = np.asarray(jm.deform(plan, u))
-        for nodes in (np.arange(3, 20), np.arange(20, 36)):
-            moved = jm.deform(half.attach(points[nodes], nodes), u)
-            np.testing.assert_allclose(moved, whole[nodes], rtol=0, atol=1e-12)
 
 
 def test_a_surface_gathered_from_elsewhere(mesh):

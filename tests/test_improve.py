@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-from test_slide import ring
+from meshes import blocks, lattice, ring, unit_grid
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -21,24 +21,6 @@ from jaxmorph._kernels.values import as_jax
 from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
 from jaxmorph._quality.smooth import positive_part
 from jaxmorph._quality.vector import corners
-
-
-def grid(n, dimension=2):
-    """Unit square of n x n quads, or unit cube of hexahedra."""
-    axes = np.meshgrid(*[np.linspace(0, 1, n + 1)] * dimension, indexing="ij")
-    points = np.stack([axis.ravel() for axis in axes], axis=1)
-    ids = np.arange((n + 1) ** dimension).reshape([n + 1] * dimension)
-    if dimension == 2:
-        return jm.Mesh(points, {"quad": _stacked(ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:])})
-    low, high = ids[:, :, :-1], ids[:, :, 1:]
-    ring = [
-        layer[at] for layer in (low, high) for at in (np.s_[:-1, :-1], np.s_[1:, :-1], np.s_[1:, 1:], np.s_[:-1, 1:])
-    ]
-    return jm.Mesh(points, {"hexahedron": _stacked(*ring)})
-
-
-def _stacked(*corners):
-    return np.stack([corner.ravel() for corner in corners], axis=1)
 
 
 def cell(kind, points=None):
@@ -119,7 +101,7 @@ def test_inverted_cells_have_a_finite_energy_that_pulls_them_back(kind):
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
     """At the target the Hessian is positive: blocks add up to it, and the host solves with it."""
-    mesh = grid(3, dimension)
+    mesh = unit_grid(3, dimension)
     n = len(mesh.points)
     distortion, pairs = _prepared(mesh, jnp.float64, _kept(mesh, None, (), (), ()), False, 0.5)
     base, y = jnp.asarray(mesh.points), jnp.zeros_like(jnp.asarray(mesh.points))
@@ -142,7 +124,7 @@ def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
 
 @pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_it_finds_scipys_minimum_and_untangles(dimension):
-    mesh = grid(3, dimension)
+    mesh = unit_grid(3, dimension)
     rng = np.random.default_rng(2)
     inner = np.all((mesh.points > 0.01) & (mesh.points < 0.99), axis=1)
     # one bulge of a side, and inner nodes that are anywhere
@@ -175,7 +157,7 @@ def _softened(distortion, softness):
 @pytest.mark.slow
 def test_nodes_slide_in_planes():
     """The lattice is the minimum for ideal squares, and its sides come back to it along themselves, to SciPy's digits."""
-    mesh = grid(3)
+    mesh = unit_grid(3)
     regular = np.asarray(mesh.points)
     sides = {f"{'xy'[axis]}{end}": np.flatnonzero(regular[:, axis] == end) for axis in (0, 1) for end in (0, 1)}
     mesh = jm.Mesh(regular, mesh.cells, sides)
@@ -197,7 +179,7 @@ def test_nodes_slide_in_planes():
 @pytest.mark.slow
 def test_derivatives_with_nodes_that_slide():
     """Against central differences of the whole solve, along a slanted side too; what leads off the side is data."""
-    mesh = grid(3)
+    mesh = unit_grid(3)
     base = mesh.points @ np.array([[1.0, 0.3], [0.0, 1.0]])
     sides = {name: np.flatnonzero(mesh.points[:, axis] == 0) for name, axis in (("left", 0), ("low", 1))}
     mesh = jm.Mesh(base, mesh.cells, sides)
@@ -218,13 +200,11 @@ def test_derivatives_with_nodes_that_slide():
 @functools.cache
 def quarter():
     """A quarter of a ring of quads from radius 1 to 2, its nodes' radii and angles; the ends repeat each other."""
-    radius, angle = (
-        each.ravel() for each in np.meshgrid(np.linspace(1, 2, 4), np.pi / 8 * np.arange(5), indexing="ij")
-    )
+    radius, angle = lattice(np.linspace(1, 2, 4), np.pi / 8 * np.arange(5)).T
     ids = np.arange(20).reshape(4, 5)
     patches = {"hub": ids[0], "shroud": ids[-1], "first": ids[:, 0], "last": ids[:, -1]}
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    mesh = jm.Mesh(points, {"quad": _stacked(ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:])}, patches)
+    mesh = jm.Mesh(points, {"quad": blocks(ids)}, patches)
     return (
         mesh,
         radius,
@@ -282,7 +262,7 @@ def test_nodes_slide_on_curved_walls_and_pairs_move_alike():
 @pytest.mark.slow
 def test_a_node_at_a_quarter_turn_from_its_start_is_no_minimum():
     """A step in the plane of the start, put back on the circle, ends there at the farthest: its slope vanishes."""
-    mesh = ring()
+    mesh = ring(16, (1, 1.5, 2), ("inner", "outer"))
     free, turn = np.arange(16, 48), np.deg2rad(100)
     points = mesh.points.copy()
     points[free] = points[free] @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
@@ -317,12 +297,8 @@ def test_second_derivatives_on_curved_walls_and_of_pairs():
 @pytest.mark.slow
 def test_nodes_slide_on_faces():
     """A polygon's corners may be passed; what has slid along one side comes back, and the hub's nodes stay."""
-    angle = np.pi / 4 * np.arange(8)
-    points = np.concatenate([r * np.stack([np.cos(angle), np.sin(angle)], axis=1) for r in (1, 1.5, 2)])
-    ids = np.arange(24).reshape(3, 8)
-    ids = np.concatenate([ids, ids[:, :1]], axis=1)
-    quads = _stacked(ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:])
-    mesh = jm.Mesh(points, {"quad": quads}, {"inner": np.arange(8), "outer": np.arange(16, 24)})
+    mesh = ring(8, (1, 1.5, 2), ("inner", "outer"))
+    points = np.asarray(mesh.points)
     start = np.array(points)
     start[16:] += 0.3 * np.linspace(0, 1, 8)[:, None] * (np.roll(points[16:], -1, axis=0) - points[16:])
     result = jm.improve(mesh, start, sliding="outer", tolerance=1e-8)
@@ -332,7 +308,7 @@ def test_nodes_slide_on_faces():
 
 @pytest.mark.slow
 def test_the_undeformed_mesh_is_left_alone_and_keeps_its_boundary_layer():
-    mesh = grid(6)
+    mesh = unit_grid(6)
     points = mesh.points.copy()
     points[:, 1] = points[:, 1] ** 6  # first cell 2e-5 thick
     mesh = mesh.moved(points)
@@ -344,7 +320,7 @@ def test_the_undeformed_mesh_is_left_alone_and_keeps_its_boundary_layer():
 @pytest.mark.slow
 def test_ideal_targets_make_a_lattice_regular_again():
     """Their minimum is known: the regular grid, whatever the inner nodes of the undeformed mesh were."""
-    regular = grid(3)
+    regular = unit_grid(3)
     inner = np.all((regular.points > 0.01) & (regular.points < 0.99), axis=1)
     points = regular.points + 0.05 * inner[:, None] * np.random.default_rng(3).normal(size=regular.points.shape)
     result = jm.improve(regular.moved(points), points, ideal=True, size_weight=0.0, tolerance=1e-9)
@@ -355,7 +331,7 @@ def test_ideal_targets_make_a_lattice_regular_again():
 @pytest.mark.slow
 def test_derivatives_are_those_of_the_minimum():
     """Against central differences of the whole solve; inner nodes are but a start."""
-    mesh = grid(3)
+    mesh = unit_grid(3)
     points = jnp.asarray(mesh.points + 0.1 * np.sin(2 * mesh.points[:, ::-1]))
     rng = np.random.default_rng(4)
     weights, tangent = rng.normal(size=points.shape), rng.normal(size=points.shape)
@@ -375,7 +351,7 @@ def test_derivatives_are_those_of_the_minimum():
 
 @pytest.mark.slow
 def test_progress_and_choice_of_fixed_nodes():
-    mesh, said = grid(3), []
+    mesh, said = unit_grid(3), []
     points = mesh.points.copy()
     points[5] += 0.4
     held = np.array([5, *np.flatnonzero(np.any((points < 0.01) | (points > 0.99), axis=1))])
@@ -397,7 +373,7 @@ def test_progress_and_choice_of_fixed_nodes():
     ],
 )
 def test_wrong_input_is_named(change, message):
-    mesh = change.pop("mesh", grid(2))
+    mesh = change.pop("mesh", unit_grid(2))
     with pytest.raises(ValueError, match=message):
         jm.improve(mesh, change.pop("points", mesh.points), **change)
 
@@ -431,7 +407,7 @@ def test_solid_cells_leave_boundary_elements_out():
 @pytest.mark.slow
 def test_distortion_is_a_smooth_objective():
     """Against differences, on a mesh with inverted cells; cell by cell in the order of the mesh."""
-    mesh = grid(2)
+    mesh = unit_grid(2)
     points = mesh.points + 0.3 * np.random.default_rng(5).normal(size=mesh.points.shape)
     tangent = np.random.default_rng(6).normal(size=points.shape)
     assert int(jm.quality(mesh, points).inverted) > 0

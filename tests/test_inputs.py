@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, motion
+from meshes import unit_grid
 
 import jaxmorph as jm
 
@@ -49,17 +50,10 @@ def test_every_call_takes_every_form(form):
         np.testing.assert_array_equal(np.asarray(values), np.asarray(reference()[name]), err_msg=name)
 
 
-def square(k=4):
-    axis = np.linspace(0, 1, k)
-    points = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    ids = np.arange(k * k).reshape(k, k)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
-    return points, quads
-
-
 @pytest.mark.slow
 def test_improve_takes_every_form():
-    points, quads = square()
+    mesh = unit_grid(3)
+    points, quads = np.asarray(mesh.points), mesh.cells["quad"]
     tangled = points.copy()
     tangled[5] += 0.6
     found = [jm.improve(jm.Mesh(form(points), {"quad": form(quads)}), form(tangled)).points for form in FORMS.values()]

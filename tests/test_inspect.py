@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import grid, ring
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -65,19 +66,9 @@ def test_a_wall_sliding_along_a_held_boundary_is(mesh):
     assert "`sliding`" in found.warnings[0]
 
 
-def ring_of(radii, count=96):
-    """Rings of quads around a cylinder, the innermost one `wall`, the outermost one `far`."""
-    angle = 2 * np.pi * np.arange(count) / count
-    points = (np.asarray(radii)[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
-    ids = np.arange(len(points)).reshape(-1, count)
-    after = np.roll(ids, -1, axis=1)
-    quads = np.stack([ids[:-1], ids[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
-    return jm.Mesh(points, {"quad": quads}, {"wall": ids[0], "far": ids[-1]})
-
-
 def test_sliding_is_advised_only_where_a_fixed_boundary_touches_the_moving_one():
     """A cylinder made wavy has no boundary beside it, a shaft in its bearing has one that does not touch it."""
-    mesh = ring_of(0.5 * 1.15 ** np.arange(20))
+    mesh = ring(96, 0.5 * 1.15 ** np.arange(20))
     base = mesh.points[mesh.patch("wall")]
     wavy = base * (0.35 * np.cos(24 * 2 * np.pi * np.arange(96) / 96))[:, None]
     plan = jm.prepare(mesh, "wall", "far")
@@ -87,7 +78,7 @@ def test_sliding_is_advised_only_where_a_fixed_boundary_touches_the_moving_one()
         (said,) = found.warnings
         assert "sliding" not in said
         assert f"In {len(found.contradictions)} of them both nodes move" in said
-    bearing = ring_of([0.5, 0.505, 0.51])
+    bearing = ring(96, [0.5, 0.505, 0.51])
     turned = np.asarray(jm.shapes.rotate(base, 0.1, [0.0, 0.0])) - base
     found = jm.inspect(jm.prepare(bearing, "wall", "far"), turned, mesh=bearing)
     (said,) = found.warnings
@@ -212,11 +203,9 @@ def test_advice_where_the_displacement_is_steep():
 
 def square():
     """A unit-spaced square of 8 x 8 quads with its sides, and three nodes in its middle, which a motion turns by 95 degrees."""
-    x, y = np.meshgrid(np.arange(9.0), np.arange(9.0))
-    points = np.stack([x.ravel(), y.ravel()], axis=1)
-    corner = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
-    cells = np.stack([corner, corner + 1, corner + 10, corner + 9], axis=1)
-    sides = {f"{'xy'[axis]}{end}": np.flatnonzero(points[:, axis] == end) for axis in (0, 1) for end in (0, 8)}
+    mesh = grid(*[np.arange(9.0)] * 2)
+    points = np.asarray(mesh.points)
+    edges = {f"{'xy'[axis]}{end}": np.flatnonzero(points[:, axis] == end) for axis in (0, 1) for end in (0, 8)}
     moving = np.array([39, 40, 41])
     arms = points[moving] - points[40]
 
@@ -224,7 +213,7 @@ def square():
         c, s = np.cos(np.deg2rad(95) * t), np.sin(np.deg2rad(95) * t)
         return arms @ np.array([[c, s], [-s, c]]) - arms
 
-    return jm.Mesh(points, {"quad": cells}, sides), moving, turned
+    return jm.Mesh(points, mesh.cells, edges), moving, turned
 
 
 @pytest.mark.slow

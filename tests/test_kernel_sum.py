@@ -142,7 +142,7 @@ def test_every_transformation():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [BLOCK, *(pytest.param(n, marks=pytest.mark.slow) for n in (26, BLOCK + 1))])
+@pytest.mark.parametrize("n", [BLOCK, *(pytest.param(n, marks=pytest.mark.nightly) for n in (26, BLOCK + 1))])
 def test_any_number_of_points(n):
     plan, u, w = case("thin-plate", n=n, s=25)
     np.testing.assert_allclose(in_blocks(plan, u), one_by_one(plan, u), rtol=0, atol=1e-11)

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
-from ring import write_ring
-from small import bricks
+from meshes import bricks, write_ring
 
 import jaxmorph as jm
 from jaxmorph._advice.largest_step import first_roots

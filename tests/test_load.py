@@ -6,7 +6,7 @@ import pathlib
 import jax
 import numpy as np
 import pytest
-from small import bricks
+from meshes import bricks
 
 import jaxmorph as jm
 

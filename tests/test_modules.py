@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small import mixed
+from meshes import mixed
 
 import jaxmorph as jm
 from jaxmorph import shapes

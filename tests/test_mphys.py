@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import lattice
 
 import jaxmorph as jm
 from jaxmorph import cases, shapes
@@ -33,7 +34,7 @@ def elsewhere(monkeypatch, tmp_path):
 @pytest.fixture(scope="module")
 def plan():
     axis = np.linspace(-2, 3, 6)
-    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = lattice(axis, axis, axis)
     hull = np.flatnonzero((points == -2).any(axis=1) | (points == 3).any(axis=1))
     wall = np.flatnonzero(np.abs(points - 0.5).max(axis=1) < 1)  # a body of eight nodes
     return jm.prepare(points, wall, hull, method=jm.RBF.classic())

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import pyvista
+from oracles import check_geometry, polydata
 from scipy.spatial import cKDTree
 
 import jaxmorph as jm
@@ -12,43 +12,6 @@ from jaxmorph import cases
 @pytest.fixture(scope="module")
 def mesh() -> jm.Mesh:
     return cases.naca0015()
-
-
-def polydata(mesh: jm.Mesh) -> pyvista.PolyData:
-    quads = mesh.cells["quad"]
-    faces = np.column_stack([np.full(len(quads), 4), quads]).ravel()
-    return pyvista.PolyData(np.column_stack([mesh.points, np.zeros(len(mesh.points))]), faces)
-
-
-def boundary_edges(mesh: jm.Mesh) -> np.ndarray:
-    """Directed edges that one cell alone has, cell on their left."""
-    quads = mesh.cells["quad"]
-    directed = np.stack([quads, np.roll(quads, -1, axis=1)], axis=-1).reshape(-1, 2)
-    _, first, count = np.unique(np.sort(directed, axis=1), axis=0, return_index=True, return_counts=True)
-    assert count.max() == 2
-    return directed[first[count == 1]]
-
-
-def shoelace(points: np.ndarray, edges: np.ndarray) -> float:
-    a, b = points[edges[:, 0]], points[edges[:, 1]]
-    return 0.5 * float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
-
-
-def check_geometry(mesh: jm.Mesh) -> None:
-    """Convex, counter-clockwise, no coincident points, boundary = patches, no overlap."""
-    quality = polydata(mesh).cell_quality(["scaled_jacobian", "area"])
-    assert quality["scaled_jacobian"].min() > 0
-    corners = mesh.points[mesh.cells["quad"]]
-    diagonals = corners[:, 2:] - corners[:, :2]
-    areas = 0.5 * (diagonals[:, 0, 0] * diagonals[:, 1, 1] - diagonals[:, 0, 1] * diagonals[:, 1, 0])
-    np.testing.assert_allclose(areas, quality["area"], rtol=1e-6, atol=1e-16)
-    distances, _ = cKDTree(mesh.points).query(mesh.points, k=2)
-    assert distances[:, 1].min() > 9e-13
-    edges = boundary_edges(mesh)
-    np.testing.assert_array_equal(np.unique(edges), mesh.patch("airfoil", "farfield"))
-    assert not np.intersect1d(mesh.patch("airfoil"), mesh.patch("farfield")).size
-    assert len(edges) == len(mesh.patch("airfoil", "farfield"))
-    assert areas.sum() == pytest.approx(shoelace(mesh.points, edges), rel=1e-12)
 
 
 def test_counts(mesh):
@@ -113,6 +76,7 @@ def test_other_numbers_of_points(points):
     check_geometry(mesh)
 
 
+@pytest.mark.nightly
 def test_a_million_points():
     mesh = cases.naca0015(points=1_000_000)
     assert len(mesh.points) == pytest.approx(1_000_000, rel=0.01)

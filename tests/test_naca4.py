@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from meshes import cusped
+from oracles import check_geometry
 from scipy.spatial import cKDTree
-from test_naca0015 import check_geometry
 
 from jaxmorph import cases
 from jaxmorph.cases._c_grid import c_grid
@@ -23,13 +24,6 @@ NACA4412 = np.array(
         [95, 1.47, -0.16],
     ]
 )
-
-
-def cusped(t):
-    """A cusped section of 15 % thickness, concave behind 45 % of the chord, its cusp cut to 0.3 % of the chord."""
-    x = t**2
-    half = 0.15 / 0.75**1.5 * np.abs(t) * np.clip(1 - x, 0, None) ** 1.5 + 0.0015 * x
-    return np.column_stack([x, np.sign(t) * half])
 
 
 def turning(contour):

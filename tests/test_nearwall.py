@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few
+from meshes import cusped
 from scipy.spatial.distance import cdist
-from test_naca4 import cusped
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -64,7 +64,7 @@ INVERTED = [
     ("6409", SMALL, True, flap_up),
     pytest.param("6612", SMALL, True, flap_up, marks=pytest.mark.slow),
     pytest.param("9412", SMALL, False, turn, marks=pytest.mark.slow),
-    pytest.param("4412", WHOLE, False, less_camber, marks=pytest.mark.slow),
+    pytest.param("4412", WHOLE, False, less_camber, marks=pytest.mark.nightly),
 ]
 
 
@@ -87,8 +87,8 @@ def test_the_defect_and_the_cure(section, points, extremes, motion):
     assert ratios[1] > 0.7
 
 
-@pytest.mark.parametrize("points", [SMALL, pytest.param(WHOLE, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("leaves", [1, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("points", [SMALL, pytest.param(WHOLE, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("leaves", [1, pytest.param(8, marks=pytest.mark.nightly)])
 def test_the_convex_airfoil_does_not_get_worse(leaves, points):
     """Mean and largest skewness of the paper's case, with and without NearWall."""
     mesh = cases.naca0015(points=points)

@@ -30,6 +30,9 @@ SMALL = {
 OPTIMISED = "03_shape_optimisation.ipynb"
 """It takes twice as long where compiled code is not optimised (`.ci/run`); the others compile most of the time."""
 
+OFTEN = ("00_first_steps.ipynb", "07_extend.ipynb", "08_openfoam.ipynb")
+"""`.ci/run` runs these, `.ci/nightly` all of them."""
+
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 640 * 1024
 """Bytes, pictures included."""
@@ -46,7 +49,9 @@ def with_parameters(notebook, values):
 # Warnings are those of Jupyter's client; what the notebook's own kernel warns of is looked for in its output.
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(SMALL))
+@pytest.mark.parametrize(
+    "name", [name if name in OFTEN else pytest.param(name, marks=pytest.mark.nightly) for name in sorted(SMALL)]
+)
 def test_notebook_runs(name, monkeypatch):
     if name == OPTIMISED:
         monkeypatch.delenv("JAX_DISABLE_MOST_OPTIMIZATIONS", raising=False)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small import bricks, mixed
+from meshes import bricks, mixed
 
 from jaxmorph import cases
 from jaxmorph._advice.largest_step import Corners
@@ -79,7 +79,9 @@ ONE = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="nothing h
 
 
 @ONE
-@pytest.mark.parametrize("name", PROGRAMS)
+@pytest.mark.parametrize(
+    "name", ["cells", *(pytest.param(name, marks=pytest.mark.slow) for name in PROGRAMS if name != "cells")]
+)
 def test_it_ends_on_one_core(name):
     run(PROGRAMS[name])
 

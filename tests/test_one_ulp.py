@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small import bricks
+from meshes import blocks, bricks, lattice
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -24,7 +24,7 @@ def wedge():
     floor, s = np.clip(x, 0, 1) * np.tan(np.deg2rad(10)), np.linspace(0, 1, 17)
     places = np.stack([np.repeat(x[:, None], 17, axis=1), floor[:, None] + s * (1 - floor[:, None])], axis=-1)
     ids = np.arange(41 * 17).reshape(41, 17)
-    cells = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    cells = blocks(ids)
     wall = ids[5:-5, 0]
     fixed = np.setdiff1d(np.concatenate([ids[0], ids[-1], ids[:, -1], ids[:, 0]]), wall)
     return jm.Mesh(places.reshape(-1, 2), {"quad": cells}, {"wall": wall, "fixed": fixed}), "wall", "fixed", ()
@@ -120,7 +120,7 @@ def change(name, method, alone, seeds=(0, 1)):
     return max(np.abs(moved(noisy(points, seed)) - still).max() for seed in seeds) / np.abs(u).max()
 
 
-@pytest.mark.parametrize("alone", [False, True], ids=["mesh", "points"])
+@pytest.mark.parametrize("alone", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["mesh", "points"])
 @pytest.mark.parametrize("name", MESHES)
 def test_the_default(name, alone):
     assert change(name, "default", alone) < LEAST
@@ -131,11 +131,13 @@ def test_every_choice_on_a_wedge(method):
     assert change("wedge", method, True, seeds=(0,)) < LEAST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["KDTree", "KDTree by size", "extremes", "Graded", "Multiscale"])
 def test_every_choice_beside_a_square(method):
     assert change("body", method, True, seeds=(0,)) < LEAST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["extremes", "PGreedy", "motions", "Multiscale", "LocalCorrection"])
 def test_every_choice_beside_a_cube(method):
     assert change("cube", method, True, seeds=(0,)) < LEAST
@@ -204,9 +206,9 @@ def test_of_equal_distances_the_first_counts():
     angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     assert nearest_few(np.zeros((1, 2)), circle, 3).tolist() == [[0, 1, 2]]
-    lattice = np.stack(np.meshgrid(*[np.arange(5) / 3] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
-    middles = lattice + 1 / 6
-    distance = np.linalg.norm(middles[:, None] - lattice[None], axis=2)
+    nodes = lattice(*[np.arange(5) / 3] * 2)
+    middles = nodes + 1 / 6
+    distance = np.linalg.norm(middles[:, None] - nodes[None], axis=2)
     by_hand = [np.flatnonzero(row <= row.min() + 1e-9)[0] for row in distance]
     for seed in range(3):
-        np.testing.assert_array_equal(nearest_few(middles, noisy(lattice, seed), 1)[:, 0], by_hand)
+        np.testing.assert_array_equal(nearest_few(middles, noisy(nodes, seed), 1)[:, 0], by_hand)

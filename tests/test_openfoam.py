@@ -5,88 +5,12 @@ import json
 import foam
 import numpy as np
 import pytest
+from foam import PATCHES, mixed, split, strip
 from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph.cli import main
-
-HEXAHEDRON = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-WEDGE = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
-PYRAMID = ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4))
-TETRA = ((0, 1, 3), (1, 2, 3), (2, 0, 3), (0, 2, 1))
-
-
-def cell(shape, *nodes):
-    return [[nodes[i] for i in face] for face in shape]
-
-
-def mixed():
-    """A cube with a wedge beside it, a pyramid and a tetrahedron on top."""
-    cube = [[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    points = np.array([*cube, [2, 0, 0], [2, 0, 1], [0.5, 0.5, 2], [0.5, 2, 1.5]], float)
-    points += 0.05 * np.sin(np.arange(36)).reshape(12, 3)
-    cells = [
-        cell(HEXAHEDRON, 0, 1, 2, 3, 4, 5, 6, 7),
-        cell(WEDGE, 1, 8, 2, 5, 9, 6),
-        cell(PYRAMID, 4, 5, 6, 7, 10),
-        cell(TETRA, 6, 11, 7, 10),
-    ]
-    return points, cells
-
-
-PATCHES = [("floor", "wall", lambda face: max(face) < 4), ("rest", "patch", lambda face: True), ("none", "patch", bool)]
-
-
-def split():
-    """A cube, and four small ones against its side: the first has five faces more corners, or more faces, than a hexahedron."""
-    points = [[x, y, z] for x in (0, 1, 2) for y in (0, 0.5, 1) for z in (0, 0.5, 1)]
-    at = {tuple(p): i for i, p in enumerate(points)}
-
-    def corners(x, y, z, s):
-        square = ((0, 0), (1, 0), (1, 1), (0, 1))
-        return [at[x + i, y + j * s, z + k * s] for k in (0, 1) for i, j in square]
-
-    small = [cell(HEXAHEDRON, *corners(1, y, z, 0.5)) for y in (0, 0.5) for z in (0, 0.5)]
-    shared = [list(reversed(face)) for faces in small for face in faces if all(points[n][0] == 1 for n in face)]
-    large = [
-        [at[0, 0, 0], at[0, 0, 1], at[0, 1, 1], at[0, 1, 0]],
-        [at[0, 0, 0], at[1, 0, 0], at[1, 0, 0.5], at[1, 0, 1], at[0, 0, 1]],
-        [at[0, 1, 0], at[0, 1, 1], at[1, 1, 1], at[1, 1, 0.5], at[1, 1, 0]],
-        [at[0, 0, 0], at[0, 1, 0], at[1, 1, 0], at[1, 0.5, 0], at[1, 0, 0]],
-        [at[0, 0, 1], at[1, 0, 1], at[1, 0.5, 1], at[1, 1, 1], at[0, 1, 1]],
-    ]
-    used = sorted({n for faces in (*small, [*large, *shared]) for face in faces for n in face})
-    new = {n: i for i, n in enumerate(used)}
-    cells = [[[new[n] for n in face] for face in faces] for faces in ([*large, *shared], *small)]
-    return np.array(points)[used], cells
-
-
-def strip(normal, around=14):
-    """A flat ring of quads, one of them two triangles, one layer thick along an axis; nodes of both planes mixed up."""
-    angle = 2 * np.pi * np.arange(around) / around
-    plane = np.concatenate([r * np.column_stack([np.cos(angle), np.sin(angle)]) for r in (1, 1.25, 1.5)])
-    n = len(plane)
-    order = np.random.default_rng(0).permutation(2 * n)
-    points = np.insert(np.tile(plane, (2, 1)), normal, np.repeat([0, 0.1], n), axis=1)
-    shuffled = np.empty_like(points)
-    shuffled[order] = points
-    cells = []
-    for i in range(2 * around):
-        j = i + 1 - (i % around == around - 1) * around
-        quad = [i, around + i, around + j, j]
-        for base in [quad[:3], [quad[0], *quad[2:]]] if i == 3 else [quad]:
-            sides = [[a, b, b + n, a + n] for a, b in zip(base, base[1:] + base[:1], strict=True)]
-            cells.append([base[::-1], [k + n for k in base], *sides])
-    cells = [[[int(order[k]) for k in face] for face in faces] for faces in cells]
-    if normal == 1:
-        cells = [[face[::-1] for face in faces] for faces in cells]
-    patches = [
-        ("sides", "empty", lambda face: np.ptp(shuffled[face, normal]) == 0),
-        ("far", "patch", lambda face: np.linalg.norm(np.delete(shuffled[face[0]], normal)) > 1.4),
-        ("hole", "wall", lambda face: True),
-    ]
-    return shuffled, cells, patches
 
 
 @pytest.mark.parametrize("form", foam.FORMS)

@@ -5,11 +5,10 @@ import re
 import foam
 import numpy as np
 import pytest
+from foam import HEXAHEDRON
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-
-HEXAHEDRON = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 
 
 def turned(points):

@@ -6,7 +6,7 @@ import re
 import foam
 import numpy as np
 import pytest
-from test_openfoam import PATCHES, mixed
+from foam import PATCHES, mixed
 
 from jaxmorph import io
 from jaxmorph.io.openfoam.file import Patch, load, patches

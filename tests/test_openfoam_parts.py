@@ -11,6 +11,7 @@ import types
 import foam
 import numpy as np
 import pytest
+from meshes import grid
 from scipy.spatial import KDTree
 
 import jaxmorph as jm
@@ -25,16 +26,12 @@ from jaxmorph.cli._output import Output
 from jaxmorph.cli._summary import Summary
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-"""Faces of a cell of a lattice seen from outside, by corners 4 i + 2 j + k."""
 
 
-def lattice(shape=(3, 2, 2)):
+def cubes(shape=(3, 2, 2)):
     """Points of a box of cubes, and the faces of each cell."""
-    grid = np.stack(np.meshgrid(*(np.arange(n + 1) for n in shape), indexing="ij"), axis=-1)
-    ids = np.arange(grid[..., 0].size).reshape(grid.shape[:3])
-    corners = [ids[i : i + 2, j : j + 2, k : k + 2].ravel() for i, j, k in np.ndindex(*shape)]
-    return grid.reshape(-1, 3).astype(float), [[[int(each[c]) for c in side] for side in SIDES] for each in corners]
+    mesh = grid(*(np.arange(n + 1.0) for n in shape))
+    return np.asarray(mesh.points), [foam.cell(foam.HEXAHEDRON, *row) for row in mesh.cells["hexahedron"].tolist()]
 
 
 def box(points):
@@ -47,7 +44,7 @@ def box(points):
 @pytest.fixture
 def divided(tmp_path):
     """A case of twelve cubes and its two parts, the second of which has the cells beyond the first plane."""
-    points, cells = lattice()
+    points, cells = cubes()
     case = tmp_path / "case"
     foam.write_case(case, points, cells, box(points))
     foam.write_parts(case, points, cells, box(points), [0 if k < 4 else 1 for k in range(len(cells))])
@@ -250,7 +247,7 @@ CASES = {
 
 def made_by_openfoam(case, name):
     patches, shape, way, count, form, _ = CASES[name]
-    foam.write_case(case, *lattice((1, 1, 1)), box(lattice((1, 1, 1))[0]))
+    foam.write_case(case, *cubes((1, 1, 1)), box(cubes((1, 1, 1))[0]))
     shutil.rmtree(case / "constant" / "polyMesh")
     cells = " ".join(map(str, shape))
     mesh = f"vertices ({CORNERS}); blocks (hex (0 1 2 3 4 5 6 7) ({cells}) simpleGrading (1 2 1)); edges ();"

@@ -11,7 +11,7 @@ import shutil
 import foam
 import numpy as np
 import pytest
-from test_openfoam import PATCHES, mixed
+from foam import PATCHES, mixed
 
 import jaxmorph as jm
 from jaxmorph import io

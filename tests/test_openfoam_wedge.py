@@ -6,8 +6,8 @@ import shutil
 import foam
 import numpy as np
 import pytest
+from foam import HEXAHEDRON
 from scipy.spatial.transform import Rotation
-from test_openfoam import HEXAHEDRON
 
 import jaxmorph as jm
 from jaxmorph import io

@@ -6,7 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from cases import body, motion
-from ring import write_ring
+from meshes import lattice, write_ring
 
 import jaxmorph as jm
 
@@ -59,7 +59,7 @@ def test_partials_pass_openmdaos_check(plan, flat):
 def test_no_matrix_is_set_aside():
     """A mesh of 64,764 nodes with 16,230 on its wing would need 70 GiB."""
     x = np.linspace(0, 1, 41)
-    points = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    points = lattice(x, x)
     inner = ((points > 0) & (points < 1)).all(axis=1)
     moving = np.flatnonzero(inner)[::3]
     plan = jm.prepare(points, moving, np.flatnonzero(~inner), method=jm.DelaunayGraph())

@@ -5,38 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import few, full
+from meshes import joined, lattice, sector, turn
 
 import jaxmorph as jm
 from jaxmorph import cases
 
 TPS = full(jm.ThinPlateSpline(), 1)
 LOCAL = jm.SurfaceReconstruction(few(), jm.NearWall(width=0.2))
-
-
-def turn(angle, dimension):
-    matrix = np.eye(dimension)
-    matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    return matrix
-
-
-def sector(dimension, sectors=4, whole=False):
-    """A ring from radius 1, which moves, to 2, which is fixed with both ends in 3-D; its nodes, lists, sides and a motion."""
-    steps = 6
-    count = steps * sectors if whole else steps + 1
-    axes = [np.linspace(1, 2, 5), 2 * np.pi / sectors / steps * np.arange(count), np.linspace(0, 1, 4)][:dimension]
-    r, angle, *z = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
-    points = np.stack([r * np.cos(angle), r * np.sin(angle), *z], axis=1)
-    held = (r == 2) | (np.isin(z[0], (0, 1)) if z else False)
-    moving, fixed = np.flatnonzero((r == 1) & ~held), np.flatnonzero(held)
-    first, last = np.flatnonzero(angle == 0), np.flatnonzero(np.isclose(angle, 2 * np.pi / sectors))
-    wave = np.stack([np.cos(2 * r), np.sin(sectors * angle + 1), *z], axis=1)
-    u = np.einsum("nij,nj->ni", np.stack([turn(each, dimension) for each in angle]), 0.03 * wave)
-    return points, moving, fixed, (first, last), u[moving]
-
-
-def joined(dimension, sides, **keywords):
-    axis = {"axis": (0, 0, 2)} if dimension == 3 else {"about": (0, 0)}
-    return jm.Periodic(*sides, rotation=np.pi / 2, **axis, **keywords)
 
 
 @pytest.mark.slow
@@ -118,7 +93,7 @@ def test_steps_and_parts_of_a_periodic_mesh():
 def test_two_directions_and_a_plane():
     """A box repeated along x and y, mirrored in z: corners are in two pairs, and all that repeat each other move alike."""
     axes = np.linspace(0, 1, 5)
-    points = np.stack(np.meshgrid(axes, axes, axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = lattice(axes, axes, axes)
     centre = np.abs(points - np.array([0.5, 0.5, 0.0])).max(axis=1) <= 0.26
     moving, fixed = np.flatnonzero(centre), np.flatnonzero(points[:, 2] == 1)
     ends = [[np.flatnonzero(points[:, axis] == side) for side in (0, 1)] for axis in range(2)]
@@ -166,8 +141,7 @@ def test_where_an_image_stands_on_a_node_the_node_counts(method):
     """A wall's image falls on another wall, but for the digits of a file: the field is that of places that coincide."""
 
     def deformed(off):
-        x, y = np.meshgrid(*[np.arange(6) / 5] * 2)
-        points = np.stack([x.ravel(), y.ravel()], axis=1)
+        points = lattice(*[np.arange(6) / 5] * 2)
         low, high, left = points[:, 1] == 0, points[:, 1] == 1, points[:, 0] < 0.5
         points[high & left, 1] += off
         pairs = jm.Periodic(np.flatnonzero(low & ~left), np.flatnonzero(high & ~left))

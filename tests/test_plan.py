@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few, motion, whole_and_part
+from meshes import lattice
 
 import jaxmorph as jm
 from jaxmorph._host.surface.graph import locate
@@ -101,7 +102,7 @@ def test_a_plan_speaks_whatever_its_leaves_are():
 def test_a_plan_counts_what_location_repaired():
     """A cube's faces are flat hull facets, where the search for a simplex misses points within round-off."""
     side = np.linspace(0, 1, 6)
-    points = np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3)
+    points = lattice(side, side, side)
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     corners = np.flatnonzero(((points == 0) | (points == 1)).all(axis=1))
     plan = jm.prepare(points @ turn, corners[:4], corners[4:], method=GRAPH)

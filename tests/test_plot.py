@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from meshes import bricks, mixed
 from scipy.spatial import ConvexHull
-from small import bricks, mixed
 
 import jaxmorph as jm
 from jaxmorph import cases, plot

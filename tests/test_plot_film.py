@@ -15,8 +15,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from meshes import bricks, mixed
 from PIL import Image
-from small import bricks, mixed
 
 from jaxmorph import plot
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import pyvista
+from meshes import grid
 from scipy.spatial import ConvexHull, Delaunay
 from vtkmodules.vtkFiltersVerdict import vtkMeshQuality
 
@@ -67,7 +68,7 @@ KINDS = tuple(IDEAL)
 DEGENERATE = [
     ("quad", np.float64),
     *(
-        pytest.param(kind, np.float32, marks=pytest.mark.slow)
+        pytest.param(kind, np.float32, marks=pytest.mark.nightly)
         for kind in ("triangle", "quad", "tetra", "pyramid", "wedge", "hexahedron")
     ),
 ]
@@ -94,11 +95,8 @@ def grid_of(mesh: jm.Mesh) -> pyvista.UnstructuredGrid:
 
 def box(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Points and cells of a grid of unit squares or cubes."""
-    ids = np.arange(np.prod([n + 1 for n in shape])).reshape([n + 1 for n in shape])
-    points = np.stack(np.meshgrid(*[np.arange(n + 1.0) for n in shape], indexing="ij"), axis=-1)
-    corners = np.array(IDEAL["quad" if len(shape) == 2 else "hexahedron"], dtype=int)
-    cells = [ids[tuple(slice(c, c + n) for c, n in zip(corner, shape, strict=True))].ravel() for corner in corners]
-    return points.reshape(-1, len(shape)), np.stack(cells, axis=1)
+    mesh = grid(*[np.arange(n + 1.0) for n in shape])
+    return np.asarray(mesh.points), next(iter(mesh.cells.values()))
 
 
 def tetrahedra(count: int = 60, seed: int = 1) -> jm.Mesh:
@@ -543,7 +541,7 @@ def test_jit_vmap_and_meshes_as_arguments():
     [
         "triangle",
         "quad",
-        *(pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS if kind not in ("triangle", "quad")),
+        *(pytest.param(kind, marks=pytest.mark.nightly) for kind in KINDS if kind not in ("triangle", "quad")),
     ],
 )
 def test_what_the_host_measures_is_what_a_trace_does(kind):

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from richardson import jacobian
-from test_smooth_quality import pair
+from meshes import pair
+from oracles import jacobian
 
 import jaxmorph as jm
 from jaxmorph._kernels.compile import UNTUNED

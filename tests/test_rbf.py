@@ -5,35 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import body, full, motion
+from cases import body, full, surface_values
+from oracles import dense, wendland
 from scipy.interpolate import RBFInterpolator
 
 import jaxmorph as jm
-
-
-def wendland(distance, radius):
-    x = np.minimum(distance / radius, 1)
-    return (1 - x) ** 4 * (4 * x + 1)
-
-
-def dense(points, sources, values, phi, degree):
-    """The textbook system (eq. 3), solved by NumPy in the mesh's own coordinates."""
-    tail = np.concatenate([np.ones((len(sources), 1)), sources], axis=1)[
-        :, : {None: 0, 0: 1, 1: 1 + sources.shape[1]}[degree]
-    ]
-    distance = np.linalg.norm(sources[:, None] - sources[None], axis=2)
-    matrix = np.block([[phi(distance), tail], [tail.T, np.zeros((tail.shape[1],) * 2)]])
-    weights = np.linalg.solve(matrix, np.concatenate([values, np.zeros((tail.shape[1], values.shape[1]))]))
-    there = np.concatenate([np.ones((len(points), 1)), points], axis=1)[:, : tail.shape[1]]
-    kernel = phi(np.linalg.norm(points[:, None] - sources[None], axis=2))
-    return kernel @ weights[: len(sources)] + there @ weights[len(sources) :]
-
-
-def surface_values(mesh):
-    """u on the moving nodes, nothing on the fixed ones."""
-    u = motion(mesh.points[mesh.moving])
-    return u, np.concatenate([u, np.zeros((len(mesh.fixed), u.shape[1]))])
-
 
 SCIPY = [  # SciPy writes phi(epsilon r), with epsilon = 1 / R, and its multiquadric with the other sign
     (jm.ThinPlateSpline(), 1, {"kernel": "thin_plate_spline", "degree": 1}, 2),

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from cases import body
+from meshes import lattice
 
 import jaxmorph as jm
 from jaxmorph import cases as jm_cases
@@ -60,7 +61,7 @@ def test_the_papers_source_numbers():
 @pytest.mark.parametrize("reduction", [jm.KDTree(7), jm.KDTree(5, jm.GaussPoints(), extremes=True), jm.AllPoints()])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_order_does_not_matter_and_nothing_is_named_twice(reduction, dimension):
-    grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * dimension), axis=-1).reshape(-1, dimension)  # ties everywhere
+    grid = lattice(*[np.linspace(0, 1, 9)] * dimension)  # ties everywhere
     for points in (body(dimension).points, grid):
         order = np.random.default_rng(0).permutation(len(points))
         first, again, shuffled = reduction(points), reduction(points), reduction(points[order])

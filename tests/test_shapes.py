@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ring import write_ring
+from meshes import write_ring
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm

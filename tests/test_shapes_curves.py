@@ -4,23 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import naca
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.spatial.transform import Rotation
 
 from jaxmorph import shapes
-
-
-def naca(camber, place, thickness, count=61, last=0.1015):
-    """Nodes of a NACA 4-digit airfoil: upper side from nose to tail, then the lower side."""
-    s = 0.5 * (1 - np.cos(np.linspace(0, np.pi, count)))
-    half = 5 * thickness * (0.2969 * np.sqrt(s) - 0.126 * s - 0.3516 * s**2 + 0.2843 * s**3 - last * s**4)
-    front, scale = s < place, np.where(s < place, place, 1 - place)
-    line = camber / scale**2 * (np.where(front, 0, 1 - 2 * place) + 2 * place * s - s**2)
-    theta = np.arctan(2 * camber / scale**2 * (place - s))
-    upper = np.column_stack([s - half * np.sin(theta), line + half * np.cos(theta)])
-    lower = np.column_stack([s + half * np.sin(theta), line - half * np.cos(theta)])
-    return np.concatenate([upper, lower[1:]])
-
 
 AIRFOIL = naca(0.02, 0.4, 0.12)
 LINEAR = {

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_shapes_curves import naca
+from meshes import naca
 
 from jaxmorph import shapes
 from jaxmorph._kernels.values import clipped

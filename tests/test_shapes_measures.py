@@ -4,10 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import sphere
-from ring import write_ring
+from meshes import bricks, naca, sphere, write_ring
 from scipy.spatial import ConvexHull
-from small import bricks
 
 from jaxmorph import shapes
 
@@ -71,7 +69,6 @@ def test_closed_forms_of_an_ellipse():
 
 
 def test_closed_forms_of_a_naca_airfoil():
-    from test_shapes_curves import naca
 
     x = naca(0.0, 0.4, 0.12, count=401, last=0.1036)
     lower = np.arange(401, 801)  # from behind the nose to the tail

@@ -4,7 +4,7 @@ import pathlib
 
 import numpy as np
 import pytest
-from test_shapes_curves import naca
+from meshes import naca
 
 from jaxmorph import cases, io, shapes
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small import bricks
+from meshes import blocks, bricks, lattice
 
 from jaxmorph import shapes
 
@@ -31,12 +31,11 @@ def test_waves_on_a_circle_shrink_by_the_discrete_eigenvalue(wave):
 def test_waves_on_a_plane_of_squares(size):
     """Linear triangles on a square grid make the five-point Laplacian; four corner triangles of a quad the mean of two of them."""
     n = 12
-    x, y = np.meshgrid(np.arange(n + 1.0), np.arange(n + 1.0), indexing="ij")
-    points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    points = lattice(np.arange(n + 1.0), np.arange(n + 1.0), [0.0])
     ids = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = blocks(ids)
     faces = quads if size == 4 else np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    u = np.cos(np.pi * x.ravel() / n)[:, None] * [[1.0, 0.5, 0]]  # no slope at the free border
+    u = np.cos(np.pi * points[:, 0] / n)[:, None] * [[1.0, 0.5, 0]]  # no slope at the free border
     factor = 1 + 9 * (2 - 2 * np.cos(np.pi / n))
     smoother = shapes.Smoother(points, faces, 3.0)
     if size == 4:

@@ -80,9 +80,9 @@ def edges_at_corners(kind, x):
     return (x[:, 1:] - x[:, :1])[:, None]  # of a simplex: the same at each corner
 
 
-@pytest.mark.parametrize("method", ["default", pytest.param("paper", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["default", pytest.param("paper", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(
-    ("name", "motion"), [*RUNS[:1], *(pytest.param(*run, marks=pytest.mark.slow) for run in RUNS[1:])]
+    ("name", "motion"), [*RUNS[:1], *(pytest.param(*run, marks=pytest.mark.nightly) for run in RUNS[1:])]
 )
 def test_no_cell_inverts(name, motion, method):
     mesh = mesh_of(name)

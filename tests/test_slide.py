@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import BY_NAME, NAMES, full
+from meshes import blocks, box_with_hole, drum, lattice, ring
 from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
@@ -17,41 +18,6 @@ from jaxmorph._kernels.compile import UNTUNED
 
 TPS = full(jm.ThinPlateSpline(), 1)
 AXIS = jm.Revolution((0, 0, 3))
-
-
-@functools.cache
-def box(cells=8):
-    """A square of quads with a square hole in the middle, as a mesh; its outer sides are patches."""
-    points = np.stack(np.meshgrid(*[np.arange(cells + 1.0)] * 2, indexing="ij"), axis=-1).reshape(-1, 2) - cells / 2
-    ids = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
-    quads = quads[(np.abs(points[quads].mean(axis=1)) > 1).any(axis=1)]
-    used, quads = np.unique(quads, return_inverse=True)
-    points, half = points[used], cells / 2
-    patches = {"hole": np.flatnonzero((np.abs(points) <= 1).all(axis=1))}
-    for name, axis, side in (("left", 0, -half), ("right", 0, half), ("bottom", 1, -half), ("top", 1, half)):
-        patches[name] = np.flatnonzero(points[:, axis] == side)
-    return jm.Mesh(points, {"quad": quads.reshape(-1, 4)}, patches)
-
-
-@functools.cache
-def drum(shape="cylinder"):
-    """Bricks between an inner cylinder and a shroud around z, 12 around, 4 along; lids at z = 0 and 1."""
-    r, angle, z = np.meshgrid(np.linspace(0, 1, 4), 2 * np.pi / 12 * np.arange(12), np.linspace(0, 1, 5), indexing="ij")
-    outer = {"cylinder": 2 + 0 * z, "cone": 2 + 0.5 * z, "bell": 2 + 0.3 * np.sin(2 * z)}[shape]
-    radius = 1 + r * (outer - 1)
-    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
-    ids = np.arange(r.size).reshape(r.shape)
-    ids = np.concatenate([ids, ids[:, :1]], axis=1)
-    low = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
-    cells = np.stack([each[..., :-1] for each in low] + [each[..., 1:] for each in low], axis=-1).reshape(-1, 8)
-    patches = {
-        "hub": ids[0].ravel(),
-        "shroud": ids[-1].ravel(),
-        "bottom": ids[..., 0].ravel(),
-        "top": ids[..., -1].ravel(),
-    }
-    return jm.Mesh(points, {"hexahedron": cells}, {name: np.unique(nodes) for name, nodes in patches.items()})
 
 
 def wrung(points, moving, size=0.3):
@@ -79,7 +45,7 @@ def check_derivatives(plan, u, rtol=1e-6):
 
 
 def test_a_block_in_a_box_of_sliding_sides():
-    mesh, sides = box(), ["left", "right", "bottom", "top"]
+    mesh, sides = box_with_hole(), ["left", "right", "bottom", "top"]
     plan = jm.prepare(mesh, "hole", sliding=sides, method=TPS)
     assert plan.is_linear
     block, points = mesh.points[plan.moving], mesh.points
@@ -105,7 +71,7 @@ def test_a_block_in_a_box_of_sliding_sides():
 
 @pytest.mark.slow
 def test_a_flat_patch_slides_as_its_plane_does():
-    mesh, sides = box(), ["left", "right", "bottom", "top"]
+    mesh, sides = box_with_hole(), ["left", "right", "bottom", "top"]
     plan, points = jm.prepare(mesh, "hole", sliding=sides, method=TPS), mesh.points
     block = points[plan.moving]
     u = np.asarray(jm.shapes.rotate(block, 0.8, about=(0, 0))) + 0.5 - block
@@ -191,16 +157,6 @@ def off_faces(points, corners):
     return np.linalg.norm(points[:, None] - first[None] - t[..., None] * edge[None], axis=2).min(axis=1)
 
 
-def ring():
-    """Quads between a square of radius 1 and a circle of radius 2 that is a polygon of 16 sides."""
-    angle = 2 * np.pi / 16 * np.arange(16)
-    points = np.concatenate([r * np.stack([np.cos(angle), np.sin(angle)], axis=1) for r in (1, 1.5, 2)])
-    ids = np.arange(48).reshape(3, 16)
-    ids = np.concatenate([ids, ids[:, :1]], axis=1)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
-    return jm.Mesh(points, {"quad": quads}, {"inner": np.arange(16), "outer": np.arange(32, 48)})
-
-
 def similar(points):
     """Turns, scales and shifts a base: no node has other neighbours, every wall and translation is another one."""
     turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
@@ -209,7 +165,7 @@ def similar(points):
 
 @pytest.mark.slow
 def test_a_polygon_and_a_circle():
-    mesh = ring()
+    mesh = ring(16, (1, 1.5, 2), ("inner", "outer"))
     inner = mesh.points[mesh.patch("inner")]
     u = np.asarray(jm.shapes.rotate(inner, 0.3, about=(0, 0))) + 0.1 - inner
     on_faces = jm.prepare(mesh, "inner", sliding="outer", method=TPS)
@@ -234,7 +190,7 @@ def test_a_polygon_and_a_circle():
 
 def test_sharp_edges_part_a_patch_and_the_apex_of_a_cone_stays():
     """Elsewhere a cone has one normal; a disc has one at its middle, too."""
-    mesh, sides = box(), ["left", "right", "bottom", "top"]
+    mesh, sides = box_with_hole(), ["left", "right", "bottom", "top"]
     around, lines = mesh.patch(*sides), boundary_faces(mesh.cells, len(mesh.points))
     parts = walls_of_patch(jm.Slide("around"), around, mesh.points, lines)
     assert {frozenset(nodes) for _, nodes in parts} == {frozenset(mesh.patch(name)) for name in sides}
@@ -248,7 +204,7 @@ def test_sharp_edges_part_a_patch_and_the_apex_of_a_cone_stays():
 
 
 def test_a_circle_in_single_precision_and_an_ellipse():
-    mesh = ring()
+    mesh = ring(16, (1, 1.5, 2), ("inner", "outer"))
     outer = mesh.patch("outer")
     single = jm.Mesh(mesh.points.astype(np.float32), mesh.cells, mesh.patches)
     slide = jm.Slide("outer", jm.Revolution())
@@ -287,7 +243,7 @@ def test_a_shroud_of_faces():
 
 
 def test_what_does_not_slide():
-    mesh = box()
+    mesh = box_with_hole()
     with pytest.raises(ValueError, match="slides on its faces, which points alone do not have"):
         jm.prepare(mesh.points, mesh.patch("hole"), sliding=jm.Slide(mesh.patch("left")), method=TPS)
     with pytest.raises(ValueError, match=r"a patch slides on a jm\.Plane, a jm\.Revolution or its own faces"):
@@ -314,7 +270,7 @@ def test_what_does_not_slide():
 @pytest.mark.slow
 def test_pairs_slide_along_walls_that_repeat_each_other():
     """A ceiling that is steeper at one end than at the other, or slides at one end alone, is no surface of both partners."""
-    mesh = box()
+    mesh = box_with_hole()
     x, y = np.asarray(mesh.points).T
     arched = mesh.moved(np.stack([x, y + 0.05 * np.maximum(y, 0) * (1 - (x / 4) ** 2)], axis=1))
     short = jm.Slide(mesh.patch("top")[:-1], jm.Plane((0, 1), (0, 4)))
@@ -331,14 +287,14 @@ WITH_EVERY_METHOD = ("default", "delaunay", "reduced", "laplacian", "inverse-dis
 @functools.cache
 def duct():
     """The square with a hole between a floor and a ceiling that slide, and two ends that repeat each other."""
-    mesh = box(6)
+    mesh = box_with_hole(6)
     ends = [mesh.patch(name) for name in ("left", "right")]
     return mesh, ends, {"sliding": ("bottom", "top"), "periodic": jm.Periodic("left", "right")}
 
 
 def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
     """Of a stretched base `refit` makes what `prepare` does; it says which node has left a side or the symmetry plane."""
-    mesh, boundary = box(), {"sliding": ["left", "right", "top"], "symmetry": jm.Plane((0, 1), (0, -4))}
+    mesh, boundary = box_with_hole(), {"sliding": ["left", "right", "top"], "symmetry": jm.Plane((0, 1), (0, -4))}
     plan, other = jm.prepare(mesh, "hole", method=TPS, **boundary), mesh.moved(mesh.points * [2, 1])
     u = 0.2 * np.sin(other.points[plan.moving] + np.array([0.3, 1.0]))
     moved = np.asarray(jm.deform(jm.refit(plan, other.points), u))
@@ -417,14 +373,12 @@ ALIKE = ("few-sources", "thin-plate-1", "notebook's basis", "multiscale-whole")
 def quarter():
     """Eight bricks in a quarter of a ring around z, from radius 1 to 2 and z = 0 to 1; its sides repeat each other."""
     axes = np.linspace(1, 2, 3), np.pi / 4 * np.arange(3), np.linspace(0, 1, 3)
-    radius, angle, z = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    radius, angle, z = lattice(*axes).T
     ids = np.arange(27).reshape(3, 3, 3)
-    low = [ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]]
-    cells = np.stack([each[..., :-1].ravel() for each in low] + [each[..., 1:].ravel() for each in low], axis=1)
     patches = {"hub": ids[0], "shroud": ids[-1], "first": ids[:, 0], "last": ids[:, -1]}
     patches |= {"low": ids[..., 0], "high": ids[..., -1]}
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-    return jm.Mesh(points, {"hexahedron": cells}, {name: nodes.ravel() for name, nodes in patches.items()})
+    return jm.Mesh(points, {"hexahedron": blocks(ids)}, {name: nodes.ravel() for name, nodes in patches.items()})
 
 
 @functools.partial(jax.jit, compiler_options=UNTUNED)  # most of the time is compilation

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from meshes import blocks, lattice
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -68,9 +69,9 @@ def test_a_wing_moves_along_a_fuselage_of_faces():
 def test_holes_below_moving_bodies_are_filled():
     """A square of triangles without its middle: the hole's area is filled, seen from the same side; in 2-D a gap is bridged."""
     side = np.arange(5.0)
-    points = np.stack(np.meshgrid(side, side, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    points = lattice(side, side, [0.0])
     ids = np.arange(25).reshape(5, 5)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = blocks(ids)
     quads = quads[(np.abs(points[quads].mean(axis=1) - 2)[:, :2] > 1).any(axis=1)]
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     moves = (np.abs(points - [2, 2, 0]) <= 1).all(axis=1)

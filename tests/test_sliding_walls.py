@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import blocks, lattice
 from scipy.interpolate import CubicSpline
 
 from jaxmorph._boundary.closest import Faceted, Flat, Round, Track, rim
@@ -66,11 +67,9 @@ def faceted(d):
         t = np.linspace(0, 2, 7)
         vertices, faces = np.stack([t, np.sin(2 * t)], axis=1), np.stack([np.arange(6), np.arange(1, 7)], axis=1)
     else:
-        s, t = (each.ravel() for each in np.meshgrid(np.linspace(0, 1, 3), np.linspace(0, 2, 4), indexing="ij"))
-        vertices = np.stack([s, t, np.sin(2 * t) + s**2], axis=1)
-        ids = np.arange(12).reshape(3, 4)
-        a, b, c, e = (each.ravel() for each in (ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]))
-        faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, e], axis=1)])
+        s, t = lattice(np.linspace(0, 1, 3), np.linspace(0, 2, 4)).T
+        vertices, quads = np.stack([s, t, np.sin(2 * t) + s**2], axis=1), blocks(np.arange(12).reshape(3, 4))
+        faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return Faceted(np.arange(len(vertices)), vertices, faces, _around(faces, len(vertices)))
 
 
@@ -102,9 +101,7 @@ def test_the_rim_of_a_strip():
 
 def test_holes_whose_rims_share_a_node_are_filled_apart():
     """Two squares that touch at a corner are left out of a plane: with the new faces all of it is covered once."""
-    x, y = np.meshgrid(*[np.arange(6.0)] * 2, indexing="ij")
-    vertices, ids = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3), np.arange(36).reshape(6, 6)
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    vertices, quads = lattice(*[np.arange(6.0)] * 2, [0.0]), blocks(np.arange(36).reshape(6, 6))
     left = np.delete(quads, [6, 12], axis=0)
     moves = np.isin(np.arange(36), quads[[6, 12]])
     faces = filled(np.concatenate([left[:, :3], left[:, [0, 2, 3]]]), vertices, moves)

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import pair
 
 import jaxmorph as jm
-from jaxmorph._quality.distortion import IDEAL
 
 KINDS = [
     "triangle",
@@ -18,20 +18,6 @@ KINDS = [
 MEASURES = ("skewness", "aspect_ratio", "non_orthogonality", "jacobian_ratio")
 TERMS = 36
 """The most terms of which any measure takes the largest."""
-
-
-def pair(kind):
-    """Two cells of ideal shape that share their first face or edge, the second mirrored: neighbours, as a mesh has them."""
-    ideal = np.array(IDEAL[kind], dtype=float)
-    axis = 1 if ideal.shape[1] == 2 else 2
-    shared = np.flatnonzero(ideal[:, axis] == 0)
-    second = np.arange(len(ideal)) + len(ideal)
-    second[shared] = shared
-    points = np.concatenate([ideal, ideal * np.where(np.arange(ideal.shape[1]) == axis, -1, 1)])
-    used = np.unique(np.concatenate([np.arange(len(ideal)), second]))
-    place = np.full(len(points), -1)
-    place[used] = np.arange(len(used))
-    return jm.Mesh(points[used], {kind: place[np.stack([np.arange(len(ideal)), second])]})
 
 
 def shaken(mesh, size, seed=0):

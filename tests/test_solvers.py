@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, iterative, motion
+from meshes import lattice
 
 import jaxmorph as jm
 from jaxmorph._host.linear.ordering import far_to_near
@@ -20,9 +21,9 @@ def classic(solver=None, basis=None, **options):
 def box(side):
     """The surface of a cube in a lattice, most neighbours of a node in one plane with it; then nodes around it."""
     line = np.linspace(-0.5, 0.5, side)
-    lattice = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
-    wall = lattice[(np.abs(lattice) == 0.5).any(axis=1)]
-    outer = 4 * lattice[::7] + 0.01
+    nodes = lattice(line, line, line)
+    wall = nodes[(np.abs(nodes) == 0.5).any(axis=1)]
+    outer = 4 * nodes[::7] + 0.01
     return np.concatenate([wall, outer]), np.arange(len(wall))
 
 

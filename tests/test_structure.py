@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import graphlib
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
@@ -170,6 +171,43 @@ def test_options_of_jax_belong_to_the_user():
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Attribute) and node.attr == "update":
                 assert not ast.unparse(node.value).endswith("config"), file
+
+
+def test_no_test_imports_a_test():
+    """What several need stands in `meshes`, `oracles`, `cases` and the writers of formats."""
+    tests = [file for folder in ("tests", "benchmarks") for file in (ROOT / folder).rglob("*.py")]
+    wrong = [file.name for file in tests if re.search(r"^\s*(from|import) test_", file.read_text(), re.MULTILINE)]
+    assert len(tests) > 100
+    assert not wrong
+
+
+LONGEST = 30
+"""Words in a sentence of a docstring."""
+
+
+def sentences(text: str) -> list[str]:
+    """Lists the sentences of a docstring: no code, formulas or tables; each entry of a list is a paragraph."""
+    text = re.sub(r"```.*?```|\$\$.*?\$\$|\\\[.*?\\\]", "\n\n", text, flags=re.DOTALL)
+    text = re.sub(r"`[^`]*`", "Code", text)
+    lines = ["" if line.startswith((">>>", "...", "|")) else line for line in map(str.strip, text.split("\n"))]
+    lines = [f"\n\n{line}" if re.match(r"[-*+] |\d+\. ", line) else line for line in lines]
+    found = []
+    for paragraph in re.split(r"\n\s*\n", "\n".join(lines)):
+        found += re.split(r"(?<=[.!?])[)\"']*\s+(?=[A-Z`(\"*])", " ".join(paragraph.split()))
+    return found
+
+
+def test_sentences_of_docstrings_are_short():
+    wrong = []
+    for file in FILES:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+            text = node.value.value if is_text and isinstance(node.value.value, str) else ""
+            for sentence in sentences(text):
+                count = sum(bool(re.search(r"[A-Za-z]", word)) for word in sentence.split())
+                if count > LONGEST:
+                    wrong.append(f"{file.relative_to(ROOT)}:{node.lineno}: {count} words: {sentence}")
+    assert not wrong, "\n".join(wrong)
 
 
 def long_ones() -> list[str]:

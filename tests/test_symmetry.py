@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, few, full, motion, whole_and_part
+from meshes import blocks, lattice
 
 import jaxmorph as jm
 
@@ -86,7 +87,7 @@ def between_planes(dimension):
     """A round body half way between the planes y = 0 and y = 1, which hold nodes; both ends of the passage are fixed."""
     rng = np.random.default_rng(3)
     axes = [np.linspace(-2, 2, 21), np.linspace(0, 1, 9), np.linspace(-0.5, 0.5, 5)][:dimension]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dimension)
+    grid = lattice(*axes)
     centre = np.array([0, 0.5, 0])[:dimension]
     grid = grid[np.linalg.norm(grid - centre, axis=1) > 0.3]
     directions = rng.normal(size=(24 if dimension == 2 else 80, dimension))
@@ -132,9 +133,9 @@ def body_in_a_channel():
     """Returns a mesh with cells that are thin at both walls, its body, its ends, the walls' planes, and a motion across it."""
     half = np.concatenate([[0], 1e-5 * 2.0 ** np.arange(13), np.linspace(0.1, 0.5, 6)])
     x, y = np.linspace(0, 3, 31), np.concatenate([half, 1 - half[-2::-1]])
-    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = lattice(x, y)
     ids = np.arange(len(points)).reshape(len(x), len(y))
-    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = blocks(ids)
     inside = np.all(np.abs(points - [1.5, 0.5]) < [0.45, 0.15], axis=1)
     mesh = jm.Mesh(points, {"quad": quads[~inside[quads].any(axis=1)]})
     used, number = np.unique(mesh.cells["quad"], return_inverse=True)
@@ -201,11 +202,8 @@ def test_a_plane_anywhere():
 def test_a_patch_that_lies_in_several_planes():
     """Front and back, or all sides of a duct, as one patch: the planes one by one. A duct of one cell's width is the hardest."""
     axes = np.linspace(0, 2, 7), np.array([0, 1.0]), np.array([0, 0.5, 1.5])
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    ids = np.arange(len(points)).reshape(7, 2, 3)
-    low, high = slice(-1), slice(1, None)
-    square = [(low, low), (high, low), (high, high), (low, high)]
-    cells = np.stack([ids[(*ij, k)].ravel() for k in (low, high) for ij in square], axis=1)
+    points = lattice(*axes)
+    cells = blocks(np.arange(len(points)).reshape(7, 2, 3))
     front, bottom = (np.isin(points[:, axis], axes[axis][[0, -1]]) for axis in (1, 2))
     sides = {"front and back": front, "sides": front | bottom, "inlet": points[:, 0] == 0, "outlet": points[:, 0] == 2}
     mesh = jm.Mesh(points, {"hexahedron": cells}, {name: np.flatnonzero(is_on) for name, is_on in sides.items()})

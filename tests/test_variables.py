@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 import pyvista
-from ring import write_ring
+from meshes import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io, shapes

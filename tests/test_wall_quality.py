@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import grid
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
@@ -17,10 +18,8 @@ def sheared(points, degrees):
 
 def plate(columns=6, rows=4):
     x, y = np.linspace(0, 1, columns + 1), np.array([0, 0.1, 0.3, 0.6, 1.0])[: rows + 1]
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    ids = np.arange(len(points)).reshape(rows + 1, columns + 1)
-    quads = np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(-1, 4)
-    return jm.Mesh(points, {"quad": quads}, {"floor": ids[0], "left": ids[:, 0], "lid": ids[-1]})
+    patches = {"floor": lambda ids: ids[:, 0], "left": lambda ids: ids[0], "lid": lambda ids: ids[:, -1]}
+    return grid(x, y, patches=patches)
 
 
 MESHES = {

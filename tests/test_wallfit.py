@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import body, motion
+from meshes import circle
 
 import jaxmorph as jm
 from jaxmorph import cases
@@ -157,14 +158,9 @@ def test_a_channel_whose_walls_touch():
     assert ratio > 0.4
 
 
-def ring(count):
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
 def test_edges_and_chord_of_a_circle():
     """With faces and without: each node has two edges, and half of the length is the chord."""
-    points = np.concatenate([ring(60), 5 * ring(40)])
+    points = np.concatenate([circle(60), 5 * circle(40)])
     lines = np.stack([np.arange(60), np.roll(np.arange(60), -1)], axis=1)
     wall = np.repeat([0, 1], [60, 40])
     for faces in ({"line": lines}, None):

@@ -8,8 +8,8 @@ import shutil
 import foam
 import numpy as np
 import pytest
-from test_cgns import polyhedral
-from test_openfoam import PATCHES, mixed, split
+from cgns import joined_polyhedra
+from foam import PATCHES, mixed, split
 
 import jaxmorph as jm
 from jaxmorph import cases, io
@@ -71,7 +71,7 @@ def test_polyhedra_are_whole(tmp_path, kind):
         foam.write_case(tmp_path / "a", *split(), PATCHES)
         mesh = io.read(tmp_path / "a")
     else:
-        polyhedral(tmp_path / "a.cgns")
+        joined_polyhedra(tmp_path / "a.cgns")
         mesh = io.read(tmp_path / "a.cgns")
     assert mesh.cell_counts == {"hexahedron": 4, "polyhedron": 1}
     found = jm.face_quality(mesh)
@@ -89,7 +89,7 @@ def test_polyhedra_are_whole(tmp_path, kind):
 def test_whole_cells_are_drawn_in_the_colour_of_their_value(tmp_path):
     """All pieces of a polyhedron have its value; values of pieces are taken as well, and no other number of them."""
     plot = pytest.importorskip("jaxmorph.plot")
-    polyhedral(tmp_path / "a.cgns")
+    joined_polyhedra(tmp_path / "a.cgns")
     mesh = io.read(tmp_path / "a.cgns")
     whole, pieces = jm.face_quality(mesh).volume, len(mesh.cell_ids)
     assert len(whole) < pieces

@@ -128,8 +128,8 @@ def test_the_turn_is_nose_up():
 
 
 @both_sizes
-@pytest.mark.parametrize("symmetric", [pytest.param(False, marks=pytest.mark.slow), True], ids=["free", "plane"])
-@pytest.mark.parametrize("method", [pytest.param(REDUCED, marks=pytest.mark.slow), None], ids=["paper's", "default"])
+@pytest.mark.parametrize("symmetric", [pytest.param(False, marks=pytest.mark.nightly), True], ids=["free", "plane"])
+@pytest.mark.parametrize("method", [pytest.param(REDUCED, marks=pytest.mark.nightly), None], ids=["paper's", "default"])
 def test_bending(wing, method, symmetric):
     start = wing.judge(wing.mesh.points)
     for amplitude in (0.25, 0.5, 0.75):

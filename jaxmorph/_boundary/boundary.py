@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from .._host.cells.topology import solid
-from .._host.package.arguments import shown
+from .._host.package.arguments import as_array, shown
 from .._host.package.errors import MeshError, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
@@ -231,7 +231,7 @@ def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
     """Returns node ids as an array. Raises `ValueError` for what is no list of ids of a mesh of `n` points."""
     if values is None or isinstance(values, Mesh | Plane):
         raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
-    ids = np.asarray(values)
+    ids = as_array(name, values)
     if ids.size == 0:
         return np.zeros(0, dtype=np.int64)
     if ids.ndim != 1 or ids.dtype.kind not in "iu":

@@ -14,7 +14,7 @@ from .._boundary.outer_faces import OuterFaces
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane
-from .._host.package.arguments import checked
+from .._host.package.arguments import as_array, checked
 from .._host.package.errors import MeshError
 from .._host.package.rounding import roundoff
 from .._host.surface.skin import has_free_sides
@@ -133,7 +133,7 @@ class SurfaceHalf:
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
         """Finds which of the points is each of the half's nodes (k,), -1 where none is."""
-        ids = np.asarray(nodes)
+        ids = as_array("nodes", nodes)
         if ids.shape != (len(points),) or ids.dtype.kind not in "iu":
             raise ValueError(
                 f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected one id for each of {len(points)} points."
@@ -203,7 +203,7 @@ def prepare_surface(
         outer = OuterFaces.numbered(Mesh(mesh.points, dict(faces)).cells)
     boundary = find_boundary(mesh, moving, fixed, symmetry, free, periodic, sliding, outer=outer)
     count = len(boundary.points)
-    ids = np.arange(count) if nodes is None else np.asarray(nodes)
+    ids = np.arange(count) if nodes is None else as_array("nodes", nodes)
     if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
         raise ValueError(f"`nodes` must be {count} ids, one for each point of `mesh`, none twice but -1.")
     return half_of(boundary if is_open is None else dataclasses.replace(boundary, is_open=is_open), method, ids)

@@ -88,8 +88,8 @@ class FaceQuality:
         **Raises:** `ValueError` for a measure that is not known.
         """
         whole("k", k, 0)
-        name = by or "pyramid"
-        return ranked(self._measure(name), name, self.counted, None if by else self.is_inverted)[:k]
+        name = "pyramid" if by is None else by
+        return ranked(self._measure(name), name, self.counted, self.is_inverted if by is None else None)[:k]
 
     def raise_if_inverted(self) -> None:
         """Raises `ValueError` where cells are inverted: how many, and where the first one is."""

@@ -4,7 +4,7 @@ import numpy as np
 
 import jaxmorph as jm
 
-from .._host.package.arguments import checked
+from .._host.package.arguments import between, checked
 from ._structured import geometric, ids_of, quads
 
 FAR = 20.0  # chords
@@ -37,6 +37,7 @@ def sharp_o_grid(
         raise ValueError(f"an O-grid needs 16 cells around and 8 layers, not {around} and {layers}.")
     if not 1 <= edge <= 60:
         raise ValueError(f"`edge` is {edge}; a sharp trailing edge is 1 to 60 degrees open.")
+    between("camber", camber)
     section = SharpSection(camber, edge)
     nodes = rays(section, around, layers, first_cell, FAR * abs(section.nose) / section.radius)
     ids = ids_of(layers + 1, around)

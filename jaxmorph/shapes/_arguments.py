@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, Real
 
-from .._host.package.arguments import shown
+from .._host.package.arguments import as_array, shown
 from .._kernels.values import array, is_known
 
 Number = Real[ArrayLike, ""]
@@ -57,7 +57,7 @@ def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
 
     **Raises:** `ValueError` for anything else, with the first such id.
     """
-    ids = np.asarray(ids)
+    ids = as_array(name, ids)
     if ids.dtype.kind not in "iu":
         raise ValueError(f"`{name}` is an array of {ids.dtype}; expected row numbers.")
     bad = ids[(ids < 0) | (ids >= count)]

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from .._host.package.arguments import check_fields, checked
+from .._host.package.arguments import as_array, check_fields, checked
 from .._kernels.values import as_jax, is_known
 from ._arguments import Numbers, positions
 from ._shape import AbstractShape
@@ -95,7 +95,7 @@ class OnRows(AbstractShape):
 
     @checked
     def __init__(self, shape: AbstractShape, rows: Any):
-        rows = np.asarray(rows)
+        rows = as_array("rows", rows)
         if rows.ndim != 1 or rows.dtype.kind not in "iu" or (rows < 0).any() or len(np.unique(rows)) != len(rows):
             raise ValueError(f"`rows` is an array {rows.shape} of {rows.dtype}; expected (k,) different row numbers.")
         self.shape, self.rows = shape, as_jax(rows)

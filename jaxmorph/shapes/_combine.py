@@ -6,11 +6,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
-from .._host.package.arguments import checked
+from .._host.package.arguments import as_array, checked
 from ._arguments import Numbers, check_finite, positions
 from ._shape import AbstractLinearShape, AbstractOperator
 
@@ -124,7 +123,7 @@ class Part(AbstractLinearShape):
 
     @checked
     def __init__(self, shape: AbstractLinearShape, kept: Any):
-        kept = np.asarray(kept)
+        kept = as_array("kept", kept)
         if kept.ndim != 1 or kept.dtype != bool:
             raise ValueError(f"`kept` is an array {kept.shape} of {kept.dtype}; expected (m,) of True and False.")
         self.shape, self.kept = shape, jnp.asarray(kept)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._host.cells.topology import boundary_faces
-from .._host.package.arguments import checked
+from .._host.package.arguments import as_array, checked
 from .._kernels.values import is_known, slack
 from .._mesh.mesh import Mesh
 from ._arguments import Numbers, positions, rows_of, vector
@@ -186,6 +186,8 @@ def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Fl
     """
     x = positions(x)
     loop = rows_of("loop", loop, len(x))
+    if loop.ndim != 1:
+        raise ValueError(f"`loop` has shape {loop.shape}; expected the ids (k,) of the airfoil's nodes in order.")
     if tail not in loop or not 1 <= around < len(loop) // 2:
         raise ValueError(
             f"node {tail} must be in the loop, and {around} nodes on each side of its nose fit in {len(loop)}."
@@ -218,7 +220,8 @@ def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
     **Raises:** `ValueError` for anything but two nodes.
     """
     x = positions(x)
-    if np.shape(upper) != (2,) or np.shape(lower) != (2,):
+    upper, lower = as_array("upper", upper), as_array("lower", lower)
+    if upper.shape != (2,) or lower.shape != (2,):
         raise ValueError(f"`upper` is {upper}, `lower` {lower}; expected two nodes each, (ahead, at the edge).")
     known = (rows_of(name, ids, len(x)) for name, ids in (("upper", upper), ("lower", lower)))
     a, b = (x[ids[1]] - x[ids[0]] for ids in known)
@@ -226,7 +229,7 @@ def trailing_edge_angle(x: Numbers, upper: Any, lower: Any) -> Float[Array, ""]:
 
 
 def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, "k 2"]]:
-    x, loop = positions(x), np.asarray(loop)
+    x, loop = positions(x), as_array("loop", loop)
     if x.shape[1] != 2 or loop.ndim != 1 or len(loop) < 3:
         raise ValueError(f"`x` has shape {x.shape} and `loop` {loop.shape}; expected (n, 2) and three nodes or more.")
     loop = rows_of("loop", loop, len(x))
@@ -236,7 +239,7 @@ def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, 
 def _triangles(faces: Any, x: Float[Array, "n d"]) -> Int[np.ndarray, "k 3"]:
     pieces = []
     for ids in faces if isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2 else [faces]:
-        ids = np.asarray(ids)
+        ids = as_array("faces", ids)
         if x.shape[1] != 3 or ids.ndim != 2 or ids.shape[1] not in (3, 4) or ids.size == 0:
             raise ValueError(
                 f"`x` has shape {x.shape}, `faces` {ids.shape}; expected (n, 3) and its rows (k, 3) or (k, 4)."

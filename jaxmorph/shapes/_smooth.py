@@ -14,7 +14,7 @@ from scipy import sparse
 
 from .._host.cells.topology import boundary_faces
 from .._host.linear.solves import Factors
-from .._host.package.arguments import between, checked, rows_of
+from .._host.package.arguments import as_array, between, checked, rows_of
 from .._kernels.callback import host_call
 from .._mesh.mesh import Mesh
 from ._arguments import Numbers, known_positions, positions
@@ -120,7 +120,7 @@ def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
     """Cuts faces into segments or triangles; a quad becomes its four corner triangles, each with half its weight."""
     pieces, d = [], points.shape[1]
     for ids in faces if isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2 else [faces]:
-        ids = np.asarray(ids)
+        ids = as_array("faces", ids)
         if ids.ndim != 2 or ids.shape[1] not in ((2,) if d == 2 else (3, 4)) or ids.dtype.kind not in "iu":
             raise ValueError(
                 f"`faces` has shape {ids.shape} of {ids.dtype}; walls in {d}-D have {'(k, 2)' if d == 2 else '(k, 3) or (k, 4)'}."

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.package.arguments import checked
+from .._host.package.arguments import as_array, checked
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from ._arguments import Numbers, check_finite, known_positions, positions, rows_of
@@ -52,7 +52,7 @@ class Stations(Module):
         if not np.linalg.norm(lines, axis=1).all():
             raise ValueError("`direction` has length 0; it must be a direction.")
         lines = lines / np.linalg.norm(lines, axis=1)[:, None]
-        ids = np.asarray(faces) if x.shape[1] == 2 else _triangles(faces, jnp.asarray(x))
+        ids = as_array("faces", faces) if x.shape[1] == 2 else _triangles(faces, jnp.asarray(x))
         if ids.ndim != 2 or ids.shape[1] != x.shape[1]:
             raise ValueError(f"`faces` has shape {ids.shape}; walls in 2-D have segments (k, 2).")
         rows_of("faces", ids, len(x))

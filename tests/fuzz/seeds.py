@@ -14,11 +14,11 @@ import cgns
 import foam
 import h5py
 import meshio
-from small import bricks
-from test_cgns import polyhedral
-from test_openfoam import PATCHES, mixed, split, strip
-from test_plot3d import box
-from test_plot3d import write as write_plot3d
+from cgns import joined_polyhedra
+from foam import PATCHES, mixed, split, strip
+from meshes import bricks
+from plot3d import box
+from plot3d import write as write_plot3d
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -106,7 +106,7 @@ def gmsh(folder: pathlib.Path) -> list[Seed]:
 
 
 def cgns_files(folder: pathlib.Path) -> list[Seed]:
-    polyhedral(folder / "a.cgns")
+    joined_polyhedra(folder / "a.cgns")
     mesh = bricks(2)
     with h5py.File(folder / "b.cgns", "w") as file:
         base = cgns.base(file, 3, 3)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import scipy.spatial
 from hypothesis import strategies
+from meshes import lattice
 
 import jaxmorph as jm
 
@@ -234,7 +235,7 @@ def grids(draw):
     """A grid cut into triangles or tetrahedra, whole sides of which move or stay: graded, shaken, flat, folded."""
     counts, rng = draw(strategies.sampled_from(GRIDS)), np.random.default_rng(draw(strategies.integers(0, 2**16)))
     d, ids = len(counts), np.arange(np.prod(counts)).reshape(counts)
-    x = np.stack(np.meshgrid(*(np.linspace(0, 1, count) for count in counts), indexing="ij"), axis=-1).reshape(-1, d)
+    x = lattice(*(np.linspace(0, 1, count) for count in counts))
     along, across = x[:, :1], np.arange(d) > 0
     sphere = x - 0.5
     points = {
@@ -251,7 +252,7 @@ def grids(draw):
     }
     points = points[draw(strategies.sampled_from(sorted(points)))] + draw(strategies.sampled_from((0.0, 1e4)))
     scale = draw(strategies.sampled_from((1.0, 1e-9, 1e6)))
-    corners = np.stack(np.meshgrid(*(np.arange(count - 1) for count in counts), indexing="ij"), axis=-1).reshape(-1, d)
+    corners = lattice(*(np.arange(count - 1) for count in counts))
     paths = np.array(
         [[np.isin(range(d), order[:k]) for k in range(d + 1)] for order in itertools.permutations(range(d))]
     )

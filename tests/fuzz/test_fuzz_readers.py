@@ -2,7 +2,7 @@
 
 What the right mesh is after one damaged byte, `oracle.py` says: only what the byte stood for may differ.
 
-JAXMORPH_FUZZ is the number of damaged files a format (200 by default; `.ci/run` takes 2,000), JAXMORPH_FUZZ_SEED another
+JAXMORPH_FUZZ is the number of damaged files a format (200 by default; `.ci/nightly` takes 2,000), JAXMORPH_FUZZ_SEED another
 series of them. `python tests/fuzz/child.py FORMAT SEED K K+1 FOLDER` does number K again.
 """
 

@@ -1,7 +1,7 @@
 """Writers under attack: whatever ends them, the file is the old one or the new one, whole, and nothing else is left.
 
 They are killed, run into limits and full devices, and meet folders without permission, each other, links and names of all kinds.
-JAXMORPH_FUZZ sets the number of kills a format, 50 in `.ci/run` and by default, JAXMORPH_FUZZ_SEED their moments.
+JAXMORPH_FUZZ sets the number of kills a format, 50 by default and in `.ci/nightly`, JAXMORPH_FUZZ_SEED their moments.
 `python tests/fuzz/writers.py 50 0 SU2` attacks one format.
 """
 

@@ -30,9 +30,9 @@ import cgns
 import foam
 import h5py
 import meshio
-from small import bricks
-from test_plot3d import box
-from test_plot3d import write as write_plot3d
+from meshes import bricks
+from plot3d import box
+from plot3d import write as write_plot3d
 
 import jaxmorph as jm
 from jaxmorph import io, plot

@@ -109,9 +109,17 @@ def _range(low: float | int, high: float | int, ends: str) -> str:
     return (" that is " if words == ["finite"] else " ") + " and ".join(words) if words else ""
 
 
+def as_array(name: str, values: Any) -> np.ndarray:
+    """Turns values into an array. Raises `ValueError` for rows of several lengths."""
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise ValueError(f"`{name}` has rows of several lengths; expected an array, not {shown(values)}.") from None
+
+
 def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
     """Returns ids as an array. Raises `ValueError` for what is no list of rows of an array of `count` rows."""
-    array = np.asarray(ids) if isinstance(ids, list | tuple | range) or _has_type(ids) else None
+    array = as_array(name, ids) if isinstance(ids, list | tuple | range) or _has_type(ids) else None
     if array is not None and array.size == 0:
         return np.zeros(0, dtype=np.int64)
     if array is None or array.dtype.kind not in "iu" or array.ndim != 1:

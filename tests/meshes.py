@@ -1,0 +1,204 @@
+"""Small meshes that many tests move: lattices, rings, bricks and bodies with named patches."""
+
+import functools
+import pathlib
+
+import numpy as np
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph._quality.distortion import IDEAL
+
+TETRAHEDRA = [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]]
+"""The six tetrahedra of a cube, by corners 4 i + 2 j + k."""
+
+
+def lattice(*axes) -> np.ndarray:
+    """Lists the points (n, d) of a product of axes, the last one fastest."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def blocks(ids: np.ndarray) -> np.ndarray:
+    """Lists the quads of ids (i, j), or the hexahedra of ids (i, j, k), numbered as in VTK."""
+    low, high = slice(0, -1), slice(1, None)
+    around = [(low, low), (high, low), (high, high), (low, high)]
+    ends = [()] if ids.ndim == 2 else [(low,), (high,)]
+    return np.stack([ids[(*side, *end)].ravel() for end in ends for side in around], axis=1)
+
+
+def tetrahedra(ids: np.ndarray) -> np.ndarray:
+    """Lists six tetrahedra for each cube of ids (i, j, k)."""
+    low, high = slice(0, -1), slice(1, None)
+    corners = np.stack([ids[i, j, k].ravel() for i in (low, high) for j in (low, high) for k in (low, high)], axis=1)
+    return np.concatenate([corners[:, row] for row in TETRAHEDRA])
+
+
+def sides(points: np.ndarray) -> dict[str, np.ndarray]:
+    """Lists the nodes of a unit box's sides: `x0`, `x1`, `y0` and so on."""
+    return {
+        f"{'xyz'[axis]}{side}": np.flatnonzero(points[:, axis] == side)
+        for axis in range(points.shape[1])
+        for side in (0, 1)
+    }
+
+
+def grid(*axes, patches=None) -> jm.Mesh:
+    """Makes quads or hexahedra on a product of axes; `patches` names ids by functions of their array."""
+    points = lattice(*axes)
+    ids = np.arange(len(points)).reshape([len(axis) for axis in axes])
+    names = {name: np.ravel(of(ids)) for name, of in (patches or {}).items()}
+    return jm.Mesh(points, {"quad" if len(axes) == 2 else "hexahedron": blocks(ids)}, names)
+
+
+def unit_grid(count: int, dimension: int = 2) -> jm.Mesh:
+    """Makes the unit square of quads, or the unit cube of hexahedra, `count` along each side."""
+    return grid(*[np.linspace(0, 1, count + 1)] * dimension)
+
+
+def unit_box(count: int = 3) -> jm.Mesh:
+    """Makes the unit cube of hexahedra, its six sides as patches."""
+    mesh = unit_grid(count, 3)
+    return jm.Mesh(mesh.points, mesh.cells, sides(mesh.points))
+
+
+def square(count: int = 3) -> jm.Mesh:
+    """Makes a square of quads with the patches `wall` (bottom), `far` (the three other sides) and `left`."""
+    far = lambda ids: np.unique(np.concatenate([ids[0, 1:], ids[-1, 1:], ids[:, -1]]))  # noqa: E731
+    patches = {"wall": lambda ids: ids[:, 0], "far": far, "left": lambda ids: ids[0]}
+    return grid(*[np.linspace(0, 1, count + 1)] * 2, patches=patches)
+
+
+def bricks(count: int = 3) -> jm.Mesh:
+    """Makes hexahedra in the unit cube; the patch `floor` is at z = 0."""
+    return grid(*[np.linspace(0, 1, count + 1)] * 3, patches={"floor": lambda ids: ids[:, :, 0]})
+
+
+def mixed() -> jm.Mesh:
+    """Makes a unit square of one quad and two triangles beside it, which come after it in the mesh as in the alphabet."""
+    points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0], [2, 1]], dtype=float)
+    return jm.Mesh(points, {"triangle": [[1, 4, 5], [1, 5, 2]], "quad": [[0, 1, 2, 3]]})
+
+
+def wedges() -> jm.Mesh:
+    """Makes a hexahedron and two wedges beside it, between the patches `floor` and `roof`."""
+    points = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0, 2.0)])
+    cells = {"hexahedron": [[0, 1, 4, 3, 6, 7, 10, 9]], "wedge": [[1, 2, 4, 7, 8, 10], [2, 5, 4, 8, 11, 10]]}
+    return jm.Mesh(points, cells, {"floor": np.arange(6), "roof": np.arange(6, 12)})
+
+
+def circle(count: int) -> np.ndarray:
+    """Lists points of the unit circle, the first one on the x axis."""
+    angle = 2 * np.pi / count * np.arange(count)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def ring(around: int = 24, radii=None, names=("wall", "far")) -> jm.Mesh:
+    """Makes rings of quads around a circle: the first nodes are the inner patch, the last ones the outer one."""
+    radii = np.geomspace(1, 5, 9) if radii is None else np.asarray(radii)
+    points = (radii[:, None, None] * circle(around)).reshape(-1, 2)
+    ids = np.arange(len(points)).reshape(len(radii), around)
+    closed = np.concatenate([ids, ids[:, :1]], axis=1)
+    return jm.Mesh(points, {"quad": blocks(closed)}, {names[0]: ids[0], names[1]: ids[-1]})
+
+
+def write_ring(file: pathlib.Path) -> jm.Mesh:
+    """Writes the default ring; its wall has the ids 0 to 23."""
+    mesh = ring()
+    io.write(file, mesh)
+    return mesh
+
+
+def sphere(count: int) -> np.ndarray:
+    """Lists points spread evenly over the unit sphere, no four of them in one plane but by accident."""
+    i = np.arange(count) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * i / count), np.pi * (1 + 5**0.5) * i
+    return np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+
+
+@functools.cache
+def box_with_hole(cells: int = 8) -> jm.Mesh:
+    """Makes a square of quads with a square hole in the middle; its outer sides are patches."""
+    half = cells / 2
+    points = lattice(*[np.arange(cells + 1.0)] * 2) - half
+    quads = blocks(np.arange(len(points)).reshape(cells + 1, cells + 1))
+    quads = quads[(np.abs(points[quads].mean(axis=1)) > 1).any(axis=1)]
+    used, quads = np.unique(quads, return_inverse=True)
+    points = points[used]
+    patches = {"hole": np.flatnonzero((np.abs(points) <= 1).all(axis=1))}
+    for name, axis, side in (("left", 0, -half), ("right", 0, half), ("bottom", 1, -half), ("top", 1, half)):
+        patches[name] = np.flatnonzero(points[:, axis] == side)
+    return jm.Mesh(points, {"quad": quads.reshape(-1, 4)}, patches)
+
+
+@functools.cache
+def drum(shape: str = "cylinder") -> jm.Mesh:
+    """Makes bricks between an inner cylinder and a shroud around z, 12 around, 4 along; lids at z = 0 and 1."""
+    r, angle, z = np.meshgrid(np.linspace(0, 1, 4), 2 * np.pi / 12 * np.arange(12), np.linspace(0, 1, 5), indexing="ij")
+    outer = {"cylinder": 2 + 0 * z, "cone": 2 + 0.5 * z, "bell": 2 + 0.3 * np.sin(2 * z)}[shape]
+    radius = 1 + r * (outer - 1)
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
+    ids = np.arange(r.size).reshape(r.shape)
+    ids = np.concatenate([ids, ids[:, :1]], axis=1)
+    patches = {"hub": ids[0], "shroud": ids[-1], "bottom": ids[..., 0], "top": ids[..., -1]}
+    return jm.Mesh(points, {"hexahedron": blocks(ids)}, {name: np.unique(nodes) for name, nodes in patches.items()})
+
+
+def turn(angle: float, dimension: int) -> np.ndarray:
+    """Returns the matrix of a rotation about z."""
+    matrix = np.eye(dimension)
+    matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return matrix
+
+
+def sector(dimension: int, sectors: int = 4, whole: bool = False):
+    """A ring from radius 1, which moves, to 2, which is fixed with both ends in 3-D; its nodes, lists, sides and a motion."""
+    steps = 6
+    count = steps * sectors if whole else steps + 1
+    axes = [np.linspace(1, 2, 5), 2 * np.pi / sectors / steps * np.arange(count), np.linspace(0, 1, 4)][:dimension]
+    r, angle, *z = lattice(*axes).T
+    points = np.stack([r * np.cos(angle), r * np.sin(angle), *z], axis=1)
+    rests = (r == 2) | (np.isin(z[0], (0, 1)) if z else False)
+    moving, fixed = np.flatnonzero((r == 1) & ~rests), np.flatnonzero(rests)
+    first, last = np.flatnonzero(angle == 0), np.flatnonzero(np.isclose(angle, 2 * np.pi / sectors))
+    wave = np.stack([np.cos(2 * r), np.sin(sectors * angle + 1), *z], axis=1)
+    u = np.einsum("nij,nj->ni", np.stack([turn(each, dimension) for each in angle]), 0.03 * wave)
+    return points, moving, fixed, (first, last), u[moving]
+
+
+def joined(dimension: int, pair, **keywords) -> jm.Periodic:
+    """Makes the boundary that joins both sides of a quarter of a wheel."""
+    axis = {"axis": (0, 0, 2)} if dimension == 3 else {"about": (0, 0)}
+    return jm.Periodic(*pair, rotation=np.pi / 2, **axis, **keywords)
+
+
+def naca(camber, place, thickness, count=61, last=0.1015) -> np.ndarray:
+    """Lists nodes of a NACA 4-digit airfoil: upper side from nose to tail, then the lower side."""
+    s = 0.5 * (1 - np.cos(np.linspace(0, np.pi, count)))
+    half = 5 * thickness * (0.2969 * np.sqrt(s) - 0.126 * s - 0.3516 * s**2 + 0.2843 * s**3 - last * s**4)
+    front, scale = s < place, np.where(s < place, place, 1 - place)
+    line = camber / scale**2 * (np.where(front, 0, 1 - 2 * place) + 2 * place * s - s**2)
+    theta = np.arctan(2 * camber / scale**2 * (place - s))
+    upper = np.column_stack([s - half * np.sin(theta), line + half * np.cos(theta)])
+    lower = np.column_stack([s + half * np.sin(theta), line - half * np.cos(theta)])
+    return np.concatenate([upper, lower[1:]])
+
+
+def cusped(t: np.ndarray) -> np.ndarray:
+    """A cusped section of 15 % thickness, concave behind 45 % of the chord, its cusp cut to 0.3 % of the chord."""
+    x = t**2
+    half = 0.15 / 0.75**1.5 * np.abs(t) * np.clip(1 - x, 0, None) ** 1.5 + 0.0015 * x
+    return np.column_stack([x, np.sign(t) * half])
+
+
+def pair(kind):
+    """Two cells of ideal shape that share their first face or edge, the second mirrored: neighbours, as a mesh has them."""
+    ideal = np.array(IDEAL[kind], dtype=float)
+    axis = 1 if ideal.shape[1] == 2 else 2
+    shared = np.flatnonzero(ideal[:, axis] == 0)
+    second = np.arange(len(ideal)) + len(ideal)
+    second[shared] = shared
+    points = np.concatenate([ideal, ideal * np.where(np.arange(ideal.shape[1]) == axis, -1, 1)])
+    used = np.unique(np.concatenate([np.arange(len(ideal)), second]))
+    place = np.full(len(points), -1)
+    place[used] = np.arange(len(used))
+    return jm.Mesh(points[used], {kind: place[np.stack([np.arange(len(ideal)), second])]})
