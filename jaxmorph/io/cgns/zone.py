@@ -210,6 +210,10 @@ class Zone:
                 yield (family[0] if family else name), nodes
 
     def _nodes(self, name: str, place: str, chosen: np.ndarray, is_range: bool, elements) -> np.ndarray:
+        # ranges may run backwards; one that ends before the first node, or a list without entries, is empty
+        first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
+        if not chosen.size or ((last < first) & (last < 1)).any():
+            return np.zeros(0, np.int64)
         if self.is_structured:
             low, high = chosen.min(axis=0) - 1, chosen.max(axis=0) - 1
             if not is_range and place != "Vertex":
@@ -224,9 +228,9 @@ class Zone:
                 return ids[tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))].ravel()
             return ids[tuple(chosen.T - 1)]
         chosen = chosen.ravel()
-        numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range and chosen.size else chosen
+        numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range else chosen
         if place == "Vertex":
-            if numbers.size and (numbers.min() < 1 or numbers.max() > self.count):
+            if numbers.min() < 1 or numbers.max() > self.count:
                 raise self.error(f"boundary condition {name} names vertices beyond 1 to {self.count}")
             return numbers - 1 + self.first
         nodes, count = [np.zeros(0, np.int64)], 0
