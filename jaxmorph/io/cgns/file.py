@@ -15,6 +15,7 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._format import Arrays, Source, source_of
 from .._joined import Joined, Zones, join
+from .kinds import kinds_of, symmetry_of
 from .polyhedra import Block
 from .tree import opened
 from .zone import DIMENSION, TYPES, Connection, Content, Zone, children, data, word
@@ -39,12 +40,13 @@ def read(path: pathlib.Path) -> Mesh:
     """
     path.open("rb").close()
     with opened(path) as file:
-        zones, cells, pairs = _zones(path, file)
+        zones, cells, pairs, kinds = _zones(path, file)
     try:
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
         content = _CGNSContent(joined, stamp_of(path))
-        source = Source(path, NAME, content, whole, ids, periodic=periodic_of(pairs, joined.is_flat))
+        known = {"periodic": periodic_of(pairs, joined.is_flat), "symmetry": symmetry_of(kinds), "kinds": kinds}
+        source = Source(path, NAME, content, whole, ids, file_nodes=joined.node, in_file=joined.in_file, **known)
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
@@ -103,7 +105,9 @@ def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     return zones, int(data(bases[0])[0])
 
 
-def _zones(path: pathlib.Path, file: Any) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]]]:
+def _zones(
+    path: pathlib.Path, file: Any
+) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], dict[str, str]]:
     zones, dimension = open_zones(path, file)
     points, contents, patches, faces = [], [], {}, []
     for zone in zones:
@@ -118,7 +122,7 @@ def _zones(path: pathlib.Path, file: Any) -> tuple[Zones, list[Content], list[tu
         faces += content.sides or _outer(zone, points[-1], solid)
     pairs = pairs_of(zones, contents, patches)
     cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
-    return Zones(np.concatenate(points), cells, patches, faces), contents, pairs
+    return Zones(np.concatenate(points), cells, patches, faces), contents, pairs, kinds_of(file, zones)
 
 
 def pairs_of(

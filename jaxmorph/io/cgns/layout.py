@@ -16,6 +16,7 @@ from .._joined import Zones, join_nodes
 from .._outer import outer_faces
 from .._structured import block_cells, block_ids, block_sides
 from .file import LEVEL, NAME, open_zones, pairs_of, periodic_of, stamp_of
+from .kinds import kinds_of, symmetry_of
 from .tree import opened
 from .zone import CORNERS, MIXED, NFACE, NGON, TYPES, Content, Zone, children, data
 
@@ -32,7 +33,7 @@ class Layout:
     def __init__(self, path: pathlib.Path):
         path.open("rb").close()
         self.path, self.name, self._stamp = path, NAME, stamp_of(path)
-        with self._zones() as (zones, level):
+        with self._zones() as (zones, level, kinds):
             self.d, self._level = 2 if level == 2 and _is_flat(zones) else 3, level
             if self.d != level:
                 raise zones[0].error(f"cells of {level} dimensions in 3-D are not read by ranges")
@@ -43,19 +44,21 @@ class Layout:
                     patches.setdefault(name, []).append(nodes)
             pairs = pairs_of(zones, [Content([], elements=each) for each in elements], patches)
             self.periodic: tuple[jm.Periodic, ...] = periodic_of(pairs, self.d == 2)
+            self.kinds = kinds
+            self.symmetry = symmetry_of(kinds)
             faces = [each for zone in zones for each in self._outer(zone, patches)]
             self._join(zones, patches, faces)
 
     def points(self) -> Iterator[np.ndarray]:
         """Yields points (k, d)."""
-        with self._zones() as (zones, _):
+        with self._zones() as (zones, *_):
             for first, points in self._rows(zones):
                 here = slice(*np.searchsorted(self._copies, [first, first + len(points)]))
                 yield np.delete(points, self._copies[here] - first, axis=0) if len(self._copies) else points
 
     def cells(self, n: int) -> Iterator[dict[str, np.ndarray]]:
         """Yields corners (k, corners) by type, of cells between `n` points."""
-        with self._zones() as (zones, _):
+        with self._zones() as (zones, *_):
             for zone in zones:
                 for block in self._cells(zone):
                     yield {kind: self._in_mesh(corners + zone.first) for kind, corners in block.items()}
@@ -85,10 +88,11 @@ class Layout:
                             values[rows] = np.where(a == b, old, b)
 
     @contextlib.contextmanager
-    def _zones(self) -> Iterator[tuple[list[Zone], int]]:
-        """Opens the file, and yields its zones and the dimension of their cells."""
+    def _zones(self) -> Iterator[tuple[list[Zone], int, dict[str, str]]]:
+        """Opens the file, and yields its zones, the dimension of their cells, and the kinds of its patches."""
         with opened(self.path) as file:
-            yield open_zones(self.path, file)
+            zones, level = open_zones(self.path, file)
+            yield zones, level, kinds_of(file, zones)
 
     def _rows(self, zones: list[Zone]) -> Iterator[tuple[int, np.ndarray]]:
         """Yields the points (k, d) of the file, and the number of the first of them."""
