@@ -133,12 +133,9 @@ def boundary(
     """
     points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
     patches = mesh if isinstance(mesh, Mesh) else None
-    if (
-        patches is not None
-        and _names(moving)
-        and all(isinstance(each, tuple) and not each for each in (fixed, symmetry, free, sliding))
-    ):
-        fixed, symmetry = by_kinds(patches, patches.patch_names(*_names(moving)), _names_in(periodic), planes_of)
+    names, others = _names(moving), (fixed, symmetry, free, sliding)
+    if patches is not None and names and all(isinstance(each, tuple) and not each for each in others):
+        fixed, symmetry = by_kinds(patches, patches.patch_names(*names), _names_in(periodic), planes_of)
     _check_named_once(sliding, fixed=fixed, symmetry=symmetry)
     moving, fixed, free = (
         _nodes(ids, name, patches, len(points)) for ids, name in ((moving, "moving"), (fixed, "fixed"), (free, "free"))
