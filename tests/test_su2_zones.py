@@ -88,7 +88,7 @@ def test_what_is_refused(path):
     zones, target = io.read_zones(path), path.with_name("b.su2")
     with pytest.raises(ValueError, match="not of one reading"):
         io.write_zones(target, [zones[0], io.read_zones(path)[1]])
-    with pytest.raises(ValueError, match="given twice"):
+    with pytest.raises(ValueError, match="one zone is twice"):
         io.write_zones(target, [zones[0], zones[0]])
     for wrong in ([], [bricks(2)]):
         with pytest.raises(ValueError, match=r"zones that io\.read_zones has read"):

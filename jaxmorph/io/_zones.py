@@ -64,14 +64,14 @@ def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
             raise ValueError(f"{path}: {len(bad)} points are not finite, first node {bad[0]}.")
     if pathlib.Path(path).suffix.lower() != ".su2" or not contents or None in contents:
         raise ValueError(
-            f"{path}: zones that io.read_zones has read are written to a .su2 file; io.write writes other meshes."
+            f"{path}: `meshes` must be zones that io.read_zones has read, and the file end in .su2; io.write writes other meshes."
         )
     if any(content.text is not contents[0].text for content in contents):
         raise ValueError(
-            f"{path}: the meshes are not of one reading of one file: read its zones together, io.read_zones."
+            f"{path}: `meshes` are not of one reading of one file: read its zones together, io.read_zones."
         )
     if len({content.start for content in contents}) < len(contents):
-        raise ValueError(f"{path}: one zone is given twice.")
+        raise ValueError(f"{path}: one zone is twice in `meshes`.")
     text = contents[0].text
     # from the last zone to the first, so that places of those before it stay
     for content, mesh in sorted(zip(contents, meshes, strict=True), key=lambda pair: -pair[0].start):
