@@ -9,6 +9,8 @@ from _walls import bump, camber, flap, pitch, up
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._advice import methods
+from jaxmorph._advice.rivals import Extent
 
 Motion = Callable[[np.ndarray, float], np.ndarray]
 
@@ -30,6 +32,10 @@ class Case:
     @property
     def wall(self) -> np.ndarray:
         return np.asarray(self.mesh.points)[self.mesh.patch(self.moving)]
+
+    @property
+    def extent(self) -> Extent:
+        return Extent(self.wall, np.asarray(self.mesh.points)[self.mesh.patch(*self.fixed)])
 
 
 def thicker(base: np.ndarray, amount: float) -> np.ndarray:
@@ -153,21 +159,10 @@ def _others(mesh: jm.Mesh) -> tuple[str, ...]:
     return tuple(name for name in mesh.patches if name != _moving(mesh))
 
 
-METHODS: dict[str, Callable[[float], jm.AbstractMethod | None]] = {
-    "default": lambda size: None,
-    "published": lambda size: jm.SurfaceReconstruction.published(),
-    "classic RBF": lambda size: jm.RBF.classic(),
-    "graph": lambda size: jm.DelaunayGraph(),
-    "local correction": lambda size: jm.SurfaceReconstruction(jm.RBF(), jm.LocalCorrection()),
-    "multiscale": lambda size: jm.Multiscale.whole(2 * size, 0.1),
-    "compact RBF": lambda size: jm.CompactRBF(size),
-    "elasticity 1/V": lambda size: jm.LinearElasticity(),
-    "elasticity 1/d": lambda size: jm.LinearElasticity(jm.ByDistance(1.0)),
-    "torsional springs": lambda size: jm.TorsionalSprings(),
-    "springs 1/l^2": lambda size: jm.SpringAnalogy(),
-    "Laplacian 1/d^2": lambda size: jm.Laplacian(),
-    "biharmonic": lambda size: jm.Biharmonic(),
-    "inverse distance": lambda size: jm.InverseDistance(),
-    "inverse distance, turning": lambda size: jm.InverseDistance(rotations=True),
+METHODS: dict[str, Callable[[Extent], jm.AbstractMethod]] = {
+    **{entry.title or entry.name: entry.make for entry in methods.METHODS},
+    "compact RBF": lambda wall: jm.CompactRBF(wall.size),
+    "elasticity 1/d": lambda wall: jm.LinearElasticity(jm.ByDistance(1.0)),
+    "local correction": lambda wall: jm.SurfaceReconstruction(jm.RBF(), jm.LocalCorrection()),
 }
-"""By name, for a moving surface of a size."""
+"""The list of methods by title, for the lengths of a boundary; then those with parameters that the list does not have."""

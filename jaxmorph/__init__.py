@@ -26,13 +26,12 @@ if typing.TYPE_CHECKING:
     from ._advice.valid_steps import ValidSteps as ValidSteps
     from ._improve.improve import Improvement as Improvement
     from ._improve.improve import improve as improve
-    from ._improve.improve import untangle as untangle
     from ._public import *  # noqa: F403
 
 __version__: str
 
 _LATER = {
-    **dict.fromkeys(("Improvement", "improve", "untangle"), "._improve.improve"),
+    **dict.fromkeys(("Improvement", "improve"), "._improve.improve"),
     **dict.fromkeys(("Steps", "fewest_steps"), "._advice.fewest_steps"),
     "ValidSteps": "._advice.valid_steps",
 }

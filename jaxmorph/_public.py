@@ -30,6 +30,7 @@ from ._host.sources.reduction import KDTree as KDTree
 from ._mesh.mesh import Mesh as Mesh
 from ._methods.base import AbstractField as AbstractField
 from ._methods.base import AbstractMethod as AbstractMethod
+from ._methods.base import Control as Control
 from ._methods.base import Surface as Surface
 from ._methods.cells.cells import AbstractCellMethod as AbstractCellMethod
 from ._methods.cells.elasticity import LinearElasticity as LinearElasticity
@@ -45,6 +46,7 @@ from ._methods.inverse_distance import InverseDistance as InverseDistance
 from ._methods.local import LocalCorrection as LocalCorrection
 from ._methods.multiscale import Multiscale as Multiscale
 from ._methods.nearwall import NearWall as NearWall
+from ._methods.placing import AbstractPlacing as AbstractPlacing
 from ._methods.rbf.basis import AbstractBasis as AbstractBasis
 from ._methods.rbf.basis import Gaussian as Gaussian
 from ._methods.rbf.basis import Multiquadric as Multiquadric
@@ -68,7 +70,6 @@ from ._methods.rbf.solvers import Direct as Direct
 from ._methods.rbf.solvers import Iterative as Iterative
 from ._methods.reconstruction import SurfaceReconstruction as SurfaceReconstruction
 from ._methods.rigid import RigidBlend as RigidBlend
-from ._plan.chunks import Chunks as Chunks
 from ._plan.chunks import prepare_in_chunks as prepare_in_chunks
 from ._plan.halves import SurfaceHalf as SurfaceHalf
 from ._plan.halves import prepare_surface as prepare_surface
@@ -86,8 +87,8 @@ from ._plan.steps import march as march
 from ._plan.steps import replay as replay
 from ._plan.velocity import velocity as velocity
 from ._quality.distortion import distortion as distortion
-from ._quality.face_quality import FaceQuality as FaceQuality
 from ._quality.face_quality import face_quality as face_quality
+from ._quality.face_report import FaceQuality as FaceQuality
 from ._quality.quality import inverted as inverted
 from ._quality.quality import quality as quality
 from ._quality.report import QualityReport as QualityReport

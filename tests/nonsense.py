@@ -21,7 +21,7 @@ BUILT = {
     *(
         "jm.BoundaryQuality",
         "jm.Choice",
-        "jm.Chunks",
+        "jm.Control",
         "jm.Estimate",
         "jm.FaceQuality",
         "jm.FreeFaces",
@@ -43,6 +43,7 @@ CONTRACT = {
         "check",
         "closest",
         "connect",
+        "control",
         "dense_count",
         "entries",
     ),
@@ -283,8 +284,6 @@ TABLE: dict[str, dict[str, Argument]] = {
     "jm.ByDistance": {"exponent": number(1.0)},
     "jm.ByVolume": {"exponent": number(1.0)},
     "jm.Centre": {},
-    "jm.Chunks.march": {"path": PATH},
-    "jm.Chunks.plan": {"k": count(0, 0, beyond=99)},
     "jm.CompactC0": WIDTH,
     "jm.CompactC1": WIDTH,
     "jm.CompactC2a": WIDTH,
@@ -428,7 +427,6 @@ TABLE: dict[str, dict[str, Argument]] = {
         "mesh": mesh(),
         **NODES,
         **METHOD,
-        "steps": count(1),
         "chunk": count(4) - "none",
     },
     "jm.face_quality": {"mesh": mesh(), "points": MOVED - "none nan infinite"},
@@ -511,14 +509,12 @@ TABLE: dict[str, dict[str, Argument]] = {
         "axis": count(0, 0, beyond=3) - "none less",
     },
     "jm.velocity": {"plan": a_plan(), "u": MOTION, "u_dot": MOTION},
-    "jm.untangle": {"mesh": mesh(), "points": MOVED},
     "jm.wall_quality": {
         "mesh": mesh(),
         "wall": ids(MESH.patch("wall"), N, name="nonsense"),
         "points": MOVED - "none nan infinite",
         "softness": LENGTH - "none",
     },
-    "io.XDMFSeries.add": {"time": number(0.0), "moved": mesh(), "report": instance(report, jm.QualityReport)},
     "io.Decomposed": {"path": path("case") - "folder"},
     "io.Decomposed.check_output": {"path": path("new") - "ending"},
     "io.Decomposed.folder": {"k": count(0, 0, beyond=2)},
@@ -533,24 +529,6 @@ TABLE: dict[str, dict[str, Argument]] = {
         "path": path("new") - "ending folder",  # the folder is looked for on entering
         "ranks": Argument(None, {"number": 3, "word": "a", "list": [1]}),
     },
-    "io.Ranges": {
-        "path": Argument(Lazy(lambda: ranges().path), (path("box.su2") - "folder").nonsense),
-        "rows": count(9),
-        "folder": Argument(FOLDER, (path("folder") - "none").nonsense),
-    },
-    "io.Ranges.cells": {},
-    "io.Ranges.surface": {},
-    "io.Ranges.check_output": {"path": path("new.su2")},
-    "io.Ranges.nodes": {"k": count(0, 0, beyond=3)},
-    "io.Ranges.put": {
-        "k": count(0, 0, beyond=3),
-        "points": Argument(
-            np.ones((9, 3)), {"none": None, "word": "a", "fewer": np.ones((3, 3)), "nan": np.full((9, 3), np.nan)}
-        ),
-    },
-    "io.Ranges.read": {"k": count(0, 0, beyond=3)},
-    "io.Ranges.write": {"path": path("new.su2")},
-    "io.XDMFSeries": {"path": path("a.xdmf"), "mesh": mesh()},
     "io.cell_arrays": {"report": instance(report, jm.QualityReport)},
     "io.check_gradient_output": {"path": path("a.csv")},
     "io.check_lattice_output": {"file": path("a.vts")},
@@ -863,18 +841,8 @@ TABLE: dict[str, dict[str, Argument]] = {
 
 
 @functools.cache
-def chunks() -> jm.Chunks:
-    return jm.prepare_in_chunks(MESH, "wall", "far", size=8, method=jm.InverseDistance())
-
-
-@functools.cache
 def half() -> jm.SurfaceHalf:
     return jm.prepare_surface(MESH, "wall", "far", method=jm.InverseDistance())
-
-
-@functools.cache
-def series() -> io.XDMFSeries:
-    return io.XDMFSeries(FOLDER / "series.xdmf", MESH)
 
 
 @functools.cache
@@ -886,19 +854,8 @@ def decomposed() -> io.Decomposed:
     return io.Decomposed(FOLDER / "case")
 
 
-@functools.cache
-def ranges() -> io.Ranges:
-    """The bricks in three ranges, all of their boundary in one marker."""
-    outside = np.flatnonzero(((PLACES.min(axis=0) == PLACES) | (PLACES.max(axis=0) == PLACES)).any(axis=1))
-    io.write(FOLDER / "box.su2", jm.Mesh(PLACES, BRICKS.cells, {"all": outside}))
-    return io.Ranges(FOLDER / "box.su2", 9)
-
-
 OWNERS: dict[str, Callable[[], Any]] = {
-    "io.Ranges": ranges,
     "io.Decomposed": decomposed,
-    "io.XDMFSeries": series,
-    "jm.Chunks": chunks,
     "jm.Mesh": lambda: MESH,
     "jm.Plan": plan,
     "jm.QualityReport": report,

@@ -115,20 +115,6 @@ def test_vtk_reads_what_is_written(tmp_path):
         np.testing.assert_allclose(after, before * 3, rtol=1e-6)
 
 
-def test_ranges_of_a_file_are_those_of_its_twin(tmp_path):
-    two_blocks(tmp_path / "h.cgns")
-    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", "B", ">", 3)
-    whole = io.read(tmp_path / "h.cgns")
-    ranges = io.Ranges(tmp_path / "a.cgns", 10)
-    np.testing.assert_array_equal(np.concatenate([ranges.read(k) for k in range(len(ranges))]), whole.points)
-    for k in range(len(ranges)):
-        ranges.put(k, ranges.read(k) * np.pi)
-    ranges.write(tmp_path / "b.cgns")
-    mesh = io.read(tmp_path / "a.cgns")
-    io.write(tmp_path / "c.cgns", mesh.moved(mesh.points * np.pi))
-    assert len(differing(tmp_path / "b.cgns", tmp_path / "c.cgns")) == 0
-
-
 def test_single_precision_stays(tmp_path):
     two_blocks(tmp_path / "h.cgns", "<f4")
     adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", "A", ">")

@@ -8,7 +8,9 @@ import scipy.spatial
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._advice.rivals import MOST_POINTS, is_better
+from jaxmorph._advice.choose import best
+from jaxmorph._advice.methods import METHODS
+from jaxmorph._advice.rivals import MOST_POINTS, Extent
 
 
 @pytest.fixture(scope="module")
@@ -135,25 +137,51 @@ def test_a_symmetry_plane_counts_the_image_too():
     assert choice.plan.images is not None
 
 
-ROW = {"inverted": 0, "jacobian": 0.8, "angle": 5.0}
+ROW = {"inverted": 0, "jacobian": 0.8, "angle": 5.0, "fit": False, "error": None, "refused": None}
 
 
 @pytest.mark.parametrize(
-    ("change", "better"),
+    ("changes", "chosen"),
     [
-        ({"inverted": 1, "jacobian": -0.1, "angle": 0.0}, False),
-        ({"angle": 3.9, "jacobian": 0.65}, True),
-        ({"angle": 3.9, "jacobian": 0.6}, False),
-        ({"angle": 4.5}, False),
-        ({"angle": 5.9, "jacobian": 1.01}, True),
-        ({"angle": 6.1, "jacobian": 1.01}, False),
-        ({"angle": np.nan, "jacobian": 1.01}, True),
+        (({}, {}), 0),
+        (({"inverted": 1, "jacobian": 1.0, "angle": 0.0}, {}), 1),
+        (({"jacobian": 0.79}, {"jacobian": 1.0}), 1),
+        (({"jacobian": 0.81}, {"jacobian": 1.0}), 0),
+        (({"angle": 6.1}, {}), 1),
+        (({"angle": 5.9}, {}), 0),
+        (({"angle": 6.1}, {"jacobian": 0.6}), 0),
+        (({"error": 0.02}, {"jacobian": 1.0, "angle": 5.5}), 1),
+        (({"error": 0.02, "fit": True}, {"jacobian": 0.9}), 0),
+        (({"error": 0.02}, {"error": 0.03}), 0),
+        (({"error": 0.02}, {"inverted": 1}), 0),
+        (({"angle": np.nan, "jacobian": 0.7}, {"angle": np.nan, "jacobian": 0.9}), 1),
+        (({"jacobian": -1.1}, {"jacobian": -1.0}), 0),
+        (({"jacobian": np.nan, "angle": np.nan}, {"jacobian": -1.0}), 1),
+        (({"refused": "too large", "inverted": np.nan}, {"inverted": 9}), 1),
     ],
 )
-def test_what_is_better(change, better):
-    """By more than a degree, or by a quarter of the Jacobian ratio, and never with more inverted cells."""
-    assert is_better(ROW | change, ROW) is better
-    assert not (better and is_better(ROW, ROW | change))
+def test_the_rule(changes, chosen):
+    """Fewest inverted cells, 80 % of the best Jacobian ratio, and of these the first within a degree of the best angle."""
+    assert best([ROW | change for change in changes], tolerance=0.01) == chosen
+
+
+LENGTHS = Extent(np.array([[0.0, 0], [1, 0], [0.5, 0.2]]), np.array([[4.0, 0], [0, 4]]))
+
+
+@pytest.mark.parametrize("entry", METHODS, ids=lambda entry: entry.name)
+def test_the_list_says_of_a_method_what_the_method_says_of_itself(entry):
+    method = entry.make(LENGTHS)
+    assert isinstance(method, jm.AbstractMethod)
+    assert entry.needs_cells == method.needs_cells
+    if entry.sources == "some":
+        coarse = method.coarse.rbf if isinstance(method.coarse, jm.FittedRBF) else method.coarse
+        assert isinstance(coarse, jm.RBF)
+
+
+def test_names_and_titles_of_methods_are_unique():
+    assert (
+        len({entry.name for entry in METHODS}) == len({entry.title or entry.name for entry in METHODS}) == len(METHODS)
+    )
 
 
 @pytest.mark.slow

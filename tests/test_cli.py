@@ -15,7 +15,7 @@ from test_openfoam import PATCHES, mixed
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.cli import _progress, main
+from jaxmorph.cli import _output, main
 
 
 @pytest.fixture(scope="module")
@@ -237,8 +237,6 @@ def test_bad_arguments_are_answered_in_one_line(capsys, arguments):
         (["defrom"], "there is no command defrom; did you mean deform?"),
         (["deform", "ring.su2", "a.su2", "--movng", "wall"], "there is no flag --movng; did you mean --moving?"),
         (["quality", "ring.su2", "--max-skewnes=1"], "there is no flag --max-skewnes; did you mean --max-skewness?"),
-        (["deform", "ring.su2", "a.su2", "--method", "paper"], "'paper' is now called 'default'"),
-        (["deform", "ring.su2", "a.su2", "--method", "dgm"], "'dgm' is now called 'graph'"),
     ],
 )
 def test_what_was_perhaps_meant(capsys, arguments, message):
@@ -289,8 +287,8 @@ def test_a_process_of_its_own_computes_in_double_precision(here):
 
 
 def test_progress_speaks_on_a_terminal_alone_and_only_of_long_work(capsys, monkeypatch):
-    monkeypatch.setattr(_progress, "PATIENCE", 0.01)
-    progress = _progress.Progress("jaxmorph test")
+    monkeypatch.setattr(_output, "PATIENCE", 0.01)
+    progress = _output.Progress("jaxmorph test")
     with progress("sleeping"):
         time.sleep(0.1)
     assert capsys.readouterr().err == ""
@@ -300,7 +298,7 @@ def test_progress_speaks_on_a_terminal_alone_and_only_of_long_work(capsys, monke
     said = capsys.readouterr().err
     assert "jaxmorph test: sleeping ... 0 s" in said
     assert said.endswith("\r\033[K")
-    monkeypatch.setattr(_progress, "PATIENCE", 60)
+    monkeypatch.setattr(_output, "PATIENCE", 60)
     with progress("being quick"):
         pass
     assert capsys.readouterr().err == ""

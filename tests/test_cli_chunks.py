@@ -10,7 +10,7 @@ from ring import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.cli import main
+from jaxmorph.cli import _method, main
 
 MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0", "--rotate", "30"]
 
@@ -23,15 +23,15 @@ def here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def sizes(monkeypatch):
-    """How many points each part has that is prepared."""
-    plan, called = jm.Chunks.plan, []
+    """How many points each chunk has that is prepared by the command line."""
+    made, called = _method.chunks_of, []
 
-    def counted(chunks, k):
-        made = plan(chunks, k)
-        called.append(len(made.points))
-        return made
+    def counted(*arguments):
+        for nodes, plan in made(*arguments):
+            called.append(len(plan.points))
+            yield nodes, plan
 
-    monkeypatch.setattr(jm.Chunks, "plan", counted)
+    monkeypatch.setattr(_method, "chunks_of", counted)
     return called
 
 
@@ -67,17 +67,19 @@ def brick():
 
 
 @pytest.mark.slow
-def test_nodes_slide_in_their_planes_in_every_chunk(sizes):
+def test_nodes_slide_in_their_planes_in_every_chunk():
     """Without the judging of cells, which takes ten times longer to compile."""
     mesh, sides = brick(), ["x0", "y0"]
     moving, fixed = mesh.patch("z0"), mesh.patch("z1", "x1", "y1")
     planes = [jm.Plane.through(mesh.points, mesh.patch(side)) for side in sides]
     x, y, _ = mesh.points[moving].T
     u = (np.cos(np.pi * x / 2) * np.cos(np.pi * y / 2))[:, None] * [0.1, 0.2, 0.3]
-    moved = []
+    moved, sizes = [], []
     for size in (None, 50):
-        chunks = jm.prepare_in_chunks(mesh.points, moving, fixed, size=size, symmetry=planes)
-        moved.append(chunks.march(u[None]))
+        moved.append(np.array(mesh.points))
+        for nodes, plan in jm.prepare_in_chunks(mesh.points, moving, fixed, size=size, symmetry=planes):
+            moved[-1][nodes] = jm.deform(plan, u)
+            sizes.append(len(nodes))
     assert sizes[0] == 216
     assert len(sizes) == 3
     assert sizes[1] == sizes[2] < 200
@@ -91,12 +93,14 @@ def test_nodes_slide_in_their_planes_in_every_chunk(sizes):
 def test_chunks_cover_the_mesh_and_have_one_length(here):
     mesh = write_ring(here / "ring.su2")
     wall, far = mesh.patch("wall"), mesh.patch("far")
-    for size in (1, 10, 50, 167, 168, 1000, None):
-        chunks = jm.prepare_in_chunks(mesh.points, wall, far, size=size)
+    for size in (10, 50, 167, 168, 1000, None):
+        chunks = [
+            nodes for nodes, _ in jm.prepare_in_chunks(mesh.points, wall, far, size=size, method=jm.InverseDistance())
+        ]
         assert len(chunks) == (1 if size is None else -(-168 // size))
-        assert len({len(nodes) for nodes in chunks.nodes}) == 1
-        assert all(np.isin([*wall, *far], nodes).all() for nodes in chunks.nodes)
-        np.testing.assert_array_equal(np.unique(np.concatenate(chunks.nodes)), np.arange(216))
+        assert len({len(nodes) for nodes in chunks}) == 1
+        assert all(np.isin([*wall, *far], nodes).all() for nodes in chunks)
+        np.testing.assert_array_equal(np.unique(np.concatenate(chunks)), np.arange(216))
     with pytest.raises(ValueError, match="`size` must be a whole number of at least 1, not 0"):
         jm.prepare_in_chunks(mesh.points, wall, far, size=0)
 
@@ -158,8 +162,6 @@ def test_the_estimate_is_of_one_chunk():
     moving, fixed = mesh.patch("z0"), mesh.patch("z1", "x1", "y1")
     whole, parts = (jm.estimate(large, moving, fixed, chunk=size) for size in (None, 9000))
     assert parts.memory < whole.memory - 40e6
-    assert parts.seconds > whole.seconds
-    assert parts.judging == whole.judging
     half = jm.estimate(large.moved(large.points.astype(np.float32)), moving, fixed)
     assert half.memory < whole.memory - 40e6
 
@@ -175,7 +177,7 @@ def test_the_estimate_knows_the_sources():
 
 
 def test_the_estimate_of_many_sources_is_that_of_iterations():
-    """Known from a run: 17,147 sources took 0.55 GB and 7 s."""
+    """Known from a run: 17,147 sources took 0.55 GB."""
     rng = np.random.default_rng(0)
     mesh = jm.Mesh(rng.random((64764, 3)), {"tetra": np.array([[0, 1, 2, 3]])})
     every = jm.AllPoints()
@@ -189,4 +191,3 @@ def test_the_estimate_of_many_sources_is_that_of_iterations():
         for solver in (None, jm.Iterative(dense=100), jm.Direct())
     )
     assert 0.4e9 < few.memory < iterated.memory < 0.8e9 < direct.memory
-    assert 5 < iterated.deforming < 40 < direct.deforming

@@ -55,30 +55,6 @@ def test_each_file_is_what_deform_writes(here, capsys):
         np.testing.assert_allclose(io.read(f"sweep_{k:04d}.su2").points, io.read("one.su2").points, rtol=0, atol=1e-13)
 
 
-@pytest.mark.slow
-def test_a_series_in_xdmf_holds_what_the_files_of_a_series_hold(here, capsys):
-    """Read by VTK's own reader, as ParaView does."""
-    amplitudes = ["--amplitude", "-0.1", "0", "0.2"]
-    assert modes("whole.xdmf", "bump.csv", *amplitudes) == 0
-    assert "wrote whole.xdmf and whole.h5" in capsys.readouterr().out
-    assert modes("parts.pvd", "bump.csv", *amplitudes) == 0
-    whole, parts = pyvista.XdmfReader("whole.xdmf"), pyvista.PVDReader("parts.pvd")
-    assert [whole.time_point_value(k) for k in range(whole.number_time_points)] == [-0.1, 0.0, 0.2]
-    for time in (-0.1, 0.2):
-        whole.set_active_time_value(time)
-        parts.set_active_time_value(time)
-        one, other = whole.read(), parts.read()[0]
-        one = one.combine() if isinstance(one, pyvista.MultiBlock) else one
-        np.testing.assert_array_equal(one.points, other.points)
-        np.testing.assert_array_equal(one.cells_dict[9], other.cells_dict[9])
-        np.testing.assert_array_equal(one.point_data["displacement"], other.point_data["displacement"])
-        for name in ("skewness", "jacobian_ratio", "is_inverted"):
-            np.testing.assert_array_equal(one.cell_data[name], other.cell_data[name])
-    assert not [path for path in here.iterdir() if "partial" in path.name]
-    assert modes("none.xdmf", "bump.csv", "--amplitude", "9") == 1
-    assert not [*here.glob("none*"), *here.glob(".none*")]
-
-
 def test_a_series_opens_in_paraview_at_its_amplitudes(here):
     assert modes("series.pvd", "bump.csv", "--amplitude", "-0.1", "0", "0.2") == 0
     reader = pyvista.PVDReader("series.pvd")

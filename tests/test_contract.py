@@ -16,6 +16,7 @@ from cases import BY_NAME, NAMES, body, motion
 from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
+from jaxmorph._methods.placing import place
 
 FIRST = [
     *(("default", 2), ("published", 2), ("delaunay", 2), ("delaunay", 3)),
@@ -307,7 +308,7 @@ def test_blocks_agree_with_the_one_point_form(name, dimension):
 
     def one_by_one(own):
         field = method.field(surface.ids, surface.factors, surface.points, own)
-        return jax.vmap(lambda x, ids: field(x, method.place(x, ids, surface.factors, surface.points)))(
+        return jax.vmap(lambda x, ids: field(x, place(method, x, ids, surface.factors, surface.points)))(
             plan.points, plan.volume.ids
         )
 

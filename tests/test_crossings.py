@@ -4,13 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
 from jaxmorph import cases, io
 from jaxmorph._advice.collisions import Crossings, crossings
 from jaxmorph._host.collisions.crossings import crossing_faces, overlapping_boxes
-from jaxmorph._host.collisions.passing import _turns, passed_pieces
 from jaxmorph.cli import main
 
 METHOD = jm.DelaunayGraph()
@@ -157,59 +155,6 @@ def test_a_sphere_moved_into_a_plane(ball, way, crosses):
     ).all()
 
 
-def test_walls_that_have_passed_through_another_one(squares, ball):
-    """Nothing crosses any more: a body beyond the outer boundary, and one within another body, in 2-D and 3-D."""
-    away = found(squares, "left", (-20.0, 0.25))
-    assert away.have_passed
-    assert away.patches == (("left", "outer"),)
-    assert away.nodes[0, 0] in squares.patch("left")
-    np.testing.assert_allclose(away.places[0], np.asarray(squares.points)[away.nodes[0, 0]] + (-20, 0.25))
-    assert "1 wall lies wholly on the other side of another one after the motion ('left' and 'outer')" in str(away)
-    swallowed = found(squares, "left", lambda base: 0.5 * (base - (3, 4)) + (6, 4) - base)
-    assert [set(pair) for pair in swallowed.patches] == [{"left", "right"}]
-    assert not found(squares, "left", lambda base: 0.5 * (base - (3, 4)) + (3, 4) - base)  # it shrinks where it is
-    assert found(ball, "ball", (0.1, 0.2, 50.0)).have_passed
-
-
-def outward(points):
-    """Faces of the convex hull, seen from outside, and its half spaces."""
-    hull = ConvexHull(points)
-    corners = points[hull.simplices]
-    arms = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
-    is_right = np.linalg.det(np.concatenate([hull.equations[:, :-1, None], arms], axis=2)) > 0
-    return np.where(is_right[:, None], hull.simplices, hull.simplices[:, ::-1]), hull.equations
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_the_winding_number_is_one_within_a_hull_and_zero_without(d):
-    rng = np.random.default_rng(3)
-    points, places = rng.normal(size=(30, d)) * (1, 3, 1)[:d], rng.normal(size=(200, d)) * (1, 3, 1)[:d]
-    faces, spaces = outward(points)
-    inside = (places @ spaces[:, :-1].T + spaces[:, -1] < 0).all(axis=1)
-    assert 20 < inside.sum() < 180
-    np.testing.assert_allclose(_turns(places, points[faces]), inside, atol=1e-12)
-    np.testing.assert_allclose(_turns(places, points[faces[:, ::-1]]), -1.0 * inside, atol=1e-12)
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_pieces_that_pass_are_told_whichever_moves(d):
-    """A small hull within a large one, and one beside it: only the first pair changes sides; a hull that lacks a face has none."""
-    rng = np.random.default_rng(5)
-    parts = [4 * rng.normal(size=(40, d)), 0.1 * rng.normal(size=(12, d)), 0.1 * rng.normal(size=(12, d)) + 40]
-    faces, first = [], np.cumsum([0, *map(len, parts)])
-    for start, part in zip(first, parts, strict=False):
-        faces.append(outward(part)[0] + start)
-    points, place = np.concatenate(parts), np.arange(first[-1])
-    every = np.concatenate(faces)
-    small, large = (np.isin(place, each)[:, None] for each in (faces[1], faces[0]))
-    for moves in (small, large):
-        (pair,) = passed_pieces(points, points + 25.0 * moves, every, place)
-        assert set(np.searchsorted(np.cumsum([len(each) for each in faces]), pair, side="right")) == {0, 1}
-    assert not len(passed_pieces(points, points + 25.0 * (small | large), every, place))
-    assert not len(passed_pieces(points, points + 1e-3 * small, every, place))
-    assert not len(passed_pieces(points, points + 25.0 * small, np.concatenate([faces[0][1:], faces[1]]), place))
-
-
 @pytest.mark.parametrize(
     "make", [lambda: cases.naca4("0012", points=600, sharp=True), lambda: cases.naca0015(points=600), cases.bricks]
 )
@@ -236,10 +181,9 @@ def test_what_crossed_before_is_no_news(squares):
 
 
 def test_a_part_names_nodes_of_the_whole(squares):
-    chunks = jm.prepare_in_chunks(squares, "left", ("right", "outer"), size=40, method=METHOD)
-    plan = chunks.plan(0)
+    nodes, plan = next(jm.prepare_in_chunks(squares, "left", ("right", "outer"), size=40, method=METHOD))
     whole = found(squares, "left", (1.4, 0.7))
-    part = jm.inspect(plan, np.tile([1.4, 0.7], (plan.n_moving, 1)), mesh=squares, nodes=chunks.nodes[0])
+    part = jm.inspect(plan, np.tile([1.4, 0.7], (plan.n_moving, 1)), mesh=squares, nodes=nodes)
     assert part.crossings is not None
     np.testing.assert_array_equal(np.sort(part.crossings.nodes, axis=None), np.sort(whole.nodes, axis=None))
     assert part.offset_node in squares.patch("left", "right", "outer")

@@ -11,7 +11,7 @@ from test_openfoam import PATCHES, mixed, split
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-from jaxmorph._boundary.boundary import boundary
+from jaxmorph._boundary.boundary import find_boundary
 from jaxmorph._kernels.compile import quickly_compiled
 from jaxmorph.cli import main
 
@@ -132,7 +132,7 @@ def test_free_patches_are_not_warned_of_in_python():
 
 def left_of(mesh, moving, fixed, symmetry=()):
     """The faces that no list names."""
-    left = boundary(mesh, moving, fixed, symmetry).left
+    left = find_boundary(mesh, moving, fixed, symmetry).left
     assert left is not None
     return left
 
@@ -174,14 +174,14 @@ HEXAHEDRON = [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 
 def test_a_surface_in_3d_has_no_boundary_faces():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], float)
     mesh = jm.Mesh(points, {"triangle": [[0, 1, 2], [1, 3, 2]]})
-    assert boundary(mesh, [0], [3], ()).left is None
+    assert find_boundary(mesh, [0], [3], ()).left is None
 
 
 def test_a_part_knows_what_the_whole_knows():
     """Faces off the surface are in no part, but a method that treats free sides otherwise sees that there are some."""
     mesh = box()
     for fixed in ("z0", ("z0", "x0", "x1", "y0", "y1")):
-        named = boundary(mesh, "z1", fixed, ())
+        named = find_boundary(mesh, "z1", fixed, ())
         part = named.part(np.unique(named.nodes))
         assert part.is_open == named.is_open == (fixed == "z0")
         faces, whole = part.surface_faces, named.surface_faces
@@ -192,6 +192,6 @@ def test_a_part_knows_what_the_whole_knows():
 
 def test_a_surface_alone_has_each_node_once():
     points = np.random.default_rng(0).normal(size=(6, 2))
-    alone = boundary(points, [4, 1], [2], ()).alone()
+    alone = find_boundary(points, [4, 1], [2], ()).alone()
     np.testing.assert_array_equal(alone.nodes, [0, 1, 2])
     np.testing.assert_array_equal(alone.points, points[[4, 1, 2]])

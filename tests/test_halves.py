@@ -194,6 +194,7 @@ def test_parts_march_by_a_method_that_is_not_exact():
     u = 0.05 * np.stack([0 * points[moving, 0], np.sin(2 * points[moving, 0])], axis=1)
     path = np.stack([u, 2 * u])
     whole = jm.march(jm.prepare(points, moving, fixed, method=method), path)[1]
-    parts = jm.prepare_in_chunks(points, moving, fixed, size=10, method=method)
+    parts = list(jm.prepare_in_chunks(points, moving, fixed, size=10, method=method))
     assert len(parts) == 3
-    np.testing.assert_allclose(parts.march(path), whole, rtol=0, atol=1e-12)
+    for nodes, plan in parts:
+        np.testing.assert_allclose(jm.march(plan, path)[1], whole[nodes], rtol=0, atol=1e-12)

@@ -379,7 +379,7 @@ def test_progress_and_choice_of_fixed_nodes():
     points = mesh.points.copy()
     points[5] += 0.4
     held = np.array([5, *np.flatnonzero(np.any((points < 0.01) | (points > 0.99), axis=1))])
-    result = jm.untangle(mesh, points, fixed=held, progress=lambda *told: said.append(tuple(map(float, told))))
+    result = jm.improve(mesh, points, fixed=held, progress=lambda *told: said.append(tuple(map(float, told))))
     jax.effects_barrier()
     assert np.array_equal(np.asarray(result.points)[5], points[5])
     assert len(said) == int(result.steps)

@@ -1,11 +1,9 @@
 """Files of other programs, through meshio and gmsh's own writer; and what holds for every format."""
 
-import contextlib
 import json
 import os
 import re
 import sys
-from xml.etree import ElementTree
 
 import jax
 import meshio
@@ -414,12 +412,6 @@ def test_gradients_and_sensitivities_are_read_back_as_they_were(tmp_path):
         np.testing.assert_array_equal(io.read_sensitivity(tmp_path / file, mesh)[ids], values)
 
 
-def test_errors_of_the_caller_pass_through_a_series(tmp_path):
-    with pytest.raises(TimeoutError, match=r"^slow$"), io.XDMFSeries(tmp_path / "a.xdmf", bricks(1)):
-        raise TimeoutError("slow")
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("ending", ["vtk", "vtu"])
 def test_cells_that_meshio_leaves_out_are_told(tmp_path, ending):
     pyvista = pytest.importorskip("pyvista")
@@ -428,26 +420,3 @@ def test_cells_that_meshio_leaves_out_are_told(tmp_path, ending):
     pyvista.UnstructuredGrid(cells, kinds, points).save(tmp_path / f"a.{ending}")
     with pytest.raises(ValueError, match=r"\(type 11\).* They would be lost"):
         io.read(tmp_path / f"a.{ending}")
-
-
-def test_a_series_holds_each_step(tmp_path):
-    h5py = pytest.importorskip("h5py")
-    mesh = bricks(1)
-    with io.XDMFSeries(tmp_path / "a.xdmf", mesh) as series:
-        for time in (0.5, 2.0):
-            moved = mesh.moved(mesh.points * (1 + time))
-            series.add(time, moved, jm.quality(mesh, moved.points))
-    root = ElementTree.parse(tmp_path / "a.xdmf").getroot()
-    assert [float(each.get("Value")) for each in root.iter("Time")] == [0.5, 2.0]
-    with h5py.File(tmp_path / "a.h5") as file:
-        items = [(each.text.split(":/")[1], each.get("Dimensions")) for each in root.iter("DataItem")]
-        assert all(" ".join(map(str, file[place].shape)) == shape for place, shape in items)
-        np.testing.assert_array_equal(file["1/points"], 3 * mesh.points)
-        np.testing.assert_array_equal(file["0/displacement"], 1.5 * mesh.points - mesh.points)
-        assert file["cells"][()].tolist() == [9, *mesh.cells["hexahedron"][0]]  # 9: XDMF's number of a hexahedron
-    for failure in (True, False):
-        with contextlib.suppress(KeyError), io.XDMFSeries(tmp_path / "none.xdmf", mesh) as series:
-            if failure:
-                series.add(0.0, mesh, jm.quality(mesh))
-                raise KeyError
-    assert {each.name for each in tmp_path.iterdir()} == {"a.xdmf", "a.h5"}

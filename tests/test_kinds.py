@@ -46,8 +46,6 @@ def test_kinds_of_cgns_are_those_of_conditions_and_families(is_adf, tmp_path, ca
     mesh = io.read(path)
     assert mesh.kinds == {"low": "BCWall", "far": "BCFarfield", "mirror": "BCSymmetryPlane"}
     assert io.symmetry(mesh) == ("mirror",)
-    surface = io.Ranges(path).surface()
-    assert (surface.kinds, io.symmetry(surface)) == (mesh.kinds, ("mirror",))
     assert main(["info", str(path)]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["mirror", "25", "nodes", "BCSymmetryPlane"] in lines

@@ -97,8 +97,8 @@ class Every(jm.AbstractMethod):
     def field(self, ids, factors, surface, u):
         return self.inner.field(ids, factors, surface, jnp.zeros_like(u))
 
-    def matched(self, ids):
-        return np.delete(np.sort(np.asarray(ids)), 3)
+    def control(self, ids):
+        return jm.Control(matched=np.delete(np.sort(np.asarray(ids)), 3))
 
 
 @pytest.mark.parametrize(

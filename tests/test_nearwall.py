@@ -273,7 +273,7 @@ def test_a_reconstruction_takes_the_displacement_where_its_correction_does():
     coarse = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=few())
     count = len(plan.surface_nodes)
     assert len(coarse.sources) < count
-    np.testing.assert_array_equal(np.sort(plan.method.matched(plan.surface.ids)), np.arange(count))
+    np.testing.assert_array_equal(np.sort(plan.method.control(plan.surface.ids).matched), np.arange(count))
     u = np.random.default_rng(0).normal(size=(len(mesh.moving), 2))
     field = jm.prepare(mesh.points, mesh.moving, mesh.fixed, method=jm.RBF.classic())
     np.testing.assert_allclose(field.offset(u), 0, rtol=0, atol=1e-9)  # it takes all of them

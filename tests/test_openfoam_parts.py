@@ -15,12 +15,14 @@ from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._boundary.boundary import boundary
+from jaxmorph._boundary.boundary import find_boundary
 from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._host.package.ranks import Agreement, Alone, together
 from jaxmorph.cli import main
 from jaxmorph.cli._decomposed import STARTED, _ranks, _say_warnings_of_all
+from jaxmorph.cli._judged import Judged
 from jaxmorph.cli._output import Output
+from jaxmorph.cli._summary import Summary
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -62,9 +64,9 @@ def test_a_part_has_no_boundary_to_other_parts(divided):
     assert (part.points[between][:, :, 0] == 1).all()
     inner = np.setdiff1d(np.arange(len(ids)), part.patch("floor", "roof", "sides"))
     assert len(inner) == 2  # one between the parts, one between the last cells
-    named = jm.prepare_in_chunks(part, "floor", "roof", free="sides")
-    assert named.free_faces is not None
-    assert named.free_faces.total == 20  # of 24 around these eight cubes
+    left = find_boundary(part, "floor", "roof", (), "sides", (), ()).left
+    assert left is not None
+    assert left.total == 20  # of 24 around these eight cubes
 
 
 def test_the_surface_is_that_of_the_whole(divided):
@@ -74,8 +76,8 @@ def test_the_surface_is_that_of_the_whole(divided):
     np.testing.assert_array_equal(surface.points, whole.points[ids])
     for name in whole.patches:
         np.testing.assert_array_equal(ids[surface.patch(name)], whole.patch(name))
-    named = boundary(surface, "floor", "roof", (), "sides", outer=OuterFaces.numbered(surface.cells))
-    expected = boundary(whole, "floor", "roof", (), "sides")
+    named = find_boundary(surface, "floor", "roof", (), "sides", outer=OuterFaces.numbered(surface.cells))
+    expected = find_boundary(whole, "floor", "roof", (), "sides")
     np.testing.assert_array_equal(ids[named.nodes], expected.nodes)
     assert named.is_open == expected.is_open
     assert str(named.left) == str(expected.left)
@@ -99,6 +101,40 @@ def test_cells_are_judged_alike_in_parts_and_whole(divided):
             np.testing.assert_allclose(getattr(judged, name), getattr(expected, name)[cells[k]], rtol=1e-12)
         for name in ("skewness", "non_orthogonality"):
             assert (getattr(judged, name) <= getattr(expected, name)[cells[k]] + 1e-12).all()
+
+
+def test_summaries_of_parts_add_up_to_the_whole(divided):
+    """Cells, inverted cells, extremes, means by volume and cells beyond a gate; not skewness, which faces between parts have."""
+    whole, case = io.read(divided), io.Decomposed(divided)
+    points = whole.points + 0.4 * np.random.default_rng(3).normal(size=whole.points.shape)
+    limits = {"max_face_aspect_ratio": 2.0}
+    undeformed = Judged(whole, whole.points)
+    expected = Summary.of(Judged(whole, points, undeformed), limits)
+    parts = []
+    for k in range(2):
+        part = case.read(k)
+        moved = points[io.global_nodes(part)]
+        parts.append(Summary.of(Judged(part, moved, Judged(part, part.points)), limits, k))
+    found = Summary.together(parts)
+    assert (found.cells, found.inverted, found.spoilt) == (expected.cells, expected.inverted, expected.spoilt)
+    assert 0 < found.inverted < 12
+    first = {0: 0, 1: 4}
+    for row in (
+        ("max", "face_aspect_ratio"),
+        ("min", "pyramid"),
+        ("min", "volume_ratio"),
+        ("mean", "face_aspect_ratio"),
+    ):
+        assert found.rows[row].value == pytest.approx(expected.rows[row].value, rel=1e-12)
+        if row[0] != "mean":
+            number = found.rows[row]
+            assert first[number.part] + number.cell == expected.rows[row].cell
+            np.testing.assert_allclose(number.near, expected.rows[row].near, rtol=1e-12)
+    (gate,), (of_whole,) = found.gates, expected.gates
+    assert (gate.beyond, gate.extreme.value) == (of_whole.beyond, pytest.approx(of_whole.extreme.value, rel=1e-12))
+    cells = [first[cell.part] + cell.cell for cell in gate.worst]
+    assert cells == [cell.cell for cell in of_whole.worst]
+    assert len(cells) == 5
 
 
 def test_shared_points_are_written_with_equal_bits(divided, tmp_path):

@@ -18,6 +18,7 @@ from jaxmorph._host.cells.adjacency import handedness, neighbours
 from jaxmorph._host.cells.topology import FACES
 from jaxmorph._kernels.compile import UNTUNED
 from jaxmorph._quality import batches
+from jaxmorph._quality.report import Report
 
 HEXAHEDRON = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
 IDEAL = {
@@ -214,6 +215,50 @@ def test_non_orthogonality_by_faces(kind):
     expected = jm.face_quality(mesh).non_orthogonality
     assert expected.max() > 30
     np.testing.assert_allclose(jm.quality(mesh).non_orthogonality, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_volume_ratios_are_determinants_also_where_cells_are_turned_first():
+    """An affine map multiplies all volumes by its determinant, of cells numbered either way round."""
+    mesh = cases.bricks("hexahedron", cells=3)
+    corners = np.array(mesh.cells["hexahedron"])
+    mirrored = jm.Mesh(mesh.points, {"hexahedron": corners[:, [4, 5, 6, 7, 0, 1, 2, 3]]})
+    matrix = np.array([[1, 0.3, 0.1], [0, 1.2, -0.2], [0.4, 0, -0.7]])
+    for each in (mesh, mirrored):
+        ratio = jm.face_quality(each, np.asarray(mesh.points) @ matrix.T).volume_ratio
+        np.testing.assert_allclose(ratio, np.linalg.det(matrix), rtol=1e-12)
+    np.testing.assert_array_equal(jm.face_quality(mesh).volume_ratio, 1.0)
+
+
+def test_both_reports_answer_alike():
+    """Boundary elements do not count; the extremes, the worst cells and the error are those of the arrays."""
+    mesh = cases.bricks("tetra", cells=3)
+    faces = np.asarray(mesh.cells["tetra"])[:5, :3]
+    mesh = jm.Mesh(mesh.points, {"triangle": faces, **mesh.cells})
+    points = np.asarray(mesh.points) + 0.1 * np.random.default_rng(0).normal(size=np.shape(mesh.points))
+    by_faces, by_corners = jm.face_quality(mesh, points), jm.quality(mesh, points)
+    inverted = int((np.asarray(by_corners.volume_ratio) <= 0)[by_corners.counted].sum())
+    assert 0 < inverted < len(mesh.cells["tetra"])
+    for report in (by_faces, by_corners):
+        assert isinstance(report, Report)
+        assert (report.count, int(report.inverted)) == (len(mesh.cells["tetra"]), inverted)
+        for name in ("skewness", "aspect_ratio", "non_orthogonality", "volume", "volume_ratio"):
+            values = np.asarray(getattr(report, name))[report.counted]
+            assert float(report.min(name)) == values.min()
+            assert float(report.max(name)) == values.max()
+            worst = report.worst(3, by=name)
+            order = np.sort(values if "volume" in name else -values)[:3]
+            np.testing.assert_array_equal(
+                np.asarray(getattr(report, name))[worst], order if "volume" in name else -order
+            )
+        weight = np.abs(np.asarray(report.volume)[report.counted])
+        mean = np.average(np.asarray(report.skewness)[report.counted], weights=weight)
+        assert float(report.mean("skewness")) == pytest.approx(mean, rel=1e-12)
+        assert np.asarray(report.is_inverted)[report.worst(inverted)].all()
+        with pytest.raises(ValueError, match=f"{inverted} of {report.count} cells are inverted, first cell "):
+            report.raise_if_inverted()
+        with pytest.raises(ValueError, match="no measure is called 'beauty'"):
+            report.worst(1, by="beauty")
+    jm.face_quality(mesh).raise_if_inverted()
 
 
 def test_face_quality_prints_a_table():

@@ -152,7 +152,7 @@ def test_the_host_knows_neither_jax_nor_the_rest():
 def test_the_driver_knows_no_method_but_the_abstract_one():
     """`prepare` also asks for the default one, and for the one that guides nodes along boundaries."""
     known = {each.module for each in OWN if each.rooms == ("_plan", "_methods")}
-    assert known <= {f"jaxmorph._methods.{name}" for name in ("base", "blocks", "guiding", "reconstruction")}
+    assert known <= {f"jaxmorph._methods.{name}" for name in ("base", "blocks", "guiding", "placing", "reconstruction")}
 
 
 def test_nobody_outside_the_driver_unpacks_a_plan():
@@ -165,7 +165,7 @@ def test_nobody_outside_the_driver_unpacks_a_plan():
 
 def test_options_of_jax_belong_to_the_user():
     for file in FILES:
-        if room(module_of(file)) in ("cli", "__main__") or file.name == "distributed.py":
+        if room(module_of(file)) in ("cli", "__main__"):
             continue  # their own processes
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Attribute) and node.attr == "update":

@@ -83,8 +83,6 @@ def test_a_wall_between_zones_moves_in_both(path):
 def test_what_is_refused(path):
     with pytest.raises(ValueError, match=r"holds 2 zones, each a mesh of its own: io\.read_zones"):
         io.read(path)
-    with pytest.raises(ValueError, match=r"holds 2 zones"):
-        io.Ranges(path)
     zones, target = io.read_zones(path), path.with_name("b.su2")
     with pytest.raises(ValueError, match="not of one reading"):
         io.write_zones(target, [zones[0], io.read_zones(path)[1]])

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._boundary.boundary import boundary
+from .._boundary.boundary import find_boundary
 from .._boundary.images import Images
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
@@ -29,12 +29,12 @@ from .._methods.reconstruction import SurfaceReconstruction
 from .._plan.plan import Plan
 from .._plan.prepare import surface_of
 from .resolved import leaves_enough
-from .rivals import WORTH, is_better, judged, others, tried
+from .rivals import judged, others, tried
 
 COLUMNS = ("leaves", "sources", "radius", "fit", "error", "rounding", "inverted", "jacobian", "angle", "seconds")
 
-FIT_NOTICEABLE = 0.1
-"""Degrees by which a fitted field is closer to the angle, at least, to be taken in place of one that interpolates."""
+WORTH, NEAR = 0.8, 1.0
+"""Share of the best smallest Jacobian ratio that the chosen row keeps, and degrees that its angle may be beyond the best one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,27 +99,19 @@ def choose(
     """Chooses a method, its sources and support radius, and whether to fit the field to the wall, for a family of motions.
 
     In 3-D one more number of leaves is tried where the motions need more sources than those of `leaves`. For each number a thin
-    plate spline, a Wendland C2 function and a fitted thin plate spline are tried. The radius
-    of the second minimises the sum of `error` and `rounding` (see `Choice`). It is found by optimistix's golden section search,
-    between a fifth of the moving nodes' extent and ten times it.
+    plate spline, a Wendland C2 function and a fitted thin plate spline are tried. The radius of the second minimises the sum of
+    `error` and `rounding` (see `Choice`). It is found by optimistix's golden section search, between a fifth of the moving nodes'
+    extent and ten times it.
 
-    Candidates are good that invert fewest cells, miss the surface by no more than `tolerance` (asked of fields that
-    interpolate), and keep 98 % of the best smallest Jacobian ratio. Of these the one with fewest sources is taken; where none
-    is that good, the one with the largest Jacobian ratio. That is done for the fields that interpolate, and for the fitted ones.
+    Of the rows that invert fewest cells and keep 80 % of the best smallest Jacobian ratio, the first is chosen whose first grid
+    lines are within a degree of the best row's angle to the wall. Rows stand in the order of the table: radial functions by their
+    number of sources, then fitted ones, then the other methods. Fields that interpolate and miss the surface by more than
+    `tolerance` are left out, unless no other row inverts as few cells.
 
-    The fitted one is chosen if it inverts no more cells, leaves the grid lines closer to their angle to the wall, and keeps 80 %
-    of the other's Jacobian ratio. A change of shape asks for it; a body that moves as a whole does not.
-
-    The rows of `methods` follow. One after the other takes the place of the row chosen so far if it inverts fewer cells.
-    Where it inverts as many, it does so in two cases:
-
-    - its grid lines are closer to their angle, by more than a degree, and it keeps 80 % of the Jacobian ratio;
-    - its Jacobian ratio is larger by a quarter or more, and its grid lines are at most a degree farther from their angle.
-
-    The methods are, in this order: `DelaunayGraph`, `Multiscale.whole`, `Biharmonic`, `LinearElasticity`, `TorsionalSprings`,
-    `InverseDistance(rotations=True)` and `RigidBlend`, corrected by `NearWall`. The last two are not linear in `u`. Methods on
-    the cells are skipped beyond 100,000 points in 2-D and 40,000 in 3-D; inverse distances beyond 3e8 pairs of a point and a
-    node of the surface. The table says so. Every motion is deformed and judged once for each row.
+    The other methods are, in this order: `DelaunayGraph`, `Multiscale.whole`, `Biharmonic`, `LinearElasticity`,
+    `TorsionalSprings`, `InverseDistance(rotations=True)` and `RigidBlend`, corrected by `NearWall`. The last two are not linear
+    in `u`. Methods on the cells are skipped beyond 100,000 points in 2-D and 40,000 in 3-D; inverse distances beyond 3e8 pairs of
+    a point and a node of the surface. The table says so. Every motion is deformed and judged once for each row.
 
     **Arguments:**
 
@@ -135,7 +127,7 @@ def choose(
     **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for no `leaves`, and for `methods` that are
     no methods by name. Also what `prepare` raises where it refuses every candidate.
     """
-    named = boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
+    named = find_boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
     named.warn_of_free_faces()
     motions = _checked_motions(motions, (len(named.moving), mesh.points.shape[1]))
     _check_tries(leaves, tolerance, methods)
@@ -158,13 +150,12 @@ def choose(
         name = "fitted" if is_fit else "Wendland C2" if with_radius else "thin plate"
         rows.append({"method": name} | row | {"fit": is_fit} | judged(mesh, plan, motions))
         plans.append(plan if isinstance(plan, Plan) else None)
-    radial = len(rows)
     for row, plan in others(mesh, named, methods, motions):
         rows.append(row)
         plans.append(plan)
     if all(plan is None for plan in plans):
         raise refused or ValueError("every candidate was refused.")
-    chosen = _best(rows, radial, tolerance)
+    chosen = best(rows, tolerance)
     return Choice(plans[chosen].method, plans[chosen], tuple(rows), chosen)
 
 
@@ -273,34 +264,14 @@ def _left(plan: Plan, motions: np.ndarray) -> float:
     return float(np.sqrt(np.mean(left**2)) / np.abs(motions).max())
 
 
-def _best(rows: list[dict[str, Any]], radial: int, error: float) -> int:
-    """Picks the best of the radial functions' rows, which come first, unless one of the others is better."""
+def best(rows: Sequence[Mapping[str, Any]], tolerance: float) -> int:
+    """Picks the row that `choose` chooses, as its docstring says."""
     usable = [i for i, row in enumerate(rows) if not row["refused"]]
-    kinds = [[i for i in usable if i < radial and rows[i]["fit"] is fit] for fit in (False, True)]
-    best = [_best_of(rows, kind, error) for kind in kinds if kind]
-    chosen = best[0] if best else None
-    if len(best) == 2 and _is_fit_better(rows[best[0]], rows[best[1]]):
-        chosen = best[1]
-    for i in usable:
-        if chosen is None or (i >= radial and is_better(rows[i], rows[chosen])):
-            chosen = i
-    assert chosen is not None  # some row was not refused
-    return chosen
-
-
-def _is_fit_better(plain: dict[str, Any], fitted: dict[str, Any]) -> bool:
-    if fitted["inverted"] != plain["inverted"]:
-        return fitted["inverted"] < plain["inverted"]
-    return fitted["angle"] < plain["angle"] - FIT_NOTICEABLE and fitted["jacobian"] >= WORTH * plain["jacobian"]
-
-
-def _best_of(rows: list[dict[str, Any]], usable: list[int], error: float) -> int:
-    """Picks the row with fewest sources among the good ones."""
     fewest = min(rows[i]["inverted"] for i in usable)
     sound = [i for i in usable if rows[i]["inverted"] == fewest]
-    best = max(rows[i]["jacobian"] for i in sound)
-    near = [i for i in sound if rows[i]["jacobian"] >= best - 0.02 * abs(best)]
-    good = [i for i in near if rows[i]["fit"] or rows[i]["error"] <= error]
-    if good:
-        return min(good, key=lambda i: (rows[i]["sources"], -rows[i]["jacobian"]))
-    return max(sound, key=lambda i: rows[i]["jacobian"])
+    sound = [i for i in sound if rows[i]["fit"] or not (rows[i]["error"] or 0) > tolerance] or sound
+    ratios = np.nan_to_num([rows[i]["jacobian"] for i in sound], nan=-np.inf)
+    most = ratios.max()
+    worth = [i for i, ratio in zip(sound, ratios, strict=True) if ratio >= most - (1 - WORTH) * abs(most)] or sound
+    angles = np.nan_to_num([rows[i]["angle"] for i in worth], nan=np.inf)  # inf everywhere: no cell lies on the wall
+    return next(i for i, angle in zip(worth, angles, strict=True) if angle <= angles.min() + NEAR)

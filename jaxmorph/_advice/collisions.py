@@ -1,4 +1,4 @@
-"""Crossings: moved walls that run into another boundary or into themselves, or have passed through another one."""
+"""Crossings: moved walls that run into another boundary or into themselves."""
 
 import dataclasses
 
@@ -8,7 +8,6 @@ from scipy.spatial import KDTree
 from .._boundary.outer_faces import outer_faces
 from .._host.cells.pairs import parts_of
 from .._host.collisions.crossings import crossing_faces
-from .._host.collisions.passing import passed_pieces
 from .._mesh.mesh import Mesh
 
 SAME = 1e-9
@@ -17,20 +16,18 @@ SAME = 1e-9
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Crossings:
-    """Holds pairs of boundary faces that cross or touch after the motion and did not before. It is true where there are any.
+    """Pairs of boundary faces that cross or touch after the motion and did not before. It is true where there are any.
 
-    Where none do, it holds pairs of walls of which one was inside of the other, and is not after the motion, or the reverse.
+    A wall that has passed through another one completely crosses nothing any more, and is not found.
 
     - `nodes` (k, 2): one node of each of the two faces.
     - `patches`: the names of the two patches of each pair, the same name for a wall that crosses itself; "" without a patch.
-    - `places` (k, d): a point of each crossing, in the mesh's unit; of walls that have passed, where the first node is then.
-    - `have_passed`: whether the pairs are walls that have passed through each other wholly.
+    - `places` (k, d): a point of each crossing, in the mesh's unit.
     """
 
     nodes: np.ndarray
     patches: tuple[tuple[str, str], ...]
     places: np.ndarray
-    have_passed: bool = False
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -42,14 +39,10 @@ class Crossings:
         pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self.patches)
         between = ", ".join(_between(*pair) for pair in pairs)
         place = ", ".join(f"{x:.4g}" for x in self.places[0])
-        is_one = len(self) == 1
-        if self.have_passed:
-            what = f"{len(self)} {'wall lies' if is_one else 'walls lie'} wholly on the other side of another one"
-        else:
-            what = f"{len(self)} {'pair' if is_one else 'pairs'} of boundary faces cross each other"
+        count = f"{len(self)} {'pair' if len(self) == 1 else 'pairs'}"
         return (
-            f"{what} after the motion ({between}), first near ({place}). No mesh can follow: move the wall less, or the other one "
-            "with it."
+            f"{count} of boundary faces cross each other after the motion ({between}), first near ({place}). No mesh can follow: "
+            "move the wall less, or the other one with it."
         )
 
 
@@ -59,7 +52,7 @@ def _between(first: str, second: str) -> str:
 
 
 def crossings(mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings | None:
-    """Finds where the boundary crosses, or has passed, itself after its `nodes` (o,) have moved by `vectors` (o, d).
+    """Finds where the boundary crosses itself after its `nodes` (o,) have moved by `vectors` (o, d).
 
     Faces with a node that is not among them are left out. It returns None for a mesh whose boundary faces are not known.
     """
@@ -77,11 +70,8 @@ def crossings_of(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarr
     pairs, places = crossing_faces(before, after, faces, together)
     single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
     pairs, places = pairs[single], places[single]
-    if not (cross := len(pairs) > 0):
-        pairs = passed_pieces(before, after, faces, together)
-        places = after[faces[pairs[:, 0], 0]]
     first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
-    return Crossings(nodes[faces[pairs, 0]], tuple(zip(first, second, strict=True)), places, not cross)
+    return Crossings(nodes[faces[pairs, 0]], tuple(zip(first, second, strict=True)), places)
 
 
 def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

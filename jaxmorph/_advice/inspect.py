@@ -216,7 +216,7 @@ def inspect(
     - `plan`: what `prepare` returned.
     - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
     - `mesh`: the mesh that the plan was made for. Default: none.
-    - `nodes`: the mesh's ids of the plan's points, where the plan is of a part of it (`Chunks.nodes`). Default: all.
+    - `nodes`: the mesh's ids of the plan's points, where the plan is of a part of it (`prepare_in_chunks`). Default: all.
 
     **Returns:** an `Inspection`, which names nodes of the mesh.
 

@@ -1,35 +1,28 @@
-"""Methods that `choose` tries beside radial functions: which, up to what size of mesh, and when one is better than another."""
+"""Methods that `choose` tries beside radial functions: up to what size of mesh, and what they do to its cells."""
 
+import dataclasses
+import functools
 import math
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from .._boundary.boundary import Boundary
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
-from .._methods.cells.elasticity import LinearElasticity
-from .._methods.cells.laplacian import Biharmonic
-from .._methods.cells.springs import TorsionalSprings
-from .._methods.delaunay import DelaunayGraph
 from .._methods.inverse_distance import InverseDistance
-from .._methods.multiscale import Multiscale
-from .._methods.nearwall import NearWall
-from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.rigid import RigidBlend
 from .._plan.plan import Plan, deform
 from .._plan.prepare import plan_of
 from .._quality.quality import quality
 from .._quality.wall_quality import wall_quality
-
-WORTH, NOTICEABLE = 0.8, 1.0
-"""Share of the smallest Jacobian ratio that a better method keeps, at least, and degrees by which it is closer to the angle."""
+from .methods import METHODS
 
 MOST_POINTS = {2: 100_000, 3: 40_000}
 """Points of a mesh up to which methods that solve on its cells are tried, by dimension: some ten seconds each."""
@@ -38,20 +31,21 @@ MOST_PAIRS = 300_000_000
 """Points times nodes of the surface up to which inverse distances are tried."""
 
 
-def rivals(named: Boundary) -> dict[str, Callable[[], AbstractMethod]]:
-    """Lists the methods that are tried by default, those that are linear in `u` first. Lengths are those of the boundary."""
-    moving, fixed = named.points[named.moving], named.points[named.fixed]
-    size = float(np.ptp(moving, axis=0).max())
-    outer = float(KDTree(moving).query(fixed)[0].min()) if len(fixed) else 20 * size
-    return {
-        "graph": DelaunayGraph,
-        "multiscale": lambda: Multiscale.whole(2 * size, 0.1),
-        "biharmonic": Biharmonic,
-        "elasticity": LinearElasticity,
-        "torsional": TorsionalSprings,
-        "turning": lambda: InverseDistance(rotations=True),
-        "rigid": lambda: SurfaceReconstruction(RigidBlend(0.25 * size, outer), NearWall()),
-    }
+@dataclasses.dataclass(frozen=True)
+class Extent:
+    """Lengths of a boundary, from the points of its moving and its fixed nodes."""
+
+    moving: Float[np.ndarray, "m d"]
+    fixed: Float[np.ndarray, "f d"]
+
+    @property
+    def size(self) -> float:
+        return float(np.ptp(self.moving, axis=0).max())
+
+    @property
+    def gap(self) -> float:
+        """The distance from the moving nodes to the nearest fixed one; 20 times the size where none is fixed."""
+        return float(KDTree(self.moving).query(self.fixed)[0].min()) if len(self.fixed) else 20 * self.size
 
 
 def too_large(method: AbstractMethod, named: Boundary) -> str | None:
@@ -77,8 +71,11 @@ def tried(named: Boundary, method: AbstractMethod | None) -> Plan | Exception:
 def others(
     mesh: Mesh, named: Boundary, methods: Mapping[str, AbstractMethod] | None, motions: np.ndarray
 ) -> list[tuple[dict[str, Any], Plan | None]]:
-    """Tries the named methods, or those of `rivals`: a row of the table and a plan each, None where there is none."""
-    makers = rivals(named) if methods is None else {name: lambda each=each: each for name, each in methods.items()}
+    """Tries the named methods, or those of the list: a row of the table and a plan each, None where there is none."""
+    wall = Extent(named.points[named.moving], named.points[named.fixed])
+    makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}
+    if methods is not None:
+        makers = {name: lambda method=method: method for name, method in methods.items()}
     entries = []
     for name, make in makers.items():
         row = {"method": name, "leaves": None, "sources": None, "radius": None, "fit": False, "error": None}
@@ -114,14 +111,3 @@ def judged(mesh: Mesh, plan: Plan | Exception, motions: np.ndarray) -> dict[str,
         angle = math.nan
     count = sum(int(report.inverted) for report in reports)
     return {"inverted": count, "jacobian": least, "angle": angle, "seconds": seconds, "refused": None}
-
-
-def is_better(row: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Tells whether a row's method is to be taken in place of another's."""
-    if row["inverted"] != other["inverted"]:
-        return row["inverted"] < other["inverted"]
-    closer = np.nan_to_num(other["angle"] - row["angle"])
-    least = max(other["jacobian"], 0.0)
-    holds_angle = closer > NOTICEABLE and row["jacobian"] >= WORTH * least
-    holds_cells = closer > -NOTICEABLE and WORTH * row["jacobian"] > least
-    return bool(holds_angle or holds_cells)

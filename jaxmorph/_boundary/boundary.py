@@ -115,7 +115,7 @@ def renumbered(
     return tuple(each.renumbered(place) for each in pairings), tuple(each.renumbered(place) for each in tracks)
 
 
-def boundary(
+def find_boundary(
     mesh: Any,
     moving: Any,
     fixed: Any,

@@ -151,6 +151,8 @@ def _numbered(
     elements: Sequence[tuple], pairings: Sequence[Pairing], on_plane: Bool[np.ndarray, "o p"]
 ) -> tuple[Int[np.ndarray, "t o"], Int[np.ndarray, " o"]]:
     """Numbers the place of each row's image by each transform; finds the row for which each row stands."""
+    # A place is one integer of mixed radix: a bit for each mirror plane, then a digit for the periodic power of each pairing,
+    # then the root row. Rows on a plane, on an axis, and second sides count as what they repeat: equal integers, one place.
     count, size = on_plane.shape
     roots, radix = np.arange(count), 1 << size
     places = np.array([[np.array(flag, dtype=np.int64) @ (1 << np.arange(size))] for _, flag in elements])

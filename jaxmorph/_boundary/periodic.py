@@ -297,20 +297,22 @@ def _generator(axis: np.ndarray | None, dimension: int) -> tuple[np.ndarray, np.
 
 def merged(pairings: Sequence[Pairing], size: float) -> tuple[Pairing, ...]:
     """Makes one of all pairs with one transform, or with its inverse: the sides of a passage that are cut into patches."""
-    kept: list[Pairing] = []
+    # Each pairing, or its inverse, joins the first earlier one with its transform; a transform that is new begins another.
+    different: list[Pairing] = []
     for pairing in pairings:
-        for k, other in enumerate(kept):
-            for each in (pairing, pairing.inverse):
-                is_same = np.abs(each.matrix - other.matrix).max() < 1e-9
-                if is_same and np.abs(each.shift - other.shift).max() < 1e-6 * size:
-                    kept[k] = _union(other, each)
-                    break
-            else:
-                continue
-            break
+        for k, other in enumerate(different):
+            alike = [way for way in (pairing, pairing.inverse) if _is_same_transform(way, other, size)]
+            if alike:
+                different[k] = _union(other, alike[0])
+                break
         else:
-            kept.append(pairing)
-    return tuple(kept)
+            different.append(pairing)
+    return tuple(different)
+
+
+def _is_same_transform(one: Pairing, other: Pairing, size: float) -> bool:
+    is_same_turn = np.abs(one.matrix - other.matrix).max() < 1e-9
+    return bool(is_same_turn and np.abs(one.shift - other.shift).max() < 1e-6 * size)
 
 
 def _union(one: Pairing, other: Pairing) -> Pairing:

@@ -93,6 +93,8 @@ def tracks_of(
 
     Corners and the apex of a cone are held. Raises `ValueError` where two walls meet without an edge.
     """
+    # Each node has a row of flags: the walls and planes that it lies on. Nodes with equal rows slide together, as one track.
+    # As many walls as dimensions leave no way to slide, so these nodes are held.
     n, dimension = points.shape
     on = np.zeros((n, len(walls) + len(planes)), dtype=bool)
     apex = np.zeros(n, dtype=bool)

@@ -345,7 +345,3 @@ def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:
             nodes.append(outer.ravel())
         first += len(ids) * len(faces)
     return np.unique(np.concatenate([np.zeros(0, int), *nodes])).astype(int)
-
-
-untangle = improve
-"""`improve` by the name of its effect on inverted cells."""

@@ -77,6 +77,9 @@ class Distortion(eqx.Module):
 
         Those of single nodes follow where there are `ways`.
         """
+        # Second derivatives by the edges of each sample become those by corners, for each edge is a sum of corners (`share`).
+        # The last axis of the result runs over cells fastest, then over the second corner z, then over the first corner c, type
+        # after type: the order of `Pattern`.
         points, parts = self.points(y, base), []
         moves, d = self.scale * self.free, base.shape[1]
         # of places by y: the last axis is that of y, for a partner the first node's

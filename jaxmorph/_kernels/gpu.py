@@ -173,6 +173,9 @@ def contracted(function: Callable, *arguments: Any) -> Any:
 
 
 def _evaluate(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
+    """Runs a jaxpr equation by equation, with its products and sums fused."""
+    # A product that a single addition uses is not computed where it stands: its factors wait in `products` until that addition,
+    # which becomes one `fma`. Whatever else reads a waiting product multiplies it then.
     values = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True))
     products: dict[Any, tuple] = {}
     waiting = _only_added(jaxpr)

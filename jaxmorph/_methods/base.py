@@ -7,7 +7,6 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 from scipy.spatial import KDTree
@@ -164,7 +163,7 @@ class Located(eqx.Module):
 class AbstractRows(eqx.Module):
     """Rows of a linear operator, one a point, that may carry a table which makes the transpose as fast as the operator.
 
-    What `AbstractMethod.place` returns may hold such rows. The driver builds and keeps their tables.
+    What `AbstractPlacing.place` returns may hold such rows. The driver builds and keeps their tables.
     """
 
     @abc.abstractmethod
@@ -183,12 +182,26 @@ class AbstractRows(eqx.Module):
         """Takes over the table of rows with the same ids, with the weights of these. Traced."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Control:
+    """Rows of the surface that control a field, and how far the field reaches.
+
+    - `sources` (s,): rows that are the field's control points, the centres of its functions.
+    - `matched` (k,): rows whose displacement the field takes. They leave nothing to a correction.
+    - `reach`: how far from the surface the field reaches.
+    """
+
+    sources: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    reach: float = float("inf")
+
+
 class AbstractField(Module):
     """Evaluates a displacement field, written for one point."""
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """Computes the displacement at `x`; `ids` is what the method's `connect` chose for this point, or `place` made of it."""
+        """Computes the displacement at `x`; `ids` is what `connect` chose for this point, or `place` made of it."""
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
         """Computes the displacements of a block of c points. Equal to the mapped one-point form; there for speed alone.
@@ -206,12 +219,13 @@ class AbstractField(Module):
 class AbstractMethod(Module):
     """Turns displacements of the surface into a displacement field.
 
-    A method of your own needs `connect`, `fit` and `field`. The surface's b rows are the moving nodes, then the fixed ones,
+    A method of your own needs `connect`, `fit` and `field`; the other functions have defaults. A method that needs of each point
+    what its place gives is an `AbstractPlacing`. The surface's b rows are the moving nodes, then the fixed ones,
     no node twice. Arguments have the same meaning in all of a method's functions:
 
     - `surface`: on the host a `Surface`; traced the coordinates (b, d) of its rows.
-    - `points`, `x`: all points (n, d) of the mesh, in `fit` and `carry` its base coordinates; one of them (d,).
-    - `ids`: what `connect` returned for the surface; in `place`, and in the field, what it returned for one point.
+    - `points`, `x`: all points (n, d) of the mesh, in `fit` its base coordinates; one of them (d,).
+    - `ids`: what `connect` returned for the surface; in the field what it returned for one point.
     - `factors`: what `fit` returned.
     - `u`: displacements (b, d) of the surface's rows.
     """
@@ -230,47 +244,9 @@ class AbstractMethod(Module):
     ) -> AbstractField:
         """Makes the displacement field. Traced, and linear in `u` for a method that is `linear`."""
 
-    def place(self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
-        """Adds to a point's ids what its own place gives (barycentric coordinates), whatever `u` is. Traced.
-
-        By default it returns the ids. It is computed once per base mesh. The steps of `march` keep it, unless `carry_place`
-        says otherwise: a graph stands on the undeformed mesh.
-        """
-        return ids
-
-    def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
-        """Computes factors on the mesh that a step of `march` left; those of `fit` by default. Traced.
-
-        What goes with the places that points keep (see `place`) stays as it is.
-        """
-        return self.fit(ids, surface, points)
-
-    def carry_place(
-        self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], placed: PyTree
-    ) -> PyTree:
-        """Changes what `place` returned for a point, on the mesh that a step of `march` left; by default it stays. Traced."""
-        return placed
-
-    def matched(self, ids: PyTree) -> np.ndarray:
-        """Returns the surface's rows whose displacement the field takes, of those that `connect` chose, on the host.
-
-        They are a coarse field's sources.
-        """
-        return np.zeros(0, dtype=np.int32)
-
-    def sources(self, ids: PyTree) -> np.ndarray:
-        """Returns the surface's rows that are the field's sources, its control points, on the host; none by default."""
-        return np.zeros(0, dtype=np.int32)
-
-    def reach(self, ids: PyTree) -> float:
-        """Returns how far from the surface the field reaches, on the host; infinity by default."""
-        return float("inf")
-
-    def offset(
-        self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], u: Float[Array, "b d"]
-    ) -> Float[Array, "b d"]:
-        """Computes the displacement of the surface that is left to a correction (eq. 5); zero by default. Traced."""
-        return jnp.zeros_like(u)
+    def control(self, ids: PyTree) -> Control:
+        """Returns what controls the field, of the rows that `connect` chose, on the host; by default no row stands out."""
+        return Control()
 
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
         """Raises or warns when the factors are unusable. Called once, on the host, after the first `fit`.
@@ -281,11 +257,6 @@ class AbstractMethod(Module):
     @property
     def needs_cells(self) -> bool:
         """True if `connect` needs the cells of the whole mesh. The solve is of all nodes: a plan is not laid over devices."""
-        return False
-
-    @property
-    def sees_free_sides(self) -> bool:
-        """True if the field depends on `Surface.is_open`. A piece of a mesh alone does not show it."""
         return False
 
     @property

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from .._kernels.compile import is_for_cpu
 from .base import BLOCK, AbstractField, AbstractMethod, AbstractRows
+from .placing import AbstractPlacing
 
 WIDER = 256
 """Factor of the size of blocks where the platform is no CPU: a GPU wants millions of elements at once, and few launches."""
@@ -26,8 +27,8 @@ def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -
 def place_points(
     method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
 ) -> PyTree:
-    """Adds to every point's ids what its place gives, by `method.place`."""
-    if not jax.tree.leaves(ids):
+    """Adds to every point's ids what its place gives, by the method's `place`."""
+    if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return ids
     return _mapped(lambda x, ids: method.place(x, ids, factors, surface), (points, ids))
 
@@ -38,9 +39,9 @@ def carry_points(
     factors: PyTree,
     surface: Float[Array, "b d"],
 ) -> PyTree:
-    """Changes what every point's place gives, by `method.carry_place`; `rows` are points, ids, and what they were placed at."""
+    """Changes what every point's place gives, by the method's `carry_place`; `rows` are points, ids, and their places."""
     points, ids, placed = rows
-    if not jax.tree.leaves(ids):
+    if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return placed
     carried = _mapped(
         lambda x, ids, placed: method.carry_place(x, ids, factors, surface, placed),

@@ -7,11 +7,12 @@ from jaxtyping import Array, Float
 from .._host.linear.products import determinant
 from .._host.surface.graph import graph_of, locate
 from .._kernels.values import as_jax
-from .base import AbstractMethod, Located, Surface
+from .base import Located, Surface
+from .placing import AbstractPlacing
 from .sparse import InterpolatedField, Interpolation
 
 
-class DelaunayGraph(AbstractMethod):
+class DelaunayGraph(AbstractPlacing):
     """Moves each point linearly with the simplex of surface nodes that holds it (eq. 8): Delaunay graph mapping.
 
     The graph stands on the undeformed surface and carries displacements, so that the map is one linear operator for any

@@ -9,9 +9,10 @@ from scipy.spatial import KDTree
 
 from .._host.package.rounding import nearest_of
 from .._kernels.values import as_jax
-from .base import AbstractMethod, Surface
+from .base import Control, Surface
 from .nearwall import Extent, layer_width
 from .numbers import length_or_none
+from .placing import AbstractPlacing
 from .rbf.basis import WendlandC2
 from .searched import Searched, squared_distance
 from .sparse import InterpolatedField, Reach
@@ -23,7 +24,7 @@ SPACING = 2.0
 """The automatic radius, relative to the width of the layer of `NearWall`."""
 
 
-class LocalCorrection(AbstractMethod):
+class LocalCorrection(AbstractPlacing):
     """Moves a point along with the nearest node of the surface, by a share that fades with the distance to it.
 
     u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. Rendall and Allen correct so what a
@@ -58,8 +59,8 @@ class LocalCorrection(AbstractMethod):
         searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
         return (extent, searched), Reach(*as_jax((nodes[:, None], (reached | on_surface)[:, None])))
 
-    def reach(self, ids) -> float:
-        return float("inf") if self.radius is None else float(self.radius)
+    def control(self, ids):
+        return Control() if self.radius is None else Control(reach=float(self.radius))
 
     def fit(self, ids, surface, points):
         radius = self._radius(ids[0], surface)

@@ -9,14 +9,15 @@ from jaxtyping import Array, Float, Int
 from .._host.package.arguments import checked
 from .._host.sources.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .._kernels.values import as_jax
-from .base import AbstractMethod, Surface
+from .base import Surface
+from .placing import AbstractPlacing
 from .rbf.basis import WendlandC2
 from .rbf.rbf import RBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import InterpolatedField, Reach
 
 
-class Multiscale(AbstractMethod):
+class Multiscale(AbstractPlacing):
     """Interpolates with a Wendland C2 function at each node of the surface, of a radius of its own: multiscale.
 
     The nodes come one after the other, each the farthest from those before it; its distance to the nearest of those is the

@@ -9,10 +9,12 @@ from jaxtyping import Array, Bool, Float, Int
 from .._host.package.rounding import first_largest, nearest_of
 from .._host.surface.neighbours import digest, near_walls
 from .._kernels.values import Either, as_jax, namespace, norm, root
+from . import placing
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .blocks import map_points
 from .delaunay import DelaunayGraph
 from .numbers import length_or_none
+from .placing import AbstractPlacing
 from .rbf.basis import WendlandC2
 from .sparse import InterpolatedField, Interpolation
 
@@ -30,7 +32,7 @@ SLIGHTLY = 1e-6
 """Relative difference that keeps the maximum of equal lengths from having a kink."""
 
 
-class NearWall(AbstractMethod):
+class NearWall(AbstractPlacing):
     """Replaces a correction near the wall by the displacement of the wall itself.
 
     u = chi u_wall + (1 - chi) u_correction. Here chi is Wendland's C2 function of the distance to the wall over `width`. The
@@ -91,15 +93,14 @@ class NearWall(AbstractMethod):
         return self.correction.fit(correction, surface, points), layer_width(self.width, extent, surface)
 
     def carry(self, ids, factors, surface, points):
-        return self.correction.carry(ids[0], factors[0], surface, points), factors[1]
+        return placing.carry(self.correction, ids[0], factors[0], surface, points), factors[1]
 
     def place(self, x, ids, factors, surface):
-        return self._layered(x, ids, factors, surface, self.correction.place(x, ids[0], factors[0], surface))
+        return self._layered(x, ids, factors, surface, placing.place(self.correction, x, ids[0], factors[0], surface))
 
     def carry_place(self, x, ids, factors, surface, placed):
-        return self._layered(
-            x, ids, factors, surface, self.correction.carry_place(x, ids[0], factors[0], surface, placed[0])
-        )
+        correction = placing.carry_place(self.correction, x, ids[0], factors[0], surface, placed[0])
+        return self._layered(x, ids, factors, surface, correction)
 
     def _layered(self, x, ids, factors, surface, correction):
         chi, weights = _blend(x, ids[1], factors[1], surface)

@@ -6,15 +6,17 @@ import numpy as np
 
 from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
-from .base import AbstractField, AbstractMethod, Surface, check_kind
+from . import placing
+from .base import AbstractField, AbstractMethod, Control, Surface, check_kind
 from .blocks import map_points, place_points
 from .delaunay import DelaunayGraph
 from .nearwall import NearWall
+from .placing import AbstractPlacing
 from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
 
 
-class SurfaceReconstruction(AbstractMethod):
+class SurfaceReconstruction(AbstractPlacing):
     """Corrects a coarse field by what it misses on the surface, its offset (eq. 5): the paper's method.
 
     u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine. The surface is exact if the
@@ -58,10 +60,6 @@ class SurfaceReconstruction(AbstractMethod):
         return self.coarse.needs_cells or self.correction.needs_cells
 
     @property
-    def sees_free_sides(self) -> bool:
-        return self.coarse.sees_free_sides or self.correction.sees_free_sides
-
-    @property
     def linear(self) -> bool:
         return self.coarse.linear and self.correction.linear
 
@@ -70,7 +68,7 @@ class SurfaceReconstruction(AbstractMethod):
         coarse, coarse_ids = self.coarse.connect(everywhere, more)
         coarse_at_points = jax.tree.map(lambda leaf: leaf[: len(points)], coarse_ids)
         coarse_at_surface = jax.tree.map(lambda leaf: leaf[everywhere.nodes], coarse_ids)
-        surface = everywhere.altered(nodes=surface.nodes, matched=self.coarse.matched(coarse))
+        surface = everywhere.altered(nodes=surface.nodes, matched=self.coarse.control(coarse).matched)
         correction, correction_at_points = self.correction.connect(surface, points)
         return (coarse, coarse_at_surface, correction), (coarse_at_points, correction_at_points)
 
@@ -83,24 +81,23 @@ class SurfaceReconstruction(AbstractMethod):
     def carry(self, ids, factors, surface, points):
         coarse, _, correction = ids
         coarse_factors, placed, correction_factors = factors
-        carried = self.coarse.carry(coarse, coarse_factors, surface, points)
-        return carried, placed, self.correction.carry(correction, correction_factors, surface, points)
+        carried = placing.carry(self.coarse, coarse, coarse_factors, surface, points)
+        return carried, placed, placing.carry(self.correction, correction, correction_factors, surface, points)
 
     def place(self, x, ids, factors, surface):
-        coarse = self.coarse.place(x, ids[0], factors[0], surface)
-        return coarse, self.correction.place(x, ids[1], factors[2], surface)
+        coarse = placing.place(self.coarse, x, ids[0], factors[0], surface)
+        return coarse, placing.place(self.correction, x, ids[1], factors[2], surface)
 
     def carry_place(self, x, ids, factors, surface, placed):
-        coarse = self.coarse.carry_place(x, ids[0], factors[0], surface, placed[0])
-        return coarse, self.correction.carry_place(x, ids[1], factors[2], surface, placed[1])
+        coarse = placing.carry_place(self.coarse, x, ids[0], factors[0], surface, placed[0])
+        return coarse, placing.carry_place(self.correction, x, ids[1], factors[2], surface, placed[1])
 
-    def matched(self, ids):
-        return self.correction.matched(ids[2])
-
-    def sources(self, ids):
-        return np.concatenate([self.coarse.sources(ids[0]), self.correction.sources(ids[2])])
+    def control(self, ids):
+        coarse, correction = self.coarse.control(ids[0]), self.correction.control(ids[2])
+        return Control(np.concatenate([coarse.sources, correction.sources]), correction.matched)
 
     def offset(self, ids, factors, surface, u):
+        """Computes the displacement of the surface that is left to the correction (eq. 5). Traced."""
         coarse_field = self.coarse.field(ids[0], factors[0], surface, u)
         return u - map_points(coarse_field, surface, factors[1])
 
@@ -131,3 +128,12 @@ class SumField(AbstractField):
 
     def evaluate(self, points, ids):
         return map_points(self.first, points, ids[0]) + map_points(self.second, points, ids[1])
+
+
+def sees_free_sides(method: AbstractMethod) -> bool:
+    """Tells whether a method is a `FittedRBF` or has one, whose field depends on `Surface.is_open`."""
+
+    def is_fitted(each: object) -> bool:
+        return isinstance(each, FittedRBF)
+
+    return any(map(is_fitted, jax.tree.leaves(method, is_leaf=is_fitted)))

@@ -18,7 +18,8 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._host.linear.transpose import tabulate
 from .._kernels.values import as_jax
-from .base import AbstractField, AbstractMethod, AbstractRows
+from .base import AbstractField, AbstractRows
+from .placing import AbstractPlacing
 
 
 class Table(eqx.Module):
@@ -92,7 +93,7 @@ def _rounded(rows: int) -> int:
 class InterpolatedField(AbstractField):
     """Displacements interpolated between surface nodes (eq. 8), with the weights that `method.place` gives."""
 
-    method: AbstractMethod
+    method: AbstractPlacing
     factors: PyTree
     surface: Float[Array, "b d"]
     u: Float[Array, "b d"]

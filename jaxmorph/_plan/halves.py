@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Int, Integer, Real
 
-from .._boundary.boundary import Boundary, boundary, checked_points
+from .._boundary.boundary import Boundary, checked_points, find_boundary
 from .._boundary.outer_faces import OuterFaces
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
@@ -21,7 +21,7 @@ from .._host.surface.skin import has_free_sides
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface, check_kind
-from .._methods.reconstruction import SurfaceReconstruction
+from .._methods.reconstruction import SurfaceReconstruction, sees_free_sides
 from .plan import Plan, SurfacePart
 from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
 
@@ -83,6 +83,9 @@ class SurfaceHalf:
         **Raises:** `ValueError` for a surface node that is named twice, or lies elsewhere than in the half. Also what `prepare`
         raises for points: outside of the hull, or not finite.
         """
+        # Methods connect to the whole surface and to the piece at once: the piece's points come first, then the half's points that
+        # it lacks, so that tolerances are those of the whole mesh. Rows of the surface name points of this list; the rows
+        # from n on are cut off again, and their numbers stay in the plan for nodes that other pieces have.
         plan, points = self.plan, checked_points(points)
         if points.shape[1] != plan.points.shape[1]:
             raise ValueError(f"`points` has shape {points.shape}; the surface has {plan.points.shape[1]} dimensions.")
@@ -92,7 +95,6 @@ class SurfaceHalf:
         self._check_sides(points, place)
         points = points.astype(plan.points.dtype)
         points[place[place >= 0]] = np.asarray(plan.points)[place >= 0]
-        # nodes of the half that the piece does not have: tolerances are those of the whole mesh, whatever the piece
         absent = np.flatnonzero(place < 0)
         count, rows = len(points), np.where(place < 0, len(points) + np.cumsum(place < 0) - 1, place)
         together = np.concatenate([points, np.asarray(plan.points)[absent]])
@@ -109,7 +111,7 @@ class SurfaceHalf:
 
     def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:
         """Raises `ValueError` for points on a free side of a mesh that was taken for one without."""
-        if self.faces is not None or self.is_open or not self.plan.method.sees_free_sides:
+        if self.faces is not None or self.is_open or not sees_free_sides(self.plan.method):
             return
         is_inner = np.ones(len(points), dtype=bool)
         is_inner[place[place >= 0]] = False
@@ -122,11 +124,11 @@ class SurfaceHalf:
     @functools.cached_property
     def _surface(self) -> tuple[Surface, np.ndarray | None]:
         """The surface as methods see it, and which of the half's points lie on which plane."""
-        named = dataclasses.replace(boundary_of(self.plan), pairings=(), tracks=(), is_open=self.is_open)
+        boundary = dataclasses.replace(boundary_of(self.plan), pairings=(), tracks=(), is_open=self.is_open)
         if self.faces is not None:
-            faces = {kind: named.nodes[rows] for kind, rows in self.faces.items()}
-            named = dataclasses.replace(named, faces=faces)
-        surface, _, on_plane = surface_of(named)
+            faces = {kind: boundary.nodes[rows] for kind, rows in self.faces.items()}
+            boundary = dataclasses.replace(boundary, faces=faces)
+        surface, _, on_plane = surface_of(boundary)
         return surface, on_plane
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
@@ -138,23 +140,23 @@ class SurfaceHalf:
             )
         order = np.argsort(self.nodes, kind="stable")
         at = np.minimum(np.searchsorted(self.nodes[order], ids), len(order) - 1)
-        held = np.flatnonzero((self.nodes[order][at] == ids) & (ids >= 0))
-        rows = order[at[held]]
+        present = np.flatnonzero((self.nodes[order][at] == ids) & (ids >= 0))
+        rows = order[at[present]]
         twice = np.flatnonzero(np.bincount(rows, minlength=len(order)) > 1)
         if twice.size:
             raise ValueError(f"{twice.size} nodes are named more than once in `nodes`, first {self.nodes[twice[0]]}.")
         base = np.asarray(self.plan.points)
-        apart = np.abs(points[held] - base[rows]).max(axis=1, initial=0.0)
-        wrong = np.flatnonzero(apart > max(4 * roundoff(base), SAME * np.ptp(base, axis=0).max()))
+        distance = np.abs(points[present] - base[rows]).max(axis=1, initial=0.0)
+        wrong = np.flatnonzero(distance > max(4 * roundoff(base), SAME * np.ptp(base, axis=0).max()))
         if wrong.size:
-            worst = wrong[apart[wrong].argmax()]
+            worst = wrong[distance[wrong].argmax()]
             raise MeshError(
-                f"{wrong.size} surface nodes lie elsewhere than in the half: id {ids[held[worst]]}, point {{node}}, by "
-                f"{apart[worst]:.3g}. Attach the mesh on which the surface was prepared.",
-                held[wrong],
+                f"{wrong.size} surface nodes lie elsewhere than in the half: id {ids[present[worst]]}, point {{node}}, by "
+                f"{distance[worst]:.3g}. Attach the mesh on which the surface was prepared.",
+                present[wrong],
             )
         place = np.full(len(self.nodes), -1, dtype=np.int64)
-        place[rows] = held
+        place[rows] = present
         return place
 
 
@@ -199,38 +201,38 @@ def prepare_surface(
     if faces is not None:
         mesh = mesh if isinstance(mesh, Mesh) else Mesh(mesh)
         outer = OuterFaces.numbered(Mesh(mesh.points, dict(faces)).cells)
-    named = boundary(mesh, moving, fixed, symmetry, free, periodic, sliding, outer=outer)
-    count = len(named.points)
+    boundary = find_boundary(mesh, moving, fixed, symmetry, free, periodic, sliding, outer=outer)
+    count = len(boundary.points)
     ids = np.arange(count) if nodes is None else np.asarray(nodes)
     if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
         raise ValueError(f"`nodes` must be {count} ids, one for each point of `mesh`, none twice but -1.")
-    return half_of(named if is_open is None else dataclasses.replace(named, is_open=is_open), method, ids)
+    return half_of(boundary if is_open is None else dataclasses.replace(boundary, is_open=is_open), method, ids)
 
 
-def half_of(named: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> SurfaceHalf:
+def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> SurfaceHalf:
     """Prepares the surface of what has been checked; `ids` (n,) name its points in the whole mesh."""
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     method = SurfaceReconstruction() if method is None else method
     refuse_cells(method)
-    named = between_planes(named, method)
-    is_open = has_open_side(named) if named.is_open is None else named.is_open
-    kept = np.union1d(named.nodes, fence(named))
-    part = dataclasses.replace(named.part(kept), is_open=is_open)
+    boundary = between_planes(boundary, method)
+    is_open = has_open_side(boundary) if boundary.is_open is None else boundary.is_open
+    rows = np.union1d(boundary.nodes, fence(boundary))
+    part = dataclasses.replace(boundary.part(rows), is_open=is_open)
     try:
         plan = plan_of(part, method)
     except MeshError as error:
-        raise error.renumbered(kept) from None
-    return SurfaceHalf(plan, ids[kept], part.surface_faces, is_open)
+        raise error.renumbered(rows) from None
+    return SurfaceHalf(plan, ids[rows], part.surface_faces, is_open)
 
 
-def has_open_side(named: Boundary) -> bool:
+def has_open_side(boundary: Boundary) -> bool:
     """Tells by points alone whether a flat side of the mesh is neither moving, fixed nor a symmetry plane."""
-    surface = surface_of(dataclasses.replace(named, pairings=()))[0]
-    return has_free_sides(surface.points, surface.rows(len(named.points)) == len(surface.points), named.points)
+    surface = surface_of(dataclasses.replace(boundary, pairings=()))[0]
+    return has_free_sides(surface.points, surface.rows(len(boundary.points)) == len(surface.points), boundary.points)
 
 
-def fence(named: Boundary) -> np.ndarray:
+def fence(boundary: Boundary) -> np.ndarray:
     """Lists the outermost nodes, and one of each symmetry plane: tolerances are relative to their extent."""
-    points = named.points
-    on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in named.planes)
+    points = boundary.points
+    on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in boundary.planes)
     return np.unique(np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes]))

@@ -16,6 +16,7 @@ from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import as_jax, is_known, on_host, taken
+from .._methods import placing
 from .._methods.base import AbstractMethod, Located
 from .._methods.blocks import (
     carry_points,
@@ -26,6 +27,7 @@ from .._methods.blocks import (
     with_tables_of,
     without_tables,
 )
+from .._methods.reconstruction import SurfaceReconstruction
 from .devices import Layout, over_points, pad_rows, rows_here
 
 
@@ -46,6 +48,12 @@ class SurfacePart(eqx.Module):
 
 class Guide(Module):
     """Moves nodes along boundaries: a field of the moving and fixed nodes alone moves them, and they are kept where they belong.
+
+    Guided nodes slide or repeat. Nobody gives their displacement, yet the field of the mesh needs it: they are rows of its surface.
+    So another field comes first. Its data are the moving and fixed nodes, and its points are the surface's own rows.
+    It needs sources, images, factors, and all of these anew in each step of a march: everything that a plan is.
+    So it is a plan, whose mesh is the surface of the outer one, and which has no guide itself.
+    What it gives is put back on walls and made alike on both sides of periodic pairs; then the outer plan takes it as data.
 
     - `plan`: moves the surface's own rows, which are its points.
     - `pairings`: pairs of own rows.
@@ -150,7 +158,7 @@ class Plan(Module):
     @property
     def reach(self) -> float:
         """Distance from the surface that the method's field reaches, on the host; infinity where it has no radius."""
-        return self.method.reach(self.surface.ids)
+        return self.method.control(self.surface.ids).reach
 
     @property
     def sources(self) -> Int[np.ndarray, " s"]:
@@ -158,7 +166,7 @@ class Plan(Module):
 
         A source is a control point of the field: the centre of one radial basis function.
         """
-        rows = np.asarray(self.method.sources(self.surface.ids), dtype=np.int64)
+        rows = np.asarray(self.method.control(self.surface.ids).sources, dtype=np.int64)
         if self.images is not None:
             rows = rows[np.asarray(self.images.kind)[rows] == 0]
             rows = np.asarray(self.images.rows)[rows]
@@ -222,6 +230,8 @@ class Plan(Module):
 @compiled
 def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
     vectors, surface = plan.of_surface(u), plan.surface
+    if not isinstance(plan.method, SurfaceReconstruction):
+        return jnp.zeros_like(vectors)  # nothing is left to a correction
     extended = vectors if surface.images is None else surface.images.vectors(vectors)
     offset = plan.method.offset(surface.ids, surface.factors, surface.points, extended)
     if surface.images is None:
@@ -294,7 +304,8 @@ def _fitted(plan: Plan, points, carried: bool = False, surface: Float[Array, "o 
     method, guide = plan.method, old.guide
     if guide is not None:
         guide = eqx.tree_at(lambda guide: guide.plan, guide, _stepped(guide.plan, originals, carried))
-    factors = method.carry(old.ids, old.factors, surface, whole) if carried else method.fit(old.ids, surface, whole)
+    ids, before = old.ids, old.factors
+    factors = placing.carry(method, ids, before, surface, whole) if carried else method.fit(ids, surface, whole)
     return Plan(
         method=method,
         surface=SurfacePart(surface, old.nodes, old.images, old.ids, factors, guide),

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 
-from .._boundary.boundary import Boundary, boundary, renumbered
+from .._boundary.boundary import Boundary, find_boundary, renumbered
 from .._boundary.images import Images, images_of
 from .._boundary.kinds import by_kinds
 from .._boundary.periodic import Periodic, check_pairings
@@ -66,20 +66,20 @@ def prepare(
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     if all(isinstance(each, tuple) and not each for each in (fixed, symmetry, sliding, free)):
         fixed, symmetry = by_kinds(mesh, moving, periodic)
-    return plan_of(boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method)
+    return plan_of(find_boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method)
 
 
-def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
+def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
     """Prepares a plan of what has been checked. It warns of boundary faces that no list names, and of lost precision."""
-    named.warn_of_free_faces()
-    named = between_planes(named, method)
-    check_pairings(named.pairings, named.planes, float(np.ptp(named.points, axis=0).max()))
+    boundary.warn_of_free_faces()
+    boundary = between_planes(boundary, method)
+    check_pairings(boundary.pairings, boundary.planes, float(np.ptp(boundary.points, axis=0).max()))
     method = SurfaceReconstruction() if method is None else method
-    if named.cells is None:
+    if boundary.cells is None:
         refuse_cells(method)
-    guide = _guide_of(named, method)
-    plan = _plan_of(dataclasses.replace(named, pairings=(), tracks=()), method, guide)
-    if plan.points.dtype != named.points.dtype:
+    guide = _guide_of(boundary, method)
+    plan = _plan_of(dataclasses.replace(boundary, pairings=(), tracks=()), method, guide)
+    if plan.points.dtype != boundary.points.dtype:
         warn(
             "the points are float64 but JAX's x64 mode is off, so the plan is float32: boundary layers and gradients suffer. "
             'Call jax.config.update("jax_enable_x64", True) first.',
@@ -87,20 +87,20 @@ def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
     return plan
 
 
-def between_planes(named: Boundary, method: AbstractMethod | None) -> Boundary:
+def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundary:
     """Checks the planes. Returns the same with the nodes of parallel planes guided, but for methods that solve on cells.
 
     Two parallel mirrors have images without end, and a field that has some of them leaves a step beside the plane, by which
     cells invert. So these planes make no images: the field without them guides the nodes, which then are data of the field.
     """
-    if named.planes:
-        check_planes(named.planes, named.points)
+    if boundary.planes:
+        check_planes(boundary.planes, boundary.points)
     if method is not None and method.needs_cells:
-        return named
-    others = np.setdiff1d(np.flatnonzero(on_facing(named.planes, named.points)), named.nodes)
+        return boundary
+    others = np.setdiff1d(np.flatnonzero(on_facing(boundary.planes, boundary.points)), boundary.nodes)
     if not len(others):
-        return named
-    return dataclasses.replace(named, guided=np.union1d(named.guided, others))
+        return boundary
+    return dataclasses.replace(boundary, guided=np.union1d(boundary.guided, others))
 
 
 def refuse_cells(method: AbstractMethod) -> None:
@@ -111,19 +111,19 @@ def refuse_cells(method: AbstractMethod) -> None:
         )
 
 
-def _plan_of(named: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:
-    surface, images, on_plane = surface_of(named)
-    surface_ids, volume_ids = as_jax(method.connect(surface, named.points))
-    nodes = as_jax(named.nodes.astype(np.int32))
+def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = None) -> Plan:
+    surface, images, on_plane = surface_of(boundary)
+    surface_ids, volume_ids = as_jax(method.connect(surface, boundary.points))
+    nodes = as_jax(boundary.nodes.astype(np.int32))
     on_plane = None if on_plane is None else as_jax(on_plane)
     plan = Plan(
         method=method,
         surface=SurfacePart(as_jax(surface.points), nodes, images, surface_ids, None, guide),
-        volume=VolumePart(as_jax(named.points), on_plane, volume_ids, None),
-        n_moving=len(named.moving),
-        n_guided=len(named.guided),
+        volume=VolumePart(as_jax(boundary.points), on_plane, volume_ids, None),
+        n_moving=len(boundary.moving),
+        n_guided=len(boundary.guided),
     )
-    sizes = len(named.points), len(surface.points)
+    sizes = len(boundary.points), len(surface.points)
     with quickly_compiled(not method.needs_cells and all(size <= most for size, most in zip(sizes, FEW, strict=True))):
         plan = _with_tables(refitted(plan, plan.points))
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
@@ -144,51 +144,53 @@ def _placed(method: AbstractMethod, shared: SurfacePart, points: Array, ids: PyT
     return place_points(method, points, ids, shared.factors, shared.points)
 
 
-def _cells(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:
+def _cells(boundary: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:
     """Returns the cells and planes that a method sees."""
-    n, d = named.points.shape
-    normals = np.stack([plane.normal for plane in named.planes]) if named.planes else np.zeros((0, d))
-    return Cells(named.cells or {}, normals, np.zeros((n, 0), dtype=bool) if on_plane is None else on_plane)
+    n, d = boundary.points.shape
+    normals = np.stack([plane.normal for plane in boundary.planes]) if boundary.planes else np.zeros((0, d))
+    return Cells(boundary.cells or {}, normals, np.zeros((n, 0), dtype=bool) if on_plane is None else on_plane)
 
 
-def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray, "n p"] | None]:
+def surface_of(boundary: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray, "n p"] | None]:
     """Returns the surface that a method sees, its images, and which points lie on which plane."""
-    points, nodes, moving, faces = named.points, named.nodes, len(named.moving), named.surface_faces
-    if not named.planes and not named.pairings:
+    points, nodes, moving, faces = boundary.points, boundary.nodes, len(boundary.moving), boundary.surface_faces
+    if not boundary.planes and not boundary.pairings:
         rows = np.arange(len(nodes))
-        cells = None if named.cells is None else _cells(named, None)
-        return Surface(points[nodes], nodes, moving, rows, faces=faces, is_open=named.is_open, cells=cells), None, None
-    on_plane = np.zeros((len(points), len(named.planes)), dtype=bool)
-    for k, plane in enumerate(named.planes):
+        cells = None if boundary.cells is None else _cells(boundary, None)
+        return (
+            Surface(points[nodes], nodes, moving, rows, faces=faces, is_open=boundary.is_open, cells=cells),
+            None,
+            None,
+        )
+    on_plane = np.zeros((len(points), len(boundary.planes)), dtype=bool)
+    for k, plane in enumerate(boundary.planes):
         on_plane[:, k] = plane.holds(points)
-    listed = np.zeros(len(points), dtype=bool)
-    listed[nodes] = True
-    images, copies = images_of(named.planes, named.pairings, on_plane, nodes, moving, points)
+    images, copies = images_of(boundary.planes, boundary.pairings, on_plane, nodes, moving, points)
     everything = np.asarray(images.points(jnp.asarray(points[nodes])))
     faces = None if faces is None else {kind: copies.faces(corners) for kind, corners in faces.items()}
     ids = np.where(copies.kind == 0, nodes[copies.rows], -1)
-    cells = None if named.cells is None else _cells(named, on_plane)
-    listed = len(named.moving) + len(named.fixed)
+    cells = None if boundary.cells is None else _cells(boundary, on_plane)
+    listed = len(boundary.moving) + len(boundary.fixed)
     in_planes = (copies.rows >= listed) & np.asarray(on_plane[nodes].any(axis=1))[copies.rows]
     surface = Surface(
         *(everything, ids, copies.moving, copies.first),
         faces=faces,
-        is_open=named.is_open,
+        is_open=boundary.is_open,
         cells=cells,
         in_planes=in_planes if in_planes.any() else None,
     )
     return surface, images, on_plane
 
 
-def _guide_of(named: Boundary, method: AbstractMethod) -> Guide | None:
+def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
     """Prepares what moves nodes along boundaries."""
-    if not named.pairings and not named.tracks and not len(named.guided):
+    if not boundary.pairings and not boundary.tracks and not len(boundary.guided):
         return None
-    alone = named.alone()
+    alone = boundary.alone()
     plan = _plan_of(alone, guiding(method))
-    known = len(named.moving) + len(named.fixed)
+    known = len(boundary.moving) + len(boundary.fixed)
     rows = [*(pairing.nodes for pairing in alone.pairings), *(np.asarray(track.rows) for track in alone.tracks)]
-    rows.append(np.arange(known, len(named.nodes)))
+    rows.append(np.arange(known, len(boundary.nodes)))
     pairings, tracks = as_jax((alone.pairings, alone.tracks))
     return Guide(plan, pairings, tracks, jnp.asarray(np.unique(np.concatenate(rows)), jnp.int32))
 

@@ -24,7 +24,7 @@ from .halves import SurfaceHalf
 from .known import known_classes
 from .plan import Plan
 
-FORMAT, VERSION = "jaxmorph plan", 4
+FORMAT, VERSION = "jaxmorph plan", 1
 _HEADER = "description"
 _DAMAGED = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, OverflowError)
 
@@ -72,7 +72,7 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
 
     **Returns:** the `Plan`, a tuple of them, or the `SurfaceHalf`.
 
-    **Raises:** `ValueError` for a file that is no plan, is damaged or cut short, or was written by a later version.
+    **Raises:** `ValueError` for a file that is no plan, is damaged or cut short, or is of another version.
     Also for a class that is not known or has other fields here, and for float64 while JAX's x64 mode is off. `OSError`
     for a file that cannot be opened.
     """
@@ -87,12 +87,10 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
         raise ValueError(f"{path}: not a saved plan, or a damaged one ({type(error).__name__}: {detail}).") from error
     if kind != FORMAT:
         raise ValueError(f"{path}: not a saved plan; its format is {kind!r}.")
-    if version < VERSION:
+    if version != VERSION:
         raise ValueError(
             f"{path}: of version {version}, this jaxmorph reads {VERSION}: prepare the plan anew and save it."
         )
-    if version > VERSION:
-        raise ValueError(f"{path}: of version {version}, this jaxmorph reads up to {VERSION}: install a later one.")
     try:
         plan = _Reader(arrays, known_classes((SurfaceHalf, *classes))).node(header["tree"])
     except _Refused as error:

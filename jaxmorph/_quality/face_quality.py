@@ -5,71 +5,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from .._host.cells.adjacency import handedness, neighbours
 from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
 from .._mesh.mesh import Mesh
-from .report import HEADING, place_of, table_row
+from .face_report import FaceQuality
 from .sides import Block, Group, Sides
 
 Columns = Any
 """Components of vectors: a sequence of columns, or an array whose first axis runs over them."""
 
 FLOOR = 1e-300
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class FaceQuality:
-    """Measures (k,) of each cell by its faces; faces are edges in 2-D.
-
-    The cells are those of the file, polyhedra and polygons whole, in the file's order: see `Mesh.cell_ids`.
-
-    - `volume`: the sum of the pyramids between the faces and a point inside; in 2-D the area.
-    - `pyramid`: the smallest pyramid between a face and the cell's centre, over the mean of them. 1 for a regular cell, negative
-      where a face is seen from behind. In 2-D a triangle.
-    - `is_inverted`: the volume or a pyramid is negative beyond round-off, as checkMesh tests cells of finite volumes. NaN counts.
-      Cells that the mesh numbers the other way round are turned first, as `quality(mesh)` does; not in a part of a mesh.
-    - `skewness`: the distance by which the line between the centres of two cells misses the centre of their face, over the
-      face's reach in that direction. It has no upper bound. The reach is at least 0.2 of the line's length; at the boundary
-      0.4 of the distance from the cell's centre to the plane of the face. Faces to other parts (`Mesh.between`) do not count.
-    - `aspect_ratio`: the faces' areas are summed as seen along each axis; the largest sum over the smallest. In 3-D it is at
-      least a sixth of the sums' total over the volume to the power of 2/3. It depends on how a cell lies in the axes.
-    - `non_orthogonality`: in degrees, the largest over the inner faces.
-    - `centroid`: the centre of mass (k, d).
-    - `counted`: False for boundary elements. They have 0, and aspect ratio and pyramid 1.
-
-    `mean_non_orthogonality` is checkMesh's average, one number: the angle whose cosine is the mean of the inner faces' cosines.
-    `str(measured)` is a table. Its other means are weighted by volume.
-    """
-
-    volume: Float[np.ndarray, " k"]
-    pyramid: Float[np.ndarray, " k"]
-    is_inverted: Bool[np.ndarray, " k"]
-    skewness: Float[np.ndarray, " k"]
-    aspect_ratio: Float[np.ndarray, " k"]
-    non_orthogonality: Float[np.ndarray, " k"]
-    centroid: Float[np.ndarray, "k d"]
-    counted: Bool[np.ndarray, " k"]
-    mean_non_orthogonality: float
-
-    def __repr__(self) -> str:
-        return f"FaceQuality({np.count_nonzero(self.counted)} cells)"
-
-    def __str__(self) -> str:
-        ids = np.flatnonzero(self.counted)
-        lines = [f"{len(ids)} cells: {int(self.is_inverted[ids].sum())} inverted", HEADING]
-        weight = np.abs(self.volume[ids])
-        for name in ("skewness", "aspect_ratio", "non_orthogonality", "volume", "pyramid"):
-            values = getattr(self, name)[ids]
-            badness = -values if name in ("volume", "pyramid") else values
-            cell = ids[np.where(np.isnan(badness), np.inf, badness).argmax()]
-            mean = np.average(values, weights=weight) if weight.sum() > 0 else np.nan
-            mean = self.mean_non_orthogonality if name == "non_orthogonality" else mean
-            numbers = [float(values.min()), float(mean), float(values.max())]
-            lines.append(table_row(name, numbers, cell, place_of(self.centroid[cell])))
-        return "\n".join(lines)
 
 
 @checked
@@ -92,16 +40,27 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
     return measured(mesh, Sides.listed(mesh), points)
 
 
-def measured(mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None) -> FaceQuality:
-    """Measures cells as `face_quality` does, with the faces found before: `sides` are those of `mesh`."""
+def measured(
+    mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None, undeformed: FaceQuality | None = None
+) -> FaceQuality:
+    """Measures cells as `face_quality` does, with what was found before: `sides` of `mesh`, and its quality `undeformed`."""
     points = np.asarray(mesh.points if points is None else points, dtype=float)
     if points.shape != tuple(mesh.points.shape):
         raise ValueError(f"`points` has shape {points.shape}; this mesh has {tuple(mesh.points.shape)}.")
+    is_turned = mesh.polyhedra is None and mesh.between is None
     with np.errstate(all="ignore"):  # points may be NaN
-        shape = _Shape.measured(sides, points)
-        if mesh.polyhedra is None and mesh.between is None:
-            shape.turn(_turns(mesh, sides, points, shape.volume))
-        return _of_shape(sides, shape, points)
+        shape, base = _Shape.measured(sides, points), np.asarray(mesh.points, dtype=float)
+        if np.array_equal(points, base):
+            old = shape.volume.copy()
+        elif undeformed is None or is_turned:
+            old = _Shape.measured(sides, base).volume
+        else:
+            old = undeformed.volume * points.shape[1]
+        if is_turned:
+            sign = _turns(mesh, old)
+            shape.turn(sign)
+            old = old if sign is None else old * sign
+        return _of_shape(sides, shape, points, old)
 
 
 @dataclasses.dataclass(eq=False)
@@ -150,7 +109,10 @@ class _Shape:
                 area *= sign[group.owner]
 
 
-def _of_shape(sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"]) -> FaceQuality:
+def _of_shape(
+    sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"], old: Float[np.ndarray, " k"]
+) -> FaceQuality:
+    """Makes the report of a shape; `old` are the undeformed volumes, `d` times, as those of the shape."""
     columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
     counts, noise = sides.counts, 8 * np.finfo(float).eps * np.abs(points).max()
     is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
@@ -183,6 +145,7 @@ def _of_shape(sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"]) -> 
         shape.middle.T.copy(),
         counted,
         float(np.degrees(np.arccos(np.clip(cosines[0] / cosines[1], -1, 1)))) if cosines[1] else 0.0,
+        np.where(old == 0, 1.0, shape.volume / np.where(old == 0, 1.0, old)),
     )
 
 
@@ -256,15 +219,11 @@ def _polygon(x: Sequence[Columns]) -> tuple[Columns, Columns]:
     return [m - each / (3 * total) for m, each in zip(mean, moment, strict=True)], [a / 2 for a in area]
 
 
-def _turns(
-    mesh: Mesh, sides: Sides, points: Float[np.ndarray, "n d"], volume: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, " k"] | None:
-    """Finds the sign that makes cells positive where the mesh has them: by neighbours, and by the volume that they enclose.
+def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"] | None:
+    """Finds the sign that makes the undeformed volumes positive: by neighbours, and by the volume that they enclose.
 
     None where all are. A motion that turns a part of the mesh inside out leaves no neighbour to tell so.
     """
-    if points is not mesh.points and not np.array_equal(points, np.asarray(mesh.points)):
-        volume = _Shape.measured(sides, np.asarray(mesh.points, dtype=float)).volume
     if not (volume < 0).any():
         return None
     turn = np.ones(len(volume))

@@ -1,7 +1,7 @@
-"""The report of `quality`."""
+"""Reports on cells: what `quality` and `face_quality` report alike, and the report of `quality`."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,8 +17,74 @@ MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
     *("jacobian", "volume_ratio", "jacobian_ratio"),
 )
-HEADING = f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"
-_SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio")
+SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio", "pyramid")
+"""Measures whose smallest value is the worst; of others the largest one is."""
+
+
+@runtime_checkable
+class Report(Protocol):
+    """Judges the cells of a mesh by measures: `QualityReport` by the corners of cells, `FaceQuality` by their faces.
+
+    - `rule`: by what a cell is inverted.
+    - `is_inverted`, `counted`: masks (k,) of inverted cells, and of cells that count; `count` is the number of these.
+    - `volume`, `centroid`: how large the cells are (k,), and where (k, d).
+    - `min`, `mean`, `max`: a measure over the cells that count, by its name; the mean is weighted by volume.
+    - `worst`: ids of the worst cells by a measure; without one, inverted cells come first.
+    """
+
+    rule: ClassVar[str]
+
+    @property
+    def is_inverted(self) -> Any: ...
+    @property
+    def volume(self) -> Any: ...
+    @property
+    def centroid(self) -> Any: ...
+    @property
+    def counted(self) -> Bool[np.ndarray, " k"]: ...
+    @property
+    def count(self) -> int: ...
+    def min(self, name: str) -> Any: ...
+    def mean(self, name: str) -> Any: ...
+    def max(self, name: str) -> Any: ...
+    def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray: ...
+
+
+def ranked(values: Any, by: str, counted: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
+    """Sorts the ids of the cells that count by a measure, the worst first; NaN is worse than any, and `first` cells come first."""
+    badness = np.asarray(values, dtype=float) * (-1.0 if by in SMALL_IS_BAD else 1.0)
+    badness = np.where(np.isnan(badness), np.inf, badness)
+    ids = np.flatnonzero(counted)
+    late = np.zeros(len(ids), dtype=bool) if first is None else ~np.asarray(first)[ids]
+    return ids[np.lexsort((-badness[ids], late))]
+
+
+def table_of(report: Report, heading: str, names: tuple[str, ...]) -> str:
+    """Writes a table: a line for each measure, with its least, mean and largest value, its worst cell and where it is."""
+    lines = [heading, f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"]
+    for name in names:
+        cell = report.worst(1, by=name)[0]
+        numbers = "".join(f"{float(of(name)):>10.3g}" for of in (report.min, report.mean, report.max))
+        lines.append(f"{name:<17}{numbers}  {cell:<8}{place_of(report, cell)}")
+    return "\n".join(lines)
+
+
+def check_inverted(report: Report) -> None:
+    """Raises `ValueError` where cells are inverted: how many, and where the first one is."""
+    bad = np.flatnonzero(np.asarray(report.is_inverted) & report.counted)
+    if len(bad):
+        are = "cell is" if len(bad) == 1 else "cells are"
+        raise ValueError(
+            f"{len(bad)} of {report.count} {are} inverted, first cell {bad[0]} near {place_of(report, bad[0])}. "
+            "Try more sources or more steps."
+        )
+
+
+def place_of(report: Report, cell: int | np.integer) -> str:
+    """Writes where a cell is; a coordinate that is small beside the largest one is 0."""
+    centroid = np.asarray(report.centroid[cell], dtype=float)
+    place = np.where(np.abs(centroid) < 1e-4 * np.abs(centroid).max(), 0.0, centroid)
+    return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
 
 
 class QualityReport(Module):
@@ -49,6 +115,8 @@ class QualityReport(Module):
     the highest dimension alone; boundary elements have entries but do not count. Means are weighted by area or volume,
     sum(skewness * area) / area. `str(report)`, `worst` and `raise_if_inverted` speak on the host.
     """
+
+    rule: ClassVar[str] = "corner Jacobians"
 
     volume: Float[Array, " k"]
     skewness: Float[Array, " k"]
@@ -147,46 +215,27 @@ class QualityReport(Module):
         **Raises:** `ValueError` for a measure that is not known.
         """
         whole("k", k, 0)
-        score = np.asarray(self._measure("skewness" if by is None else by), dtype=float)
-        badness = -score if by in _SMALL_IS_BAD else score
-        badness = np.where(np.isnan(badness), np.inf, badness)
-        first = np.zeros(len(badness), dtype=bool) if by else np.asarray(self.is_inverted)
-        ids = np.flatnonzero(self.counted)
-        return ids[np.lexsort((-badness[ids], ~first[ids]))[:k]]
+        values = self._measure("skewness" if by is None else by)
+        return ranked(values, by or "skewness", self.counted, None if by else np.asarray(self.is_inverted))[:k]
 
     def raise_if_inverted(self) -> None:
         """Raises `ValueError` on the host where cells are inverted: how many, and where the first one is.
 
         It does not work inside `jit`: there `report.inverted` is a value like any other.
         """
-        bad = np.flatnonzero(np.asarray(self.is_inverted) & self.counted)
-        if len(bad):
-            total = self.count
-            are = "cell is" if len(bad) == 1 else "cells are"
-            raise ValueError(
-                f"{len(bad)} of {total} {are} inverted, first cell {bad[0]} near {self._place(bad[0])}. "
-                "Try more sources or more steps."
-            )
+        check_inverted(self)
 
     def __str__(self) -> str:
         if not is_known(self.volume) or self.volume.ndim > 1:
             return repr(self)
         counted = ", ".join(f"{count} {kind}" for kind, count in self._top())
-        lines = [f"{counted}: {int(self.inverted)} inverted, {int(self.degenerate)} degenerate from the start"]
-        lines.append(HEADING)
-        for name in MEASURES if self.relative else MEASURES[:-2]:
-            cell = self.worst(1, by=name)[0]
-            numbers = [float(f(name)) for f in (self.min, self.mean, self.max)]
-            lines.append(table_row(name, numbers, cell, self._place(cell)))
-        return "\n".join(lines)
+        heading = f"{counted}: {int(self.inverted)} inverted, {int(self.degenerate)} degenerate from the start"
+        return table_of(self, heading, MEASURES if self.relative else MEASURES[:-2])
 
     def _measure(self, name: str) -> Float[Array, "*batch k"]:
         if name not in MEASURES:
             raise ValueError(f"no measure is called {name!r}; there are {', '.join(MEASURES)}.")
         return getattr(self, name)
-
-    def _place(self, cell: int | np.integer) -> str:
-        return place_of(np.asarray(self.centroid[cell], dtype=float))
 
     def _top(self) -> list[tuple[str, int]]:
         highest = max(DIMENSION[kind] for kind, count in self.types if count)
@@ -210,17 +259,6 @@ class QualityReport(Module):
         values = tuple(np.asarray(each) for each in values) if known else values
         counted = values if mask.all() else [each[..., np.flatnonzero(mask)] for each in values]
         return jnp.asarray(reduce(np if known else jnp, *counted))
-
-
-def table_row(name: str, numbers: Sequence[float], cell: int | np.integer, place: str) -> str:
-    """Writes a line below `HEADING`: a measure's least, mean and largest value, its worst cell and where it is."""
-    return f"{name:<17}{''.join(f'{number:>10.3g}' for number in numbers)}  {cell:<8}{place}"
-
-
-def place_of(centroid: Float[np.ndarray, " d"]) -> str:
-    """Writes a place; a coordinate that is small beside the largest one is 0."""
-    place = np.where(np.abs(centroid) < 1e-4 * np.abs(centroid).max(), 0.0, centroid)
-    return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
 
 
 def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:

@@ -1,29 +1,42 @@
 """One mesh and one motion, tried by several methods and in several numbers of steps."""
 
 import dataclasses
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 import jaxmorph as jm
+from jaxmorph._advice.methods import METHODS, entry
+from jaxmorph._advice.rivals import MOST_POINTS
 
-from . import _gates
 from ._judged import Judged
-from ._method import Patches, in_double
+from ._method import NamedMethod, Patches, in_double
 from ._motion import Motion
+from ._output import Output
+from ._parts import Method
 from ._requests import Deform
-from ._tables import inverted_cells
+from ._summary import Summary
+from ._tables import faults
+
+MORE = "more --sources or --steps"
+CURES = tuple(each.name for each in METHODS if each.is_cure)
+"""Methods that are tried after the default, where the mesh is small enough for them."""
+
+PATIENCE = 120.0
+"""Seconds that an attempt may have taken for others to be tried after it."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """All that one attempt needs but the method and the number of steps."""
+    """All that one attempt needs but the method and the number of steps; `before` sums up the `undeformed` mesh."""
 
     request: Deform
     patches: Patches
     motion: Motion
-    before: Judged
+    undeformed: Judged
+    before: Summary
 
     @property
     def base(self) -> Float[np.ndarray, "n d"]:
@@ -36,23 +49,92 @@ class Attempt:
         return self.base[self.patches.nodes]
 
     def points(
-        self, chunks: jm.Chunks, plan: jm.Plan, steps: int, done: Callable[[float], None] | None = None
+        self,
+        chunks: Iterable[tuple[Int[np.ndarray, " c"], jm.Plan]],
+        steps: int,
+        done: Callable[[float], None] | None = None,
     ) -> Float[np.ndarray, "n d"]:
-        """Moves the points, in double precision; `done` is called with the finished share."""
-        path = self.motion.path(self.wall, steps)
-        moved = chunks.march(path, first=plan, done=done if len(chunks) > 1 else None)
-        return in_double(self.base, moved, self.patches.nodes, path[-1], plan.method.exact)
+        """Moves the points chunk by chunk, in double precision; `done` is called with the finished share."""
+        path, points = self.motion.path(self.wall, steps), self.base.copy()
+        is_moved = np.zeros(len(points), dtype=bool)
+        for nodes, plan in chunks:
+            moved = jm.deform(plan, path[0]) if steps == 1 else jm.march(plan, path)[1]
+            here = np.flatnonzero(np.isin(nodes, self.patches.nodes))
+            of_wall = np.searchsorted(self.patches.nodes, nodes[here])
+            points[nodes] = in_double(self.base[nodes], moved, here, path[-1][of_wall], plan.method.exact)
+            is_moved[nodes] = True
+            if done is not None:
+                done(is_moved.mean())
+        return points
 
-    def wall_quality(self, points: Float[np.ndarray, "n d"]) -> jm.WallQuality | None:
-        """Measures the first grid line at the moving nodes; None where no side of a cell lies there, or no line begins."""
+    def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, Summary, list[str]]:
+        """Judges the moved mesh, sums it up, and says one sentence for each fault."""
+        judged = Judged(self.patches.mesh, points, self.undeformed)
+        after = Summary.of(judged, self.request.gates.limits)
+        return judged, after, faults(self.before, after)
+
+
+def explain(attempt: Attempt, choice: NamedMethod, bad: list[str], out: Output) -> None:
+    """Tells what is wrong, and which other flags cure it, if an attempt with them does."""
+    request = attempt.request
+    for sentence in bad[:-1]:
+        out.complain(sentence)
+    if any(gate.beyond for gate in attempt.before.gates):  # no way of moving the mesh cures it
+        out.complain(bad[-1])
+        return
+    hint = _hint(choice)
+    if out.seconds > PATIENCE or not request.dry_run:
+        out.complain(f"{bad[-1]} Try {hint}.")
+        return
+    worked = _tried(attempt, choice, out)
+    advice = f"With {worked} all is well." if worked else f"A dry run with {hint} does not cure it."
+    out.complain(f"{bad[-1]} {advice}")
+    out.say(suggestion=worked)
+
+
+def _hint(choice: NamedMethod) -> str:
+    """Says what to try after a method."""
+    if choice.entry.name == "default":
+        return f"{MORE}, or --method {' or '.join(CURES)}"
+    default = "--method default"
+    return {"some": f"{default}, or {MORE}", "all": f"more --steps, or {default}"}.get(choice.entry.sources, default)
+
+
+def _tried(attempt: Attempt, choice: NamedMethod, out: Output) -> str:
+    """Returns the flags of the first attempt whose mesh is good, beside the requested ones; nothing if none is."""
+    asked, steps = attempt.request.method, attempt.request.steps
+    n, d = attempt.base.shape
+    trials = _trials(asked, steps, choice.sources, len(attempt.wall), n <= MOST_POINTS[d])
+    with out.progress("trying others") as stage:
+        for k, (method, number) in enumerate(trials):
+            if _works(attempt, method, number):
+                flags = [f"--method {method.method}"] if method.method != asked.method else []
+                flags += [f"--sources {method.sources}"] if method.sources != asked.sources else []
+                return " ".join([*flags, *([f"--steps {number}"] if number != steps else [])])
+            stage.done((k + 1) / len(trials))
+    return ""
+
+
+def _trials(asked: Method, steps: int, sources: int, most: int, with_cells: bool) -> list[tuple[Method, int]]:
+    """Lists methods and numbers of steps, in the order in which they are tried."""
+    if asked.method != "default":
+        better = dataclasses.replace(asked, method="default")
+        slower = [(asked, 2 * steps)] if entry(asked.method).sources == "all" else []
+        return [*slower, (better, steps), (better, 4 * steps)]
+    more = [dataclasses.replace(asked, sources=min(factor * sources, most)) for factor in (2, 4)]
+    trials = [(more[0], steps), (asked, 2 * steps), (more[1], 4 * steps)]
+    if with_cells and asked.sources is None:
+        trials += [(dataclasses.replace(asked, method=name), steps) for name in CURES]
+    return [trial for trial in trials if trial != (asked, steps)]
+
+
+def _works(attempt: Attempt, method: Method, steps: int) -> bool:
+    """Tells whether another method leaves the mesh good. False if it refuses."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         try:
-            wall = jm.wall_quality(self.patches.mesh, self.patches.nodes, points)
-        except ValueError:
-            return None
-        return wall if len(wall.nodes) else None
-
-    def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, list[str]]:
-        """Judges the moved mesh: its quality, and one sentence for each fault."""
-        after = Judged(self.patches.mesh, points, self.before)
-        bad = inverted_cells(after)
-        return after, [*([bad] if bad else []), *_gates.failures(self.request.gates, self.before, after)]
+            chunks = attempt.patches.chunks(attempt.patches.method(method), attempt.request.chunk)
+            points = attempt.points(chunks, steps)
+        except (ValueError, ImportError):  # ImportError: a solver for large 3-D meshes is not installed
+            return False
+        return not attempt.judge(points)[2]

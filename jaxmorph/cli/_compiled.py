@@ -1,4 +1,4 @@
-"""Compiled code, kept between runs."""
+"""JAX as the commands use it: double precision, and compiled code that is kept between runs."""
 
 import hashlib
 import os
@@ -12,6 +12,12 @@ LIMIT = 256 * 2**20
 
 SWITCH = "JAXMORPH_CACHE"
 """The environment variable that turns it off."""
+
+
+def begin() -> None:
+    """Switches double precision on, and the cache of compiled code."""
+    jax.config.update("jax_enable_x64", True)
+    keep_compiled()
 
 
 def keep_compiled() -> None:

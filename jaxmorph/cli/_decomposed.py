@@ -9,14 +9,15 @@ import jaxmorph as jm
 from jaxmorph import io
 from jaxmorph._host.package.ranks import Alone, Ranks, together
 
-from ._deform import check_files, described, write_job
+from ._attempt import MORE
 from ._judged import Judged
-from ._method import in_double, named_method, patches_of
+from ._method import in_double, patches_of
 from ._motion import motion
 from ._output import Output, title
-from ._parts import Verdict, Verdicts, verdict
 from ._requests import Deform
-from ._trials import MORE
+from ._summary import Summary
+from ._tables import faults, gate_facts, gate_table, table
+from ._told import check_files, described, write_job
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 """Variables that count the processes which mpiexec or srun started together; the launcher's own are first."""
@@ -42,44 +43,48 @@ def deform_parts(request: Deform, out: Output) -> int:
     del sides
 
     def prepared() -> tuple[jm.SurfaceHalf, np.ndarray, str] | None:
-        every = {k: side for each in gathered or () for k, side in each.items()}
+        every = {k: side for share in gathered or () for k, side in share.items()}
         if not gathered:
             return None
-        return prepared_half(request, case.surface([every[k] for k in range(len(case))]), out, "--decomposed")
+        return _prepared(request, case.surface([every[k] for k in range(len(case))]), out)
 
     half, path, dtype = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
-    verdicts: list[Verdict] = []
+    judged: dict[int, tuple[Summary, Summary]] = {}
     try:
         with case.writing(request.output, ranks) as writer, out.progress("moving and judging the parts") as stage:
             for first in range(0, len(case), ranks.size):
                 k = first + ranks.rank if first + ranks.rank < len(case) else None
-                moved = together(ranks, lambda k=k: _moved(request, case, k, half, path, dtype, largest, verdicts))
+                moved = together(ranks, lambda k=k: _moved(request, case, k, half, path, dtype, largest, judged))
                 writer.add(k, moved)
                 stage.done(min(1.0, (first + ranks.size) / len(case)))
-            every = [each for some in ranks.allgather(verdicts) for each in some]
+            every = {k: pair for share in ranks.allgather(judged) for k, pair in share.items()}
             _say_warnings_of_all(out, ranks)
-            judged = Verdicts(sorted(every, key=lambda each: each.part), request.gates)
-            out.say(f"\n{judged.table}\n", **judged.facts)
-            if judged.faults and not request.allow_inverted:
+            bad = _said([every[k] for k in sorted(every)], out)
+            if bad and not request.allow_inverted:
                 raise _Bad
     except _Bad:
-        complain(request, judged, out)  # pyright: ignore[reportPossiblyUnboundVariable]
+        _complain(request, bad, out)  # pyright: ignore[reportPossiblyUnboundVariable]
         out.complain(f"{request.output} is not written; --allow-inverted writes it all the same.")
         return 1
-    complain(request, judged, out)
+    _complain(request, bad, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
-    return 1 if judged.faults else 0
+    return 1 if bad else 0
 
 
-def complain(request: Deform, judged: Verdicts, out: Output) -> None:
+def _said(parts: list[tuple[Summary, Summary]], out: Output) -> list[str]:
+    """Adds up what was judged before and after the motion, prints it, and returns a sentence for each fault."""
+    before, after = (Summary.together(side) for side in zip(*parts, strict=True))
+    out.say("\n" + "\n\n".join(filter(None, [table(before, after), gate_table(before, after)])) + "\n")
+    out.say(before=before.facts, after=after.facts, gates=gate_facts(before, after))
+    out.say(faces_between_parts=after.between, parts=after.parts)
+    return faults(before, after)
+
+
+def _complain(request: Deform, bad: list[str], out: Output) -> None:
     """Says the faults of all parts, with what to try."""
-    for k, sentence in enumerate(judged.faults):
-        hint = (
-            f" Try {MORE if request.method.name == 'default' else '--method default'}."
-            if k + 1 == len(judged.faults)
-            else ""
-        )
-        out.complain(sentence + hint)
+    hint = MORE if request.method.method == "default" else "--method default"
+    for k, sentence in enumerate(bad):
+        out.complain(f"{sentence} Try {hint}." if k + 1 == len(bad) else sentence)
 
 
 def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
@@ -117,32 +122,27 @@ def _checked(request: Deform) -> io.Decomposed:
     """Opens the case. Raises `ValueError` for a request that is sure to fail, before any work."""
     case = io.Decomposed(request.file)
     case.check_output(request.output)
-    check_flags(request, "--decomposed")
+    _check_flags(request)
     return case
 
 
-def check_flags(request: Deform, way: str) -> None:
-    """Raises `ValueError` for flags that need the whole mesh; `way` is the flag by which it comes in pieces."""
+def _check_flags(request: Deform) -> None:
+    """Raises `ValueError` for flags that need the whole mesh."""
     if request.picture is not None or request.chunk is not None:
         flag = "--picture" if request.picture is not None else "--chunk"
-        raise ValueError(f"{flag} is not for {way}, which never has the whole mesh: leave it away.")
-    if request.steps < 1:
-        raise ValueError(f"--steps must be 1 or more, found {request.steps}.")
+        raise ValueError(f"{flag} is not for --decomposed, which never has the whole mesh: remove it.")
 
 
-def prepared_half(request: Deform, surface: jm.Mesh, out: Output, way: str) -> tuple[jm.SurfaceHalf, np.ndarray, str]:
-    """Prepares the surface and its motion, describes both, and warns of what no method moves well.
-
-    `way` is the flag by which the mesh comes in pieces.
-    """
+def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray, str]:
+    """Prepares the surface and its motion, describes both, and warns of what no method moves well."""
     check_files(request, surface)
-    patches = patches_of(request.surface, surface, request.file)
+    patches = patches_of(request, surface)
     wall = np.asarray(surface.points)[patches.nodes]
-    moves = motion(request.groups, surface, patches.nodes, request.changes)
+    moves = motion(request, surface, patches.nodes)
     with out.progress("preparing the surface"):
-        choice = named_method(request.method, wall)
+        choice = patches.method(request.method)
         if choice.method.needs_cells:
-            raise ValueError(f"{way} is not for {request.method.name}, which solves for all nodes at once.")
+            raise ValueError(f"--decomposed is not for {request.method.method}, which solves for all nodes at once.")
         path = moves.path(wall, request.steps)
         out.say(f"{title(request.file)}: boundary of {len(surface.points)} nodes in {surface.points.shape[1]}-D")
         described(request, patches, choice, path[-1], out)
@@ -163,20 +163,21 @@ def _moved(
     path: np.ndarray,
     dtype: str,
     largest: int,
-    verdicts: list[Verdict],
+    judged: dict[int, tuple[Summary, Summary]],
 ) -> jm.Mesh | None:
     """Moves part `k` and judges it; nothing where a process has no part left."""
     if k is None:
         return None
     mesh = case.read(k)
     base = np.asarray(mesh.points)
-    points = moved_points(half, path, dtype, largest, base, io.global_nodes(mesh), f"processor{k}")
-    before = Judged(mesh, base)
-    verdicts.append(verdict(k, before, Judged(mesh, points, before), request.gates))
+    points = _moved_points(half, path, dtype, largest, base, io.global_nodes(mesh), f"processor{k}")
+    undeformed, limits = Judged(mesh, base), request.gates.limits
+    after = Summary.of(Judged(mesh, points, undeformed), limits, k)
+    judged[k] = Summary.of(undeformed, limits, k), after
     return mesh.moved(points)
 
 
-def moved_points(
+def _moved_points(
     half: jm.SurfaceHalf,
     path: np.ndarray,
     dtype: str,

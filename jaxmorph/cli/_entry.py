@@ -5,15 +5,17 @@ Nothing of JAX is imported before the words are understood.
 
 import contextlib
 import gc
+import importlib
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
-from ._flags import COMMANDS, parser
+from ._flags import parser, request_of
 from ._interrupt import STATUS, raise_again
-from ._job import with_job
 from ._output import Output
-from ._parser import Parser, meant, quoted
+from ._parser import Parser, meant
+from ._parts import Speech
+from ._requests import COMMANDS, Request
 
 
 def answer(words: Sequence[str], *, is_own: bool = False) -> int:
@@ -28,13 +30,12 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: out.warn(one_line(message))
         try:
-            arguments = top.parse_args(quoted(with_job(words)))
+            request = request_of(words, top)
             with _without_collection() if is_own else contextlib.nullcontext():
-                from ._commands import run
-                from ._requests import request_of
+                run = _command(request)
             raise_again()
-            out.verbose = getattr(arguments, "verbose", False)
-            return out.end(run(request_of(arguments), out))
+            out.verbose = getattr(request, "speech", Speech()).verbose
+            return out.end(run(request, out))
         except OSError as error:
             named = f"{error.filename}: {error.strerror}" if error.filename else error
             out.complain(one_line(named))
@@ -48,6 +49,13 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
             out.complain("interrupted; no file is half written.")
             return out.end(STATUS)
     return out.end(2)
+
+
+def _command(request: Request) -> Callable[[Request, Output], int]:
+    """Imports the command, and JAX with it, which calculates in double precision and keeps compiled code."""
+    importlib.import_module("._compiled", __package__).begin()
+    module, name = request.run.split(".")
+    return getattr(importlib.import_module(f".{module}", __package__), name)
 
 
 def one_line(message: object) -> str:

@@ -2,40 +2,19 @@
 
 import argparse
 import dataclasses
-import pathlib
-from typing import Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+from ._parser import flag
+from ._parts import SEVERAL
+
+WHAT_MOVES = 'patches that move: names, or patterns as "wing.*"'
 
 
-@dataclasses.dataclass
-class Group:
-    """Patches and their motion, as the flags give it; `given` are the flags that have been."""
-
-    patches: list[str] = dataclasses.field(default_factory=list)
-    name: str | None = None
-    displacement: pathlib.Path | None = None
-    displacement_from: pathlib.Path | None = None
-    displacement_is: str = "position"
-    mode: list[tuple[str, float]] = dataclasses.field(default_factory=list)
-    box: str | None = None
-    lattice: pathlib.Path | None = None
-    scale: list[float] | None = None
-    twist: float | None = None
-    bend: float | None = None
-    rotate: float | None = None
-    translate: list[float] | None = None
-    about: list[float] | None = None
-    axis: list[float] | None = None
-    along: list[float] | None = None
-    length: float | None = None
-    given: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
-
-    @property
-    def title(self) -> str:
-        return ", ".join(self.patches)
-
-
-MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box")
-"""The fields of a group that move something."""
+def table(word: str) -> str:
+    """Reads the name of a TOML file, or its table as JSON."""
+    return word
 
 
 class Moving(argparse.Action):
@@ -49,7 +28,7 @@ class Moving(argparse.Action):
             groups.append(Group(list(values)))
 
 
-class Part(argparse.Action):
+class InGroup(argparse.Action):
     """One flag of the motion of the last group."""
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
@@ -58,11 +37,11 @@ class Part(argparse.Action):
             groups.append(Group())
         group = groups[-1]
         if self.dest == "mode":
-            group.mode.append(_mode(parser, values))
+            group.mode = [*group.mode, _mode(parser, values)]
             return
-        if self.dest in group.given:
+        if self.dest in group.said:
             parser.error(f"{option_string} twice for one --moving; name the patches by --moving again to go on.")
-        group.given.add(self.dest)
+        group.said.add(self.dest)
         setattr(group, self.dest, values)
 
 
@@ -71,14 +50,14 @@ class Job(argparse.Action):
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
         for group in _groups(namespace):
-            group.given.clear()
+            group.said.clear()
         setattr(namespace, self.dest, values)
 
 
-def _groups(namespace: argparse.Namespace) -> list[Group]:
-    if namespace.moving is None:
-        namespace.moving = []
-    return namespace.moving
+def _groups(namespace: argparse.Namespace) -> "list[Group]":
+    if "groups" not in namespace:
+        namespace.groups = []
+    return namespace.groups
 
 
 def _mode(parser: argparse.ArgumentParser, values: Any) -> tuple[str, float]:
@@ -87,3 +66,72 @@ def _mode(parser: argparse.ArgumentParser, values: Any) -> tuple[str, float]:
         return file, float(amplitude)
     except ValueError:
         parser.error(f"argument --mode: the amplitude of {file} is a number, found {amplitude!r}.")
+
+
+def _in_group(what: str, **settings: Any) -> Any:
+    return flag(what, action=InGroup, **settings)
+
+
+def _vector(what: str, **settings: Any) -> Any:
+    return _in_group(what, metavar=("X", "Y"), type=float, nargs="+", **settings)
+
+
+def _angle(what: str, **settings: Any) -> Any:
+    return _in_group(what, metavar="DEG", type=float, **settings)
+
+
+@dataclasses.dataclass
+class Group:
+    """Patches that move and their motion: `--moving` and the flags after it. `said` are the flags that have been."""
+
+    SECTION: ClassVar = "motion of the patches of the last --moving (one at least)"
+
+    patches: Sequence[str] = flag(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving, **SEVERAL)
+    displacement: Path | None = _in_group(
+        "new positions: rows of node id, x, y[, z]; or .npz, .stl, .obj", metavar="FILE", type=Path, everyday=True
+    )
+    displacement_from: Path | None = _in_group(
+        "the undeformed surface (.stl, .obj, .npz), if --displacement is a deformed one",
+        metavar="FILE",
+        type=Path,
+    )
+    displacement_is: str = _in_group(
+        "whether x, y[, z] of the file are new positions (default) or displacements",
+        choices=("position", "displacement"),
+        default="position",
+    )
+    mode: Sequence[tuple[str, float]] = _in_group(
+        "a file of displacements, and a factor; may be repeated",
+        metavar=("FILE", "AMPLITUDE"),
+        nargs=2,
+        default=(),
+    )
+    box: str | None = _in_group("a free-form deformation box, see below", metavar="FILE", type=table)
+    lattice: Path | None = _in_group(
+        "write the lattice of the box for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts", type=Path
+    )
+    scale: list[float] | None = _in_group("factor, or a factor for each coordinate", metavar="S", type=float, nargs="+")
+    twist: float | None = _angle("degrees by which the end of the line --along turns about the line, 3-D only")
+    bend: float | None = _angle(
+        "degrees of the arc that the line --along becomes, towards the cross product of --axis and --along"
+    )
+    rotate: float | None = _angle("degrees, counterclockwise; right-handed about --axis", everyday=True)
+    translate: list[float] | None = _vector("vector to translate by", everyday=True)
+    about: list[float] | None = _vector(
+        "centre of scaling, twist, bend and rotation (default: the origin)", everyday=True
+    )
+    axis: list[float] | None = _vector("axis of rotation and bend, 3-D only", everyday=True)
+    along: list[float] | None = _vector("direction of the line from --about, for twist and bend")
+    length: float | None = _in_group(
+        "length of the line (default: up to the end of the patches)", metavar="L", type=float
+    )
+    name: str | None = _in_group("name of this motion for --set (default: its patches)", metavar="NAME")
+    said: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
+
+    @property
+    def title(self) -> str:
+        return ", ".join(self.patches)
+
+
+MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box")
+"""The fields of a group that move something."""

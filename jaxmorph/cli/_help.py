@@ -2,6 +2,8 @@
 
 import dataclasses
 
+from jaxmorph._advice.methods import METHODS
+
 
 @dataclasses.dataclass(frozen=True)
 class Page:
@@ -16,6 +18,13 @@ class Page:
     short: str = ""
 
 
+def _with_methods(text: str) -> str:
+    """Puts the list of methods before the examples of a page."""
+    lines = [f"  {entry.name + ' *' * entry.needs_cells:<17} {entry.sentence}" for entry in METHODS]
+    above, examples, below = text.partition("examples:\n")
+    return "\n".join([f"{above}methods (* is solved on the cells):", *lines, "", examples + below])
+
+
 MAIN = """\
 examples:
   jaxmorph demo
@@ -27,41 +36,41 @@ exit status: 0; 1 when a motion inverts cells or a gate fails; 2 for bad input;
 130 when interrupted"""
 
 DEFORM = """\
-Each --moving begins a motion of its own; the flags after it, up to the next,
-say which. The nodes go, in this order, through the displacement file and the
-modes, box, scaling, twisting, bending, rotation and translation. Patches named
-again by another --moving go on from there. With --steps N the mesh follows in N
-steps, each with 1/N of every angle, factor, translation and displacement.
+Each --moving begins a motion; the flags after it, up to the next --moving,
+describe that motion. The order is fixed: displacement file, modes, box,
+scaling, twist, bend, rotation, translation. A patch named by several --moving
+gets the motions in turn. With --steps N the mesh follows in N steps, each with
+1/N of every angle, factor, translation and displacement.
 
-NAME is a patch, a regular expression for the whole of a name ("motorBike.*"),
-or a group that the file has (inGroups of an OpenFOAM case). A patch with faces
-that are not named as moving, fixed, symmetry, sliding, periodic or free is an
-error: its nodes would follow like inner ones, and may leave the boundary.
-With --decomposed the parts processor* of an OpenFOAM case go one by one, under
-mpiexec (jaxmorph[mpi]) several at a time; OUT has them all, or is not written.
-With --ranges N an SU2 or CGNS file goes by ranges of N nodes and N cells:
-memory is that of the surface and of one range.
+NAME is a patch, a regular expression for a whole name ("motorBike.*"), or a
+group of the file (inGroups of an OpenFOAM case). Every patch with boundary
+faces must be moving, fixed, symmetry, sliding, periodic or free. Nodes of a
+free patch follow like inner nodes, and may leave the boundary. --fixed may be
+left out if no patch stays.
 
-Cyclic patches of an OpenFOAM case, and periodic interfaces of a CGNS file, are
-periodic where no flag names them. Likewise nodes of a case's symmetry and
+Cyclic patches of an OpenFOAM case and periodic interfaces of a CGNS file are
+periodic unless a flag names them. Nodes of an OpenFOAM case's symmetry and
 symmetryPlane patches, and of the axis between wedges, stay in their plane.
---fixed may be left out where no patch is left to stay.
 
-A box is a TOML file: low and high (two corners), points (how many control
-points each way), and for each that moves a [[moved]] with at (its numbers, from
-0) and by (its displacement). It may have degree (of B-splines) and continuity
-(k holds the k + 1 outer layers). Nodes outside of it stay.
+--decomposed needs jaxmorph[mpi] for several processes. OUT gets all parts, or
+is not written.
 
-A job is a TOML file with the names of the flags: file, output, fixed, ..., and
-a [[moving]] (patches, rotate, about, ...) for each motion; in it modes are
-[["FILE", AMPLITUDE], ...], a box a file or a table. Paths in it are relative to
-its folder. Flags beside --job win.
+A box is a TOML file: low and high (two corners), points (number of control
+points in each direction), and a [[moved]] for each control point that moves:
+at (its indices, from 0) and by (its displacement). Optional are degree (of
+B-splines) and continuity (k keeps the k + 1 outer layers in place). Nodes
+outside of the box stay.
 
-Design variables are the numbers of the motions, in the units of the flags:
-displacement, mode[0], box[1,2,0], scale, twist, bend, rotate, translate[0].
---set gives them other values; a whole list is NAME=NUMBER,NUMBER. Where several
-motions have one of the name, begin with the motion's: flap.rotate=5. A job may
-have a table set.
+A job is a TOML file with the flags by name: file, output, fixed, ..., and a
+[[moving]] (patches, rotate, about, ...) for each motion. There mode is
+[["FILE", AMPLITUDE], ...], and box is a file or a table. Paths are relative to
+the folder of the job. Flags on the command line win.
+
+--set changes design variables, the numbers of the motions in the units of the
+flags: displacement, mode[0], box[1,2,0], scale, twist, bend, rotate,
+translate[0]. NAME=NUMBER,NUMBER changes a whole list. If several motions have
+a variable of the name, put the motion's name first: flap.rotate=5. In a job,
+set is a table.
 
 examples:
   pitch nose-up about the quarter chord, in three steps:
@@ -85,9 +94,9 @@ examples:
         --moving flap --rotate 10 --about 0.8 0 0 --axis 0 1 0 \\
         --moving slat --rotate -5 --about 0.1 0 0 --axis 0 1 0 \\
         --preset checkmesh --save-job flaps.toml
-  the same from its job, in four steps:
+  that motion from its job, in four steps:
     jaxmorph deform --job flaps.toml --steps 4
-  the same with another angle of the flap:
+  that motion with another angle of the flap:
     jaxmorph deform --job flaps.toml --set flap.rotate=12
 
 exit status: 0; 1 when the motion inverts cells or a gate fails (OUT is then not
@@ -108,8 +117,8 @@ examples:
 exit status: 0; 1 when the motion inverts cells or a gate fails; 2 for bad input"""
 
 MODES = """\
-Every mode file at every amplitude, through one plan, several at a time. Times
-of a series are the amplitudes where one mode's go up, else the cases' numbers.
+Moves the mesh by every mode file at every amplitude. The times of a series are
+the amplitudes if there is one mode and they increase, else 1, 2, 3, ...
 
 examples:
   the first mode of a wing at five amplitudes, for ParaView:
@@ -138,19 +147,19 @@ examples:
   SU2's volume sensitivities to those of the wall's nodes:
     jaxmorph sensitivity airfoil.su2 volume_sens.csv wall_sens.csv \\
         --moving airfoil --fixed farfield
-  on to twist, box and all else that a job moves by:
+  derivatives by twist, box and all other design variables of a job:
     jaxmorph sensitivity --job wing.toml volume_sens.csv variables.json
 
 exit status: 0; 2 for bad input"""
 
 SENSITIVITY = (
     """\
-The transpose of deform, at the mesh as it is, for the same patches and method.
-Rows of OUT have the node ids of IN.
+The transpose of deform, at the undeformed mesh. Name the patches and the method
+as for deform. Rows of OUT have the node ids of IN.
 
-With --job it goes on to the design variables that deform's --set names: OUT has
-the name, value and derivative of each, per degree for angles. SENS then belongs
-to the mesh that the job writes.
+With --job the derivatives go on to the design variables that --set of deform
+names. OUT has the name, value and derivative of each, per degree for angles.
+SENS must be of the mesh that the job writes.
 
 """
     + _SENSITIVITY_EXAMPLES
@@ -167,8 +176,8 @@ jaxmorph sensitivity --help-all
 
 QUALITY = """\
 Skewness: 0 ideal, 1 degenerate. Aspect ratio: 1 ideal. Means are weighted by
-area or volume. With FILE2, the same mesh with other coordinates, cells count as
-inverted when they are so relative to FILE, and ratios are of FILE2 to FILE.
+area or volume. FILE2 is the mesh of FILE with other coordinates: inverted cells
+and ratios are then relative to FILE.
 
 examples:
   jaxmorph quality airfoil.su2
@@ -192,26 +201,26 @@ PAGES = {
         """IN OUT --moving NAME ... MOTION ... [--moving ...]
            --fixed NAME ... [--symmetry NAME ...] [METHOD ...] [GATE ...]
        jaxmorph deform --job FILE""",
-        DEFORM,
+        _with_methods(DEFORM),
         DEFORM_SHORT,
     ),
     "modes": Page(
         "move a mesh by many shapes or amplitudes at once",
         """IN OUT --moving NAME ... --fixed NAME ... --mode FILE ...
            [--amplitude A ...] [--symmetry NAME ...] [METHOD ...] [GATE ...]""",
-        MODES,
+        _with_methods(MODES),
         MODES_SHORT,
     ),
     "sensitivity": Page(
-        "pull an adjoint solver's dJ/d(volume nodes) back to the moving nodes",
+        "take dJ/d(volume nodes) of an adjoint solver to the moving nodes",
         """IN SENS OUT --moving NAME ... --fixed NAME ...
            [--symmetry NAME ...] [METHOD ...]
        jaxmorph sensitivity --job FILE SENS OUT""",
-        SENSITIVITY,
+        _with_methods(SENSITIVITY),
         SENSITIVITY_SHORT,
     ),
-    "quality": Page("quality of a mesh's cells", "FILE [FILE2] [GATE ...]", QUALITY),
-    "info": Page("what a mesh file holds", "FILE", INFO),
-    "demo": Page("a test case of the paper: tables, pictures, meshes", "[CASE] [-o DIR]", DEMO),
+    "quality": Page("measure the quality of a mesh's cells", "FILE [FILE2] [GATE ...]", QUALITY),
+    "info": Page("show what a mesh file holds", "FILE", INFO),
+    "demo": Page("run a test case of the paper: tables, pictures, meshes", "[CASE] [-o DIR]", DEMO),
 }
 """By the name of the command."""

@@ -1,53 +1,51 @@
-"""`jaxmorph quality` and `jaxmorph info`."""
+"""`jaxmorph quality`, `jaxmorph info` and `jaxmorph demo`."""
 
-import pathlib
 import textwrap
 
 import numpy as np
 
-from jaxmorph import Mesh, io
+from jaxmorph import Mesh, _demo, io
 
-from . import _gates
 from ._judged import Judged
 from ._output import Output, title
-from ._requests import Quality
-from ._tables import alone, compared, inverted_cells, numbers
+from ._requests import Demo, Info, Quality
+from ._summary import Summary
+from ._tables import faults, gate_facts, gate_table, table
 
 
 def quality(request: Quality, out: Output) -> int:
     """Prints the quality of a mesh, or of two with the same cells. Returns the exit status."""
-    limits = request.gates
+    limits = request.gates.limits
     with out.progress("reading"):
         mesh = io.read(request.file)
         moved = None if request.moved is None else io.read(request.moved)
-    if moved is None and any(gate.measure == "jacobian_ratio" for gate in limits):
+    if moved is None and "min_jacobian_ratio" in limits:
         raise ValueError("--min-jacobian-ratio compares two meshes: give FILE2.")
     with out.progress("judging the cells"):
-        before, after = None, Judged(mesh, mesh.points)
-        text = alone(after)
+        judged = Judged(mesh, mesh.points)
+        before, after = None, Summary.of(judged, limits)
         if moved is not None:
             _check_same(request, mesh, moved)
-            before, after = after, Judged(mesh, moved.points, after)
-            text = compared(before, after)
-        gates = _gates.table(limits, before, after)
-    out.say("\n\n".join(filter(None, [text, gates])), gates=_gates.facts(limits, before, after))
+            before, after = after, Summary.of(Judged(mesh, moved.points, judged), limits)
+    tables = [table(before, after), gate_table(before, after)]
+    out.say("\n\n".join(filter(None, tables)), gates=gate_facts(before, after))
     if before is not None:
-        out.say(before=numbers(before))
-    out.say(after=numbers(after))
-    bad = [sentence for sentence in (inverted_cells(after), *_gates.failures(limits, before, after)) if sentence]
+        out.say(before=before.facts)
+    out.say(after=after.facts)
+    bad = faults(before, after)
     for sentence in bad:
         out.complain(sentence)
     return 1 if bad else 0
 
 
-def info(file: pathlib.Path, out: Output) -> int:
+def info(request: Info, out: Output) -> int:
     """Prints what a mesh file holds. Returns the exit status."""
     with out.progress("reading"):
-        mesh = io.read(file)
+        mesh = io.read(request.file)
     points = np.asarray(mesh.points)
     n, d = points.shape
     cells = mesh.cell_counts
-    out.say(f"{title(file)}: {d}-D, {n} points", dimension=d, points=n)
+    out.say(f"{title(request.file)}: {d}-D, {n} points", dimension=d, points=n)
     out.say("cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items()), cells=cells)
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     for name, least, most in zip("xyz", low, high, strict=False):
@@ -64,6 +62,11 @@ def info(file: pathlib.Path, out: Output) -> int:
         text = f"  {name}: {', '.join(names)}"
         out.say(textwrap.fill(text, 80, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
     return 0
+
+
+def demo(request: Demo, out: Output) -> int:
+    """Shows a case of the paper. Returns the exit status."""
+    return _demo.run(request.case, request.output)
 
 
 def _ids(mesh: Mesh) -> dict[str, np.ndarray]:

@@ -4,33 +4,54 @@ import argparse
 import dataclasses
 import json
 import os
-import pathlib
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from jaxmorph._host.package.toml import read, written
 
-from ._flags import GATES
-from ._groups import Group
-from ._parser import meant
+from ._groups import Group, table
+from ._parser import Fields, flag_of, flags_of, meant
+from ._parts import Speech
+from ._requests import Deform
 
-LISTS = ("fixed", "symmetry", "free", "sliding", "periodic")
-VALUES = ("method", "sources", "steps", "chunk", "ranges", "dtype", "preset", "picture", *GATES)
-SWITCHES = {"decomposed": True, "allow_inverted": True, "dry_run": False}
-"""Names that are either true or false, and the value that has a flag."""
+NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.fields(Speech)))
+"""Flags that a job has not, or as a table."""
 
-FILES = ("file", "output")
-PATHS = (*FILES, "picture", "displacement", "displacement_from", "box", "lattice", "mode")
-"""Names whose values are paths, relative to the job's folder. A mode begins with a path; a box may be a table instead."""
+KINDS = {int: "number", float: "number", table: "table"}
+"""Kinds of values by the types of flags; others are text, paths, or switches."""
 
-SEVERAL = (*LISTS, "patches", "scale", "translate", "about", "axis", "along")
-"""Names whose values may be lists."""
 
-TEXTS = (*PATHS, *LISTS, "patches", "name", "method", "dtype", "preset", "displacement_is")
-"""Names whose values are text; all others hold numbers."""
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """What a job may say by the name of a flag: its kind of value, and whether it may be a list.
 
-MOTION = tuple(field.name for field in dataclasses.fields(Group) if field.name != "given")
+    A path is relative to the folder of the job. A table stands in the job, or in a file at a path.
+    """
+
+    name: str
+    kind: str
+    is_list: bool
+    default: Any
+    flag: str
+
+    @classmethod
+    def of(cls, field: dataclasses.Field) -> "Key":
+        settings, names = field.metadata["settings"], field.metadata["names"]
+        kind = KINDS.get(settings.get("type"), "path" if field.type in (Path, Path | None) else "text")
+        kind = "switch" if settings.get("action") in ("store_true", "store_false") else kind
+        is_list = settings.get("nargs") == "+"
+        flag = "" if names == ("",) else names[0] if names else flag_of(field.name)
+        return cls(field.name, kind, is_list, field.default, flag)
+
+
+def _keys(fields: Fields) -> dict[str, Key]:
+    found = {field.name: Key.of(field) for field, owner in flags_of(fields) if fields is Group or owner is not Group}
+    return {name: key for name, key in found.items() if name not in NO_KEYS}
+
+
+JOB, MOTION = _keys(Deform), _keys(Group)
 
 
 def with_job(arguments: Sequence[str]) -> list[str]:
@@ -39,7 +60,7 @@ def with_job(arguments: Sequence[str]) -> list[str]:
     For `sensitivity` it is the mesh that the job names.
     """
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    finder.add_argument("--job", type=pathlib.Path)
+    finder.add_argument("--job", type=Path)
     arguments = list(arguments)
     command = arguments[:1]
     if command not in (["deform"], ["sensitivity"]):
@@ -59,48 +80,49 @@ def with_job(arguments: Sequence[str]) -> list[str]:
     return ["deform", *(arguments[1:first] or files), *flags, *arguments[first:]]
 
 
-def _flags(path: pathlib.Path) -> tuple[list[str], list[str]]:
-    job = _known(
-        path, "a job", read(str(path), path.read_bytes()), (*FILES, *LISTS, *VALUES, *SWITCHES, "set", "moving")
-    )
+def _flags(path: Path) -> tuple[list[str], list[str]]:
+    """Reads a job: the words of its files, and its flags with their values."""
+    job = _known(path, "a job", read(str(path), path.read_bytes()), (*JOB, "set", "moving"))
+    files: list[str] = []
     flags: list[str] = []
-    for name in (*LISTS, *VALUES):
-        if name in job:
-            flags += [_flag(name), *_words(path, name, job[name])]
-    for name, value in SWITCHES.items():
-        if name in job and not isinstance(job[name], bool):
+    for name, key in JOB.items():
+        if name not in job:
+            continue
+        if key.kind != "switch":
+            words = flags if key.flag else files
+            words += [*([key.flag] if key.flag else []), *_words(path, key, job[name])]
+        elif not isinstance(job[name], bool):
             raise ValueError(f"{path}: {name} is true or false, found {reprlib.repr(job[name])}.")
-        if job.get(name) is value:
-            flags.append(_flag(name) if value else _flag(f"no_{name}"))
+        elif job[name] is not key.default:
+            flags.append(key.flag)
     flags += _changes(path, job.get("set", {}))
     moving = job.get("moving", [])
     if not isinstance(moving, list) or not all(isinstance(group, dict) for group in moving):
         raise ValueError(f"{path}: moving is a list of tables: begin each with [[moving]].")
     for group in moving:
-        group = _known(path, "[[moving]]", group, MOTION)
+        group = _known(path, "[[moving]]", group, tuple(MOTION))
         if not group.get("patches"):
             raise ValueError(f"{path}: a [[moving]] without patches.")
-        flags += ["--moving", *_words(path, "patches", group.pop("patches"))]
-        flags += _modes(path, group.pop("mode", []))
-        for name, value in group.items():
-            flags += [_flag(name), *_words(path, name, value)]
-    return [word for name in FILES if name in job for word in _words(path, name, job[name])], flags
+        for name in ("patches", *(name for name in group if name != "patches")):
+            key = MOTION[name]
+            flags += _modes(path, group[name]) if name == "mode" else [key.flag, *_words(path, key, group[name])]
+    return files, flags
 
 
-def _changes(path: pathlib.Path, changes: Any) -> list[str]:
+def _changes(path: Path, changes: Any) -> list[str]:
     """Converts numbers of design variables to flags."""
     if not isinstance(changes, dict):
         raise ValueError(f"{path}: set is a table of names and numbers, found {reprlib.repr(changes)}.")
     flags: list[str] = []
     for name, value in changes.items():
         values = value if isinstance(value, list) else [value]
-        if not values or any(type(each) not in (int, float) for each in values):
+        if not values or any(type(number) not in (int, float) for number in values):
             raise ValueError(f"{path}: set.{name} is a number, or a list of such, found {reprlib.repr(value)}.")
         flags += ["--set", f"{name}={','.join(map(str, values))}"]
     return flags
 
 
-def _modes(path: pathlib.Path, modes: Any) -> list[str]:
+def _modes(path: Path, modes: Any) -> list[str]:
     """Converts mode shapes to flags."""
     flags: list[str] = []
     for mode in modes if isinstance(modes, list) else [modes]:
@@ -108,11 +130,11 @@ def _modes(path: pathlib.Path, modes: Any) -> list[str]:
             raise ValueError(
                 f'{path}: mode is a list of files with amplitudes, [["FILE", 0.1], ...], found {reprlib.repr(modes)}.'
             )
-        flags += ["--mode", *_words(path, "mode", mode[0]), str(mode[1])]
+        flags += ["--mode", *_words(path, MOTION["mode"], mode[0]), str(mode[1])]
     return flags
 
 
-def _known(path: pathlib.Path, what: str, table: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+def _known(path: Path, what: str, table: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
     table = {key.replace("-", "_"): value for key, value in table.items()}
     foreign = [key for key in table if key not in names]
     if foreign:
@@ -121,56 +143,60 @@ def _known(path: pathlib.Path, what: str, table: dict[str, Any], names: Sequence
     return table
 
 
-def _flag(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
-
-
-def _words(path: pathlib.Path, name: str, value: Any) -> list[str]:
+def _words(path: Path, key: Key, value: Any) -> list[str]:
     """Converts a value to words; a path becomes relative to the current folder."""
-    if name == "box" and isinstance(value, dict):
+    if key.kind == "table" and isinstance(value, dict):
         return [json.dumps(value)]
-    values = value if isinstance(value, list) and name in SEVERAL else [value]
-    kinds = (str, int) if name in TEXTS else (int, float)
-    if not values or any(type(each) not in kinds for each in values):
-        what = f"{'text' if name in TEXTS else 'a number'}{', or a list of such' if name in SEVERAL else ''}"
-        raise ValueError(f"{path}: {name} is {what}, found {reprlib.repr(value)}.")
-    wrong = [each for each in map(str, values) if name in TEXTS and (each.startswith("-") or "\0" in each)]
+    is_number = key.kind == "number"
+    values = value if isinstance(value, list) and key.is_list else [value]
+    if not values or any(type(word) not in ((int, float) if is_number else (str, int)) for word in values):
+        what = f"{'a number' if is_number else 'text'}{', or a list of such' if key.is_list else ''}"
+        raise ValueError(f"{path}: {key.name} is {what}, found {reprlib.repr(value)}.")
+    words = [str(word) for word in values]
+    wrong = [word for word in words if not is_number and (word.startswith("-") or "\0" in word)]
     if wrong:
-        raise ValueError(f"{path}: {name} cannot be {reprlib.repr(wrong[0])}; a job has no flags as values.")
-    words = [str(each) for each in values]
-    if name in PATHS and not words[0].lstrip().startswith("{"):
+        raise ValueError(f"{path}: {key.name} cannot be {reprlib.repr(wrong[0])}; a job has no flags as values.")
+    is_path = key.kind in ("path", "table") or key.name == "mode"
+    if is_path and not words[0].lstrip().startswith("{"):
         words[0] = str(path.parent / words[0])
     return words
 
 
-def text_of(arguments: argparse.Namespace, folder: pathlib.Path) -> str:
-    """Writes arguments of `jaxmorph deform` as a job, with paths relative to a folder."""
-    job: dict[str, Any] = {}
-    for name in (*FILES, *LISTS, *VALUES):
-        value = getattr(arguments, name)
-        if value not in (None, []):
-            job[name] = _seen(name, value, folder)
-    for name, value in SWITCHES.items():
-        if getattr(arguments, name) is value:
-            job[name] = value
-    changes = {name: values[0] if len(values) == 1 else values for name, values in arguments.set}
-    if changes:
-        job["set"] = changes
+def text_of(request: Deform, folder: Path) -> str:
+    """Writes a request as a job, with paths relative to a folder."""
+    values = dict(_values(request))
+    job = {name: _seen(key, values[name], folder) for name, key in JOB.items() if _is_said(key, values[name])}
+    if request.set:
+        job["set"] = {name: numbers[0] if len(numbers) == 1 else numbers for name, numbers in request.set}
     lines = [f"{name} = {written(value)}" for name, value in job.items()]
-    for group in arguments.moving or ():
+    for group in request.groups:
         lines += ["", "[[moving]]"]
-        for name in MOTION:
+        for name, key in MOTION.items():
             value = getattr(group, name)
-            if value not in (None, []) and not (name == "displacement_is" and group.displacement is None):
-                lines.append(f"{name} = {written(_seen(name, value, folder))}")
+            if _is_said(key, value) and not (name == "displacement_is" and group.displacement is None):
+                lines.append(f"{name} = {written(_seen(key, value, folder))}")
     return "\n".join(lines) + "\n"
 
 
-def _seen(name: str, value: Any, folder: pathlib.Path) -> Any:
+def _values(request: Any) -> Iterator[tuple[str, Any]]:
+    """Yields the values of flags by name, those of parts too."""
+    for field in dataclasses.fields(request):
+        value = getattr(request, field.name)
+        if "part" in field.metadata:
+            yield from _values(value)
+        else:
+            yield field.name, value
+
+
+def _is_said(key: Key, value: Any) -> bool:
+    return value is not key.default if key.kind == "switch" else value not in (None, (), [])
+
+
+def _seen(key: Key, value: Any, folder: Path) -> Any:
     """Makes the paths of a value relative to a folder, unless they are absolute; turns a box in JSON into a table."""
-    if name == "mode":
-        return [(_seen("displacement", file, folder), amplitude) for file, amplitude in value]
-    if name not in PATHS:
+    if key.name == "mode":
+        return [(_seen(MOTION["displacement"], file, folder), amplitude) for file, amplitude in value]
+    if key.kind not in ("path", "table"):
         return value
     if str(value).lstrip().startswith("{"):
         return json.loads(value)

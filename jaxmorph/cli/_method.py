@@ -2,68 +2,67 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._boundary.boundary import boundary, planes_of
-from jaxmorph._boundary.outer_faces import FreeFaces, OuterFaces
+from jaxmorph._advice.methods import METHODS, Entry, entry
+from jaxmorph._advice.rivals import Extent
+from jaxmorph._boundary.boundary import Boundary as NodeLists
+from jaxmorph._boundary.boundary import find_boundary, planes_of
+from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._boundary.symmetry import check_planes
+from jaxmorph._plan.chunks import chunks_of
 from jaxmorph._plan.halves import half_of
 
-from ._requests import Method, PatchNames
-
-OTHERS: dict[str, tuple[Callable[[], jm.AbstractMethod], str, bool]] = {
-    "rbf": (jm.RBF.classic, "full radial basis functions", True),
-    "graph": (jm.DelaunayGraph, "Delaunay graph mapping", False),
-    "elasticity": (jm.LinearElasticity, "linear elasticity, stiff by 1/volume", False),
-    "laplacian": (jm.Laplacian, "Laplace's equation, diffusivity 1/distance^2", False),
-    "biharmonic": (jm.Biharmonic, "the biharmonic equation", False),
-    "springs": (jm.SpringAnalogy, "springs along the edges", False),
-    "torsional": (jm.TorsionalSprings, "torsional springs", False),
-    "inverse-distance": (jm.InverseDistance, "inverse distances", True),
-    "compact": (jm.CompactRBF, "radial basis functions of compact support", True),
-}
-"""Methods without a number of sources: how to make each, its name, and whether every node of the wall is a source."""
+from ._parts import Boundary, Method
+from ._requests import Deform, Modes, Sensitivity
 
 
 @dataclasses.dataclass(frozen=True)
 class NamedMethod:
-    """A method, what to call it, how many sources it has on the moving patches; the precision of the calculation."""
+    """A method, its entry in the list, what to call it, how many sources it has on the moving patches, and the precision."""
 
     method: jm.AbstractMethod
+    entry: Entry
     name: str
     sources: int
     dtype: str
 
 
-def named_method(asked: Method, wall: Float[np.ndarray, "m d"], chunk: int | None = None) -> NamedMethod:
-    """Makes the requested method. Raises `ValueError` for a number of sources, or a size of parts, that it cannot take."""
-    if asked.sources is not None and asked.name not in ("default", "published"):
-        raise ValueError(f"--sources is for the methods default and published; {asked.name} has no sources to choose.")
+def named_method(
+    asked: Method, wall: Float[np.ndarray, "m d"], fixed: Float[np.ndarray, "f d"], chunk: int | None = None
+) -> NamedMethod:
+    """Makes the requested method for the points of the moving and of the fixed nodes.
+
+    It raises `ValueError` for a number of sources, or a size of chunks, that the method cannot take.
+    """
+    listed = entry(asked.method)
+    if asked.sources is not None and listed.sources != "some":
+        free = " and ".join(each.name for each in METHODS if each.sources == "some")
+        raise ValueError(f"--sources is for the methods {free}; {asked.method} has no sources to choose.")
     if asked.sources is not None and asked.sources <= wall.shape[1]:
         raise ValueError(f"--sources must be {wall.shape[1] + 1} or more in {wall.shape[1]}-D, found {asked.sources}.")
-    if asked.name in OTHERS:
-        make, name, every = OTHERS[asked.name]
-        method = make()
-        if chunk is not None and method.needs_cells:
-            raise ValueError(f"--chunk is not for {asked.name}, which solves for all nodes at once.")
-        return NamedMethod(method, name, len(wall) if every else 0, asked.dtype)
-    is_default, number = asked.name == "default", ""
-    method = jm.SurfaceReconstruction() if is_default else jm.SurfaceReconstruction.published()
+    if chunk is not None and listed.needs_cells:
+        raise ValueError(f"--chunk is not for {asked.method}, which solves for all nodes at once.")
+    method = listed.make(Extent(wall, fixed))
+    if listed.sources != "some":
+        return NamedMethod(method, listed, listed.sentence, len(wall) * (listed.sources == "all"), asked.dtype)
+    assert isinstance(method, jm.SurfaceReconstruction)
+    rbf, number = method.coarse, ""
     if asked.sources is not None:
-        every = asked.sources >= len(wall)
-        rbf = jm.RBF(reduction=jm.AllPoints() if every else jm.KDTree.with_sources(asked.sources, wall))
-        method = jm.SurfaceReconstruction(jm.FittedRBF(rbf) if is_default else rbf, method.correction)
-    rbf = method.coarse.rbf if isinstance(method.coarse, jm.FittedRBF) else method.coarse
+        is_all = asked.sources >= len(wall)
+        rbf = jm.RBF(reduction=jm.AllPoints() if is_all else jm.KDTree.with_sources(asked.sources, wall))
+        is_fitted = isinstance(method.coarse, jm.FittedRBF)
+        method = jm.SurfaceReconstruction(jm.FittedRBF(rbf) if is_fitted else rbf, method.correction)
+    rbf = rbf.rbf if isinstance(rbf, jm.FittedRBF) else rbf
     sources = len(rbf.reduction(wall)) if isinstance(rbf, jm.RBF) else 0
     if asked.sources is not None:
-        number = f" ({sources} wall sources)"
-    name = f"reduced radial basis functions{number} + {'near-wall correction' if is_default else 'graph'}"
-    return NamedMethod(method, name, sources, asked.dtype)
+        number = f", {sources} wall sources"
+    return NamedMethod(method, listed, listed.sentence + number, sources, asked.dtype)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,61 +95,73 @@ class Patches:
         others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
         return ValueError(f"{error}{others}")
 
+    def method(self, asked: Method, chunk: int | None = None) -> NamedMethod:
+        """Makes the requested method. Raises what `named_method` does."""
+        points = np.asarray(self.mesh.points)
+        return named_method(asked, points[self.nodes], points[np.setdiff1d(self.fixed_nodes, self.nodes)], chunk)
+
     def points(self, choice: NamedMethod) -> Float[np.ndarray, "n d"]:
         """Returns the mesh's points in the precision of the calculation."""
         return np.asarray(self.mesh.points).astype(choice.dtype, copy=False)
 
-    def chunks(self, choice: NamedMethod, size: int | None = None) -> jm.Chunks:
-        """Cuts the mesh into parts of `size` inner nodes. Raises the `ValueError` of `explained`, and one for unnamed patches."""
-        mesh, surface = self.mesh.moved(self.points(choice)), (self.moving, self.fixed)
-        kept = {"symmetry": self.planes, "sliding": self.sliding, "periodic": self.periodic, "free": self.free}
+    def chunks(self, choice: NamedMethod, size: int | None = None) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
+        """Cuts the mesh into chunks of `size` inner nodes: an iterator over the nodes and the plan of each.
+
+        It raises the `ValueError` of `explained`, and one for unnamed patches.
+        """
         try:
-            chunks = jm.prepare_in_chunks(mesh, *surface, size=size, method=choice.method, **kept)
+            named = self._boundary(choice)
         except jm.MeshError as error:
             raise self.explained(error) from None
-        self._check_free(chunks.free_faces)
-        return chunks
+        return self._plans(named, choice, size)
+
+    def _plans(
+        self, named: NodeLists, choice: NamedMethod, size: int | None
+    ) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
+        try:
+            yield from chunks_of(named, choice.method, size)
+        except jm.MeshError as error:
+            raise self.explained(error) from None
 
     def half(self, choice: NamedMethod) -> jm.SurfaceHalf:
-        """Prepares the surface of a mesh in parts, which `mesh` is. Raises what `chunks` does."""
-        mesh, outer = self.mesh.moved(self.points(choice)), OuterFaces.numbered(self.mesh.cells)
-        kept = (self.planes, self.free, self.periodic, self.sliding)
+        """Prepares the surface of a mesh in parts, which `mesh` is. Raises as `chunks` does."""
         try:
-            named = boundary(mesh, self.moving, self.fixed, *kept, outer=outer)
-            self._check_free(named.left)
-            return half_of(named, choice.method, io.global_nodes(mesh))
+            named = self._boundary(choice, OuterFaces.numbered(self.mesh.cells))
+            return half_of(named, choice.method, io.global_nodes(self.mesh))
         except jm.MeshError as error:
             raise self.explained(error) from None
 
-    def _check_free(self, free: FreeFaces | None) -> None:
-        """Raises `ValueError` for boundary faces of patches that no flag names."""
+    def plan(self, choice: NamedMethod) -> jm.Plan:
+        """Prepares the mesh as a whole. Raises as `chunks` does."""
+        return next(self.chunks(choice))[1]
+
+    def _boundary(self, choice: NamedMethod, outer: OuterFaces | None = None) -> NodeLists:
+        """Looks up all nodes in the lists. Raises `ValueError` for boundary faces of patches that no flag names."""
+        mesh, lists = self.mesh.moved(self.points(choice)), (self.planes, self.free, self.periodic, self.sliding)
+        named = find_boundary(mesh, self.moving, self.fixed, *lists, outer=outer)
+        free = named.left
         if free is not None and free.patches:
             raise ValueError(
                 f"{free} Name them by --fixed, --moving, --symmetry, --sliding or --periodic, or by --free."
             )
-
-    def plan(self, chunks: jm.Chunks) -> jm.Plan:
-        """Prepares the first part. Raises the `ValueError` of `explained`."""
-        try:
-            return chunks.plan(0)
-        except jm.MeshError as error:
-            raise self.explained(error) from None
+        return named
 
 
-def patches_of(surface: PatchNames, mesh: jm.Mesh, file: object) -> Patches:
+def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
     """Looks up the patches that the names mean. A pattern for fixed patches leaves out those that move or slide.
 
     Symmetry patches and periodic pairs of the file are taken where no name says otherwise.
 
     Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat where they slide.
     """
+    surface, file = request.boundary, request.file
     known = ", ".join(mesh.patches) or "none"
-    if not surface.moving:
+    if not request.moving:
         raise ValueError(f"--moving is missing: name the patches that move; this mesh has: {known}.")
-    for option, names in (("--moving", surface.moving), ("--fixed", surface.fixed)):
+    for option, names in (("--moving", request.moving), ("--fixed", surface.fixed)):
         if names and not len(mesh.patch(*names)):
             raise ValueError(f"{option} {' '.join(names)}: there are no nodes in it.")
-    moving, symmetry = mesh.patch_names(*surface.moving), mesh.patch_names(*surface.symmetry)
+    moving, symmetry = mesh.patch_names(*request.moving), mesh.patch_names(*surface.symmetry)
     sliding, free = mesh.patch_names(*surface.sliding), mesh.patch_names(*surface.free)
     both = sorted(set(moving) & set(surface.fixed))
     if both:
@@ -192,7 +203,7 @@ def _symmetry(mesh: jm.Mesh, named: set[str], planes: list[jm.Plane], file: obje
     return names, lying
 
 
-def _periodic(surface: PatchNames, mesh: jm.Mesh, named: set[str]) -> tuple[jm.Periodic, ...]:
+def _periodic(surface: Boundary, mesh: jm.Mesh, named: set[str]) -> tuple[jm.Periodic, ...]:
     """Lists the pairs that are named, and those of the file of which no patch is in another list."""
     if len(surface.periodic) % 2:
         raise ValueError(f"--periodic {' '.join(surface.periodic)}: name pairs of patches, one after the other.")

@@ -1,6 +1,5 @@
 """`jaxmorph modes`: many motions of one mesh through one plan."""
 
-import contextlib
 import dataclasses
 import itertools
 import pathlib
@@ -12,14 +11,13 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph._host.package.files import output_path
 
-from . import _gates
 from ._judged import Judged
-from ._method import Patches, in_double, named_method, patches_of
+from ._method import Patches, in_double, patches_of
 from ._output import Output, title
 from ._requests import Modes
-from ._tables import count, inverted_cells, numbers
+from ._summary import Summary, count
+from ._tables import faults
 
 BATCH = 8
 """Motions computed together."""
@@ -43,30 +41,27 @@ def modes(request: Modes, out: Output) -> int:
     cases = _cases(request)
     patches = _check(request, mesh, cases)
     with out.progress("reading the modes"):
-        shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.modes]
+        shapes = [io.read_displacement(file, mesh, patches.nodes, is_position=False) for file in request.mode]
     with out.progress("preparing"):
-        choice = named_method(request.method, np.asarray(mesh.points)[patches.nodes])
-        plan = patches.plan(patches.chunks(choice))
-    what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitudes), 'amplitude')}"
+        choice = patches.method(request.method)
+        plan = patches.plan(choice)
+    what = f"{count(len(shapes), 'mode')} at {count(len(request.amplitude), 'amplitude')}"
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)
-    before = Judged(mesh, mesh.points)
-    ratio = "V" if before.by_faces else "J"
+    base, limits = Judged(mesh, mesh.points), request.gates.limits
+    before = Summary.of(base, limits)
+    ratio = "V" if base.by_faces else "J"
     out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
-    xdmf = io.XDMFSeries(request.output, mesh) if _is_xdmf(request) else None
-    with xdmf or contextlib.nullcontext(), out.progress("moving") as stage:
+    with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
-            judged = Judged(mesh, points, before)
-            failed = [inverted_cells(judged), *_gates.failures(request.gates, before, judged)]
-            failed = [sentence for sentence in failed if sentence]
+            judged = Judged(mesh, points, base)
+            after = Summary.of(judged, limits)
+            failed = faults(before, after)
             bad += bool(failed)
-            _tell(case, request.modes[case.mode], judged, failed, out)
+            _tell(case, request.mode[case.mode], after, failed, out)
             if not failed or request.allow_inverted:
-                if xdmf:
-                    xdmf.add(case.time, mesh.moved(points), judged.report)
-                else:
-                    judged.write(case.output)
+                judged.write(case.output)
                 good.append(case)
             stage.done(case.number / len(cases))
     return _end(request, good, bad, len(cases), out)
@@ -74,30 +69,24 @@ def modes(request: Modes, out: Output) -> int:
 
 def _cases(request: Modes) -> list[Case]:
     """Names a file beside OUT for each case, with the case's number. Times are amplitudes if these go up."""
-    amplitudes = request.amplitudes
-    pairs = [(mode, amplitude) for mode in range(len(request.modes)) for amplitude in amplitudes]
-    go_up = len(request.modes) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
+    amplitudes = request.amplitude
+    pairs = [(mode, amplitude) for mode in range(len(request.mode)) for amplitude in amplitudes]
+    go_up = len(request.mode) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
     suffix = ".vtu" if request.output.suffix == ".pvd" else request.output.suffix
     name = request.output.stem
     cases = []
     for k, (mode, a) in enumerate(pairs, start=1):
-        output = request.output if _is_xdmf(request) else request.output.with_name(f"{name}_{k:04d}{suffix}")
+        output = request.output.with_name(f"{name}_{k:04d}{suffix}")
         cases.append(Case(k, mode, a, output, a if go_up else float(k)))
     return cases
 
 
-def _is_xdmf(request: Modes) -> bool:
-    return request.output.suffix == ".xdmf"
-
-
 def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
     """Looks up the patches. Raises `ValueError` for a request that is sure to fail, before any work."""
-    patches = patches_of(request.surface, mesh, request.file)
-    if not np.isfinite(request.amplitudes).all():
+    patches = patches_of(request, mesh)
+    if not np.isfinite(request.amplitude).all():
         raise ValueError("--amplitude needs finite numbers.")
-    if _is_xdmf(request):
-        output_path(request.output)
-    for case in cases if not _is_xdmf(request) else ():
+    for case in cases:
         io.check_output(case.output, mesh)
     return patches
 
@@ -117,13 +106,15 @@ def _moved(
             yield case, in_double(np.asarray(mesh.points), moved[k], np.asarray(plan.moving), u[k], plan.method.exact)
 
 
-def _tell(case: Case, file: pathlib.Path, judged: Judged, failed: list[str], out: Output) -> None:
-    skewness, ratio = judged.number(*judged.measures[1]), judged.number(*judged.ratios[-1])
-    inverted = int(judged.inverted[judged.counted].sum())
+def _tell(case: Case, file: pathlib.Path, judged: Summary, failed: list[str], out: Output) -> None:
+    skewness = next(
+        number.value for (kind, name), number in judged.rows.items() if kind == "max" and "skewness" in name
+    )
+    ratio, inverted = list(judged.rows.values())[-1].value, judged.inverted
     name = file.name if len(file.name) <= 26 else f"...{file.name[-23:]}"
     out.say(f"{case.number:>6}{case.amplitude:>12.5g}{skewness:>12.5g}{ratio:>12.5g}{inverted:>10}  {name}")
     facts = {"mode": str(file), "amplitude": case.amplitude, "output": str(case.output), "problems": failed}
-    out.facts.setdefault("cases", []).append(facts | numbers(judged))
+    out.facts.setdefault("cases", []).append(facts | judged.facts)
     for sentence in failed:
         out.complain(f"case {case.number}: {sentence}")
 
@@ -132,9 +123,6 @@ def _end(request: Modes, good: list[Case], bad: int, total: int, out: Output) ->
     out.say("")
     if good:
         files = good[0].output if len(good) == 1 else f"{good[0].output} to {good[-1].output.name}"
-        if _is_xdmf(request):
-            files = f"{request.output} and {request.output.with_suffix('.h5').name}"
-            out.facts["output"] = str(request.output)
         out.say(f"wrote {files} ({out.seconds:.1f} s)")
     if request.output.suffix == ".pvd" and good:
         io.write_pvd(request.output, [case.output for case in good], [case.time for case in good])

@@ -14,6 +14,8 @@ from jaxtyping import Float, Int
 from jaxmorph import Mesh, io, shapes
 
 from ._groups import MOTIONS, Group
+from ._parser import flag_of
+from ._requests import Deform
 
 Points = Float[np.ndarray, "m d"]
 Parts = dict[str, tuple[shapes.AbstractShape, Any]]
@@ -52,27 +54,25 @@ class Motion:
         return files
 
 
-def motion(
-    groups: Sequence[Group], mesh: Mesh, moving: Int[np.ndarray, " m"], changes: Mapping[str, Sequence[float]]
-) -> Motion:
-    """Makes the requested motion of the nodes `moving`, with `changes` to its parameters.
+def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion:
+    """Makes the requested motion of the nodes `moving`.
 
     Raises `ValueError` if there is none, or if it does not fit the mesh or the nodes.
     """
     chains, parameters, boxes = {}, {}, []
-    for group in groups:
+    for group in request.groups:
         nodes = mesh.patch(*group.patches)
         try:
             parts = _parts(group, mesh, nodes)
         except ValueError as error:
-            raise ValueError(f"{group.title}: {error}" if len(groups) > 1 else str(error)) from None
+            raise ValueError(f"{group.title}: {error}" if len(request.groups) > 1 else str(error)) from None
         key = _key(group, chains)
         chain = shapes.Chain({name: shape for name, (shape, _) in parts.items()})
         chains[key] = shapes.OnRows(chain, np.searchsorted(moving, nodes))
         parameters[key] = {name: values for name, (_, values) in parts.items()}
         if group.lattice is not None:
             boxes.append((group.lattice, parts["box"][0], (key, "box")))
-    return Motion(shapes.Chain(chains), parameters, tuple(boxes)).varied(changes)
+    return Motion(shapes.Chain(chains), parameters, tuple(boxes)).varied(dict(request.set))
 
 
 def _key(group: Group, others: Mapping[str, Any]) -> str:
@@ -177,7 +177,7 @@ def _check_used(group: Group) -> None:
     }
     for name, owners in needs.items():
         if getattr(group, name) is not None and all(getattr(group, owner) is None for owner in owners):
-            flags = [f"--{each.replace('_', '-')}" for each in (name, *owners)]
+            flags = [flag_of(each) for each in (name, *owners)]
             raise ValueError(f"{flags[0]} without {' or '.join(flags[1:])}.")
 
 

@@ -1,10 +1,72 @@
-"""The parser of one command: sections of flags, errors in one line, and a short page of help."""
+"""Flags as fields of dataclasses, and the parser that is built from them: errors in one line, and a short page of help."""
 
 import argparse
+import dataclasses
 import difflib
 import re
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+Fields = type[Any]
+"""A dataclass whose fields are flags, made by `flag`, `positional` and `switch`, or parts: dataclasses of the kind."""
+
+
+def flag(
+    what: str, *names: str, default: Any = None, section: str = "", everyday: bool = False, **settings: Any
+) -> Any:
+    """Makes a field of a flag; `what` describes it. The flag is called as the field unless `names` say otherwise.
+
+    - `default`: its value where no word gives one; `()` for a flag of several values.
+    - `section`: the title above it on the page of help. Default: `SECTION` of its dataclass.
+    - `everyday`: whether the short page has it.
+    - `settings`: those of argparse.
+    """
+    settings = {"default": list(default) if default == () else default, "help": what, **settings}
+    facts = {"names": names, "settings": settings, "section": section, "everyday": everyday}
+    return dataclasses.field(default=default, metadata=facts)
+
+
+def positional(what: str, metavar: str, **settings: Any) -> Any:
+    """Makes a field of a word without a flag."""
+    return flag(what, "", everyday=True, metavar=metavar, **settings)
+
+
+def switch(what: str, *names: str, default: bool = False, **settings: Any) -> Any:
+    """Makes a field that a flag without a value turns from its default."""
+    return flag(what, *names, default=default, action=f"store_{str(not default).lower()}", **settings)
+
+
+def part(fields: Fields) -> Any:
+    """Makes a field whose value is a dataclass of flags."""
+    return dataclasses.field(default_factory=fields, metadata={"part": fields})
+
+
+def several(fields: Fields) -> Any:
+    """Makes a field for any number of a dataclass of flags, whose actions list them in the namespace by the field's name."""
+    return dataclasses.field(default=(), metadata={"several": fields})
+
+
+def flags_of(fields: Fields) -> Iterator[tuple[dataclasses.Field, Fields]]:
+    """Yields all fields that are flags, each with its dataclass; those of parts in their place."""
+    for field in dataclasses.fields(fields):
+        inner = field.metadata.get("part") or field.metadata.get("several")
+        if inner:
+            yield from flags_of(inner)
+        elif field.metadata:
+            yield field, fields
+
+
+def made(fields: type[T], values: argparse.Namespace) -> T:
+    """Makes a dataclass from the values of its flags."""
+    found = {}
+    for field in dataclasses.fields(fields):  # pyright: ignore[reportArgumentType]
+        if "part" in field.metadata:
+            found[field.name] = made(field.metadata["part"], values)
+        else:
+            value = getattr(values, field.name, field.default)
+            found[field.name] = tuple(value) if isinstance(value, list) else value
+    return fields(**found)
 
 
 class Parser(argparse.ArgumentParser):
@@ -16,30 +78,58 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *, is_short: bool = False, **settings: Any):
         super().__init__(**settings, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
         self.is_short, self.flags = is_short, ["--help"]
+        self.sections: dict[str, Any] = {"": self}
 
-    def section(self, title: str | None = None) -> Callable[..., argparse.Action]:
-        """Begins a section of the page of help; returns the function that adds a flag or argument to it."""
-        group = self if title is None else self.add_argument_group(title)
+    def add(self, names: Sequence[str], settings: dict[str, Any], *, section: str = "", everyday: bool = False):
+        """Adds a flag, or a word without one, to a section of the page of help."""
+        self.flags += [name for name in names if name.startswith("--")]
+        if self.is_short and not everyday:
+            settings = settings | {"help": argparse.SUPPRESS}
+        if section not in self.sections:
+            self.sections[section] = self.add_argument_group(section)
+        self.sections[section].add_argument(*names, **settings)
 
-        def add(*names: str, everyday: bool = False, **settings: Any) -> argparse.Action:
-            self.flags += [name for name in names if name.startswith("--")]
-            if self.is_short and not everyday:
-                settings["help"] = argparse.SUPPRESS
-            return group.add_argument(*names, **settings)
-
-        return add
+    def add_fields(self, fields: Fields) -> None:
+        """Adds the flags of a dataclass."""
+        for field, owner in flags_of(fields):
+            names, settings = field.metadata["names"], field.metadata["settings"]
+            if names == ("",):
+                names = (field.name,)
+            else:
+                names, settings = names or (flag_of(field.name),), settings | {"dest": field.name}
+            section = field.metadata["section"] or getattr(owner, "SECTION", "")
+            self.add(names, settings, section=section, everyday=field.metadata["everyday"] or not self.is_short)
 
     def check_flags(self, words: Sequence[str]) -> None:
         """Ends with status 2 for a flag that this command does not have."""
         for word in words:
-            flag = word.partition("=")[0]
+            name = word.partition("=")[0]
             if word == "--":
                 return
-            if flag.startswith("--") and flag not in self.flags:
-                self.error(f"there is no flag {flag}{meant(flag, self.flags)}")
+            if name.startswith("--") and name not in self.flags:
+                self.error(f"there is no flag {name}{meant(name, self.flags)}")
 
     def error(self, message: str):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def one_of(kind: str, words: Iterable[str]) -> Callable[[str], str]:
+    """Makes the type of a flag whose value is one of some words; its error says which was perhaps meant."""
+    known = tuple(words)
+
+    def chosen(word: str) -> str:
+        if word not in known:
+            raise argparse.ArgumentTypeError(
+                f"there is no {kind} {word!r}{meant(word, known)} ({kind}s: {', '.join(known)})"
+            )
+        return word
+
+    return chosen
+
+
+def flag_of(name: str) -> str:
+    """Writes a field's name as a flag."""
+    return f"--{name.replace('_', '-')}"
 
 
 def meant(word: str, known: Iterable[str]) -> str:

@@ -1,220 +1,98 @@
-"""Quality of a mesh that is judged part by part: what each part says, and the table of all."""
+"""Flags that several commands have: the boundary, the method, limits of quality, and how a command speaks."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
+from jaxmorph._advice.methods import METHODS
 
-from . import _gates
-from ._judged import Judged
-from ._tables import LABELS, count, place
+from ._parser import flag, flag_of, one_of, switch
 
-ROWS = (
-    *(("mean", "face_skewness"), ("max", "face_skewness")),
-    *(("mean", "face_aspect_ratio"), ("max", "face_aspect_ratio")),
-    *(("max", "non_orthogonality"), ("min", "pyramid"), ("min", "volume_ratio")),
-)
+SEVERAL: dict[str, Any] = {"metavar": "NAME", "nargs": "+", "default": ()}
+"""Settings of flags of several patches."""
 
+PRESETS = {"checkmesh": {"max_face_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
+"""OpenFOAM's checkMesh: `primitiveMesh::aspectThreshold_`, `nonOrthThreshold_`, `skewThreshold_`."""
 
-@dataclasses.dataclass(frozen=True)
-class Worst:
-    """A measure's extreme value in a part, before and after, and the cell that has it after; NaN is worse than any."""
-
-    before: float
-    after: float
-    part: int
-    cell: int
-    place: str
-
-    def badness(self, kind: str) -> float:
-        return np.inf if np.isnan(self.after) else self.after if kind == "max" else -self.after
+NAMES = [entry.name for entry in METHODS]
 
 
 @dataclasses.dataclass(frozen=True)
-class Beyond:
-    """A gate's extreme values in a part, and how many cells are beyond its limit, before and after."""
+class Boundary:
+    """Patches that stay, lie in a plane, slide, repeat, and follow like inner nodes: names, patterns or groups."""
 
-    worst: Worst
-    before: int
-    after: int
+    SECTION: ClassVar = "surface"
+
+    fixed: tuple[str, ...] = flag("patches that stay", everyday=True, **SEVERAL)
+    symmetry: tuple[str, ...] = flag("plane patches in which nodes slide", everyday=True, **SEVERAL)
+    sliding: tuple[str, ...] = flag("patches whose nodes slide along their faces", action="extend", **SEVERAL)
+    periodic: tuple[str, ...] = flag(
+        "pairs of patches that repeat each other, one name after the other", action="extend", **SEVERAL
+    )
+    free: tuple[str, ...] = flag("patches whose nodes follow like inner nodes", action="extend", **SEVERAL)
 
 
 @dataclasses.dataclass(frozen=True)
-class Verdict:
-    """Judges one part before and after its motion, in numbers that add up.
+class Method:
+    """The method by its name, how many sources it has on the moving patches (None: its own choice), and the precision."""
 
-    - `cells`, `faces_between`: cells, and faces that it shares with other parts.
-    - `inverted`: inverted cells before and after; `spoilt`: those that the motion has inverted; `cell` is the worst of these.
-    - `means`: sums of a measure times the volume, before and after, by name; `volume`: the sums of the volumes.
-    - `rows`: kinds and names of the measures; `rule`: by what cells are inverted.
-    - `worst`: extremes by kind and name.
-    - `gates`: what is beyond each gate.
-    """
+    SECTION: ClassVar = "method"
 
-    part: int
-    cells: int
-    faces_between: int
-    inverted: tuple[int, int]
-    spoilt: int
-    cell: Worst | None
-    volume: tuple[float, float]
-    rows: tuple[tuple[str, str], ...]
-    rule: str
-    means: Mapping[str, tuple[float, float]]
-    worst: Mapping[tuple[str, str], Worst]
-    gates: tuple[Beyond, ...]
-
-
-def verdict(part: int, before: Judged, after: Judged, gates: Sequence[_gates.Gate]) -> Verdict:
-    """Judges one part. Raises `ValueError` for a gate on a measure that its cells do not have."""
-    both = before, after
-    sizes = [np.abs(each.volume[each.counted]) for each in both]
-    means, worst = {}, {}
-    rows = ROWS if before.by_faces else (*before.measures, *before.ratios)
-    for kind, name in rows:
-        if kind == "mean":
-            sums = [float(each.values(name) @ size) for each, size in zip(both, sizes, strict=True)]
-            means[name] = sums[0], sums[1]
-        else:
-            worst[kind, name] = _worst(part, kind, name, before, after)
-    cell = None
-    if len(after.spoilt):
-        number = after.worst_spoilt()
-        heights = [each.pyramid if after.by_faces else each.report.jacobian_ratio for each in both]
-        old, new = (float(each[number]) for each in heights)
-        cell = Worst(old, new, part, number, place(after, number))
-    beyond = [
-        (_worst(part, gate.flag[:3], gate.measure, *both), *(len(gate.beyond(each)) for each in both)) for gate in gates
-    ]
-    inverted = [int(each.inverted[each.counted].sum()) for each in both]
-    return Verdict(
-        part,
-        len(after.counted),
-        0 if after.mesh.between is None else len(after.mesh.between),
-        (inverted[0], inverted[1]),
-        len(after.spoilt),
-        cell,
-        (float(sizes[0].sum()), float(sizes[1].sum())),
-        rows,
-        after.rule,
-        means,
-        worst,
-        tuple(Beyond(*each) for each in beyond),
+    method: str = flag(
+        "one of the methods listed below",
+        metavar="NAME",
+        choices=NAMES,
+        type=one_of("method", NAMES),
+        default="default",
+    )
+    sources: int | None = flag(
+        "about how many nodes of the moving patches are sources", metavar="N", type=int, everyday=True
+    )
+    dtype: str = flag(
+        "precision of the calculation; float32 takes half the memory, and is too coarse for boundary layers",
+        choices=("float64", "float32"),
+        default="float64",
     )
 
 
-def _worst(part: int, kind: str, name: str, before: Judged, after: Judged) -> Worst:
-    cell = after.worst(kind, name)
-    return Worst(before.number(kind, name), after.number(kind, name), part, cell, place(after, cell))
+def _limit(what: str) -> Any:
+    return flag(what, metavar="X", type=float)
 
 
 @dataclasses.dataclass(frozen=True)
-class Verdicts:
-    """All parts' verdicts, the gates they were judged by, and what a part is called."""
+class Gates:
+    """Limits of quality, by the names of their flags."""
 
-    parts: Sequence[Verdict]
-    gates: Sequence[_gates.Gate]
-    name: str = "processor"
+    SECTION: ClassVar = "quality gates"
 
-    @property
-    def cells(self) -> int:
-        return sum(part.cells for part in self.parts)
+    max_aspect_ratio: float | None = _limit("largest aspect ratio")
+    max_non_orthogonality: float | None = _limit("largest non-orthogonality in degrees")
+    max_skewness: float | None = _limit("largest skewness of a cell, 0 to 1")
+    max_face_skewness: float | None = _limit("largest skewness of a face, as checkMesh's")
+    max_face_aspect_ratio: float | None = _limit("largest aspect ratio from areas of faces, as checkMesh's")
+    min_jacobian_ratio: float | None = _limit("smallest corner Jacobian over its initial value")
+    preset: str | None = flag(
+        "limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, skewness 4",
+        choices=tuple(PRESETS),
+    )
 
-    @property
-    def faces_between(self) -> int:
-        return sum(part.faces_between for part in self.parts) // 2
-
-    def worst(self, kind: str, name: str) -> Worst:
-        """Finds the worst of all parts, with the worst value before, which may be of another part."""
-        return _of_all(kind, [part.worst[kind, name] for part in self.parts])
-
-    def mean(self, name: str) -> tuple[float, float]:
-        """Computes the mean before and after, weighted by volume."""
-        sums, sizes = (
-            np.sum(each, axis=0) for each in zip(*((p.means[name], p.volume) for p in self.parts), strict=True)
-        )
-        return float(sums[0] / sizes[0]), float(sums[1] / sizes[1])
+    def __post_init__(self):
+        wrong = [name for name, limit in self.limits.items() if limit != limit]
+        if wrong:
+            raise ValueError(f"{flag_of(wrong[0])} needs a number, found nan.")
 
     @property
-    def faults(self) -> list[str]:
-        """One sentence for the cells that the motion has inverted, and one for each gate that fails."""
-        sentences, spoilt = [], sum(part.spoilt for part in self.parts)
-        if spoilt:
-            worst = min(
-                (part.cell for part in self.parts if part.cell is not None), key=lambda cell: -cell.badness("min")
-            )
-            are = "is" if spoilt == 1 else "are"
-            sentences.append(
-                f"{spoilt} of {count(self.cells, 'cell')} {are} inverted, the worst is {self._where(worst)}, "
-                f"by {self.parts[0].rule}."
-            )
-        for k, gate in enumerate(self.gates):
-            beyond = [part.gates[k] for part in self.parts]
-            before, after = (sum(getattr(each, when) for each in beyond) for when in ("before", "after"))
-            if after:
-                limit, old = (
-                    f"--{gate.flag.replace('_', '-')} {gate.limit:g}",
-                    f" ({before} before the motion)" if before else "",
-                )
-                worst = _of_all(gate.flag[:3], [each.worst for each in beyond])
-                are = "cell is" if after == 1 else "cells are"
-                sentences.append(
-                    f"{after} of {self.cells} {are} beyond {limit}{old}, the worst is {self._where(worst)}."
-                )
-        return sentences
-
-    @property
-    def table(self) -> str:
-        """Formats the quality before and after, with the worst cells after."""
-        title = f"quality of {self.cells} cells in {len(self.parts)} parts, inverted by {self.parts[0].rule}"
-        lines = [title, f"{'':<23}{'before':>12}{'after':>12}   worst cell after"]
-        for kind, name in self.parts[0].rows:
-            label = f"{kind} {LABELS.get(name, name.replace('_', ' '))}"
-            if kind == "mean":
-                before, after = self.mean(name)
-                lines.append(f"{label:<23}{before:>12.5g}{after:>12.5g}")
-            else:
-                worst = self.worst(kind, name)
-                old = "-" if name == "volume_ratio" else f"{worst.before + 0.0:.5g}"
-                lines.append(f"{label:<23}{old:>12}{worst.after + 0.0:>12.5g}   {self._where(worst)}")
-        lines.append(f"{'inverted cells':<23}{self._inverted(0):>12}{self._inverted(1):>12}")
-        seen = "skewness and non-orthogonality" if self.parts[0].rows == ROWS else "non-orthogonality"
-        lines.append(f"{self.faces_between} faces between parts are not judged: their {seen}.")
-        return "\n".join(lines)
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """Lists the numbers for output as JSON: `before`, `after`, and the gates."""
-        sides: list[dict[str, Any]] = []
-        rows = self.parts[0].rows
-        for when in (0, 1):
-            side: dict[str, Any] = {"cells": self.cells, "inverted": self._inverted(when)}
-            side |= {f"mean_{name}": self.mean(name)[when] for kind, name in rows if kind == "mean"}
-            for kind, name in rows:
-                if kind != "mean":
-                    worst = self.worst(kind, name)
-                    side[f"{kind}_{name}"] = (worst.before, worst.after)[when]
-                    if when:
-                        side[f"worst_{name}"] = {self.name.strip(): worst.part, "cell": worst.cell}
-            sides.append(side)
-        gates = []
-        for k, gate in enumerate(self.gates):
-            beyond = [part.gates[k] for part in self.parts]
-            worst = _of_all(gate.flag[:3], [each.worst for each in beyond])
-            numbers = {"before": worst.before, "after": worst.after, "beyond": sum(each.after for each in beyond)}
-            gates.append({"gate": gate.flag, "limit": gate.limit, **numbers})
-        more = {"faces_between_parts": self.faces_between, "parts": len(self.parts)}
-        return {"before": sides[0], "after": sides[1], "gates": gates, **more}
-
-    def _where(self, worst: Worst) -> str:
-        return f"{self.name}{worst.part} cell {worst.cell} near {worst.place}"
-
-    def _inverted(self, when: int) -> int:
-        return sum(part.inverted[when] for part in self.parts)
+    def limits(self) -> dict[str, float]:
+        """Limits by the names of their flags: those of the preset, and of flags, which win."""
+        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "preset"}
+        limits = PRESETS.get(self.preset or "", {}) | {name: limit for name, limit in own.items() if limit is not None}
+        return {name: limits[name] for name in own if name in limits}
 
 
-def _of_all(kind: str, worst: Sequence[Worst]) -> Worst:
-    before = np.array([each.before for each in worst])
-    start = before.max() if kind == "max" else before.min()
-    return dataclasses.replace(max(worst, key=lambda each: each.badness(kind)), before=float(start))
+@dataclasses.dataclass(frozen=True)
+class Speech:
+    """How a command speaks."""
+
+    SECTION: ClassVar = "output"
+
+    json: bool = switch("print one JSON object in place of text")
+    verbose: bool = switch("print how long each stage took")

@@ -1,188 +1,215 @@
-"""Requests: the flags of each command as typed values."""
+"""What each command is asked for: its flags as fields. The parser, job files and pages of help are built from them."""
 
 import argparse
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, ClassVar
 
-from ._flags import GATES, parser
-from ._gates import Gate, gates
-from ._groups import Group
-from ._job import text_of, with_job
-from ._parser import quoted
+from ._groups import WHAT_MOVES, Group, Job
+from ._parser import Fields, flag, part, positional, several, switch
+from ._parts import SEVERAL, Boundary, Gates, Method, Speech
 
-
-@dataclasses.dataclass(frozen=True)
-class PatchNames:
-    """Patches that move, stay, lie in a plane, follow like inner nodes, slide, and repeat: names, patterns or groups."""
-
-    moving: tuple[str, ...] = ()
-    fixed: tuple[str, ...] = ()
-    symmetry: tuple[str, ...] = ()
-    free: tuple[str, ...] = ()
-    sliding: tuple[str, ...] = ()
-    periodic: tuple[str, ...] = ()
+MESH = "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D (.xyz, .p3d), or an OpenFOAM case"
 
 
-@dataclasses.dataclass(frozen=True)
-class Method:
-    """The method by its name, how many sources it has on the moving patches (None: its own choice), and the precision."""
+def _output(name: str) -> Path:
+    """Reads the name of what is written. A path forgets the slash at its end, which the name of a file does not have."""
+    path = Path(name)
+    if name.endswith("/") and path.suffix.strip(".0123456789") and not path.is_dir():
+        from jaxmorph._host.package.files import file_path
 
-    name: str = "default"
-    sources: int | None = None
-    dtype: str = "float64"
+        try:
+            file_path(name)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+    return path
+
+
+def _change(word: str) -> tuple[str, tuple[float, ...]]:
+    name, _, numbers = word.rpartition("=")
+    try:
+        values = tuple(map(float, numbers.split(",")))
+    except ValueError:
+        values = ()
+    if not name or not values:
+        raise argparse.ArgumentTypeError(f"{word!r} is not NAME=NUMBER or NAME=NUMBER,NUMBER,...")
+    return name, values
+
+
+CHANGES: dict[str, Any] = {
+    "metavar": "NAME=NUMBER[,...]",
+    "nargs": "+",
+    "action": "extend",
+    "type": _change,
+    "default": (),
+}
+CHANGES_HELP = "new values of design variables, such as twist=2 or 'box[1,2,0]=0.1'"
 
 
 @dataclasses.dataclass(frozen=True)
 class Deform:
-    """Request of `jaxmorph deform`. `changes` are to the motion, by name; `job` is a file to write and its text."""
+    """Request of `jaxmorph deform`; `set` are changes to the motion, by name."""
 
-    file: Path
-    output: Path
-    surface: PatchNames
-    groups: tuple[Group, ...]
-    changes: dict[str, tuple[float, ...]]
-    method: Method
-    steps: int
-    chunk: int | None
-    gates: tuple[Gate, ...]
-    picture: Path | None
-    job: tuple[Path, str] | None
-    allow_inverted: bool
-    dry_run: bool
-    verbose: bool
-    decomposed: bool = False
-    ranges: int | None = None
+    file: Path = positional(MESH, "IN", type=Path)
+    output: Path = positional(
+        "where to write the mesh: the ending chooses the format; for an OpenFOAM case a new folder, or CASE/TIME",
+        "OUT",
+        type=_output,
+    )
+    decomposed: bool = switch(
+        "IN is a decomposed OpenFOAM case: move its folders processor* one by one, or several at a time under mpiexec"
+    )
+    job: Path | None = flag("read the flags from a TOML file", metavar="FILE", type=Path, action=Job)
+    save_job: Path | None = flag("write a TOML file with the flags of this run", metavar="FILE", type=_output)
+    picture: Path | None = flag(
+        "draw the mesh before and after (.png); in 3-D also as a page to turn and deform (.html)",
+        metavar="FILE",
+        type=_output,
+        everyday=True,
+    )
+    groups: tuple[Group, ...] = several(Group)
+    boundary: Boundary = part(Boundary)
+    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
+    method: Method = part(Method)
+    steps: int = flag("number of steps (default 1)", metavar="N", type=int, default=1, section="method", everyday=True)
+    chunk: int | None = flag(
+        "prepare and move N points at a time: less memory until the cells are judged, a little more time",
+        metavar="N",
+        type=int,
+        section="method",
+    )
+    gates: Gates = part(Gates)
+    allow_inverted: bool = switch(
+        "write OUT even when cells are inverted or a gate fails", section="when cells are bad"
+    )
+    dry_run: bool = switch(
+        "do not try other flags for advice", "--no-dry-run", default=True, section="when cells are bad"
+    )
+    speech: Speech = part(Speech)
+
+    @property
+    def run(self) -> str:
+        return "_decomposed.deform_parts" if self.decomposed else "_deform.deform"
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(name for group in self.groups for name in group.patches))
 
 
 @dataclasses.dataclass(frozen=True)
 class Modes:
     """Request of `jaxmorph modes`."""
 
-    file: Path
-    output: Path
-    surface: PatchNames
-    method: Method
-    modes: tuple[Path, ...]
-    amplitudes: tuple[float, ...]
-    gates: tuple[Gate, ...]
-    allow_inverted: bool
+    run: ClassVar = "_modes.modes"
+
+    file: Path = positional(MESH, "IN", type=Path)
+    output: Path = positional(
+        "a time series OUT.pvd of .vtu files; with another ending one file a case, OUT_0001, OUT_0002, ...",
+        "OUT",
+        type=_output,
+    )
+    moving: tuple[str, ...] = flag(WHAT_MOVES, section="surface", everyday=True, **SEVERAL)
+    boundary: Boundary = part(Boundary)
+    mode: tuple[Path, ...] = flag(
+        "displacements of the moving nodes: rows of node id, x, y[, z], or .npz",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        required=True,
+        default=(),
+        section="shapes",
+        everyday=True,
+    )
+    amplitude: tuple[float, ...] = flag(
+        "factors for each mode (default 1)",
+        metavar="A",
+        type=float,
+        nargs="+",
+        default=(1.0,),
+        section="shapes",
+        everyday=True,
+    )
+    method: Method = part(Method)
+    gates: Gates = part(Gates)
+    allow_inverted: bool = switch("write bad meshes too", section="when cells are bad")
+    speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
 class Sensitivity:
     """Request of `jaxmorph sensitivity`; with a job on to what it moves by."""
 
-    file: Path
-    sensitivity: Path
-    output: Path
-    surface: PatchNames
-    method: Method
-    job: Deform | None
+    run: ClassVar = "_sensitivity.sensitivity"
+
+    file: Path = positional(MESH, "IN", type=Path)
+    sensitivity: Path = positional(
+        "dJ/d(points) of all nodes: SU2's, OpenFOAM's, rows of node id and dJ/dx, dJ/dy[, dJ/dz], or .npz",
+        "SENS",
+        type=Path,
+    )
+    output: Path = positional(
+        "where to write dJ/d(moving nodes): .csv or .npz; with --job .csv or .json", "OUT", type=_output
+    )
+    job: Path | None = flag(
+        "a job of deform: take derivatives by its design variables (leave IN out)",
+        metavar="FILE",
+        type=Path,
+        everyday=True,
+    )
+    set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, **CHANGES)
+    moving: tuple[str, ...] = flag(WHAT_MOVES, section="surface", everyday=True, **SEVERAL)
+    boundary: Boundary = part(Boundary)
+    method: Method = part(Method)
+    speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
     """Request of `jaxmorph quality`. `moved` is the file of the same mesh, moved."""
 
-    file: Path
-    moved: Path | None
-    gates: tuple[Gate, ...]
+    run: ClassVar = "_inspect.quality"
+
+    file: Path = positional(MESH, "FILE", type=Path)
+    moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?", type=Path)
+    gates: Gates = part(Gates)
+    speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
 class Info:
     """Request of `jaxmorph info`."""
 
-    file: Path
+    run: ClassVar = "_inspect.info"
+
+    file: Path = positional(MESH, "FILE", type=Path)
+    speech: Speech = part(Speech)
 
 
 @dataclasses.dataclass(frozen=True)
 class Demo:
     """Request of `jaxmorph demo`."""
 
-    case: str
-    output: Path
+    run: ClassVar = "_inspect.demo"
+
+    case: str = positional("naca0015 (default) or agard445", "CASE", nargs="?", default="naca0015")
+    output: Path = flag(
+        "where to write (default jaxmorph-demo)",
+        "--output",
+        "-o",
+        metavar="DIR",
+        type=Path,
+        default=Path("jaxmorph-demo"),
+    )
 
 
 Request = Deform | Modes | Sensitivity | Quality | Info | Demo
 
-
-def request_of(arguments: argparse.Namespace) -> Request:
-    """Makes the request of the command that the flags name."""
-    return _REQUESTS[arguments.command](arguments)
-
-
-def _deform(arguments: argparse.Namespace) -> Deform:
-    groups: list[Group] = arguments.moving or []
-    names = tuple(dict.fromkeys(name for group in groups for name in group.patches))
-    job = arguments.save_job
-    return Deform(
-        arguments.file,
-        arguments.output,
-        _surface(arguments, names),
-        tuple(groups),
-        dict(arguments.set),
-        _method(arguments),
-        arguments.steps,
-        arguments.chunk,
-        _gates(arguments),
-        arguments.picture,
-        None if job is None else (job, text_of(arguments, job.parent)),
-        arguments.allow_inverted,
-        arguments.dry_run,
-        arguments.verbose,
-        arguments.decomposed,
-        arguments.ranges,
-    )
-
-
-def _modes(arguments: argparse.Namespace) -> Modes:
-    return Modes(
-        arguments.file,
-        arguments.output,
-        _surface(arguments, arguments.moving),
-        _method(arguments),
-        tuple(arguments.mode),
-        tuple(arguments.amplitude),
-        _gates(arguments),
-        arguments.allow_inverted,
-    )
-
-
-def _sensitivity(arguments: argparse.Namespace) -> Sensitivity:
-    surface, method = _surface(arguments, arguments.moving), _method(arguments)
-    files = arguments.file, arguments.sensitivity, arguments.output
-    if arguments.job is None:
-        if arguments.set:
-            raise ValueError("--set without --job: it names design variables of a job.")
-        return Sensitivity(*files, surface, method, None)
-    if (surface, method) != (PatchNames(), Method()):
-        raise ValueError("--job says what moves and how; flags of patches and methods beside it make no sense.")
-    words = ["deform", str(arguments.file), str(arguments.file), "--job", str(arguments.job)]
-    job = _deform(parser()[0].parse_args(quoted(with_job(words))))
-    job = dataclasses.replace(job, changes=job.changes | dict(arguments.set))
-    return Sensitivity(*files, job.surface, job.method, job)
-
-
-def _surface(arguments: argparse.Namespace, moving: Sequence[str]) -> PatchNames:
-    kinds = ("fixed", "symmetry", "free", "sliding", "periodic")
-    return PatchNames(tuple(moving), *(tuple(getattr(arguments, kind)) for kind in kinds))
-
-
-def _method(arguments: argparse.Namespace) -> Method:
-    return Method(arguments.method, arguments.sources, arguments.dtype)
-
-
-def _gates(arguments: argparse.Namespace) -> tuple[Gate, ...]:
-    return gates({name: getattr(arguments, name) for name in GATES}, arguments.preset)
-
-
-_REQUESTS = {
-    "deform": _deform,
-    "modes": _modes,
-    "sensitivity": _sensitivity,
-    "quality": lambda arguments: Quality(arguments.file, arguments.moved, _gates(arguments)),
-    "info": lambda arguments: Info(arguments.file),
-    "demo": lambda arguments: Demo(arguments.case, arguments.output),
+COMMANDS: dict[str, Fields] = {
+    "deform": Deform,
+    "modes": Modes,
+    "sensitivity": Sensitivity,
+    "quality": Quality,
+    "info": Info,
+    "demo": Demo,
 }
+"""Requests by the name of their command."""

@@ -1,16 +1,20 @@
 """`jaxmorph sensitivity`: dJ/d(points of the volume) to dJ/d(moving nodes) or to a job's design variables."""
 
+import dataclasses
+
 import jax
 import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import io, shapes
 
-from ._method import named_method, patches_of
+from ._flags import request_of
+from ._method import patches_of
 from ._motion import Motion, motion
 from ._output import Output, title
-from ._requests import Sensitivity
-from ._tables import count
+from ._parts import Boundary, Method
+from ._requests import Deform, Sensitivity
+from ._summary import count
 
 LISTED = 20
 """Design variables on the terminal, at most."""
@@ -18,19 +22,20 @@ LISTED = 20
 
 def sensitivity(request: Sensitivity, out: Output) -> int:
     """Reads, pulls back, writes. Returns the exit status."""
-    (io.check_sensitivity_output if request.job is None else io.check_gradient_output)(request.output)
+    job = _job_of(request)
+    (io.check_sensitivity_output if job is None else io.check_gradient_output)(request.output)
     if request.output.resolve() == request.sensitivity.resolve():
         raise ValueError(f"{request.output}: the sensitivities are read from this file; write to another one.")
     with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
-    patches, job = patches_of(request.surface, mesh, request.file), request.job
+    patches = patches_of(job or request, mesh)
     moving = patches.nodes
-    moves = None if job is None else motion(job.groups, mesh, moving, job.changes)
+    moves = None if job is None else motion(job, mesh, moving)
     with out.progress(f"reading {request.sensitivity.name}"):
         given = io.read_sensitivity(request.sensitivity, mesh)
     with out.progress("preparing"):
-        choice = named_method(request.method, np.asarray(mesh.points)[moving])
-        plan = patches.plan(patches.chunks(choice))
+        choice = patches.method((job or request).method)
+        plan = patches.plan(choice)
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {count(len(moving), 'moving node')}")
     out.say(f"method   {choice.name}", points=len(mesh.points), method=choice.name)
     if job is None or moves is None:
@@ -39,6 +44,19 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
         _to_variables(request, plan, moves, job.steps, given, out)
     out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
     return 0
+
+
+def _job_of(request: Sensitivity) -> Deform | None:
+    """Reads the job that the request names. Raises `ValueError` for flags that make no sense with it, or without one."""
+    if request.job is None:
+        if request.set:
+            raise ValueError("--set without --job: it names design variables of a job.")
+        return None
+    if (request.moving, request.boundary, request.method) != ((), Boundary(), Method()):
+        raise ValueError("--job says what moves and how; flags of patches and methods beside it make no sense.")
+    job = request_of(["deform", str(request.file), str(request.file), "--job", str(request.job)])
+    assert isinstance(job, Deform)
+    return dataclasses.replace(job, set=(*job.set, *request.set))
 
 
 def _to_nodes(request: Sensitivity, plan: jm.Plan, given: np.ndarray, out: Output) -> None:

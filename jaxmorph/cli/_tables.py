@@ -1,132 +1,92 @@
-"""Quality as text, 80 columns wide."""
+"""Summaries as text, 80 columns wide, and gates as JSON."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
-from jaxmorph import Inspection, WallQuality
-
-from ._judged import Judged
-
-LABELS = {"non_orthogonality": "non-orthogonality", "pyramid": "face pyramid"}
+from ._judged import RATIOS
+from ._parser import flag_of
+from ._summary import Summary, count, label
 
 
-def alone(judged: Judged) -> str:
-    """Formats a table for one mesh, with the worst cell of each row."""
-    lines = [_heading(judged), f"{'':<23}{'':>12}   worst cell"]
-    more = [("min", "volume"), *_pyramid(judged)]
-    lines += [_row(judged, kind, name, _number(judged, kind, name)) for kind, name in (*judged.measures, *more)]
-    return "\n".join(lines)
-
-
-def compared(before: Judged, after: Judged, more: Sequence[str] = ()) -> str:
-    """Formats a table for a mesh before and after its motion, with the worst cells of the moved mesh, and more rows below."""
-    lines = [_heading(after), f"{'':<23}{'before':>12}{'after':>12}   worst cell after"]
-    for kind, name in (*after.measures, *_pyramid(after)):
-        lines.append(_row(after, kind, name, _number(before, kind, name) + _number(after, kind, name)))
-    for kind, name in after.ratios:
-        lines.append(_row(after, kind, name, f"{'-':>12}" + _number(after, kind, name)))
-    lines.append(f"{'inverted cells':<23}{_inverted(before):>12}{_inverted(after):>12}")
+def table(before: Summary | None, after: Summary, more: Sequence[str] = ()) -> str:
+    """Formats the numbers of a mesh, or of one before and after its motion, with the worst cells; `more` rows come last."""
+    parts = f" in {after.parts} parts" if after.parts else ""
+    note = f", {after.degenerate} degenerate from the start" if after.degenerate else ""
+    lines = [f"quality of {after.cells} cells{parts}, inverted by {after.rule}{note}"]
+    if before is None:
+        lines.append(f"{'':<23}{'':>12}   worst cell")
+    else:
+        lines.append(f"{'':<23}{'before':>12}{'after':>12}   worst cell after")
+    for (kind, name), number in after.rows.items():
+        is_ratio = (kind, name) in RATIOS
+        if is_ratio if before is None else name == "volume":
+            continue
+        cells = "" if before is None else f"{'-':>12}" if is_ratio else _cell(before.rows[kind, name].value)
+        where = "" if kind == "mean" else f"   {number.name.removeprefix('cell ')} near {number.place}"
+        lines.append(f"{kind + ' ' + label(name):<23}{cells}{_cell(number.value)}{where}")
+    if before is not None:
+        lines.append(f"{'inverted cells':<23}{before.inverted:>12}{after.inverted:>12}")
+    if after.parts:
+        lines.append(f"{after.between} faces between parts are not judged: their skewness and non-orthogonality.")
     return "\n".join([*lines, *more])
 
 
-def _pyramid(judged: Judged) -> list[tuple[str, str]]:
-    return [("min", "pyramid")] if judged.by_faces else []
+def gate_table(before: Summary | None, after: Summary) -> str:
+    """Formats a row for each gate, then the worst cells of gates that fail; nothing without gates."""
+    if not after.gates:
+        return ""
+    lines = [f"{'gate':<23}{'limit':>12}{'before':>12}{'after' if before else 'now':>12}   cells beyond"]
+    worst = []
+    for old, gate in zip(_old(before, after), after.gates, strict=True):
+        start = "-" if old is None else f"{old:.5g}"
+        share = f"{gate.beyond} of {after.cells}" if gate.beyond else "0"
+        lines.append(f"{gate.label:<23}{gate.limit:>12.5g}{start:>12}{gate.extreme.value:>12.5g}   {share}")
+        if gate.beyond:
+            worst.append(f"worst cells by {gate.label}")
+            worst += [f"  {c.name.removeprefix('cell '):<22}{c.value:>12.5g}   near {c.place}" for c in gate.worst]
+    return "\n".join(lines + worst)
 
 
-def _inverted(judged: Judged) -> int:
-    return int(judged.inverted[judged.counted].sum())
-
-
-@dataclasses.dataclass(frozen=True)
-class WallNumber:
-    """Holds one number of the first grid line at the moving wall: `before` and `after`, and the node of an extreme."""
-
-    name: str
-    label: str
-    before: float
-    after: float
-    node: int | None
-
-
-def wall_numbers(wall: WallQuality | None) -> list[WallNumber]:
-    """Collects the numbers of the first grid line: none where the wall has none."""
-    if wall is None:
-        return []
-    # as mean_angle, max_angle and min_height, by NumPy: nothing is compiled for a table
-    angle, height, nodes = np.asarray(wall.angle), np.asarray(wall.height), np.asarray(wall.nodes)
-    most, least = int(angle.argmax()), int(height.argmin())
+def gate_facts(before: Summary | None, after: Summary) -> list[dict[str, Any]]:
+    """Lists each gate with its numbers, for output as JSON."""
     return [
-        WallNumber("mean_wall_angle", "mean wall angle", 0.0, float(angle.mean()), None),
-        WallNumber("max_wall_angle", "max wall angle", 0.0, float(angle[most]), int(nodes[most])),
-        WallNumber("min_first_cell_height", "min first-cell height", 1.0, float(height[least]), int(nodes[least])),
+        {
+            "gate": gate.flag,
+            "limit": gate.limit,
+            "before": old,
+            "after": gate.extreme.value,
+            "beyond": gate.beyond,
+            "worst": [cell.facts for cell in gate.worst],
+        }
+        for old, gate in zip(_old(before, after), after.gates, strict=True)
     ]
 
 
-def wall_rows(wall: Sequence[WallNumber], inspection: Inspection, points: Float[np.ndarray, "n d"]) -> list[str]:
-    """Formats numbers of the first grid line, and the overshoot, as rows of `compared`; `points` are the moved ones."""
-    rows = []
-    for each in wall:
-        where = "" if each.node is None else f"   node {each.node} near {_coordinates(points[each.node])}"
-        rows.append(f"{each.label:<23}{each.before:>12g}{each.after:>12.5g}{where}")
-    for label, value in (("overshoot", inspection.overshoot), ("overshoot behind", inspection.overshoot_behind)):
-        rows.append(f"{label:<23}{'-':>12}{value:>12.5g}")
-    return rows
+def _old(before: Summary | None, after: Summary) -> list[float | None]:
+    """Lists the extremes before the motion. The ratio of Jacobians has none: it is relative to the mesh there."""
+    if before is None:
+        return [None] * len(after.gates)
+    return [None if gate.flag == "min_jacobian_ratio" else gate.extreme.value for gate in before.gates]
 
 
-def inverted_cells(judged: Judged) -> str:
-    """Writes how many cells the motion has inverted, which is the worst and where, and by what; nothing if it is none."""
-    bad = len(judged.spoilt)
-    if not bad:
-        return ""
-    are = "is" if bad == 1 else "are"
-    worst = judged.worst_spoilt()
-    where = f"the worst is cell {worst} near {place(judged, worst)}"
-    return f"{bad} of {count(len(judged.counted), 'cell')} {are} inverted, {where}, by {judged.rule}."
+def faults(before: Summary | None, after: Summary) -> list[str]:
+    """Writes one sentence for the cells that the motion has inverted, and one for each gate that fails."""
+    sentences = []
+    if after.worst is not None:
+        are = "is" if after.spoilt == 1 else "are"
+        where = f"the worst is {after.worst.name} near {after.worst.place}"
+        sentences.append(f"{after.spoilt} of {count(after.cells, 'cell')} {are} inverted, {where}, by {after.rule}.")
+    for k, gate in enumerate(after.gates):
+        if gate.beyond:
+            are = "cell is" if gate.beyond == 1 else "cells are"
+            limit = f"{flag_of(gate.flag)} {gate.limit:g}"
+            start = 0 if before is None else before.gates[k].beyond
+            old = f" ({start} before the motion)" if start else ""
+            sentences.append(
+                f"{gate.beyond} of {after.cells} {are} beyond {limit}{old}, the worst is {gate.worst[0].name}."
+            )
+    return sentences
 
 
-def place(judged: Judged, cell: int) -> str:
-    """Formats a cell's centroid."""
-    return _coordinates(judged.centroid(cell))
-
-
-def count(number: int, what: str) -> str:
-    """Writes a number with its noun: `1 step`, `2 steps`."""
-    return f"{number} {what}" + ("" if number == 1 else "s")
-
-
-def _coordinates(x: Any) -> str:
-    return "(" + ", ".join(f"{each:.3g}" for each in np.asarray(x).tolist()) + ")"
-
-
-def _heading(judged: Judged) -> str:
-    degenerate = 0 if judged.by_faces else int(judged.report.degenerate)
-    note = f", {degenerate} degenerate from the start" if degenerate else ""
-    return f"quality of {len(judged.counted)} cells, inverted by {judged.rule}{note}"
-
-
-def _number(judged: Judged, kind: str, name: str) -> str:
-    return f"{judged.number(kind, name) + 0.0:>12.5g}"  # -0 is 0
-
-
-def _row(judged: Judged, kind: str, name: str, numbers: str) -> str:
-    label = f"{kind} {LABELS.get(name, name.replace('_', ' '))}"
-    if kind == "mean":
-        return f"{label:<23}{numbers}"
-    cell = judged.worst(kind, name)
-    return f"{label:<23}{numbers}   {cell} near {place(judged, cell)}"
-
-
-def numbers(judged: Judged) -> dict[str, Any]:
-    """Lists the tables' numbers by name, for output as JSON."""
-    facts: dict[str, Any] = {"cells": len(judged.counted), "inverted": _inverted(judged), "inverted_by": judged.rule}
-    rows = (*judged.measures, *judged.ratios, ("min", "volume"), *_pyramid(judged))
-    facts |= {f"{kind}_{name}": judged.number(kind, name) for kind, name in rows}
-    for kind, name in rows:
-        if kind != "mean" and "volume" not in name:
-            cell = judged.worst(kind, name)
-            facts[f"worst_{name}"] = {"cell": cell, "near": judged.centroid(cell).tolist()}
-    return facts
+def _cell(value: float) -> str:
+    return f"{value + 0.0:>12.5g}"  # -0 is 0

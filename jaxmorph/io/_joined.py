@@ -46,31 +46,31 @@ class Joined:
 def join(zones: Zones) -> tuple[Mesh, Joined]:
     """Joins zones to one mesh, nodes in the order of the file; 2-D when all its cells are and z is the same everywhere.
 
-    Nodes and patches are those of `join_nodes`. It raises `ValueError` for coordinates that are not finite.
+    It raises `ValueError` for coordinates that are not finite.
     """
     points = zones.points
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise ValueError(f"{bad.size} points are not finite, first node {bad[0]}: {points[bad[0]].tolist()}.")
-    kept, node, patches = join_nodes(zones)
+    original, node, patches = _join_nodes(zones)
     cells: dict[str, list[np.ndarray]] = {}
     for kind, corners in zones.cells:
         cells.setdefault(kind, []).append(node[corners])
     is_flat = set(cells) <= {"triangle", "quad"} and (points.shape[1] == 2 or np.ptp(points[:, 2]) == 0)
-    at = points[kept][:, : 2 if is_flat else 3]
+    at = points[original][:, : 2 if is_flat else 3]
     whole = {kind: np.concatenate(parts) for kind, parts in cells.items()}
     return Mesh(np.ascontiguousarray(at), whole, patches), Joined(node, points, is_flat)
 
 
-def join_nodes(zones: Zones) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+def _join_nodes(zones: Zones) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     """Finds the nodes that stay, the node of the mesh for each of the file, and the patches of the mesh.
 
     Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are the patch `unnamed`,
     or `boundary` where there is no other, unless they have a name.
     """
-    named = [nodes for parts in zones.patches.values() for nodes in parts]
-    faces = open_faces(zones.faces, named, len(zones.points))
-    kept, node = np.unique(shared_nodes(zones.points, faces), return_inverse=True)
+    covers = [nodes for parts in zones.patches.values() for nodes in parts]
+    faces = open_faces(zones.faces, covers, len(zones.points))
+    original, node = np.unique(shared_nodes(zones.points, faces), return_inverse=True)
     patches = {name: np.concatenate([node[nodes] for nodes in parts]) for name, parts in zones.patches.items()}
     rest = "unnamed" if patches else "boundary"
     shared = [node[corners] for corners in faces]
@@ -78,7 +78,7 @@ def join_nodes(zones: Zones) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarr
         if mask.any():
             name = zones.names[number] if zones.names else rest
             patches[name] = np.concatenate([patches.get(name, corners[:0, 0]), corners[mask].ravel()])
-    return kept, node, patches
+    return original, node, patches
 
 
 def _single(faces: list[np.ndarray]) -> list[np.ndarray]:

@@ -1,22 +1,17 @@
-"""A moved mesh, with what became of it."""
+"""Moved meshes in files: displacement and quality beside the points, and ParaView's collection of several files."""
 
 import os
 import pathlib
+from collections.abc import Sequence
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from jaxmorph import Mesh, QualityReport
 from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.files import complete, output_path
 
 from ._registry import check_output, write
-
-
-def displacement_of(mesh: Mesh, moved: Mesh) -> np.ndarray:
-    """Computes how far the points (n, d) of a mesh went; raises `ValueError` for meshes of other numbers of points."""
-    before, after = np.asarray(mesh.points), np.asarray(moved.points)
-    if before.shape != after.shape:
-        raise ValueError(f"`moved` has points of shape {after.shape}, `mesh` {before.shape}: not the same mesh, moved.")
-    return after - before
 
 
 @checked
@@ -43,5 +38,23 @@ def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: Q
     if not check_output(path, mesh):
         write(path, moved)
         return
-    displacement = displacement_of(mesh, moved)
-    write(path, moved, point_data={"displacement": displacement}, cell_data=cell_arrays(report))
+    before, after = np.asarray(mesh.points), np.asarray(moved.points)
+    if before.shape != after.shape:
+        raise ValueError(f"`moved` has points of shape {after.shape}, `mesh` {before.shape}: not the same mesh, moved.")
+    write(path, moved, point_data={"displacement": after - before}, cell_data=cell_arrays(report))
+
+
+@checked
+def write_pvd(path: str | os.PathLike[str], files: Sequence[str | os.PathLike[str]], times: Sequence[float]) -> None:
+    """Writes ParaView's collection of files (.pvd), each of `files` at one of `times`, named as they stand in its folder."""
+    path = output_path(path, ".pvd")
+    if len(files) != len(times):
+        raise ValueError(f"`times` has {len(times)} numbers for {len(files)} `files`.")
+    rows = [
+        f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(pathlib.Path(file).name)}/>'
+        for file, time in zip(files, times, strict=True)
+    ]
+    head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
+    text = "\n".join([*head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""])
+    with complete(path) as partial:
+        partial.write_bytes(text.encode())

@@ -4,20 +4,17 @@ A mesh that came from an SU2 file goes back into a copy of its text, with new co
 """
 
 import dataclasses
-import mmap
 import pathlib
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxmorph import Mesh, Periodic
-from jaxmorph._host.cells.topology import CORNERS, VTK, solid
+from jaxmorph import Mesh
+from jaxmorph._host.cells.topology import CORNERS, VTK
 
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of
-from ._outer import outer_faces
-from .text.sections import Rows, Section, Uncommented, blank_comments, replace
+from .text.sections import Rows, Section, blank_comments, replace
 
 NAME = "SU2"
 TYPES = {number: kind for kind, number in VTK.items()}
@@ -58,88 +55,6 @@ class _SU2Content:
     shape: tuple[int, int]
 
 
-@dataclasses.dataclass(frozen=True)
-class Layout:
-    """Knows where a file's points, cells and markers stand, and reads them some rows at a time. `d` is the dimension."""
-
-    path: pathlib.Path
-    text: Any
-    keywords: list[_Keyword]
-    d: int
-    name: ClassVar[str] = NAME
-    periodic: ClassVar[tuple[Periodic, ...]] = ()
-    symmetry: ClassVar[tuple[str, ...]] = ()
-    kinds: ClassVar[Mapping[str, str]] = {}
-
-    @classmethod
-    def by_ranges(cls, path: pathlib.Path) -> "Layout":
-        """Opens a file whose text is never in memory as a whole."""
-        with path.open("rb") as file:
-            if not file.read(1):
-                raise ValueError(f"{path}: the file is empty.")
-            text = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        return cls.in_text(path, text, Uncommented(text))
-
-    @classmethod
-    def in_text(cls, path: pathlib.Path, original: Any, text: Any) -> "Layout":
-        """Finds the keywords of a text without comments. Raises `ValueError` for several zones, and other dimensions."""
-        zones = cls.zones(path, original, text)
-        if len(zones) > 1:
-            raise ValueError(
-                f"{path}: the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
-                "writes some of them, the others as they are."
-            )
-        return zones[0]
-
-    @classmethod
-    def zones(cls, path: pathlib.Path, original: Any, text: Any) -> list["Layout"]:
-        """Finds the keywords of each zone of a text without comments: those behind its `IZONE=`, and those before all zones."""
-        head, *zones = _by_zones(list(_keywords(path, text)))
-        stated = [keyword for keyword in head if keyword.name == "NZONE"]
-        if stated and stated[0].number(least=1) != max(len(zones), 1):
-            raise stated[0].section.error(f"NZONE= {stated[0].value}, but {len(zones)} zones are in the file.")
-        numbers = [zone[0].number() for zone in zones]
-        if sorted(numbers) != list(range(1, len(zones) + 1)):
-            raise ValueError(
-                f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once."
-            )
-        layouts = []
-        for zone in zones or [[]]:
-            names = {keyword.name for keyword in zone}
-            keywords = [*(keyword for keyword in head if keyword.name not in names), *zone]
-            dimension = _only(path, keywords, "NDIME")
-            if (d := dimension.number()) not in (2, 3):
-                raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-            layouts.append(cls(path, original, keywords, d))
-        return layouts
-
-    @property
-    def section(self) -> Section:
-        """The rows of points."""
-        return _only(self.path, self.keywords, "NPOIN").section
-
-    def points(self) -> Iterator[np.ndarray]:
-        """Yields points (k, d)."""
-        return _points(_only(self.path, self.keywords, "NPOIN"), self.d)
-
-    def cells(self, n: int) -> Iterator[dict[str, np.ndarray]]:
-        """Yields corners (k, corners) by type, of cells between `n` points."""
-        return _elements(_only(self.path, self.keywords, "NELEM"), n)
-
-    def markers(self, n: int) -> dict[str, np.ndarray]:
-        """Reads the nodes of each marker."""
-        return _markers(self.path, self.keywords, n)
-
-    def outer(self, n: int, patches: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Finds the outer faces by type; those between nodes of `patches` at once."""
-        return outer_faces(lambda: (solid(block, self.d) for block in self.cells(n)), n, patches)
-
-    def write(self, partial: pathlib.Path, before: np.ndarray, after: np.ndarray) -> None:
-        """Writes the text with the points `after` (n, d) in place of those `before`."""
-        with partial.open("wb") as file:
-            file.writelines(with_points(self.text, self.section.start, self.section.stop, after))
-
-
 def read(path: pathlib.Path) -> Mesh:
     """Reads points in the order of the file; `patches` are the markers, those of one name together.
 
@@ -147,17 +62,43 @@ def read(path: pathlib.Path) -> Mesh:
     `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
-    return mesh_of(Layout.in_text(path, text, blank_comments(text)))
+    zones = by_zones(path, text)
+    if len(zones) > 1:
+        raise ValueError(
+            f"{path}: the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
+            "writes some of them, the others as they are."
+        )
+    return mesh_of(path, text, zones[0])
 
 
-def mesh_of(layout: Layout) -> Mesh:
+def by_zones(path: pathlib.Path, text: bytes) -> list[list[_Keyword]]:
+    """Finds the keywords of each zone of a text: those behind its `IZONE=`, and those before all zones."""
+    keywords = list(_keywords(path, blank_comments(text)))
+    cuts = [number for number, keyword in enumerate(keywords) if keyword.name == "IZONE"]
+    head, *zones = [keywords[a:b] for a, b in zip([0, *cuts], [*cuts, len(keywords)], strict=True)]
+    stated = [keyword for keyword in head if keyword.name == "NZONE"]
+    if stated and stated[0].number(least=1) != max(len(zones), 1):
+        raise stated[0].section.error(f"NZONE= {stated[0].value}, but {len(zones)} zones are in the file.")
+    numbers = [zone[0].number() for zone in zones]
+    if sorted(numbers) != list(range(1, len(zones) + 1)):
+        raise ValueError(f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
+    parts = []
+    for zone in zones or [[]]:
+        names = {keyword.name for keyword in zone}
+        parts.append([*(keyword for keyword in head if keyword.name not in names), *zone])
+    return parts
+
+
+def mesh_of(path: pathlib.Path, text: bytes, keywords: list[_Keyword]) -> Mesh:
     """Reads the points, cells and markers of a zone, or of a file without zones."""
-    path, text = layout.path, layout.text
-    points = np.concatenate(list(layout.points()))
-    cells = _joined(layout.cells(len(points)))
-    section = layout.section
-    content = _SU2Content(text, section.start, section.stop, points.shape)
-    return Mesh(points, cells, layout.markers(len(points)), source=Source(path, NAME, content))
+    dimension = _only(path, keywords, "NDIME")
+    if (d := dimension.number()) not in (2, 3):
+        raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
+    rows = _only(path, keywords, "NPOIN")
+    points = np.concatenate(list(_points(rows, d)))
+    cells = _joined(_elements(_only(path, keywords, "NELEM"), len(points)))
+    content = _SU2Content(text, rows.section.start, rows.section.stop, points.shape)
+    return Mesh(points, cells, _markers(path, keywords, len(points)), source=Source(path, NAME, content))
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
@@ -186,13 +127,13 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         file.writelines(with_points(content.text, content.start, content.stop, points))
 
 
-def with_points(text: Any, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
+def with_points(text: bytes, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
     """Yields the text with `points` (n, d) in place of those that stand from `start` to `stop`."""
     d = points.shape[1]
     return replace(text, slice(start, stop), points, lambda counts: counts >= d)
 
 
-def _keywords(path: pathlib.Path, text: Any) -> Iterator[_Keyword]:
+def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:
     lines = []
     at = text.find(b"=")
     while at >= 0:
@@ -206,12 +147,6 @@ def _keywords(path: pathlib.Path, text: Any) -> Iterator[_Keyword]:
     for number, (name, value, _, end) in enumerate(lines, start=1):
         stop = lines[number][2] if number < len(lines) else len(text)
         yield _Keyword(name, value, Section(path, text, end, stop))
-
-
-def _by_zones(keywords: list[_Keyword]) -> list[list[_Keyword]]:
-    """Cuts keywords before each `IZONE=`."""
-    cuts = [number for number, keyword in enumerate(keywords) if keyword.name == "IZONE"]
-    return [keywords[a:b] for a, b in zip([0, *cuts], [*cuts, len(keywords)], strict=True)]
 
 
 def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:

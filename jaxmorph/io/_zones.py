@@ -12,8 +12,7 @@ from jaxmorph._host.package.files import complete, input_path
 
 from ._format import source_of
 from ._registry import check_output
-from ._su2 import NAME, Layout, mesh_of, with_points
-from .text.sections import blank_comments
+from ._su2 import NAME, by_zones, mesh_of, with_points
 
 
 @checked
@@ -37,7 +36,7 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
             f"{path}: SU2 files (.su2) have zones that are meshes of their own; io.read joins those of others."
         )
     text = path.read_bytes()
-    return tuple(mesh_of(layout) for layout in Layout.zones(path, text, blank_comments(text)))
+    return tuple(mesh_of(path, text, zone) for zone in by_zones(path, text))
 
 
 @checked

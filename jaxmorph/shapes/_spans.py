@@ -39,6 +39,9 @@ class Blocks(eqx.Module):
     @staticmethod
     def sorted_by_span(weights: tuple[Array, ...], first: tuple[Array, ...], counts: tuple[int, ...]) -> "Blocks":
         """Sorts points by span and lays out their weights; needs known weights."""
+        # Points of one knot span share their control points. They stand one after the other, in whole blocks of `size`, so
+        # that a block is one matrix product; the places that the last block of a span has left are empty.
+        # The direction with the fewest weights stays apart (`outer`), the products of all others are `inner`.
         known, starts = [np.asarray(w) for w in weights], np.stack([np.asarray(each) for each in first])
         apart = int(np.argmin([w.shape[1] for w in known]))
         order = [apart, *(axis for axis in range(len(counts)) if axis != apart)]

@@ -37,7 +37,6 @@ FORMATS = (
         "OpenFOAM, binary",
         "OpenFOAM, parts",
         "plans",
-        "XDMF",
     ),
     *("PVD", "sensitivities", "sensitivities, packed", "gradient", "gradient, JSON", "lattice", "PNG", "GIF", "HTML"),
 )

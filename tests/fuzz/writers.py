@@ -48,8 +48,6 @@ class Output:
 
     name: str
     write: Write
-    beside: tuple[str, ...] = ()
-    """Endings of further files of the same name."""
     source: pathlib.Path | None = None
     """The file that the mesh was read from, where `io.write` would write to it."""
     is_folder: bool = False
@@ -143,18 +141,6 @@ def plans(folder: pathlib.Path) -> Output:
     return Output("a.npz", lambda path, k: jm.save(path, prepared[k]))
 
 
-def series(folder: pathlib.Path) -> Output:
-    mesh = bricks(12)
-    report = jm.quality(mesh)
-
-    def write(path: pathlib.Path, k: int) -> None:
-        with io.XDMFSeries(path, mesh) as opened:
-            for step in range(2):
-                opened.add(float(step), moved(mesh, k + step), report)
-
-    return Output("a.xdmf", write, beside=(".h5",))
-
-
 def collection(folder: pathlib.Path) -> Output:
     steps = np.arange(5000)
     names = [f"{k}.vtu" for k in steps]
@@ -217,7 +203,6 @@ FORMATS: dict[str, Callable[[pathlib.Path], Output]] = {
     "OpenFOAM, binary": foam_case("binary", "case/0.5"),
     "OpenFOAM, parts": parts,
     "plans": plans,
-    "XDMF": series,
     "PVD": collection,
     "sensitivities": of_rows("s.csv", lambda path, rows: io.write_sensitivity(path, TABLE, rows)),
     "sensitivities, packed": of_rows("s.npz", lambda path, rows: io.write_sensitivity(path, TABLE, rows)),
@@ -323,17 +308,8 @@ class Attack:
         self.output.write(self.target, k)
 
     def found(self) -> dict[str, bytes]:
-        """What stands at the target and beside it."""
-        found = without(tree(self.target))
-        for ending in self.output.beside:
-            found |= dict.fromkeys([ending], *tree(self.target.with_suffix(ending)).values())
-        return found
-
-    def is_one_of(self, found: dict[str, bytes], *states: dict[str, bytes]) -> bool:
-        """Whether each file is that of one state; a folder as a whole."""
-        if self.output.beside:
-            return all(any(found[name] == state[name] for state in states) for name in states[0])
-        return found in states
+        """What stands at the target."""
+        return without(tree(self.target))
 
     def old(self, k: int) -> dict[str, bytes]:
         """Brings the target into the state `k`; a new folder is none."""
@@ -360,7 +336,7 @@ class Attack:
                 os.kill(number, signal.SIGKILL)
             inside += os.WIFSIGNALED(os.waitpid(number, 0)[1])
             halves += bool(leftovers(self.folder))
-            is_right = self.is_one_of(self.found(), old, self.states[k])
+            is_right = self.found() in (old, self.states[k])
             self.expect(is_right, "kill", f"kill {tries} after {moment:.4f} of {duration:.4f} s: neither old nor new")
             self.good(k)
             self.expect(not leftovers(self.folder), "kill", f"kill {tries}: left {leftovers(self.folder)}")
@@ -391,7 +367,6 @@ class Attack:
         kind, words = answer(work)
         self.expect(kind in (kinds or ("OSError",)), how, f"{kind or 'no error'}: {words}")
         name = str(target or self.target)
-        name = str(pathlib.Path(name).with_suffix("")) if self.output.beside else name
         self.expect(name in words and ".partial" not in words, how, f"target not named: {words}")
         after = tree(self.folder)
         changed = sorted({*before} ^ {*after}) + sorted(
@@ -406,7 +381,7 @@ class Attack:
         for limit in (0, sizes[-1] // 2, sizes[-1] - 1):
             if self.output.is_new or limit < sizes[-1]:
                 self.refused(f"limit of {limit} bytes", lambda limit=limit: self._limited(limit))
-        if not self.output.is_folder and not self.output.beside:
+        if not self.output.is_folder:
             self.refused("full device", self._on_full_device)
 
     def _limited(self, limit: int) -> None:
@@ -483,7 +458,7 @@ class Attack:
             self.expect(os.waitpid(number, 0)[1] == 0, "four writers", "a writer failed")
         wrong = [each for each in said if each not in ("", "refused")]
         self.expect(not wrong and "" in said, "four writers", f"{said}")
-        self.expect(self.is_one_of(self.found(), *states.values()), "four writers", "the target is no writer's")
+        self.expect(self.found() in states.values(), "four writers", "the target is no writer's")
         self.expect(not leftovers(self.folder), "four writers", f"left {leftovers(self.folder)}")
 
     def linked(self) -> None:
@@ -496,8 +471,7 @@ class Attack:
         os.link(self.target, self.folder / f"hard{suffix}")
         link.symlink_to(self.target)
         self.output.write(link, 1)
-        if not self.output.beside:
-            self.expect(link.is_symlink() and self.found() == self.states[1], "links", "the link's target is not new")
+        self.expect(link.is_symlink() and self.found() == self.states[1], "links", "the link's target is not new")
         hard = (self.folder / f"hard{suffix}").read_bytes()
         self.expect(hard == self.states[0][""], "links", "the hard link's content has changed")
         for name in ("a b", "Flügel ñ 翼", "-a", ".a", "a'b\"c", "x" * (250 - len(suffix)), "a\nb"):
@@ -505,10 +479,8 @@ class Attack:
             place.parent.mkdir()
             self.output.write(place, 1)
             listed = sorted(os.listdir(place.parent))
-            wanted = sorted([place.name, *(f"{name}{ending}" for ending in self.output.beside)])
-            self.expect(listed == wanted, "names", f"{name!r}: {listed}")
-            if not self.output.beside:
-                self.expect(place.read_bytes() == self.states[1][""], "names", f"{name!r}: another content")
+            self.expect(listed == [place.name], "names", f"{name!r}: {listed}")
+            self.expect(place.read_bytes() == self.states[1][""], "names", f"{name!r}: another content")
             shutil.rmtree(place.parent)
         if self.output.source is not None:
             source = self.output.source

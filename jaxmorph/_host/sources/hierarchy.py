@@ -173,6 +173,8 @@ def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Swee
 
 
 def _sweep(owner: np.ndarray, level: np.ndarray) -> Sweep:
+    # Entries of one owner within a level fill rows of `WIDTH`. All steps have one number of rows, a quarter of a mean level's.
+    # Each level begins with a step of its own and takes as many as it needs; the rest of its last step stays empty.
     if not owner.size:
         return np.zeros((0, 1, WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
     order = np.lexsort((owner, level))

@@ -13,9 +13,10 @@ from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close, roundoff
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
-from ..base import AbstractMethod, Surface
+from ..base import Control, Surface
 from ..cells.cells import NodeFactors, solved_on_host, symmetric_product
 from ..numbers import length_or_none
+from ..placing import AbstractPlacing
 from ..searched import SLACK, Searched, squared_distance
 from ..sparse import InterpolatedField, Reach
 from .basis import WendlandC2
@@ -63,7 +64,7 @@ class CompactFactors(eqx.Module):
         return self.has_function & (squared_distance(x[None], surface) < INSIDE * self.radius**2)
 
 
-class CompactRBF(AbstractMethod):
+class CompactRBF(AbstractPlacing):
     """Interpolates with a Wendland C2 function at every node of the surface, all of one radius: a sparse system.
 
     It is exact at the nodes, and zero beyond the radius from all of them. It has no polynomial: alone, not even a translation
@@ -109,8 +110,8 @@ class CompactRBF(AbstractMethod):
         ids = as_jax((stands.astype(np.int32), speaks, owners[pairs].astype(np.int32), radius))
         return CompactIds(*ids, searched=searched), reach
 
-    def reach(self, ids: CompactIds) -> float:
-        return float(ids.radius)
+    def control(self, ids: CompactIds):
+        return Control(reach=float(ids.radius))
 
     def fit(self, ids: CompactIds, surface, points):
         radius = ids.radius if self.radius is None else self.radius

@@ -14,7 +14,7 @@ from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface.sharp import behind_tips, beside_tips, sharp_tips
 from ..._host.surface.skin import drawn_in, edges, has_free_sides, nearest_held, thicknesses, thinned
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractMethod, Surface, check_kind
+from ..base import AbstractMethod, Control, Surface, check_kind
 from ..numbers import length_or_none
 from .rbf import RBF, RBFFactors
 from .solvers import Direct
@@ -105,20 +105,16 @@ class FittedRBF(AbstractMethod):
     def exact(self) -> bool:
         return False
 
-    @property
-    def sees_free_sides(self) -> bool:
-        return True
-
     def connect(self, surface: Surface, points):
         is_open = surface.is_open
         if surface.faces is None:
             is_open = True
         elif is_open is None:
             is_open = has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points)
+        # The ids depend on the surface alone, so all pieces of a mesh share them. A method with array leaves has no hash:
+        # its id is the key, and the entry holds the method itself, so that no other object can get that id.
         key = ("fitted", id(self), bool(is_open))
-        return surface.once(key, lambda: (self, self._ids(surface, is_open)))[
-            1
-        ], None  # `self` kept: its id stays its own
+        return surface.once(key, lambda: (self, self._ids(surface, is_open)))[1], None
 
     def _ids(self, surface: Surface, is_open: bool) -> "WallIds":
         if is_open:
@@ -180,15 +176,13 @@ class FittedRBF(AbstractMethod):
         behind = behind_tips(walls, BEHIND * room, self._closest(surface), BEYOND_TIP * room)
         return beside_tips(walls, chord), behind
 
-    def matched(self, ids):
-        return self.sources(ids) if not len(ids.edges) else np.asarray(ids.fixed)
-
-    def sources(self, ids):
-        return np.concatenate([np.asarray(ids.moving), np.asarray(ids.fixed)])
+    def control(self, ids):
+        sources = np.concatenate([np.asarray(ids.moving), np.asarray(ids.fixed)])
+        return Control(sources, np.asarray(ids.fixed) if len(ids.edges) else sources)
 
     def check(self, ids, factors: "FitFactors", u):
         more = np.zeros((len(ids.far) + len(ids.tips), u.shape[1]), u.dtype)
-        values = as_jax(np.concatenate([np.asarray(u)[self.sources(ids)], more]))
+        values = as_jax(np.concatenate([np.asarray(u)[self.control(ids).sources], more]))
         self.rbf.check(np.arange(len(values)), factors.rbf, values)
 
     def fit(self, ids: "WallIds", surface, points):

@@ -25,7 +25,7 @@ from ..._host.sources.reduction import AbstractReduction, AllPoints, KDTree, dro
 from ..._host.surface.neighbours import nearly_coincident
 from ..._kernels.compile import compiled
 from ..._kernels.values import largest
-from ..base import AbstractField, AbstractMethod, Surface, check_kind
+from ..base import AbstractField, AbstractMethod, Control, Surface, check_kind
 from ..blocks import map_rows
 from .basis import AbstractBasis, ThinPlateSpline
 from .fused import Radial, fused, is_fused
@@ -172,11 +172,9 @@ class RBF(AbstractMethod):
                 "Add fixed nodes (far field), more leaves, or use RBF(degree=0) with a basis that allows it."
             )
 
-    def matched(self, ids):
-        return self.sources(ids)
-
-    def sources(self, ids):
-        return np.asarray(_rows(ids))
+    def control(self, ids):
+        sources = np.asarray(_rows(ids))
+        return Control(sources, sources)
 
     def fit(self, ids: Int[Array, " s"] | OrderedIds, surface, points):
         points = surface[_rows(ids)].astype(jnp.promote_types(surface.dtype, jnp.result_type(float)))
@@ -234,7 +232,7 @@ class RBF(AbstractMethod):
         dtype = factors.lu.dtype
         sources, scale, centre = map(np.asarray, (factors.sources, factors.scale, factors.centre))
         warn_of_close(sources / scale + centre, np.inf, type(self).__name__)
-        values = np.asarray(u, dtype)[self.sources(ids)]
+        values = np.asarray(u, dtype)[self.control(ids).sources]
         if factors.cardinals is not None:
             return _check_convergence(self, factors, factors.cardinals, values)
         error = _rounding(self, factors, values) / np.abs(u).max()

@@ -315,14 +315,14 @@ def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
 
     **Arguments:**
 
-    - `mesh`: what `io.read("case/processor3")`, `io.Decomposed("case").surface()` or `io.Ranges("a.su2").surface()` returned.
+    - `mesh`: what `io.read("case/processor3")` or `io.Decomposed("case").surface()` returned.
 
     **Returns:** ids (n,) for `half.attach(mesh.points, ids)`.
 
     **Raises:** `ValueError` for other meshes, and where `pointProcAddressing` is missing or is of another mesh.
     """
     if isinstance(mesh.source, Source) and mesh.source.content is None and mesh.source.node_ids is not None:
-        return np.asarray(mesh.source.node_ids)
+        return np.asarray(mesh.source.node_ids)  # the surface of a case, which nothing can be written from
     source = source_of(mesh, NAME)
     if source is None:
         raise ValueError(

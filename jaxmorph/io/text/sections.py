@@ -4,7 +4,6 @@ Everything goes through `scan`, which finds the numbers (runs of non-blank bytes
 """
 
 import dataclasses
-import mmap
 import pathlib
 import re
 from collections.abc import Callable, Iterator
@@ -44,7 +43,7 @@ class Section:
     """Marks the bytes from `start` to `stop` of a file's text, and names the line of anything in it."""
 
     path: pathlib.Path
-    text: Any
+    text: bytes
     start: int
     stop: int
 
@@ -107,37 +106,12 @@ def blank_comments(text: bytes) -> bytes:
     return re.sub(rb"%[^\r\n]*", lambda comment: b" " * len(comment[0]), text)
 
 
-def chunks(text: Any, start: int, stop: int) -> Iterator[bytes]:
+def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
     """Yields the text from `start` to `stop` in pieces of whole lines, about `CHUNK` bytes each."""
     while start < stop:
         end = text.find(b"\n", min(start + CHUNK, stop - 1), stop) + 1 or stop
         yield text[start:end]
         start = end
-
-
-@dataclasses.dataclass(frozen=True)
-class Uncommented:
-    """Shows a text that is not in memory, an `mmap`, as `blank_comments` leaves it. Slices begin at the start of a line."""
-
-    text: mmap.mmap
-
-    def __len__(self) -> int:
-        return len(self.text)
-
-    def __getitem__(self, part: slice) -> bytes:
-        return blank_comments(self.text[part])
-
-    def find(self, word: bytes, start: int = 0, stop: int | None = None) -> int:
-        """Finds a byte as `bytes.find` does; one in a comment is none, but for the end of its line."""
-        stop = len(self) if stop is None else stop
-        at = self.text.find(word, start, stop)
-        while at >= 0 and word != b"\n" and self.text.find(b"%", self.rfind(b"\n", 0, at) + 1, at) >= 0:
-            end = self.text.find(b"\n", at, stop)
-            at = self.text.find(word, end, stop) if end >= 0 else -1
-        return at
-
-    def rfind(self, word: bytes, start: int, stop: int) -> int:
-        return self.text.rfind(word, start, stop)
 
 
 def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -153,7 +127,7 @@ def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def replace(
-    text: Any, part: slice, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
+    text: bytes, part: slice, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
 ) -> Iterator[bytes | memoryview]:
     """Yields the text with the coordinates of `points` in place of those that a part of it holds, in pieces.
 

@@ -1,6 +1,6 @@
 """A mesh moved and differentiated by several processes, compared with one: a template for many machines.
 
-    python -m jaxmorph.cases.distributed [--processes 2] [--points 200000]
+    python benchmarks/distributed.py [--processes 2] [--points 200000]
 
 Starts the processes on this machine, joined by `jax.distributed` over the loopback interface. On a cluster each process
 runs what `work` does, with the address of the first one; nothing else changes.
@@ -56,9 +56,7 @@ def _timed(plan: jm.Plan, u: np.ndarray, cotangent: np.ndarray) -> list[tuple[ja
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m jaxmorph.cases.distributed", description=__doc__.splitlines()[0] if __doc__ else None
-    )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--points", type=int, default=200_000)
     parser.add_argument("--rank", type=int, help=argparse.SUPPRESS)
@@ -73,7 +71,7 @@ def main() -> int:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
-    command = [sys.executable, "-m", "jaxmorph.cases.distributed", "--address", address]
+    command = [sys.executable, __file__, "--address", address]
     command += ["--processes", str(arguments.processes), "--points", str(arguments.points)]
     started = [subprocess.Popen([*command, "--rank", str(rank)]) for rank in range(arguments.processes)]
     return max(process.wait() for process in started)

@@ -1,0 +1,102 @@
+"""The list of methods: the command line, `choose` and the benchmarks read it. A new method is one more entry."""
+
+import dataclasses
+import functools
+import importlib
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, runtime_checkable
+
+if typing.TYPE_CHECKING:
+    from .._methods.base import AbstractMethod
+
+
+@runtime_checkable
+class Lengths(Protocol):
+    """Lengths of a boundary, in the mesh's units: the moving nodes' extent, and the gap to the nearest fixed node."""
+
+    @property
+    def size(self) -> float: ...
+
+    @property
+    def gap(self) -> float: ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """One method of the list.
+
+    - `name`: its name as a word, for flags and the table of `choose`.
+    - `path`: the class, or its constructor, in `_methods`: `cells.springs.TorsionalSprings` stands in `cells/springs.py`.
+    - `sentence`: what it is, for help and the output of commands.
+    - `needs_cells`: True where it solves on the mesh's cells.
+    - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or `none`.
+    - `is_tried`: True where `choose` tries it, beside the radial functions that it varies itself.
+    - `is_cure`: True where `jaxmorph deform` tries it after the default has inverted cells.
+    - `title`: its name in tables of the benchmarks, where it is another one.
+    - `numbers`, `options`: what it is called with, the numbers from the lengths of a boundary.
+    - `is_coarse`: True for a field that `NearWall` corrects.
+    """
+
+    name: str
+    path: str
+    sentence: str
+    needs_cells: bool = False
+    sources: str = "none"
+    is_tried: bool = False
+    is_cure: bool = False
+    title: str = ""
+    numbers: Callable[[Lengths], tuple[float, ...]] = lambda wall: ()
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    is_coarse: bool = False
+
+    def make(self, wall: Lengths) -> "AbstractMethod":
+        """Makes the method for the lengths of a boundary. Its module is imported now, not before."""
+        method = _found(self.path)(*self.numbers(wall), **self.options)
+        if self.is_coarse:
+            return _found("reconstruction.SurfaceReconstruction")(method, _found("nearwall.NearWall")())
+        return method
+
+
+def _found(path: str) -> Any:
+    """Imports the module whose name comes before the first capital letter, and finds the rest in it."""
+    words = path.split(".")
+    first = next(k for k, word in enumerate(words) if word[0].isupper())
+    module = importlib.import_module("." + ".".join(words[:first]), "jaxmorph._methods")
+    return functools.reduce(getattr, words[first:], module)
+
+
+_COARSE = "reduced radial basis functions"
+
+# fmt: off
+METHODS = (
+    Entry("default", "reconstruction.SurfaceReconstruction", f"{_COARSE} + near-wall correction", sources="some"),
+    Entry("published", "reconstruction.SurfaceReconstruction.published", f"{_COARSE} + graph", sources="some"),
+    Entry("rbf", "rbf.rbf.RBF.classic", "full radial basis functions", sources="all", title="classic RBF"),
+    Entry("graph", "delaunay.DelaunayGraph", "Delaunay graph mapping", is_tried=True),
+    Entry("multiscale", "multiscale.Multiscale.whole", "compact functions from the largest scale to the smallest",
+          numbers=lambda wall: (2 * wall.size, 0.1), is_tried=True),
+    Entry("laplacian", "cells.laplacian.Laplacian", "Laplace's equation, diffusivity 1/distance^2",
+          needs_cells=True, title="Laplacian 1/d^2"),
+    Entry("biharmonic", "cells.laplacian.Biharmonic", "the biharmonic equation", needs_cells=True, is_tried=True),
+    Entry("elasticity", "cells.elasticity.LinearElasticity", "linear elasticity, stiff by 1/volume",
+          needs_cells=True, is_tried=True, is_cure=True, title="elasticity 1/V"),
+    Entry("springs", "cells.springs.SpringAnalogy", "springs along the edges", needs_cells=True, title="springs 1/l^2"),
+    Entry("torsional", "cells.springs.TorsionalSprings", "torsional springs",
+          needs_cells=True, is_tried=True, is_cure=True, title="torsional springs"),
+    Entry("inverse-distance", "inverse_distance.InverseDistance", "inverse distances",
+          sources="all", title="inverse distance"),
+    Entry("turning", "inverse_distance.InverseDistance", "inverse distances, with nodes that turn",
+          sources="all", is_tried=True, title="inverse distance, turning", options={"rotations": True}),
+    Entry("rigid", "rigid.RigidBlend", "a rigid motion that fades + near-wall correction",
+          numbers=lambda wall: (0.25 * wall.size, wall.gap), is_coarse=True, is_tried=True),
+    Entry("compact", "rbf.compact.CompactRBF", "radial basis functions of compact support",
+          sources="all", title="compact RBF"),
+)
+# fmt: on
+"""Methods in the order in which `choose` tries them; ones that are not linear in `u` come after those that are."""
+
+
+def entry(name: str) -> Entry:
+    """Finds the entry of a name that is in the list."""
+    return next(each for each in METHODS if each.name == name)
