@@ -62,15 +62,38 @@ def read(path: pathlib.Path) -> Mesh:
     `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
+    zones = by_zones(path, text)
+    if len(zones) > 1:
+        raise ValueError(
+            f"{path}: the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
+            "writes some of them, the others as they are."
+        )
+    return mesh_of(path, text, zones[0])
+
+
+def by_zones(path: pathlib.Path, text: bytes) -> list[list[_Keyword]]:
+    """Finds the keywords of each zone of a text: those behind its `IZONE=`, and those before all zones."""
     keywords = list(_keywords(path, blank_comments(text)))
+    cuts = [number for number, keyword in enumerate(keywords) if keyword.name == "IZONE"]
+    head, *zones = [keywords[a:b] for a, b in zip([0, *cuts], [*cuts, len(keywords)], strict=True)]
+    stated = [keyword for keyword in head if keyword.name == "NZONE"]
+    if stated and stated[0].number(least=1) != max(len(zones), 1):
+        raise stated[0].section.error(f"NZONE= {stated[0].value}, but {len(zones)} zones are in the file.")
+    numbers = [zone[0].number() for zone in zones]
+    if sorted(numbers) != list(range(1, len(zones) + 1)):
+        raise ValueError(f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
+    parts = []
+    for zone in zones or [[]]:
+        names = {keyword.name for keyword in zone}
+        parts.append([*(keyword for keyword in head if keyword.name not in names), *zone])
+    return parts
+
+
+def mesh_of(path: pathlib.Path, text: bytes, keywords: list[_Keyword]) -> Mesh:
+    """Reads the points, cells and markers of a zone, or of a file without zones."""
     dimension = _only(path, keywords, "NDIME")
     if (d := dimension.number()) not in (2, 3):
         raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-    for keyword in keywords:
-        if keyword.name == "NZONE" and keyword.number() > 1:
-            raise keyword.section.error(
-                f"the file holds {keyword.number()} zones; one is read. Split it into one file for each zone."
-            )
     rows = _only(path, keywords, "NPOIN")
     points = np.concatenate(list(_points(rows, d)))
     cells = _joined(_elements(_only(path, keywords, "NELEM"), len(points)))
@@ -101,10 +124,10 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         content: _SU2Content = source.content
         if points.shape != content.shape:
             raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {content.shape}.")
-        file.writelines(_with_points(content.text, content.start, content.stop, points))
+        file.writelines(with_points(content.text, content.start, content.stop, points))
 
 
-def _with_points(text: bytes, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
+def with_points(text: bytes, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
     """Yields the text with `points` (n, d) in place of those that stand from `start` to `stop`."""
     d = points.shape[1]
     return replace(text, slice(start, stop), points, lambda counts: counts >= d)
@@ -131,7 +154,7 @@ def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:
     if not named:
         raise ValueError(f"{path}: no {name}= in this file; it is not an SU2 mesh, or it is cut short.")
     if len(named) > 1:
-        raise named[1].section.error(f"a second {name}=; files of several zones are not read.")
+        raise named[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
     return named[0]
 
 
