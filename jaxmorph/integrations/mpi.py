@@ -76,6 +76,14 @@ class Piece:
         self.comm.Allreduce(MPI.IN_PLACE, total)
         return total[self.rows]
 
+    def pushforward(self, u: Real[ArrayLike, "k d"], tangent: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
+        """Pushes a change of the displacements `u` (k, d), `tangent` (k, d), forward to this piece's points (n, d).
+
+        It is the derivative of `deform` in one direction. It raises `ValueError` as `deform` does.
+        """
+        u, tangent = self.gathered(u), self.gathered(tangent)
+        return np.array(together(self.comm, lambda: jm.velocity(self.plan, u, tangent)))
+
     def gathered(self, u: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "m d"]:
         """Gathers the displacements of all moving nodes from those that each process has."""
 
@@ -181,6 +189,31 @@ def prepare(
     plan = together(comm, lambda: shared.attach(piece.points, piece.nodes))
     rows = np.searchsorted(names[:m], piece.nodes[piece.moving])
     return Piece(comm, plan, piece.nodes, piece.moving, rows, *marks)
+
+
+def attach(
+    comm: Any,
+    half: jm.SurfaceHalf,
+    points: Real[ArrayLike, "n d"],
+    nodes: Int[ArrayLike, " n"] | Sequence[int],
+) -> Piece:
+    """Attaches the piece of a mesh that this process has to a surface that is prepared; every process calls it together.
+
+    **Arguments:**
+
+    - `comm`: the communicator.
+    - `half`: what `prepare_surface` returned in one process, broadcast to all.
+    - `points`, `nodes`: as `SurfaceHalf.attach` takes them. Each id is from 0 on.
+
+    **Returns:** a `Piece`, whose `moving` are in the order of `points`.
+
+    **Raises:** `ValueError`, in every process, as `SurfaceHalf.attach` does.
+    """
+    plan = together(comm, lambda: half.attach(np.asarray(points), np.asarray(nodes)))
+    ids, order = np.asarray(nodes), np.argsort(half.moving)
+    moving = np.flatnonzero(np.isin(ids, half.moving))
+    rows = order[np.searchsorted(half.moving[order], ids[moving])]
+    return Piece(comm, plan, ids, moving, rows, *owned(comm, ids))
 
 
 @dataclasses.dataclass(frozen=True)
