@@ -18,7 +18,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "tests"))
 import foam
 from _arena import Case
 
-from jaxmorph._host.topology import FACES
+from jaxmorph._host.cells.topology import FACES
 
 METHODS = {
     "OpenFOAM Laplacian 1/d^2": ("displacementLaplacian", "quadratic inverseDistance (moving)", 1),

@@ -14,7 +14,7 @@ from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.graph import locate, morton_order
+from jaxmorph._host.surface.graph import locate, morton_order
 
 
 def within(mesh: jm.Mesh, count: int) -> np.ndarray:

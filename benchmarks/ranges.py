@@ -17,7 +17,7 @@ from end_to_end import measured
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph.io._blocks import block_cells
+from jaxmorph.io._structured import block_cells
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "tests"))
 import cgns

@@ -7,7 +7,7 @@ from test_periodic import joined, sector
 from test_slide import AXIS, TPS, box, drum, ring
 
 import jaxmorph as jm
-from jaxmorph._plan.walls import rim
+from jaxmorph._boundary.closest import rim
 
 
 def arc():

@@ -10,9 +10,10 @@ from scipy.sparse.linalg import spsolve
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host import linear, multigrid
-from jaxmorph._host.elements import quadrature
-from jaxmorph._methods.stiffness import gradients
+from jaxmorph._host.cells.elements import quadrature
+from jaxmorph._host.linear import factors as linear
+from jaxmorph._host.linear import multigrid
+from jaxmorph._methods.cells.stiffness import gradients
 
 UNIFORM = jm.LinearElasticity(jm.ByVolume(0.0))
 

@@ -12,7 +12,7 @@ from ring import write_ring
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.topology import FACES
+from jaxmorph._host.cells.topology import FACES
 from jaxmorph.cli import main
 
 

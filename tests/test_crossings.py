@@ -8,9 +8,9 @@ from scipy.spatial import ConvexHull
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-from jaxmorph._advice.crossings import Crossings, crossings
-from jaxmorph._host.crossings import crossing_faces, overlapping_boxes
-from jaxmorph._host.passing import _turns, passed_pieces
+from jaxmorph._advice.collisions import Crossings, crossings
+from jaxmorph._host.collisions.crossings import crossing_faces, overlapping_boxes
+from jaxmorph._host.collisions.passing import _turns, passed_pieces
 from jaxmorph.cli import main
 
 METHOD = jm.DelaunayGraph()

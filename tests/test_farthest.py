@@ -6,7 +6,7 @@ from scipy.spatial.distance import cdist
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.farthest import farthest
+from jaxmorph._host.sources.farthest import farthest
 
 
 def uneven(dimension, count=600):

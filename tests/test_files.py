@@ -13,7 +13,7 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.files import complete, output_path
+from jaxmorph._host.package.files import complete, output_path
 from jaxmorph.cli import main
 
 posix = pytest.mark.skipif(os.name != "posix", reason="links and modes of POSIX")
@@ -134,7 +134,7 @@ def test_threads_that_write_one_file_do_not_meet(tmp_path):
 def test_what_a_killed_writer_left_is_swept(tmp_path):
     code = f"""
 import os, pathlib, signal
-from jaxmorph._host.files import complete
+from jaxmorph._host.package.files import complete
 kept = [complete(pathlib.Path({str(tmp_path)!r}) / name, folder=name == "case") for name in ("a.txt", "case")]
 for each in kept:
     each.__enter__()

@@ -11,8 +11,8 @@ from test_openfoam import PATCHES, mixed, split
 
 import jaxmorph as jm
 from jaxmorph import cases, io
+from jaxmorph._boundary.boundary import boundary
 from jaxmorph._kernels.compile import quickly_compiled
-from jaxmorph._plan.door import boundary
 from jaxmorph.cli import main
 
 CHANNEL = ("--moving", "inner", "--fixed", "outer", "inlet", "outlet")

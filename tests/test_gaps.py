@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.gaps import gaps, share_left
+from jaxmorph._host.surface.gaps import gaps, share_left
 
 
 def closing(base, left, lift=0.1):

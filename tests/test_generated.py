@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from test_naca0015 import boundary_edges, polydata, shoelace
 
 from jaxmorph import cases
-from jaxmorph._host.topology import boundary_faces
+from jaxmorph._host.cells.topology import boundary_faces
 
 FLAT = {
     "sharp_o_grid": lambda: cases.sharp_o_grid(around=96, layers=40),

@@ -13,7 +13,7 @@ from jax.experimental import pallas
 
 import jaxmorph as jm
 from jaxmorph._kernels import gpu, log
-from jaxmorph._methods import fused
+from jaxmorph._methods.rbf import fused
 
 BASES = [
     (jm.ThinPlateSpline(), lambda r: r**2 * np.log(np.maximum(r, 1e-300))),

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxmorph as jm
 from jaxmorph import cases as jm_cases
-from jaxmorph._host.graph import locate, morton_order
+from jaxmorph._host.surface.graph import locate, morton_order
 
 SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
 

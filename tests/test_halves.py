@@ -7,7 +7,7 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import cases, shapes
-from jaxmorph._host.graph import graph_of
+from jaxmorph._host.surface.graph import graph_of
 from jaxmorph._methods import delaunay
 
 METHODS = {

@@ -12,12 +12,12 @@ from test_slide import ring
 
 import jaxmorph as jm
 from jaxmorph import cases
+from jaxmorph._boundary.closest import Flat, Track
+from jaxmorph._boundary.periodic import Pairing
 from jaxmorph._improve.improve import _kept, _prepared
 from jaxmorph._improve.systems import pattern, solve
 from jaxmorph._improve.ways import Ways
 from jaxmorph._kernels.values import as_jax
-from jaxmorph._plan.periodic import Pairing
-from jaxmorph._plan.walls import Flat, Track
 from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
 from jaxmorph._quality.smooth import positive_part
 from jaxmorph._quality.vector import corners

@@ -6,7 +6,7 @@ import pytest
 from cases import body, few, motion, whole_and_part
 
 import jaxmorph as jm
-from jaxmorph._host.hierarchy import farthest_first
+from jaxmorph._host.sources.hierarchy import farthest_first
 
 
 def wendland(x):

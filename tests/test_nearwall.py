@@ -10,7 +10,7 @@ from test_naca4 import cusped
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.neighbours import near_walls
+from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph.cases._c_grid import c_grid
 
 PUBLISHED, NEAR_WALL = jm.DelaunayGraph(), jm.NearWall()

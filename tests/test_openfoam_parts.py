@@ -15,9 +15,9 @@ from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.ranks import Agreement, Alone, together
-from jaxmorph._plan.door import boundary
-from jaxmorph._plan.faces import OuterFaces
+from jaxmorph._boundary.boundary import boundary
+from jaxmorph._boundary.outer_faces import OuterFaces
+from jaxmorph._host.package.ranks import Agreement, Alone, together
 from jaxmorph.cli import main
 from jaxmorph.cli._decomposed import STARTED, _ranks, _say_warnings_of_all
 from jaxmorph.cli._output import Output

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxmorph import cases
-from jaxmorph._host import pairs
-from jaxmorph._host.topology import CORNERS, EDGES, FACES, FRAMES, boundary_faces
+from jaxmorph._host.cells import pairs
+from jaxmorph._host.cells.topology import CORNERS, EDGES, FACES, FRAMES, boundary_faces
 from jaxmorph._quality.distortion import IDEAL
 
 RNG = np.random.default_rng(7)

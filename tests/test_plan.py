@@ -8,7 +8,7 @@ import pytest
 from cases import body, few, motion, whole_and_part
 
 import jaxmorph as jm
-from jaxmorph._host.graph import locate
+from jaxmorph._host.surface.graph import locate
 from jaxmorph._methods.sparse import Interpolation
 
 GRAPH = jm.DelaunayGraph()

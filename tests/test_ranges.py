@@ -12,8 +12,8 @@ from test_cgns import two_blocks
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.topology import boundary_faces
-from jaxmorph._host.walls import seen_from_outside
+from jaxmorph._host.cells.topology import boundary_faces
+from jaxmorph._host.surface.walls import seen_from_outside
 from jaxmorph.cli import main
 from jaxmorph.io._boundary import patch_faces
 from jaxmorph.io.cgns import layout

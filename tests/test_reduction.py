@@ -8,7 +8,7 @@ from cases import body
 
 import jaxmorph as jm
 from jaxmorph import cases as jm_cases
-from jaxmorph._host.rounding import roundoff
+from jaxmorph._host.package.rounding import roundoff
 
 
 def reference(points, leaves, local):

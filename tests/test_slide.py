@@ -11,9 +11,9 @@ from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.topology import boundary_faces
+from jaxmorph._boundary.slide import tracks_of, walls_of_patch
+from jaxmorph._host.cells.topology import boundary_faces
 from jaxmorph._kernels.compile import UNTUNED
-from jaxmorph._plan.slide import tracks_of, walls_of_patch
 
 TPS = full(jm.ThinPlateSpline(), 1)
 AXIS = jm.Revolution((0, 0, 3))

@@ -5,8 +5,8 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.topology import boundary_faces
-from jaxmorph._plan.holes import filled
+from jaxmorph._boundary.holes import filled
+from jaxmorph._host.cells.topology import boundary_faces
 
 pytestmark = pytest.mark.slow
 

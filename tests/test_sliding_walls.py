@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from jaxmorph._plan.holes import filled
-from jaxmorph._plan.slide import _around
-from jaxmorph._plan.walls import Faceted, Flat, Round, Track, rim
+from jaxmorph._boundary.closest import Faceted, Flat, Round, Track, rim
+from jaxmorph._boundary.holes import filled
+from jaxmorph._boundary.slide import _around
 
 ROWS = np.arange(12)
 AXIS, ORIGIN = np.array([0.6, 0.0, 0.8]), np.array([1.0, -2.0, 0.5])

@@ -7,9 +7,9 @@ import pytest
 from cases import body, iterative, motion
 
 import jaxmorph as jm
-from jaxmorph._host.ordering import far_to_near
-from jaxmorph._methods import rbf as rbf_module
-from jaxmorph._methods.solvers import ConjugateGradients
+from jaxmorph._host.linear.ordering import far_to_near
+from jaxmorph._methods.rbf import rbf as rbf_module
+from jaxmorph._methods.rbf.solvers import ConjugateGradients
 
 
 def classic(solver=None, basis=None, **options):

@@ -12,8 +12,8 @@ from cases import body, motion
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.sharp import behind_tips
-from jaxmorph._host.skin import chords, edges, thinned
+from jaxmorph._host.surface.sharp import behind_tips
+from jaxmorph._host.surface.skin import chords, edges, thinned
 
 
 @functools.cache

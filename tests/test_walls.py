@@ -5,8 +5,8 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.topology import boundary_faces
-from jaxmorph._host.walls import seen_from_outside, walls
+from jaxmorph._host.cells.topology import boundary_faces
+from jaxmorph._host.surface.walls import seen_from_outside, walls
 
 
 def parts(mesh, moving, fixed=(), with_faces=True):

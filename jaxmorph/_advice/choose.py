@@ -11,23 +11,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._host.door import between, checked, whole
-from .._host.reduction import KDTree
+from .._boundary.boundary import boundary
+from .._boundary.images import Images
+from .._boundary.periodic import Periodic
+from .._boundary.slide import Slide
+from .._boundary.symmetry import Plane
+from .._host.package.arguments import between, checked, whole
+from .._host.sources.reduction import KDTree
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface, check_kind
-from .._methods.basis import WendlandC2
-from .._methods.fitted import FittedRBF
 from .._methods.nearwall import NearWall
-from .._methods.rbf import RBF
+from .._methods.rbf.basis import WendlandC2
+from .._methods.rbf.fitted import FittedRBF
+from .._methods.rbf.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
-from .._plan.door import boundary
-from .._plan.images import Images
-from .._plan.periodic import Periodic
 from .._plan.plan import Plan
 from .._plan.prepare import surface_of
-from .._plan.slide import Slide
-from .._plan.symmetry import Plane
 from .resolved import leaves_enough
 from .rivals import WORTH, is_better, judged, others, tried
 

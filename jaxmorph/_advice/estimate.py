@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import ArrayLike, Int
 
-from .._host.door import checked, whole
-from .._host.topology import FACES
+from .._boundary.boundary import node_ids
+from .._host.cells.topology import FACES
+from .._host.package.arguments import checked, whole
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
-from .._methods.fitted import FittedRBF
-from .._methods.rbf import RBF
+from .._methods.rbf.fitted import FittedRBF
+from .._methods.rbf.rbf import RBF
+from .._methods.rbf.solvers import Iterative
 from .._methods.reconstruction import SurfaceReconstruction
-from .._methods.solvers import Iterative
-from .._plan.door import node_ids
 
 START = 0.3e9
 """Bytes of the process before it has read anything."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._host.door import between, checked, finite_array, whole
+from .._host.package.arguments import between, checked, finite_array, whole
 from .._improve.improve import Improvement, improve_of
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan

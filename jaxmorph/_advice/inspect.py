@@ -9,16 +9,16 @@ import numpy as np
 import scipy.spatial
 from jaxtyping import ArrayLike, Integer, Real
 
-from .._host.door import checked, rows_of
-from .._host.errors import MeshError
-from .._host.gaps import share_left
-from .._host.skin import edges
-from .._host.walls import walls
+from .._host.package.arguments import checked, rows_of
+from .._host.package.errors import MeshError
+from .._host.surface.gaps import share_left
+from .._host.surface.skin import edges
+from .._host.surface.walls import walls
 from .._mesh.mesh import Mesh
-from .._methods.fitted import FittedRBF
+from .._methods.rbf.fitted import FittedRBF
 from .._plan.judge import ended, ends
 from .._plan.plan import Plan
-from .crossings import Crossings, crossings_of, names_of, simplices
+from .collisions import Crossings, crossings_of, names_of, simplices
 from .overshoot import overshoot
 from .resolved import UNRESOLVED, leaves_enough, missed
 from .torn import remedies, share_faces, torn_pairs

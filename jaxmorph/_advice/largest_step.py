@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from .._host.door import between, checked, finite_array
+from .._host.package.arguments import between, checked, finite_array
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._plan.plan import Plan, deform

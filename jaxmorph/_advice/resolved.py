@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 
-from .._host.reduction import KDTree, drop_close, roundoff
+from .._host.sources.reduction import KDTree, drop_close, roundoff
 
 UNRESOLVED = 1 / 3
 """Share of the largest displacement that sources may miss between them."""

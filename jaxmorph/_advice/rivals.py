@@ -11,22 +11,22 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
 
+from .._boundary.boundary import Boundary
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
+from .._methods.cells.elasticity import LinearElasticity
+from .._methods.cells.laplacian import Biharmonic
+from .._methods.cells.springs import TorsionalSprings
 from .._methods.delaunay import DelaunayGraph
-from .._methods.elasticity import LinearElasticity
 from .._methods.inverse_distance import InverseDistance
-from .._methods.laplacian import Biharmonic
 from .._methods.multiscale import Multiscale
 from .._methods.nearwall import NearWall
 from .._methods.reconstruction import SurfaceReconstruction
 from .._methods.rigid import RigidBlend
-from .._methods.springs import TorsionalSprings
-from .._plan.door import Boundary
 from .._plan.plan import Plan, deform
 from .._plan.prepare import plan_of
 from .._quality.quality import quality
-from .._quality.wall import wall_quality
+from .._quality.wall_quality import wall_quality
 
 WORTH, NOTICEABLE = 0.8, 1.0
 """Share of the smallest Jacobian ratio that a better method keeps, at least, and degrees by which it is closer to the angle."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, PyTree, Scalar
 
-from .._host.door import between, checked
+from .._host.package.arguments import between, checked
 from .._kernels.callback import host_call
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh

@@ -12,21 +12,21 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Integer, Real
 
-from .._host.adjacency import neighbours
-from .._host.door import between, checked, whole
-from .._host.errors import MeshError
-from .._host.topology import FACES, solid
+from .._boundary.boundary import node_ids, walls_of
+from .._boundary.closest import Flat, Track
+from .._boundary.periodic import Pairing, Periodic
+from .._boundary.slide import Slide, check_repeated, tracks_of
+from .._boundary.symmetry import Plane
+from .._host.cells.adjacency import neighbours
+from .._host.cells.topology import FACES, solid
+from .._host.package.arguments import between, checked, whole
+from .._host.package.errors import MeshError
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import as_jax, is_known
 from .._mesh.mesh import Mesh
-from .._plan.door import node_ids, walls_of
-from .._plan.periodic import Pairing, Periodic
 from .._plan.plan import Plan
 from .._plan.prepare import boundary_of
-from .._plan.slide import Slide, check_repeated, tracks_of
-from .._plan.symmetry import Plane
-from .._plan.walls import Flat, Track
 from .._quality.distortion import node_scales, target
 from .._quality.quality import quality
 from .._quality.vector import corners

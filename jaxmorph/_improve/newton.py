@@ -11,7 +11,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Integer
 
-from .._host.topology import CORNERS, DIMENSION
+from .._host.cells.topology import CORNERS, DIMENSION
 from .._kernels.callback import host_call
 from .._quality import measures
 from .._quality.distortion import Target, energy, energy_of_cells, samples

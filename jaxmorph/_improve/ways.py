@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._plan.periodic import Pairing
-from .._plan.walls import Track
+from .._boundary.closest import Track
+from .._boundary.periodic import Pairing
 
 
 class Ways(eqx.Module):

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._host.door import shown
-from .._host.topology import CORNERS, DIMENSION, VTK, boundary_faces, filling
+from .._host.cells.topology import CORNERS, DIMENSION, VTK, boundary_faces, filling
+from .._host.package.arguments import shown
 
 PREFIX = "patch:"
 """Point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere."""

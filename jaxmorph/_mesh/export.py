@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .._host.topology import VTK
+from .._host.cells.topology import VTK
 from .exchange import PREFIX, Arrays, Parts, imported
 
 

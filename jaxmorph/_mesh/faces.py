@@ -9,8 +9,8 @@ import dataclasses
 import numpy as np
 from scipy import sparse
 
-from .._host.pairs import columns_of, sorted_columns, twins
-from .._host.topology import FACES
+from .._host.cells.pairs import columns_of, sorted_columns, twins
+from .._host.cells.topology import FACES
 
 BLOCK = 1 << 13
 """Cells looked at together."""

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
-from .._host.door import check, checked, shown
-from .._host.topology import CORNERS, canonical_type
+from .._host.cells.topology import CORNERS, canonical_type
+from .._host.package.arguments import check, checked, shown
 from .._kernels.module import Module
 from . import exchange, export
 from .patches import patch_names

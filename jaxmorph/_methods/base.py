@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 from scipy.spatial import KDTree
 
-from .._host.reduction import AbstractReduction, drop_close, drop_near
-from .._host.rounding import SAME, nearest_of
-from .._host.skin import chords
-from .._host.walls import walls
+from .._host.package.rounding import SAME, nearest_of
+from .._host.sources.reduction import AbstractReduction, drop_close, drop_near
+from .._host.surface.skin import chords
+from .._host.surface.walls import walls
 from .._kernels.module import Module
 
 T = TypeVar("T")

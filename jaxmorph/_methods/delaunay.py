@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.graph import graph_of, locate
-from .._host.products import determinant
+from .._host.linear.products import determinant
+from .._host.surface.graph import graph_of, locate
 from .._kernels.values import as_jax
 from .base import AbstractMethod, Located, Surface
 from .sparse import InterpolatedField, Interpolation

@@ -2,9 +2,9 @@
 
 from .base import AbstractMethod
 from .delaunay import DelaunayGraph
-from .fitted import FittedRBF
 from .multiscale import Multiscale
 from .nearwall import NearWall
+from .rbf.fitted import FittedRBF
 from .reconstruction import SurfaceReconstruction
 
 

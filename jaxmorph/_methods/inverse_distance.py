@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.door import between, check_fields
+from .._host.package.arguments import between, check_fields
 from .._kernels.values import largest, norm, root
 from .base import AbstractField, AbstractMethod, Surface
 from .numbers import number
-from .system import block_size, squared_distances
+from .rbf.system import block_size, squared_distances
 
 SMALLEST = 1e-12
 """Distance, relative to the surface's extent, below which a point is at a node."""

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
-from .._host.rounding import nearest_of
+from .._host.package.rounding import nearest_of
 from .._kernels.values import as_jax
 from .base import AbstractMethod, Surface
-from .basis import WendlandC2
 from .nearwall import Extent, layer_width
 from .numbers import length_or_none
+from .rbf.basis import WendlandC2
 from .searched import Searched, squared_distance
 from .sparse import InterpolatedField, Reach
 

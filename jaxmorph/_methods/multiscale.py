@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.door import checked
-from .._host.hierarchy import Share, farthest_first, overlaps, padded, sweeps
+from .._host.package.arguments import checked
+from .._host.sources.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .._kernels.values import as_jax
 from .base import AbstractMethod, Surface
-from .basis import WendlandC2
-from .rbf import RBF
+from .rbf.basis import WendlandC2
+from .rbf.rbf import RBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import InterpolatedField, Reach
 
@@ -83,7 +83,7 @@ class Multiscale(AbstractMethod):
 
 
 class Sweep(eqx.Module):
-    """Order in which the equations are solved; see `jaxmorph._host.hierarchy.sweeps`."""
+    """Order in which the equations are solved; see `jaxmorph._host.sources.hierarchy.sweeps`."""
 
     entries: Int[Array, "s r w"]
     owner: Int[Array, "s r"]

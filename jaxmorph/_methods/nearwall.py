@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.neighbours import digest, near_walls
-from .._host.rounding import first_largest, nearest_of
+from .._host.package.rounding import first_largest, nearest_of
+from .._host.surface.neighbours import digest, near_walls
 from .._kernels.values import Either, as_jax, namespace, norm, root
 from .base import AbstractField, AbstractMethod, Surface, check_kind
-from .basis import WendlandC2
 from .blocks import map_points
 from .delaunay import DelaunayGraph
 from .numbers import length_or_none
+from .rbf.basis import WendlandC2
 from .sparse import InterpolatedField, Interpolation
 
 NEIGHBOURS = 6

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.door import between
+from .._host.package.arguments import between
 from .._kernels.values import is_known
 
 

@@ -4,14 +4,14 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .._host.door import checked
-from .._host.reduction import KDTree
+from .._host.package.arguments import checked
+from .._host.sources.reduction import KDTree
 from .base import AbstractField, AbstractMethod, Surface, check_kind
 from .blocks import map_points, place_points
 from .delaunay import DelaunayGraph
-from .fitted import FittedRBF
 from .nearwall import NearWall
-from .rbf import RBF
+from .rbf.fitted import FittedRBF
+from .rbf.rbf import RBF
 
 
 class SurfaceReconstruction(AbstractMethod):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.rounding import nearest_of
+from .._host.package.rounding import nearest_of
 from .._kernels.values import is_known, norm
 from .base import AbstractField, AbstractMethod, Surface
 from .numbers import length

@@ -16,13 +16,13 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .._host.transpose import tabulate
+from .._host.linear.transpose import tabulate
 from .._kernels.values import as_jax
 from .base import AbstractField, AbstractMethod, AbstractRows
 
 
 class Table(eqx.Module):
-    """Locates the entries of each column in the flattened weights (n, k); see `jaxmorph._host.transpose.tabulate`.
+    """Locates the entries of each column in the flattened weights (n, k); see `jaxmorph._host.linear.transpose.tabulate`.
 
     `weights` are those entries, gathered once per base mesh: that gather costs more than all else in a transpose.
     """

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Integer, Real
 
-from .._host.door import checked, whole
-from .._host.errors import MeshError
+from .._boundary.boundary import Boundary, boundary
+from .._boundary.outer_faces import FreeFaces
+from .._boundary.periodic import Periodic
+from .._boundary.slide import Slide
+from .._boundary.symmetry import Plane
+from .._host.package.arguments import checked, whole
+from .._host.package.errors import MeshError
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, check_kind
-from .door import Boundary, boundary
-from .faces import FreeFaces
 from .halves import SurfaceHalf, half_of
-from .periodic import Periodic
 from .plan import Plan, deform
 from .prepare import between_planes, plan_of
-from .slide import Slide
 from .steps import march
-from .symmetry import Plane
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int, PyTree
 
-from .._host.door import shown
+from .._host.package.arguments import shown
 
 AXIS = "points"
 

@@ -9,21 +9,21 @@ import jax
 import numpy as np
 from jaxtyping import Int, Integer, Real
 
-from .._host.door import checked
-from .._host.errors import MeshError
-from .._host.rounding import roundoff
-from .._host.skin import has_free_sides
+from .._boundary.boundary import Boundary, boundary, checked_points
+from .._boundary.outer_faces import OuterFaces
+from .._boundary.periodic import Periodic
+from .._boundary.slide import Slide
+from .._boundary.symmetry import Plane
+from .._host.package.arguments import checked
+from .._host.package.errors import MeshError
+from .._host.package.rounding import roundoff
+from .._host.surface.skin import has_free_sides
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Surface, check_kind
 from .._methods.reconstruction import SurfaceReconstruction
-from .door import Boundary, boundary, checked_points
-from .faces import OuterFaces
-from .periodic import Periodic
 from .plan import Plan, SurfacePart
 from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
-from .slide import Slide
-from .symmetry import Plane
 
 SAME = 1e-12
 """Distance by which a piece's place of a surface node may differ from the half's, which it gets, as a share of the extent."""

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Real
 
-from .._host.door import checked, finite_array
-from .._host.errors import place_of
+from .._host.package.arguments import checked, finite_array
+from .._host.package.errors import place_of
 from .plan import Plan
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import equinox as eqx
 
-from .._host.reduction import AbstractReduction, AbstractSearchPoints
+from .._host.sources.reduction import AbstractReduction, AbstractSearchPoints
 
 ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
 

@@ -9,7 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
-from .._host.door import checked
+from .._boundary.closest import Track
+from .._boundary.images import Images
+from .._boundary.periodic import Pairing
+from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import as_jax, is_known, on_host, taken
@@ -24,9 +27,6 @@ from .._methods.blocks import (
     without_tables,
 )
 from .devices import Layout, over_points, pad_rows, rows_here
-from .images import Images
-from .periodic import Pairing
-from .walls import Track
 
 
 class SurfacePart(eqx.Module):

@@ -10,7 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 
-from .._host.errors import warn
+from .._boundary.boundary import Boundary, boundary, renumbered
+from .._boundary.images import Images, images_of
+from .._boundary.periodic import Periodic, check_pairings
+from .._boundary.slide import Slide
+from .._boundary.symmetry import Plane, check_planes, facing, on_facing
+from .._host.package.errors import warn
 from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
@@ -18,12 +23,7 @@ from .._methods.base import AbstractMethod, Cells, Surface, check_kind
 from .._methods.blocks import place_points, with_tables
 from .._methods.guiding import guiding
 from .._methods.reconstruction import SurfaceReconstruction
-from .door import Boundary, boundary, renumbered
-from .images import Images, images_of
-from .periodic import Periodic, check_pairings
 from .plan import Guide, Plan, SurfacePart, VolumePart, refitted
-from .slide import Slide
-from .symmetry import Plane, check_planes, facing, on_facing
 
 FEW = 50_000, 2_000
 """Points, and surface nodes, up to which compilation takes longer than what `prepare` computes with it once."""

@@ -10,15 +10,15 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Real
 from scipy.spatial import KDTree
 
-from .._host.door import checked
-from .._host.errors import MeshError, place_of
+from .._boundary.closest import Track
+from .._boundary.periodic import MISMATCH, Pairing
+from .._boundary.symmetry import tolerance
+from .._host.package.arguments import checked
+from .._host.package.errors import MeshError, place_of
 from .._kernels.compile import compiled
 from .._kernels.values import is_readable
 from .._methods.blocks import without_tables
-from .periodic import MISMATCH, Pairing
 from .plan import Plan, base_points, refitted
-from .symmetry import tolerance
-from .walls import Track
 
 DEVIATION = 1e-5
 """Distance from a plane or a wall, relative to the extent of its nodes, that a new base may have: small differences pass."""

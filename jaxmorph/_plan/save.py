@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._host.door import checked
-from .._host.files import complete, input_path, output_path, read_arrays
+from .._host.package.arguments import checked
+from .._host.package.files import complete, input_path, output_path, read_arrays
 from .halves import SurfaceHalf
 from .known import known_classes
 from .plan import Plan

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from .plan import Plan, deform
 
 

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._host.door import between, checked
-from .._host.topology import DIMENSION, FRAMES, solid
+from .._host.cells.topology import DIMENSION, FRAMES, solid
+from .._host.package.arguments import between, checked
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 
 from jaxtyping import Float
 
-from .._host.topology import DIMENSION, EDGES, FACES, FRAMES
+from .._host.cells.topology import DIMENSION, EDGES, FACES, FRAMES
 from .._kernels.values import Either, constant, largest, namespace, smallest
 from .vector import Scalar, Vector, angle, cross, determinant, divide, dot, mean, norm, stack, total
 

@@ -5,10 +5,10 @@ from collections.abc import Callable
 
 from jaxtyping import Bool, Float, Shaped
 
-from .._host.topology import DIMENSION, FACES
+from .._host.cells.topology import DIMENSION, FACES
 from .._kernels.values import Either, largest, namespace
 from . import measures
-from .blocks import in_blocks
+from .batches import in_blocks
 from .centres import centre_of_mass
 from .vector import Vector, corners
 

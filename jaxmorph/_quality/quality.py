@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real, Shaped
 
-from .._host.adjacency import handedness, neighbours
-from .._host.door import checked
-from .._host.topology import DIMENSION
+from .._host.cells.adjacency import handedness, neighbours
+from .._host.cells.topology import DIMENSION
+from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.values import Either, array, as_jax, constant, is_known, namespace, on_host, smallest
 from .._mesh.mesh import Mesh
 from . import measures
-from .blocks import in_blocks
+from .batches import in_blocks
 from .non_orthogonality import non_orthogonality
 from .report import QualityReport
 from .vector import Vector, corners, mean

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.door import checked, whole
-from .._host.topology import DIMENSION
+from .._host.cells.topology import DIMENSION
+from .._host.package.arguments import checked, whole
 from .._kernels.module import Module
 from .._kernels.values import Either, is_known, largest, on_host, smallest
 

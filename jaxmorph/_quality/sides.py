@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Int
 
-from .._host.pairs import columns_of, is_among, sorted_columns, twins
-from .._host.topology import DIMENSION, FACES
+from .._host.cells.pairs import columns_of, is_among, sorted_columns, twins
+from .._host.cells.topology import DIMENSION, FACES
 from .._mesh.faces import Faces
 from .._mesh.mesh import Mesh
 

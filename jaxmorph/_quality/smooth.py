@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from .._methods.numbers import number
 
 

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
-from .._host.door import between, checked
+from .._host.package.arguments import between, checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from . import measures
-from .blocks import in_blocks
+from .batches import in_blocks
 from .non_orthogonality import non_orthogonality
 from .quality import Standard, link, places, standards_of
 from .smooth import positive_part, soft_maximum

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Num, Shaped
 
-from .._host import products
+from .._host.linear import products
 from .._kernels.values import Either, namespace, root
 
 Scalar = Float[Either, "*rows k"]

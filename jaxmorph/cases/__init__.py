@@ -2,8 +2,8 @@
 
 from ._agard445 import agard445 as agard445
 from ._agard445 import agard445_mode as agard445_mode
-from ._blocks import bricks as bricks
-from ._blocks import wing as wing
+from ._bricks import bricks as bricks
+from ._bricks import wing as wing
 from ._gaps import blade_tip as blade_tip
 from ._gaps import bodies as bodies
 from ._gaps import valve as valve

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 import jaxmorph as jm
-from jaxmorph._host.door import between, checked
-from jaxmorph._host.errors import warn
-from jaxmorph._host.files import complete
+from jaxmorph._host.package.arguments import between, checked
+from jaxmorph._host.package.errors import warn
+from jaxmorph._host.package.files import complete
 from jaxmorph._kernels.values import is_known
 
 from . import _agard445_wing as wing

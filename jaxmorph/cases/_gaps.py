@@ -6,7 +6,7 @@ import numpy as np
 
 import jaxmorph as jm
 
-from .._host.door import checked, finite_array
+from .._host.package.arguments import checked, finite_array
 from ._structured import geometric, hexahedra, ids_of, quads
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 import jaxmorph as jm
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from ._c_grid import REFERENCE_POINTS, c_grid
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 import jaxmorph as jm
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from ._structured import geometric, ids_of, quads
 
 FAR = 20.0  # chords

@@ -4,7 +4,7 @@ import numpy as np
 
 import jaxmorph as jm
 
-from .._host.door import between, checked
+from .._host.package.arguments import between, checked
 from ._o_grid import SharpSection, rays
 from ._structured import geometric, ids_of, quads, two_sided
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import brentq
 
-from .._host.door import between
+from .._host.package.arguments import between
 
 
 def ids_of(*shape: int) -> np.ndarray:

@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")  # a locale that lacks a letter of a name
     try:
-        from ._door import answer
+        from ._entry import answer
 
         status = answer(words, is_own=arguments is None)
     except KeyboardInterrupt:

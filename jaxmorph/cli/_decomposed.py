@@ -7,7 +7,7 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._host.ranks import Alone, Ranks, together
+from jaxmorph._host.package.ranks import Alone, Ranks, together
 
 from ._deform import check_files, described, write_job
 from ._judged import Judged

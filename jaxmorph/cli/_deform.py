@@ -8,7 +8,7 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph._host.files import complete, output_path
+from jaxmorph._host.package.files import complete, output_path
 from jaxmorph._kernels.compile import quickly_compiled
 
 from . import _gates

@@ -80,7 +80,7 @@ def _output(name: str) -> Path:
     """Reads the name of what is written. A path forgets the slash at its end, which the name of a file does not have."""
     path = Path(name)
     if name.endswith("/") and path.suffix.strip(".0123456789") and not path.is_dir():
-        from jaxmorph._host.files import file_path
+        from jaxmorph._host.package.files import file_path
 
         try:
             file_path(name)

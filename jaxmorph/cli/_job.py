@@ -9,7 +9,7 @@ import reprlib
 from collections.abc import Sequence
 from typing import Any
 
-from jaxmorph._host.toml import read, written
+from jaxmorph._host.package.toml import read, written
 
 from ._flags import GATES
 from ._groups import Group

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph._quality.faces import measured
+from jaxmorph._quality.face_quality import measured
 from jaxmorph._quality.sides import Sides
 
 ROWS = (

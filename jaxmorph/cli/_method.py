@@ -9,10 +9,10 @@ from jaxtyping import ArrayLike, Float, Int
 
 import jaxmorph as jm
 from jaxmorph import io
-from jaxmorph._plan.door import boundary, planes_of
-from jaxmorph._plan.faces import FreeFaces, OuterFaces
+from jaxmorph._boundary.boundary import boundary, planes_of
+from jaxmorph._boundary.outer_faces import FreeFaces, OuterFaces
+from jaxmorph._boundary.symmetry import check_planes
 from jaxmorph._plan.halves import half_of
-from jaxmorph._plan.symmetry import check_planes
 
 from ._requests import Method, PatchNames
 

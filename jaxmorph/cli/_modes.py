@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
-from jaxmorph._host.files import output_path
+from jaxmorph._host.package.files import output_path
 
 from . import _gates
 from ._judged import Judged

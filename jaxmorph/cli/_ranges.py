@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxmorph import io
-from jaxmorph._host.files import output_path
+from jaxmorph._host.package.files import output_path
 
 from ._decomposed import check_flags, complain, moved_points, prepared_half
 from ._judged import Judged

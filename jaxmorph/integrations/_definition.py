@@ -50,7 +50,7 @@ class Definition:
         off = np.flatnonzero(away > AT * limit)
         if len(self.triangles):
             corners = at[self.triangles]
-            chosen, inside, away[off] = _closest(x[off], place[corners], away[off])
+            chosen, inside, away[off] = _closest(x[off], place[corners])
             columns[off], shares[off] = corners[chosen], inside
             longest = _edges(place[corners]).max(axis=1)
             limit[off] = NEAR * longest[chosen]
@@ -104,12 +104,12 @@ def _edges(corners: np.ndarray) -> np.ndarray:
     return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
 
 
-def _closest(x: np.ndarray, corners: np.ndarray, bound: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _closest(x: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Finds the closest triangle (k,) of `corners` (t, 3, 3) for each of `x`, the weights (k, 3) of its corners, the distance.
 
-    Triangles of like size are looked at together, so that a few long ones do not make candidates of all. `bound` (k,) is a
-    distance within which there is a corner.
+    Triangles of like size are looked at together, so that a few long ones do not make candidates of all.
     """
+    bound = np.asarray(KDTree(corners.reshape(-1, 3)).query(x)[0])
     middle = corners.mean(axis=1)
     radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
     size = np.floor(np.log2(np.maximum(radius, np.finfo(float).tiny)))

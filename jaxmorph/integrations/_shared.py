@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph._host.pairs import sorted_columns
-from jaxmorph._host.ranks import together
-from jaxmorph._host.topology import CORNERS, solid
+from jaxmorph._boundary.outer_faces import outer_faces
+from jaxmorph._host.cells.pairs import sorted_columns
+from jaxmorph._host.cells.topology import CORNERS, solid
+from jaxmorph._host.package.ranks import together
 from jaxmorph._mesh.mesh import Mesh
-from jaxmorph._plan.faces import outer_faces
 
 
 def faces_of(comm: Any, mesh: Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 import jaxmorph as jm
-from jaxmorph._host.errors import warn
-from jaxmorph._host.topology import solid
+from jaxmorph._host.cells.topology import solid
+from jaxmorph._host.package.errors import warn
 
 Values = dict[str, Any]
 Traced = Callable[[Values], Any]

@@ -14,7 +14,7 @@ import openmdao.api as om
 from jaxtyping import Array, Float, PyTree
 
 import jaxmorph as jm
-from jaxmorph._host.door import check
+from jaxmorph._host.package.arguments import check
 
 from ._traced import MovedMesh, TracedComponent
 from .openmdao import add_parameters, first_parameters, from_inputs

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 import jaxmorph as jm
-from jaxmorph._host.door import check, shown
-from jaxmorph._host.ranks import together
-from jaxmorph._plan.symmetry import check_dimension, on_facing
+from jaxmorph._boundary.symmetry import check_dimension, on_facing
+from jaxmorph._host.package.arguments import check, shown
+from jaxmorph._host.package.ranks import together
 
 from ._shared import agree, faces_of, joined, owned
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PyTree
 
 import jaxmorph as jm
 from jaxmorph import shapes
-from jaxmorph._host.door import shown
+from jaxmorph._host.package.arguments import shown
 
 from ._traced import MovedMesh, TracedComponent
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxmorph._host.door import checked
-from jaxmorph._host.files import input_path
-from jaxmorph._host.toml import read
+from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.files import input_path
+from jaxmorph._host.package.toml import read
 from jaxmorph.shapes import FreeForm
 
 NEEDED, OPTIONAL = ("low", "high", "points", "moved"), ("degree", "continuity")

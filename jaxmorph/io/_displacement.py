@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxmorph import Mesh
-from jaxmorph._host.door import checked
-from jaxmorph._host.files import input_path, read_arrays, real_array
+from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.files import input_path, read_arrays, real_array
 
 from ._shape import carried, read_shape
 from ._surface import read_surface

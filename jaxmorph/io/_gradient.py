@@ -10,8 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from jaxmorph._host.door import checked
-from jaxmorph._host.files import complete, output_path
+from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.files import complete, output_path
 from jaxmorph.shapes import names
 
 ENDINGS = (".csv", ".json")

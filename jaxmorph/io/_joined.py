@@ -4,15 +4,14 @@ import dataclasses
 import itertools
 
 import numpy as np
-
 from jaxtyping import Int
 
 from jaxmorph import Mesh
-from jaxmorph._host.door import checked
-from jaxmorph._host.pairs import columns_of, is_single, sorted_columns
+from jaxmorph._host.cells.pairs import columns_of, is_single, sorted_columns
+from jaxmorph._host.package.arguments import checked
 
-from ._blocks import open_faces, shared_nodes
 from ._format import Source
+from ._structured import open_faces, shared_nodes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

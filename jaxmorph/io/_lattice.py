@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from .._host.door import checked, finite_array
-from .._host.files import complete, output_path
+from .._host.package.arguments import checked, finite_array
+from .._host.package.files import complete, output_path
 from .._mesh.exchange import imported
 
 

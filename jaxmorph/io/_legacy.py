@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph._host.topology import CORNERS, VTK
+from jaxmorph._host.cells.topology import CORNERS, VTK
 
 from ._meshio import load, meshio
 from .text.digits import parse

@@ -6,7 +6,7 @@ import pathlib
 import numpy as np
 
 from jaxmorph import Mesh, QualityReport
-from jaxmorph._host.door import checked
+from jaxmorph._host.package.arguments import checked
 
 from ._registry import check_output, write
 

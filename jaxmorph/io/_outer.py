@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from jaxmorph._host.pairs import columns_of, sorted_columns
-from jaxmorph._host.topology import FACES, boundary_faces
+from jaxmorph._host.cells.pairs import columns_of, sorted_columns
+from jaxmorph._host.cells.topology import FACES, boundary_faces
 
 Cells = Callable[[], Iterator[Mapping[str, np.ndarray]]]
 """Reads all cells anew, a block at a time: corners (k, corners) by type."""

@@ -2,7 +2,7 @@
 
 import jaxmorph as jm
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from ._format import Source
 
 

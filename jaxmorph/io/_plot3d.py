@@ -13,9 +13,9 @@ import numpy as np
 
 from jaxmorph import Mesh
 
-from ._blocks import SIDES, block_cells, block_ids, block_sides
 from ._format import Arrays, Source, source_of
 from ._joined import Joined, Zones, join
+from ._structured import SIDES, block_cells, block_ids, block_sides
 from .text.sections import chunks, parse, replace_words
 
 NAME = "PLOT3D"

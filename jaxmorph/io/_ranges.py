@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxmorph import Mesh
-from jaxmorph._host.door import checked, whole
-from jaxmorph._host.files import complete, input_path
-from jaxmorph._host.pairs import is_among
-from jaxmorph._host.topology import CORNERS, boundary_faces, repeated_cells, solid
-from jaxmorph._host.walls import seen_from_outside
+from jaxmorph._host.cells.pairs import is_among
+from jaxmorph._host.cells.topology import CORNERS, boundary_faces, repeated_cells, solid
+from jaxmorph._host.package.arguments import checked, whole
+from jaxmorph._host.package.files import complete, input_path
+from jaxmorph._host.surface.walls import seen_from_outside
 
 from ._format import Source
 from ._registry import checked_target

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Shaped
 
 from jaxmorph import Mesh
-from jaxmorph._host import files
-from jaxmorph._host.door import checked
-from jaxmorph._host.topology import repeated_cells
+from jaxmorph._host.cells.topology import repeated_cells
+from jaxmorph._host.package import files
+from jaxmorph._host.package.arguments import checked
 
 from ._format import Format, Source
 

@@ -10,8 +10,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from jaxmorph import Mesh, QualityReport
-from jaxmorph._host.door import checked
-from jaxmorph._host.files import complete, named, output_path
+from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.files import complete, named, output_path
 
 from ._moved import cell_arrays, displacement_of
 

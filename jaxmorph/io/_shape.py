@@ -7,7 +7,7 @@ import re
 import numpy as np
 from scipy import spatial
 
-from jaxmorph._host.files import read_arrays, real_array
+from jaxmorph._host.package.files import read_arrays, real_array
 
 from .text.sections import parse, scan
 

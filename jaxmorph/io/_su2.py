@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxmorph import Mesh, Periodic
-from jaxmorph._host.topology import CORNERS, VTK, solid
+from jaxmorph._host.cells.topology import CORNERS, VTK, solid
 
 from ._boundary import patch_faces
 from ._format import Arrays, Source, source_of

@@ -7,8 +7,8 @@ import re
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._host.door import checked
-from .._host.files import input_path
+from .._host.package.arguments import checked
+from .._host.package.files import input_path
 from .text.sections import Section
 
 IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")

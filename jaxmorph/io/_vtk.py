@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from jaxmorph import Mesh
-from jaxmorph._host.topology import CORNERS, VTK
+from jaxmorph._host.cells.topology import CORNERS, VTK
 
 from . import _legacy
 from ._format import Arrays, Source

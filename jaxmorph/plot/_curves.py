@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
-from jaxmorph._host.door import checked, finite_array
+from jaxmorph._host.package.arguments import checked, finite_array
 from jaxmorph._plan.prepare import boundary_of, plan_of
 from jaxmorph._quality.report import MEASURES
 

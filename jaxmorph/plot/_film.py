@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from jaxmorph._host.door import checked, finite_array, whole
-from jaxmorph._host.files import complete, output_path
+from jaxmorph._host.package.arguments import checked, finite_array, whole
+from jaxmorph._host.package.files import complete, output_path
 
 from ._plane import Axes, plt
 from ._space import WINDOW, box, kept, set_view, view_of, whole_view

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float, UInt32
 
 import jaxmorph as jm
-from jaxmorph._host.door import checked
-from jaxmorph._host.files import complete, output_path
-from jaxmorph._host.topology import CORNERS, VTK
+from jaxmorph._host.cells.topology import CORNERS, VTK
+from jaxmorph._host.package.arguments import checked
+from jaxmorph._host.package.files import complete, output_path
 
 from ._plane import plt
 from ._space import outside, view_axes

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxmorph as jm
-from jaxmorph._host.door import checked, rows_of
-from jaxmorph._host.files import complete, output_path
+from jaxmorph._host.package.arguments import checked, rows_of
+from jaxmorph._host.package.files import complete, output_path
 
 from ._page import page
 from ._plane import ROOM, Window, mesh

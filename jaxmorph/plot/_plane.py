@@ -8,7 +8,7 @@ from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 
-from .._host.door import checked, finite_array
+from .._host.package.arguments import checked, finite_array
 from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, cell_values, colour_scale, finite
 
 try:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from ._plane import Axes, Window, flat, given_or_new, show
 from ._space import add_legend, aim, new_plotter, pyvista
 from ._style import BLUE, DARK, GREEN, GREY, ORANGE, finite

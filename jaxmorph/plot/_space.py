@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph._host.door import checked
-from jaxmorph._host.topology import VTK
+from jaxmorph._host.cells.topology import VTK
+from jaxmorph._host.package.arguments import checked
 
 from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, cell_values, colour_scale, finite
 

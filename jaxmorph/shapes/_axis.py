@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from .._kernels.values import clipped
-from ._door import Numbers, check_finite, positions
+from ._arguments import Numbers, check_finite, positions
 from ._rigid import turn
 from ._shape import AbstractShape
 

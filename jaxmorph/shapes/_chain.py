@@ -7,9 +7,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from .._host.door import check_fields, checked
+from .._host.package.arguments import check_fields, checked
 from .._kernels.values import as_jax, is_known, on_host, taken
-from ._door import Numbers, positions
+from ._arguments import Numbers, positions
 from ._shape import AbstractShape
 
 

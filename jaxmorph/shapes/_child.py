@@ -6,8 +6,8 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
-from .._host.door import check_fields
-from ._door import Numbers, positions
+from .._host.package.arguments import check_fields
+from ._arguments import Numbers, positions
 from ._freeform import FreeForm
 from ._lattice import LatticeOperator
 from ._shape import AbstractLinearShape, AbstractOperator

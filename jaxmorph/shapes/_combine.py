@@ -10,8 +10,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
-from .._host.door import checked
-from ._door import Numbers, check_finite, positions
+from .._host.package.arguments import checked
+from ._arguments import Numbers, check_finite, positions
 from ._shape import AbstractLinearShape, AbstractOperator
 
 

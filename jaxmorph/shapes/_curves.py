@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from .._kernels.values import clipped, slack
 from . import _bspline
+from ._arguments import Numbers, check_finite, known_positions, positions
 from ._combine import MatrixOperator
-from ._door import Numbers, check_finite, known_positions, positions
 from ._section import Chord
 from ._shape import AbstractLinearShape, AbstractOperator
 

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from .._host.door import checked, whole
+from .._host.package.arguments import checked, whole
 from .._plan.plan import Plan
 from .._plan.plan import pullback as to_nodes
 from .._plan.steps import replay
-from ._door import Numbers, check_parameters, positions
+from ._arguments import Numbers, check_parameters, positions
 from ._shape import AbstractLinearShape
 
 AnyShape = Callable[[Any, Any], Any]

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
-from .._host.door import checked, whole
+from .._host.package.arguments import checked, whole
 from .._kernels.module import Module
 from .._kernels.values import is_known
+from ._arguments import Numbers, known_positions, positions
 from ._combine import Part, Together
 from ._curves import CST
 from ._displacement import neutral
-from ._door import Numbers, known_positions, positions
 from ._section import Chord, upper_side
 from ._shape import AbstractLinearShape
 

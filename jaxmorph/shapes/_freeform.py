@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._host.door import between, checked, whole
+from .._host.package.arguments import between, checked, whole
 from .._kernels.values import is_known, slack
 from . import _bspline
-from ._blocks import Blocks
+from ._arguments import Numbers, check_finite, known_positions, positions
 from ._combine import Linked
-from ._door import Numbers, check_finite, known_positions, positions
 from ._lattice import LatticeOperator, Rows
 from ._links import link_matrix
 from ._shape import AbstractLinearShape
+from ._spans import Blocks
 
 MANY = 1000
 """Points from which on `at` sorts them, for a faster operator."""

@@ -6,9 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ._blocks import Blocks
-from ._door import Numbers
+from ._arguments import Numbers
 from ._shape import AbstractOperator
+from ._spans import Blocks
 
 
 class Rows(eqx.Module):

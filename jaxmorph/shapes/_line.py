@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from .._kernels.values import clipped, is_known
-from ._door import Number, Numbers, axis_for, direction, number, positions, positive, vector
+from ._arguments import Number, Numbers, axis_for, direction, number, positions, positive, vector
 from ._rigid import turn
 
 

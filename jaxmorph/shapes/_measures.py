@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.door import checked
-from .._host.topology import boundary_faces
+from .._host.cells.topology import boundary_faces
+from .._host.package.arguments import checked
 from .._kernels.values import is_known, slack
 from .._mesh.mesh import Mesh
-from ._door import Numbers, positions, rows_of, vector
+from ._arguments import Numbers, positions, rows_of, vector
 
 
 def _cells(mesh: Mesh) -> dict[str, np.ndarray]:

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._host.door import between, checked
+from .._host.package.arguments import between, checked
 from .._kernels.values import slack
-from ._door import Numbers, positions
+from ._arguments import Numbers, positions
 from ._section import Chord
 from ._shape import AbstractShape
 

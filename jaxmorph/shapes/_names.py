@@ -8,8 +8,8 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from .._host.door import checked
-from ._door import check_parameters
+from .._host.package.arguments import checked
+from ._arguments import check_parameters
 
 LISTED = 12
 """Names in a message, at most."""

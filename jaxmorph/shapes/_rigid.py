@@ -6,8 +6,8 @@ Each adds an increment that is exactly zero at the neutral parameter: x comes ba
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._host.door import checked
-from ._door import Number, Numbers, axis_for, number, positions, vector
+from .._host.package.arguments import checked
+from ._arguments import Number, Numbers, axis_for, number, positions, vector
 
 
 @checked

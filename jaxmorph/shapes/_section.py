@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from .._kernels.module import Module
-from ._door import Numbers, check_finite, known_positions, rows_of
+from ._arguments import Numbers, check_finite, known_positions, rows_of
 from ._measures import _triangles
 from ._sides import SAME, upper_of_loop, upper_of_points
 

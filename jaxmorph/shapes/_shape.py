@@ -6,7 +6,7 @@ from typing import Any
 from jaxtyping import Array, Float, PyTree
 
 from .._kernels.module import Module
-from ._door import Numbers, positions
+from ._arguments import Numbers, positions
 
 
 class AbstractShape(Module):

@@ -13,11 +13,11 @@ from jaxtyping import Array, Float, Int
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from .._host.door import between, checked, rows_of
-from .._host.topology import boundary_faces
+from .._host.cells.topology import boundary_faces
+from .._host.package.arguments import between, checked, rows_of
 from .._kernels.callback import host_call
 from .._mesh.mesh import Mesh
-from ._door import Numbers, known_positions, positions
+from ._arguments import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, AbstractOperator
 
 

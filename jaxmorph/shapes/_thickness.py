@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.door import checked
+from .._host.package.arguments import checked
 from .._kernels.module import Module
 from .._kernels.values import is_known
-from ._door import Numbers, check_finite, known_positions, positions, rows_of
+from ._arguments import Numbers, check_finite, known_positions, positions, rows_of
 from ._measures import _triangles
 
 

@@ -36,7 +36,7 @@ from test_plot3d import write as write_plot3d
 
 import jaxmorph as jm
 from jaxmorph import io, plot
-from jaxmorph._host import files
+from jaxmorph._host.package import files
 
 Write = Callable[[pathlib.Path, int], None]
 NOBODY = 65534

@@ -9,12 +9,12 @@ import h5py
 import numpy as np
 
 import jaxmorph as jm
-from jaxmorph._host.pairs import columns_of, is_single, sorted_columns
-from jaxmorph._host.topology import SIDE_TYPES
+from jaxmorph._host.cells.pairs import columns_of, is_single, sorted_columns
+from jaxmorph._host.cells.topology import SIDE_TYPES
 
-from .._blocks import block_cells, block_ids, block_sides
 from .._joined import Zones, join_nodes
 from .._outer import outer_faces
+from .._structured import block_cells, block_ids, block_sides
 from .file import LEVEL, NAME, open_zones, pairs_of, periodic_of, refuse_foreign_data, stamp_of
 from .zone import CORNERS, MIXED, NFACE, NGON, TYPES, Content, Zone, children, data
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph._host import topology
+from jaxmorph._host.cells import topology
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from .._blocks import block_cells, block_ids, block_sides
+from .._structured import block_cells, block_ids, block_sides
 from .polyhedra import Block, Ragged, polyhedra
 
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxmorph import Mesh
-from jaxmorph._host.topology import DIMENSION
+from jaxmorph._host.cells.topology import DIMENSION
 
 from .._boundary import patch_faces
 from .._format import Arrays, Source, source_of

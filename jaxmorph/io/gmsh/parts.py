@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmorph._host.topology import DIMENSION
+from jaxmorph._host.cells.topology import DIMENSION
 
 from .._meshio import meshio
 from .sections import Stream, whole

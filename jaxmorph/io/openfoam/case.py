@@ -16,8 +16,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxmorph import Mesh, Periodic
-from jaxmorph._host.errors import warn
-from jaxmorph._host.files import complete
+from jaxmorph._host.package.errors import warn
+from jaxmorph._host.package.files import complete
 from jaxmorph._mesh.polyhedra import Polyhedra, tetrahedra
 
 from .._format import Arrays, Source, source_of

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxmorph import Mesh, Periodic
-from jaxmorph._host.door import checked, shown
-from jaxmorph._host.files import complete, named, output_path
-from jaxmorph._host.ranks import Agreement, Alone, Ranks, together
-from jaxmorph._plan.faces import outer_faces
+from jaxmorph._boundary.outer_faces import outer_faces
+from jaxmorph._host.package.arguments import checked, shown
+from jaxmorph._host.package.files import complete, named, output_path
+from jaxmorph._host.package.ranks import Agreement, Alone, Ranks, together
 
 from .._format import Source, source_of
 from .case import COPIED, NAME, file_points, read, write_points

@@ -1,0 +1,128 @@
+"""Crossings: moved walls that run into another boundary or into themselves, or have passed through another one."""
+
+import dataclasses
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from .._boundary.outer_faces import outer_faces
+from .._host.cells.pairs import parts_of
+from .._host.collisions.crossings import crossing_faces
+from .._host.collisions.passing import passed_pieces
+from .._mesh.mesh import Mesh
+
+SAME = 1e-9
+"""Distance of nodes that count as one, relative to the extent of the mesh: the two sides of a cut, of a sharp edge."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Crossings:
+    """Holds pairs of boundary faces that cross or touch after the motion and did not before. It is true where there are any.
+
+    Where none do, it holds pairs of walls of which one was inside of the other, and is not after the motion, or the reverse.
+
+    - `nodes` (k, 2): one node of each of the two faces.
+    - `patches`: the names of the two patches of each pair, the same name for a wall that crosses itself; "" without a patch.
+    - `places` (k, d): a point of each crossing, in the mesh's unit; of walls that have passed, where the first node is then.
+    - `have_passed`: whether the pairs are walls that have passed through each other wholly.
+    """
+
+    nodes: np.ndarray
+    patches: tuple[tuple[str, str], ...]
+    places: np.ndarray
+    have_passed: bool = False
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def __str__(self) -> str:
+        """Says in two sentences how many there are, between which patches, and where; empty without any."""
+        if not len(self):
+            return ""
+        pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self.patches)
+        between = ", ".join(_between(*pair) for pair in pairs)
+        place = ", ".join(f"{x:.4g}" for x in self.places[0])
+        is_one = len(self) == 1
+        if self.have_passed:
+            what = f"{len(self)} {'wall lies' if is_one else 'walls lie'} wholly on the other side of another one"
+        else:
+            what = f"{len(self)} {'pair' if is_one else 'pairs'} of boundary faces cross each other"
+        return (
+            f"{what} after the motion ({between}), first near ({place}). No mesh can follow: move the wall less, or the other one "
+            "with it."
+        )
+
+
+def _between(first: str, second: str) -> str:
+    one, other = (repr(name) if name else "faces of no patch" for name in (first, second))
+    return f"{one} and itself" if first == second else f"{one} and {other}"
+
+
+def crossings(mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings | None:
+    """Finds where the boundary crosses, or has passed, itself after its `nodes` (o,) have moved by `vectors` (o, d).
+
+    Faces with a node that is not among them are left out. It returns None for a mesh whose boundary faces are not known.
+    """
+    cut = simplices(mesh, nodes)
+    return None if cut is None else crossings_of(cut, mesh, nodes, vectors)
+
+
+def crossings_of(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
+    """Finds the same for boundary faces that `simplices` has cut."""
+    faces, ids = cut
+    points = np.asarray(mesh.points, dtype=float)
+    before = points[nodes]
+    together = _together(before, SAME * np.ptp(points, axis=0).max())
+    after = before + vectors
+    pairs, places = crossing_faces(before, after, faces, together)
+    single = np.sort(np.unique(np.sort(ids[pairs], axis=1), axis=0, return_index=True)[1])
+    pairs, places = pairs[single], places[single]
+    if not (cross := len(pairs) > 0):
+        pairs = passed_pieces(before, after, faces, together)
+        places = after[faces[pairs[:, 0], 0]]
+    first, second = (names_of(mesh, nodes[faces[pairs[:, k]]]) for k in range(2))
+    return Crossings(nodes[faces[pairs, 0]], tuple(zip(first, second, strict=True)), places, not cross)
+
+
+def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes` seen from outside; None without faces.
+
+    It also returns the number (f,) of the file's face that each is a part of.
+    """
+    outer = outer_faces(mesh)
+    if outer is None:
+        return None
+    rows = np.full(len(mesh.points), -1)
+    rows[nodes] = np.arange(len(nodes))
+    parts = [(_simplices(rows[corners]), outer.ids[kind]) for kind, corners in outer.corners.items()]
+    faces, ids = np.concatenate([each for each, _ in parts]), np.concatenate([_repeated(*part) for part in parts])
+    known = (faces >= 0).all(axis=1)
+    return faces[known], ids[known]
+
+
+def _simplices(corners: np.ndarray) -> np.ndarray:
+    """Cuts quadrilaterals into two triangles, the second ones after all first ones."""
+    if corners.shape[1] < 4:
+        return corners
+    return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+
+
+def _repeated(simplices: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """Returns the file's face of each simplex."""
+    return np.resize(ids, len(simplices))
+
+
+def _together(points: np.ndarray, distance: float) -> np.ndarray:
+    """Numbers places (b,): nodes that nearly coincide are at one."""
+    pairs = KDTree(points).query_pairs(distance, output_type="ndarray")
+    return parts_of(pairs[:, 0], pairs[:, 1], len(points))
+
+
+def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
+    """Names for each face (k, corners) the smallest patch that has all of its nodes, "" where there is none."""
+    names = np.full(len(faces), "", dtype=object)
+    for name, nodes in sorted(mesh.patches.items(), key=lambda item: -len(item[1])):
+        inside = np.zeros(len(mesh.points), dtype=bool)
+        inside[np.asarray(nodes)] = True
+        names[inside[faces].all(axis=1)] = name
+    return names.tolist()

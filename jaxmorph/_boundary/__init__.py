@@ -1,0 +1,1 @@
+"""The boundary that a caller names: nodes, planes, pairs, walls."""

@@ -1,0 +1,111 @@
+"""The boundary faces of a mesh, and those of them that no list names."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .._host.cells.pairs import is_among
+from .._host.cells.topology import boundary_faces, solid
+from .._host.surface.walls import seen_from_outside
+from .._mesh.mesh import Mesh
+from .._mesh.polyhedra import Polyhedra, triangles
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class OuterFaces:
+    """Holds the boundary faces of the cells of highest dimension (edges in 2-D), seen from outside.
+
+    - `corners`: node ids (k, corners) by type.
+    - `ids`: the number (k,) of the file's face that each of them is, or is a triangle of.
+    """
+
+    corners: dict[str, np.ndarray]
+    ids: dict[str, np.ndarray]
+
+    @classmethod
+    def numbered(cls, faces: Mapping[str, Any]) -> "OuterFaces":
+        """Numbers faces one type after the other."""
+        corners = {kind: np.asarray(each) for kind, each in faces.items()}
+        starts = np.cumsum([0, *map(len, corners.values())])
+        ids = {kind: start + np.arange(len(each)) for (kind, each), start in zip(corners.items(), starts, strict=False)}
+        return cls(corners, ids)
+
+    def count(self, chosen: Mapping[str, np.ndarray] | None = None) -> int:
+        """Counts the file's faces, or those of them that have a part that is `chosen` by a mask for each type."""
+        ids = [each if chosen is None else each[chosen[kind]] for kind, each in self.ids.items()]
+        return len(np.unique(np.concatenate(ids))) if ids else 0
+
+
+def outer_faces(mesh: Mesh) -> OuterFaces | None:
+    """Finds the boundary faces of a mesh, without those between it and other parts; None where cells do not fill its dimension."""
+    points = np.asarray(mesh.points)
+    cells = {kind: np.asarray(each) for kind, each in solid(mesh.cells, points.shape[1]).items()}
+    if not cells:
+        return None
+    if mesh.polyhedra is not None and points.shape[1] == 3:
+        return _of_polyhedra(mesh.polyhedra, points, mesh.between)
+    corners = seen_from_outside(points, boundary_faces(cells, len(points)))
+    if mesh.between is not None:
+        corners = {kind: each[~is_among(each, mesh.between)] for kind, each in corners.items()}
+    return OuterFaces.numbered(corners)
+
+
+def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
+    """Takes the faces from the file: the pieces of polyhedra and the whole cells beside them share none."""
+    faces = whole.faces
+    outer = np.ones(len(faces.owner), dtype=bool)
+    outer[: len(faces.neighbour)] = faces.neighbour < 0
+    rows = np.flatnonzero(outer)
+    quads, others = (rows[is_quad] for is_quad in (faces.sizes[rows] == 4, faces.sizes[rows] != 4))
+    cut, owner = triangles(faces, others, points) if len(others) else (np.zeros((0, 3), np.int64), np.zeros(0, int))
+    corners = {"triangle": cut, "quad": faces.corners(quads, 4) if len(quads) else np.zeros((0, 4), np.int64)}
+    corners, ids = seen_from_outside(points, corners), {"triangle": others[owner], "quad": quads}
+    if between is not None:
+        kept = {kind: ~np.isin(each, rows[is_among(faces.padded(rows), between)]) for kind, each in ids.items()}
+        corners, ids = ({kind: each[kept[kind]] for kind, each in both.items()} for both in (corners, ids))
+    return OuterFaces(corners, ids)
+
+
+@dataclasses.dataclass(frozen=True)
+class FreeFaces:
+    """Tells which boundary faces are neither moving, fixed nor on a symmetry plane, nor declared to be free.
+
+    - `count`, `total`: how many they are, and how many boundary faces there are.
+    - `patches`: how many of them lie in each patch, by name; none for a patch without.
+    - `unnamed`: how many of them lie in no patch.
+    """
+
+    count: int
+    total: int
+    patches: dict[str, int]
+    unnamed: int
+
+    def __bool__(self) -> bool:
+        return self.count > 0
+
+    def __str__(self) -> str:
+        """Says in a sentence how many there are and where."""
+        where = ", ".join(f"{name!r} ({number})" for name, number in self.patches.items())
+        where = where and f", in {'patch' if len(self.patches) == 1 else 'patches'} {where}"
+        where += f", {self.unnamed} of them in no patch" if self.unnamed else ""
+        return (
+            f"{self.count} of {self.total} boundary faces are neither moving, fixed nor on a symmetry plane{where}: "
+            "their nodes follow like inner ones, and may leave the boundary."
+        )
+
+
+def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
+    """Finds the faces of which a node is not listed; `is_listed` is a mask (n,)."""
+    free = {kind: np.asarray(~is_listed[corners].all(axis=1)) for kind, corners in faces.corners.items()}
+    count, patches = faces.count(free), {}
+    unnamed = dict(free)
+    for name, nodes in mesh.patches.items() if count else ():
+        inside = np.zeros(len(is_listed), dtype=bool)
+        inside[np.asarray(nodes)] = True
+        here = {kind: free[kind] & inside[corners].all(axis=1) for kind, corners in faces.corners.items()}
+        patches[name] = faces.count(here)
+        unnamed = {kind: each & ~here[kind] for kind, each in unnamed.items()}
+    patches = {name: number for name, number in patches.items() if number}
+    return FreeFaces(count, faces.count(), patches, faces.count(unnamed))

@@ -1,0 +1,319 @@
+"""Sliding patches: the surface on which their nodes stay, checked, and the edges and corners where two of them meet."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_array
+
+from .._host.cells.pairs import parts_of
+from .._host.package.arguments import check_patch, finite_array
+from .._host.package.errors import MeshError, place_of
+from .closest import AbstractWall, Faceted, Flat, FlatFaces, Round, Track
+from .holes import CONTINUES, filled
+from .periodic import Pairing
+from .symmetry import Plane
+
+DEVIATION = 1e-5
+"""Distance from its surface, relative to a patch's extent, within which a node lies on it: what files with few digits have."""
+
+SMOOTH = np.cos(np.deg2rad(5))
+"""Cosine of the angle between two sliding patches below which they meet without an edge."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
+class Revolution:
+    """Describes a surface of revolution: a cylinder, a cone, a disc, or any other shroud or hub; in 2-D a circle.
+
+    **Arguments:**
+
+    - `axis`: direction (3,) of the axis, of any length; None in 2-D.
+    - `origin`: a point (d,) of the axis, in 2-D the centre. Default: zero.
+    - `profile`: points (k, 2) of the surface: places along the axis from the origin, ascending, and radii. Between them
+      runs a cubic spline. Default: a line if the patch's nodes lie on one (cylinder, cone, disc), or else a spline through them.
+
+    **Raises:** `ValueError` for an axis that is zero, and a profile that is not (k, 2) with ascending places.
+    """
+
+    axis: np.ndarray | None
+    origin: np.ndarray | None
+    profile: np.ndarray | None
+
+    def __init__(self, axis=None, origin=None, profile=None):
+        axis = None if axis is None else finite_array("axis", axis, (3,)).astype(float)
+        origin = None if origin is None else finite_array("origin", origin, (2,), (3,)).astype(float)
+        profile = None if profile is None else finite_array("profile", profile, (None, 2)).astype(float)
+        if axis is not None and not np.any(axis):
+            raise ValueError(f"the axis of a surface of revolution is a direction in 3-D that is not zero, not {axis}.")
+        if profile is not None and not (np.diff(profile[:, 0]) > 0).all():
+            raise ValueError("`profile` must be (k, 2): places along the axis, ascending, and radii.")
+        for name, value in {"axis": axis, "origin": origin, "profile": profile}.items():
+            object.__setattr__(self, name, value)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, init=False)
+class Slide:
+    """Lets the nodes of a patch move along its surface: blade tips along a shroud, a body along the sides of its box.
+
+    Nodes between two sliding patches, or a patch and a symmetry plane, stay on both; corners of the mesh, and the apex of a
+    cone, are held. Moving nodes of the patch stay on it too, fixed ones stay where they are.
+
+    On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces it has a kink wherever a
+    node crosses an edge.
+
+    **Arguments:**
+
+    - `patch`: name of a patch, several names, or ids of nodes.
+    - `on`: the surface: a `Plane` (in 2-D a line), a `Revolution`, or None for the patch's own faces, which needs a mesh.
+      Faces in one plane are that plane; edges that turn by more than 60 degrees part them, and keep their nodes. Default None.
+    """
+
+    patch: str | Sequence[str] | np.ndarray
+    on: Plane | Revolution | None
+
+    def __init__(self, patch, on: Plane | Revolution | None = None):
+        check_patch("patch", patch)
+        if not (on is None or isinstance(on, Plane | Revolution)):
+            raise ValueError(f"a patch slides on a jm.Plane, a jm.Revolution or its own faces (None), not {on!r}.")
+        object.__setattr__(self, "patch", patch)
+        object.__setattr__(self, "on", on)
+
+    @property
+    def name(self) -> str:
+        """Names the patch for a message."""
+        return f"the sliding patch {self.patch!r}" if isinstance(self.patch, str) else "a sliding patch"
+
+
+def tracks_of(
+    walls: Sequence[tuple[AbstractWall, np.ndarray]], planes: Sequence[Plane], points: np.ndarray
+) -> tuple[tuple[Track, ...], np.ndarray]:
+    """Groups the nodes of sliding patches by the walls that keep them; returns the nodes that these hold, too.
+
+    Corners and the apex of a cone are held. Raises `ValueError` where two walls meet without an edge.
+    """
+    n, dimension = points.shape
+    on = np.zeros((n, len(walls) + len(planes)), dtype=bool)
+    apex = np.zeros(n, dtype=bool)
+    for k, (wall, nodes) in enumerate(walls):
+        on[nodes, k] = True
+        apex[nodes] |= wall.is_apex(points[nodes])
+    slides = on.any(axis=1) & ~apex
+    for k, plane in enumerate(planes):
+        on[:, len(walls) + k] = slides & plane.holds(points)
+    every = [wall for wall, _ in walls] + [Flat(plane.normal, plane.origin) for plane in planes]
+    groups, number = np.unique(on[slides], axis=0, return_inverse=True)
+    tracks: list[Track] = []
+    held: list[np.ndarray] = [np.flatnonzero(apex)]
+    for k, group in enumerate(groups):
+        nodes = np.flatnonzero(slides)[number.ravel() == k].astype(np.int32)
+        chosen = tuple(wall for wall, is_on in zip(every, group, strict=True) if is_on)
+        if len(chosen) == 2:
+            _check_edge(chosen, nodes, points)
+        if len(chosen) >= dimension:
+            held.append(nodes)
+            continue
+        tracks.append(Track(nodes, chosen))
+    return tuple(tracks), np.concatenate(held)
+
+
+def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.ndarray) -> None:
+    first, second = (np.asarray(wall.height(jnp.asarray(points[nodes]))[1]) for wall in walls)
+    cosine = np.abs(np.sum(first * second, axis=1))
+    wrong = np.flatnonzero(cosine > SMOOTH)
+    if wrong.size:
+        worst_first = wrong[np.argsort(-cosine[wrong], kind="stable")]
+        place = place_of(points[nodes[worst_first[0]]])
+        raise MeshError(
+            f"two sliding patches, or one and a symmetry plane, meet at {len(wrong)} nodes without an edge between them, the worst "
+            f"is node {{node}} at ({place}). Let them slide as one, jm.Slide((first, second)), or leave one out.",
+            nodes[worst_first],
+        )
+
+
+def check_repeated(
+    tracks: Sequence[Track],
+    corners: np.ndarray,
+    pairings: Sequence[Pairing],
+    points: np.ndarray,
+    free: Bool[np.ndarray, " n"],
+) -> None:
+    """Raises `ValueError` where a free node slides along walls that the periodic transform does not lead to its partner's."""
+    if not tracks or not pairings:
+        return
+    exact, dimension = points.astype(float), points.shape[1]
+    off = np.zeros((len(points), dimension, dimension))  # projections on the normals
+    off[corners] = np.eye(dimension)
+    for track in tracks:
+        normals = np.asarray(track.normals(jnp.asarray(exact)))
+        off[track.rows] = np.swapaxes(normals, 1, 2) @ normals
+    for pairing in pairings:
+        first, second, matrix = map(np.asarray, (pairing.first, pairing.second, pairing.matrix))
+        apart = np.linalg.norm(matrix @ off[first] @ matrix.T - off[second], axis=(1, 2))
+        wrong = np.flatnonzero((apart > np.sqrt(2 - 2 * SMOOTH**2)) & free[first] & free[second])
+        if wrong.size:
+            worst_first = wrong[np.argsort(-apart[wrong], kind="stable")]
+            node, partner = (int(side[worst_first[0]]) for side in (first, second))
+            raise MeshError(
+                f"{len(wrong)} periodic pairs slide along walls that do not repeat each other, the worst is node {{node}} at "
+                f"({place_of(points[node])}) and its partner {partner}: they cannot stay on both and move alike. Name them in "
+                "`fixed`, or let both slide on a surface that repeats, jm.Slide(patch, jm.Plane(normal, origin)).",
+                first[worst_first],
+            )
+
+
+def walls_of_patch(
+    slide: Slide,
+    nodes: Int[np.ndarray, " k"],
+    points: np.ndarray,
+    faces: Mapping[str, np.ndarray] | None,
+    moving: np.ndarray | Sequence[int] = (),
+) -> list[tuple[AbstractWall, np.ndarray]]:
+    """Makes the walls of a sliding patch, each with its nodes; its own faces go on below bodies whose nodes are `moving`.
+
+    Own faces are cut apart at sharp edges. Raises `ValueError`, with the worst node, where nodes do not lie on their wall.
+    """
+    exact, dimension = points.astype(float), points.shape[1]
+    if not len(nodes):
+        raise ValueError(f"{slide.name} has no nodes.")
+    if slide.on is None:
+        return _of_faces(slide, nodes, exact, faces, np.isin(nodes, moving))
+    if isinstance(slide.on, Plane):
+        if len(slide.on.normal) != dimension:
+            raise ValueError(
+                f"the plane of {slide.name} has {len(slide.on.normal)} components, the mesh {dimension} dimensions."
+            )
+        wall = Flat(slide.on.normal, slide.on.origin)
+    else:
+        wall = _of_revolution(slide, slide.on, exact[nodes])
+    _check_on(slide, wall, nodes, exact)
+    return [(wall, nodes)]
+
+
+def _check_on(slide: Slide, wall: AbstractWall, nodes: np.ndarray, points: np.ndarray) -> None:
+    patch = points[nodes]
+    off = np.abs(np.asarray(wall.height(jnp.asarray(patch))[0]))
+    allowed = DEVIATION * np.ptp(patch, axis=0).max()
+    wrong = np.flatnonzero(off > allowed)
+    if wrong.size:
+        worst_first = nodes[wrong[np.argsort(-off[wrong], kind="stable")]]
+        place = place_of(points[worst_first[0]])
+        raise MeshError(
+            f"{slide.name} does not lie on its surface: {len(wrong)} of {len(nodes)} nodes are off, the worst is node {{node}} at "
+            f"({place}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or none: the patch's faces.",
+            worst_first,
+        )
+
+
+def _of_revolution(slide: Slide, on: Revolution, patch: np.ndarray) -> Round:
+    dimension = patch.shape[1]
+    if (on.axis is None) != (dimension == 2):
+        raise ValueError(f"{slide.name}: a surface of revolution has an axis in 3-D, and none in 2-D.")
+    origin = np.zeros(dimension) if on.origin is None else on.origin
+    if origin.shape != (dimension,):
+        raise ValueError(f"{slide.name}: `origin` has shape {origin.shape}; the mesh has {dimension} dimensions.")
+    axis = np.zeros(dimension) if on.axis is None else on.axis / np.linalg.norm(on.axis)
+    arm = patch - origin
+    along = arm @ axis
+    profile = np.stack([along, np.linalg.norm(arm - along[:, None] * axis, axis=1)], axis=1)
+    size = np.ptp(patch, axis=0).max()
+    if on.profile is None:
+        middle = profile.mean(axis=0)
+        normal = np.array([0.0, 1.0])
+        if dimension == 3 and np.ptp(profile) > 0 and np.ptp(profile[:, 1]) > 1e-9 * size:
+            normal = np.linalg.svd(profile - middle, full_matrices=False)[2][-1]
+        if np.abs((profile - middle) @ normal).max() <= DEVIATION * size or dimension == 2:
+            return Round(axis, origin, np.array([*normal, middle @ normal]))
+        profile = profile[np.argsort(profile[:, 0], kind="stable")]
+        profile = profile[np.append(True, np.diff(profile[:, 0]) > 1e-6 * size)]
+    elif len(on.profile) == 1:
+        return Round(axis, origin, np.array([0, 1, on.profile[0, 1]]))
+    else:
+        profile = on.profile
+    from scipy.interpolate import CubicSpline  # here: it would take a tenth of the time of all imports
+
+    spline = CubicSpline(*profile.T, bc_type="natural" if len(profile) > 2 else "not-a-knot")
+    return Round(axis, origin, np.array([0.0, 1.0, 0.0]), spline.x, spline.c)
+
+
+def _of_faces(
+    slide: Slide,
+    nodes: np.ndarray,
+    points: np.ndarray,
+    faces: Mapping[str, np.ndarray] | None,
+    moves: np.ndarray,
+) -> list[tuple[AbstractWall, np.ndarray]]:
+    if faces is None:
+        raise ValueError(
+            f"{slide.name} slides on its faces, which points alone do not have: pass the mesh with its cells, or a surface, "
+            "jm.Slide(nodes, jm.Plane(normal, origin))."
+        )
+    dimension = points.shape[1]
+    row = np.full(len(points), -1)
+    row[nodes] = np.arange(len(nodes))
+    pieces = [np.zeros((0, dimension), dtype=np.int64)]
+    for corners in faces.values():
+        of_patch = row[corners][(row[corners] >= 0).all(axis=1)]
+        fans = range(1, of_patch.shape[1] - 1) if dimension == 3 else ()
+        pieces += [of_patch[:, [0, k, k + 1]] for k in fans] if dimension == 3 else [of_patch]
+    elements = np.concatenate(pieces)
+    if not len(elements):
+        raise ValueError(f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on.")
+    if not np.ptp(points[nodes], axis=0).max() > 0:
+        place = place_of(points[nodes[0]])
+        raise MeshError(f"all {len(nodes)} nodes of {slide.name} stand at ({place}): its faces have no extent.", nodes)
+    return _parted(nodes, points, filled(elements, points[nodes], moves))
+
+
+def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> list[tuple[AbstractWall, np.ndarray]]:
+    """Makes the walls, each with its nodes, of faces, rows of `nodes`: one, or one for each part between sharp edges."""
+    if (flat := _flat(nodes, points, elements)) is not None:
+        return [(flat, nodes)]
+    first, *others = (points[nodes][each] for each in elements.T)
+    edges = [other - first for other in others]
+    normals = edges[0][:, ::-1] * [1, -1] if len(edges) == 1 else np.cross(edges[0], edges[1])
+    lengths = np.linalg.norm(normals, axis=1)
+    is_whole = lengths > 1e-14 * lengths.max()  # a quad that ends in a point has a triangle without area
+    elements = elements[is_whole].astype(np.int32)
+    part = _smooth_parts(elements, normals[is_whole] / lengths[is_whole, None])
+    if part.max() == 0 or np.isin(np.arange(len(nodes)), elements, invert=True).any():  # nodes of no face belong to all
+        return [(Faceted(nodes, points[nodes], elements, _around(elements, len(nodes))), nodes)]
+    walls = []
+    for number in range(part.max() + 1):
+        rows = np.unique(elements[part == number])
+        corners, ids = np.searchsorted(rows, elements[part == number]).astype(np.int32), nodes[rows]
+        flat = _flat(ids, points, corners)
+        walls.append((flat or Faceted(ids, points[ids], corners, _around(corners, len(ids))), ids))
+    return walls
+
+
+def _flat(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> FlatFaces | None:
+    try:
+        plane = Plane.through(points, nodes)
+    except ValueError:
+        return None
+    return FlatFaces(plane.normal, plane.origin, nodes, points[nodes], elements)
+
+
+def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "e d"]) -> Int[np.ndarray, " e"]:
+    """Numbers the parts of a patch's faces between edges (corners in 2-D) that turn by more than 60 degrees.
+
+    Faces that fold back onto each other are one part: both sides of a thin plate.
+    """
+    ids = np.repeat(np.arange(len(elements)), elements.shape[1])
+    touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)))
+    beside = (touch.T @ touch).tocoo()
+    cosine = np.sum(normals[beside.row] * normals[beside.col], axis=1)
+    joined = (cosine > CONTINUES - 1e-9) | (cosine < -SMOOTH)
+    return parts_of(beside.row[joined], beside.col[joined], len(elements))
+
+
+def _around(elements: np.ndarray, count: int) -> np.ndarray:
+    """Lists the faces (count, w) at each vertex and at its neighbours; the last ones are repeated."""
+    ids = np.repeat(np.arange(len(elements)), elements.shape[1])
+    touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)), shape=(count, len(elements)))
+    near = csr_array(touch @ touch.T @ touch)
+    sizes = np.diff(near.indptr)
+    steps = np.minimum(np.arange(sizes.max())[None], np.maximum(sizes - 1, 0)[:, None])
+    return near.indices[np.minimum(near.indptr[:-1, None] + steps, len(near.indices) - 1)].astype(np.int32)

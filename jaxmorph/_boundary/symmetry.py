@@ -1,0 +1,235 @@
+"""Symmetry planes: where they may stand, and which nodes lie on them."""
+
+import itertools
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .._host.package.arguments import finite_array, rows_of
+from .._host.package.errors import MeshError, place_of
+from .._host.package.rounding import roundoff
+from .._kernels.module import Module
+
+TOLERANCE = 1e-8
+"""Distance from a plane, relative to the mesh's extent, within which a node lies on it."""
+
+
+class Plane(Module):
+    """A symmetry plane: nodes on it move in it, and only in it.
+
+    Nodes within 1e-8 of the mesh's extent lie on it, or within the round-off of float32 coordinates; all others are on one
+    side. `Plane.through` finds a patch's plane.
+
+    **Arguments:**
+
+    - `normal`: direction (d,) of any length but zero.
+    - `origin`: any point (d,) of the plane, in the mesh's units.
+
+    **Raises:** `ValueError` for a normal that is zero, or of another length than the origin.
+    """
+
+    normal: np.ndarray
+    origin: np.ndarray
+
+    def __init__(self, normal, origin):
+        normal, origin = (
+            finite_array(name, values, (2,), (3,)).astype(float)
+            for name, values in (("normal", normal), ("origin", origin))
+        )
+        length = np.linalg.norm(normal)
+        if normal.shape != origin.shape or not length > 0:
+            raise ValueError(
+                f"a plane needs a normal that is not zero and an origin of the same length, got {normal}, {origin}."
+            )
+        self.normal, self.origin = normal / length, origin
+
+    @staticmethod
+    def through(points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"]) -> "Plane":
+        """Finds the plane in which nodes of a mesh lie.
+
+        **Arguments:**
+
+        - `points`: all points (n, d) of the mesh.
+        - `nodes`: ids (k,) of nodes in one plane.
+
+        **Returns:** a `Plane`.
+
+        **Raises:** `ValueError` with the deviation and the worst node where they do not lie in one plane.
+        """
+        points = finite_array("points", points, (None, 2), (None, 3))
+        nodes = rows_of("nodes", nodes, len(points))
+        patch = points[nodes].astype(float)
+        if len(patch) < points.shape[1]:
+            raise ValueError(f"{len(patch)} nodes do not determine a plane in {points.shape[1]} dimensions.")
+        origin = patch.mean(axis=0)
+        normal = np.linalg.svd(patch - origin, full_matrices=False)[2][-1]
+        axis = np.abs(normal).argmax()
+        if np.abs(np.delete(normal, axis)).max() < 1e-7:  # the usual case: keep the coordinate bit for bit
+            normal, origin[axis] = np.eye(len(normal))[axis], np.median(patch[:, axis])
+        deviation = np.abs((patch - origin) @ normal)
+        if deviation.max() > tolerance(points):
+            worst_first = np.argsort(-deviation, kind="stable")
+            place = place_of(patch[worst_first[0]])
+            raise MeshError(
+                f"these {len(nodes)} nodes do not lie in one plane: node {{node}} at ({place}) is {deviation.max():.3g} off.",
+                nodes[worst_first],
+            )
+        return Plane(normal, origin)
+
+    def equals(self, other: "Plane", points: np.ndarray) -> bool:
+        """Tells whether both are one plane, to the tolerance within which nodes lie on it."""
+        if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
+            return False
+        return abs(float(self.height(other.origin[None])[0])) <= tolerance(points)
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """Tells which points lie on the plane: booleans (n,)."""
+        return np.abs(self.height(points)) <= tolerance(points)
+
+    def height(self, points: np.ndarray) -> np.ndarray:
+        """Computes the distance (n,) of each point from the plane, positive on the side of its normal."""
+        return (points - self.origin) @ self.normal
+
+
+MOST = 2 * 3
+"""Planes in which one patch may lie: the sides of a box."""
+
+
+def planes_through(
+    points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
+) -> tuple[Plane, ...]:
+    """Finds the planes in which a patch lies, front and back for example, by boundary faces (e, corners) of the mesh.
+
+    The plane with most of the nodes comes first, then that with most of those that are left. Raises what `Plane.through` does
+    where a few planes do not hold all nodes, or others would as well.
+    """
+    try:
+        return (Plane.through(points, nodes),)
+    except MeshError as error:
+        held = np.zeros(len(points), dtype=bool)
+        held[nodes] = True
+        sides = [np.asarray(corners)[held[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
+        planes: list[Plane] = []
+        first: list[Plane] = []
+        while held.any():
+            candidates = _candidates(points.astype(float), sides, held) if len(planes) < MOST else []
+            counts = np.array([held[plane.holds(points)].sum() for plane in candidates], dtype=int)
+            if not len(counts) or counts.max() < points.shape[1]:
+                raise error from None
+            best = [candidates[k] for k in np.flatnonzero(counts == counts.max())]
+            first = first or best
+            chosen = best[0].holds(points)
+            on = nodes[chosen[nodes]]
+            planes.append(Plane.through(points, on))
+            held[on] = False
+            sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
+        if not all(any(plane.equals(other, points) for other in planes) for plane in first):
+            raise error from None  # one cell wide and high: nodes do not tell which sides are meant
+        return tuple(planes)
+
+
+def _candidates(
+    points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray, "_ d"]], held: Bool[np.ndarray, " n"]
+) -> list[Plane]:
+    """Lists the planes of most of the faces, the most frequent ones, each through all `held` nodes that are near it."""
+    corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *faces])]
+    edges = np.diff(corners, axis=1)
+    normal = edges[:, 0, ::-1] * [1, -1] if points.shape[1] == 2 else np.cross(edges[:, 0], edges[:, 1])
+    size = np.linalg.norm(normal, axis=1)
+    normal, corners = normal[size > 0] / size[size > 0, None], corners[size > 0, 0]
+    extent = np.ptp(points, axis=0).max()
+    height = np.sum(normal * (corners - points.mean(axis=0)), axis=1) / extent
+    keys = np.round(np.concatenate([normal, height[:, None]], axis=1), 4) + 0.0
+    _, first, count = np.unique(keys, axis=0, return_index=True, return_counts=True)
+    fitted = []
+    for k in first[np.argsort(-count, kind="stable")[: 2 * MOST]]:
+        plane = Plane(normal[k], corners[k])
+        near = np.flatnonzero(held & (np.abs(plane.height(points)) <= 1e-3 * extent))
+        try:
+            fitted.append(Plane.through(points, near))  # a face's own plane is tilted by the digits of its corners
+        except ValueError:
+            fitted.append(plane)
+    return fitted
+
+
+def tolerance(points: np.ndarray) -> float:
+    """Returns the distance from a plane within which a node lies on it."""
+    return max(TOLERANCE * float(np.ptp(points, axis=0).max()), roundoff(points))
+
+
+def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
+    """Raises `ValueError` for planes of another dimension, neither parallel nor at right angles, or that do not bound the mesh."""
+    check_dimension(planes, points.shape[1])
+    normals = np.stack([plane.normal for plane in planes])
+    cosines = np.abs(normals @ normals.T)
+    if np.minimum(cosines, np.abs(cosines - 1)).max() > 1e-9:
+        raise ValueError("several symmetry planes must be parallel or at right angles to each other.")
+    for plane in planes:
+        _check_bounds(plane, points)
+
+
+def check_dimension(planes: Sequence[Plane], dimension: int) -> None:
+    """Raises `ValueError` for planes of another dimension than the mesh's."""
+    for plane in planes:
+        if len(plane.normal) != dimension:
+            raise ValueError(
+                f"a symmetry plane's normal has {len(plane.normal)} components; the mesh has {dimension} dimensions."
+            )
+
+
+def _check_bounds(plane: Plane, points: np.ndarray) -> None:
+    height = plane.height(points)
+    on = plane.holds(points)
+    name = f"the symmetry plane with normal {plane.normal.tolist()} through {plane.origin.tolist()}"
+    if not on.any():
+        nearest = np.abs(height).argmin()
+        raise MeshError(
+            f"{name} holds no node of the mesh: the nearest, node {{node}}, is {abs(height[nearest]):.3g} away (tolerance "
+            f"{tolerance(points):.3g}). `Plane.through(points, nodes)` finds the plane of a patch.",
+            np.array([nearest]),
+        )
+    above, below = ~on & (height > 0), ~on & (height < 0)
+    beyond = above if above.sum() < below.sum() else below
+    if beyond.any():
+        outside = np.flatnonzero(beyond)
+        outside = outside[np.argsort(-np.abs(height[outside]), kind="stable")]
+        worst = outside[0]
+        place = place_of(points[worst])
+        raise MeshError(
+            f"{name} has nodes on both sides: {beyond.sum()} of {len(points)} lie beyond it, the farthest is node {{node}} at "
+            f"({place}), {abs(height[worst]):.3g} away. A symmetry plane bounds the mesh: give one half alone, or no plane.",
+            outside,
+        )
+
+
+def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
+    """Marks the planes that have another one parallel to them."""
+    if not planes:
+        return np.zeros(0, dtype=bool)
+    return np.any(_parallel(np.stack([plane.normal for plane in planes])), axis=1)
+
+
+def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
+    """Marks the points on planes that have another one parallel to them."""
+    on = np.zeros(len(points), dtype=bool)
+    for plane, has_other in zip(planes, facing(planes), strict=True):
+        if has_other:
+            on |= plane.holds(points)
+    return on
+
+
+def combinations(normals: Float[np.ndarray, "p d"], mirrored: Bool[np.ndarray, " p"]) -> list[tuple[bool, ...]]:
+    """Lists in which `mirrored` planes an image is reflected, for all images: in one of two parallel planes at most.
+
+    Two mirrors face to face have images without end. The first of each stand nearest.
+    """
+    parallel = np.triu(_parallel(normals))
+    every = itertools.product((False, True), repeat=len(normals))
+    flags = [each for each in every if not (np.array(each) & ~mirrored).any()]
+    return [each for each in flags if not (parallel & np.outer(each, each)).any()]
+
+
+def _parallel(normals: Float[np.ndarray, "p d"]) -> Bool[np.ndarray, "p p"]:
+    """Marks the pairs of parallel planes."""
+    return np.logical_and(np.abs(normals @ normals.T) > 0.5, ~np.eye(len(normals), dtype=bool))

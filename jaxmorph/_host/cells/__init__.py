@@ -1,0 +1,1 @@
+"""Cells by their ids: types, faces, neighbours."""

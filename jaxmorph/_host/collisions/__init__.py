@@ -1,0 +1,1 @@
+"""Surfaces that touch, cross or pass through each other."""

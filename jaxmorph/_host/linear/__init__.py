@@ -1,0 +1,1 @@
+"""Sparse matrices: factors, multigrid, orders, transposes."""

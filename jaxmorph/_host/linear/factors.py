@@ -1,0 +1,222 @@
+"""Sparse symmetric positive systems with one number, or one small block, for each pair of nodes. The last few are kept."""
+
+import collections
+import threading
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg
+
+from ..cells.pairs import parts_of
+from ..package.rounding import distinct
+from .multigrid import by_component, conjugate_gradients, hierarchy
+
+DIRECT = 12_000
+"""Unknowns up to which a 3-D system is factored. 2-D systems always are, since their factors hardly fill."""
+RESORT = 60_000
+"""Unknowns up to which a 3-D system is factored where conjugate gradients do not converge, as on thin layers of cells."""
+KEPT = 2
+"""Systems whose factors are kept, the latest ones."""
+
+_kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=KEPT)
+_lock = threading.Lock()
+
+
+def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> np.ndarray:
+    """Solves A x = right for the free unknowns; x is zero for the others.
+
+    **Arguments:**
+
+    - `pairs` (e, 2): nodes i and j of each pair, no pair twice.
+    - `values` (e,) or (e, d, d): the matrix's entries in row i and column j; those in row j are their transposes.
+    - `diagonal` (n,) or (n, d, d): entries of a node with itself.
+    - `masses` (n,) or (0,): where given, the matrix is K M^-1 K, with K the one described and M of these masses.
+    - `free` (n, d): unknowns to solve for.
+    - `right` (n, k): k = d columns.
+    - `multigrid`: whether conjugate gradients take it: the matrix is of an equation on cells.
+
+    **Returns:** x (n, d), in the precision of `right`; NaN where a system is not finite or not positive, or not solved.
+    """
+    key = (pairs, values, diagonal, masses, free, np.array(multigrid))
+    with _lock:
+        apply = next((apply for old, apply in _kept if all(map(_equal, old, key))), None)
+    if apply is None:
+        if not all(np.isfinite(array).all() for array in (values, diagonal, masses)):
+            return np.full_like(right, np.nan)
+        values, diagonal, masses = (array.astype(float, copy=False) for array in (values, diagonal, masses))
+        apply = _inverse(pairs, values, diagonal, masses, free, multigrid)
+        with _lock:
+            _kept.append((tuple(np.array(array) for array in key), apply))
+    return apply(right.astype(float)).astype(right.dtype)
+
+
+def check_solver(unknowns: int, dimension: int) -> None:
+    """Raises `ImportError` where a system needs multigrid, and pyamg is missing."""
+    if dimension == 3 and unknowns > DIRECT and find_spec("pyamg") is None:
+        raise ImportError(
+            f"{unknowns} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
+        )
+
+
+def _equal(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.shape == b.shape and a.dtype == b.dtype and bool(np.array_equal(a, b))
+
+
+def _inverse(pairs, values, diagonal, masses, free, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes the function that solves for right sides (n, d)."""
+    n, d = free.shape
+    if values.ndim == 3:
+        rows, used = np.flatnonzero(free.any(axis=1)), free[free.any(axis=1)]
+        one = _of_matrix(_blocks(pairs, values, diagonal, rows, used), d, multigrid)
+
+        def apply_blocks(right):
+            x = np.zeros((n, d))
+            x[rows] = one((right[rows] * used).ravel()).reshape(-1, d)
+            return x
+
+        return apply_blocks
+    matrix = _scalar(pairs, values, diagonal, n)
+    kinds, column_kind = np.unique(free, axis=1, return_inverse=True)
+    column_kind = np.ravel(column_kind)
+    rows = [np.flatnonzero(kind) for kind in kinds.T]
+    if masses.size:
+        root = sparse.diags(masses**-0.5) @ matrix
+        solvers = [_of_square(root[:, row]) for row in rows]
+    else:
+        solvers = [_of_matrix(matrix[row][:, row], d, multigrid) for row in rows]
+
+    def apply(right):
+        x = np.zeros((n, d))
+        for kind, (row, one) in enumerate(zip(rows, solvers, strict=True)):
+            columns = np.flatnonzero(column_kind == kind)
+            x[np.ix_(row, columns)] = one(right[np.ix_(row, columns)])
+        return x
+
+    return apply
+
+
+def _scalar(pairs, values, diagonal, n) -> sparse.csr_matrix:
+    i, j = pairs.T
+    node = np.arange(n)
+    rows, columns = np.concatenate([i, j, node]), np.concatenate([j, i, node])
+    return sparse.csr_matrix((np.concatenate([values, values, diagonal]), (rows, columns)), shape=(n, n))
+
+
+def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
+    """Assembles the matrix of the nodes `rows` block by block; unknowns not `used` have a one on the diagonal."""
+    d = used.shape[1]
+    number = np.full(len(diagonal), -1)
+    number[rows] = np.arange(len(rows))
+    both = (number[pairs] >= 0).all(axis=1)
+    i, j = number[pairs[both]].T
+    node = np.arange(len(rows))
+    owner, columns = np.concatenate([i, j, node]), np.concatenate([j, i, node])
+    order = np.lexsort((columns, owner))
+    owner, columns = owner[order], columns[order]
+    data = np.concatenate([values[both], values[both].transpose(0, 2, 1), diagonal[rows]])[order]
+    data *= used[owner][:, :, None] & used[columns][:, None]
+    data[owner == columns] += ~used[:, :, None] * np.eye(d)
+    starts = np.searchsorted(owner, np.arange(len(rows) + 1))
+    return sparse.bsr_matrix((data, columns, starts), shape=(len(rows) * d,) * 2)
+
+
+def _of_matrix(matrix: Any, d: int, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes the solver of one matrix, scaled to a diagonal of ones, for right sides (k,) or (k, c)."""
+    if matrix.shape[0] == 0:
+        return lambda right: right
+    if not (matrix.diagonal() > 0).all():
+        return lambda right: np.full_like(right, np.nan)
+    scale = 1 / np.sqrt(matrix.diagonal())
+    scaled = _scaled(matrix, scale)
+    if d == 2 or matrix.shape[0] <= DIRECT:
+        return _factored(scaled, scale)
+    cycle = _cycle(scaled, scale) if multigrid else None
+    factors: list[Callable[[np.ndarray], np.ndarray]] = []
+
+    def apply(right):
+        if not np.isfinite(right).all():
+            return np.full_like(right, np.nan)
+        if not factors:
+            columns = right.reshape(len(scale), -1).T
+            parts = [conjugate_gradients(scaled, column * scale, cycle, scale) * scale for column in columns]
+            x = np.stack(parts, axis=1).reshape(right.shape)
+            if np.isfinite(x).all() or len(scale) > RESORT or cycle is None:
+                return x
+            factors.append(_factored(scaled, scale))
+        return factors[0](right)
+
+    return apply
+
+
+def _factored(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    options = {"SymmetricMode": True}
+    try:
+        factors = linalg.splu(scaled.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError:  # singular
+        return lambda right: np.full_like(right, np.nan)
+    return lambda right: (factors.solve((right.T * scale).T).T * scale).T
+
+
+def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes a cycle of multigrid for each component by itself: of blocks, their diagonal entries alone.
+
+    These are as good as the matrix but for a factor (Korn's inequality), in a ninth of the entries.
+    """
+    if scaled.format != "bsr":
+        return hierarchy(scaled, 1 / scale)
+    d, cycles = scaled.blocksize[0], []
+    for k in range(d):
+        part = sparse.csr_matrix((scaled.data[:, k, k], scaled.indices, scaled.indptr), copy=True)
+        part.eliminate_zeros()
+        cycles.append(hierarchy(part, 1 / scale[k::d]))
+    return by_component(cycles)
+
+
+def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Makes the solver of B^T B x = right for a sparse B (n, k): by the system of both, whose condition is not squared."""
+    n = root.shape[0]
+    scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))
+    scaled = root @ sparse.diags(scale)
+    both = sparse.bmat([[-sparse.identity(n), scaled], [scaled.T, None]], format="csc")
+    try:
+        factors = linalg.splu(both, permc_spec="COLAMD")
+    except RuntimeError:  # singular
+        return lambda right: np.full_like(right, np.nan)
+
+    def apply(right):
+        given = np.concatenate([np.zeros((n, *right.shape[1:])), (right.T * scale).T])
+        x = factors.solve(given)
+        x = x + factors.solve(given - both @ x)  # a step of refinement
+        return (x[n:].T * scale).T
+
+    return apply
+
+
+def _scaled(matrix: Any, scale: np.ndarray) -> Any:
+    """Multiplies rows and columns; blocks stay blocks, in the memory of the given ones."""
+    if matrix.format != "bsr":
+        return (sparse.diags(scale) @ matrix @ sparse.diags(scale)).tocsr()
+    scale = scale.reshape(-1, matrix.blocksize[0])
+    owner = np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))
+    matrix.data *= scale[owner][:, :, None]
+    matrix.data *= scale[matrix.indices][:, None]
+    return matrix
+
+
+def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Tells which nodes (n,) hang together, by pairs (e, 2), with one that is `known` (n,)."""
+    part = parts_of(pairs[:, 0], pairs[:, 1], len(known))
+    return np.bincount(part, known)[part] > 0
+
+
+def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Finds for each point (n,) the one that stands for all at its place: one of `first` if there is any, itself if it is one."""
+    order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
+    index, inverse = distinct(points[order])
+    stands = np.empty(len(points), dtype=np.int64)
+    stands[order] = order[index[inverse]]
+    stands[first] = first
+    return stands

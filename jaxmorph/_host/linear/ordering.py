@@ -1,0 +1,59 @@
+"""Orders for sparse approximate inverses: points from far apart to close, and for each the nearest of those before it."""
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from ..sources.farthest import farthest
+from ..sources.reduction import canonical_order
+
+
+def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Orders points (n, d) such that each is far from those before it, and finds `count` neighbours of all but the `first` ones.
+
+    Returns ids (n,), and places in that order (n - first, count). A row begins with the point's own place. The nearest of the
+    places before it follow; where there are no more, its own stands again. The result depends on the set of points,
+    not on their order.
+    """
+    canonical = canonical_order(points)
+    order = canonical[farthest(points[canonical], len(points), 0.0)]
+    points, n = points[order], len(points)
+    earlier = np.repeat(np.arange(min(first, n), n, dtype=np.int32)[:, None], count, axis=1)
+    start = first
+    while start < n:
+        end = min(
+            n, start + start // 4 + 1
+        )  # one tree for a quarter more points: most of what it gives stands before them
+        earlier[start - first : end - first, 1:] = _before(points[:end], start, count - 1)
+        start = end
+    return order, earlier
+
+
+def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
+    """Finds for the points from `start` on the places of `count` near ones before each; its own place where there are no more.
+
+    They are the nearest, but where most of a point's neighbours come after it: some between `start` and it may then be missed.
+    """
+    place = np.arange(start, len(points))[:, None]
+    distance, nearest = _query(points, points[start:], min(len(points), 2 * count + 2))
+    distance = np.where(nearest < place, distance, np.inf)
+    short = np.flatnonzero((distance < np.inf).sum(axis=1) < count)
+    best, kept = _smallest(distance, nearest, count)
+    if short.size:
+        apart = np.where(nearest[short] >= start, distance[short], np.inf)
+        more, older = _query(points[:start], points[start + short], min(start, count))
+        both = np.concatenate([apart, more], axis=1), np.concatenate([nearest[short], older], axis=1)
+        best[short], kept[short] = _smallest(*both, count)
+    return np.where(best < np.inf, kept, place)
+
+
+def _query(points: np.ndarray, at: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    distance, nearest = KDTree(points).query(at, k=count)
+    return np.asarray(distance).reshape(len(at), count), np.asarray(nearest).reshape(len(at), count)
+
+
+def _smallest(distance: np.ndarray, ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Selects in each row the `count` ids of least distance, in this order; infinite distances where there are fewer."""
+    columns = np.argsort(distance, axis=1, kind="stable")[:, :count]
+    missing = ((0, 0), (0, count - columns.shape[1]))
+    best = np.pad(np.take_along_axis(distance, columns, axis=1), missing, constant_values=np.inf)
+    return best, np.pad(np.take_along_axis(ids, columns, axis=1), missing)

@@ -1,0 +1,1 @@
+"""Choices of sources: which nodes of a surface carry radial functions."""

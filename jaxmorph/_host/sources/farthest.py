@@ -1,0 +1,133 @@
+"""Farthest points: sources spread evenly over a surface, one after the other (Gonzalez 1985)."""
+
+import dataclasses
+
+import numpy as np
+
+from ..package.arguments import check_fields, whole
+from ..package.rounding import SAME, first_largest
+from .reduction import AbstractReduction, KDTree, check_separation, chosen_in_order, extreme_points, least_distance
+
+ENOUGH = {2: 96, 3: 400}
+"""Sources of `Filled` by dimension: a wall in 3-D has the square of what a curve has."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FarthestPoints(AbstractReduction):
+    """Chooses `count` points, each the farthest from those before.
+
+    The first is the farthest from the middle. No point of the surface is then farther from the nearest source than
+    twice what the best choice of as many sources allows (Gonzalez, Theoretical Computer Science 38, 1985). That holds
+    whatever the density of the mesh. The result depends on the set of points, not on their order. It costs n times
+    `count` operations.
+
+    **Arguments:**
+
+    - `count`: how many points to choose, at least 1. There are fewer where `separation` or the mesh leaves no more.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1.
+      Default 1e-3.
+    - `extremes`: begin with the points at which the bounding box is touched, as `KDTree` does: a blunt trailing edge, a
+      wing's tip. Default False.
+
+    **Raises:** `ValueError` for a count below one, and for a separation that is not from 0 to 1.
+    """
+
+    count: int
+    _: dataclasses.KW_ONLY
+    separation: float = 1e-3
+    extremes: bool = False
+
+    def __post_init__(self):
+        whole("count", self.count)
+        check_fields(self)
+        check_separation(self.separation)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return chosen_in_order(points, self._chosen)
+
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        first = extreme_points(points) if self.extremes else None
+        return farthest(points, self.count, self.closest(points), first)
+
+    def closest(self, points: np.ndarray) -> float:
+        return least_distance(points, self.separation)
+
+
+@dataclasses.dataclass(frozen=True)
+class Filled(AbstractReduction):
+    """Chooses the sources of a k-d tree with `extremes`, then the farthest points from them, until there are enough.
+
+    The tree follows the density of the mesh: it is finer at edges. The farthest points leave no part of a wall without
+    sources. There are 96 sources in 2-D and 400 in 3-D, or as many as the tree alone gives.
+
+    **Arguments:**
+
+    - `leaves`: leaves of the tree. Default 16.
+    - `crowded`: leaves where another boundary is near, as in `KDTree`. Default 32.
+    """
+
+    leaves: int = 16
+    crowded: int | None = 32
+
+    @property
+    def tree(self) -> KDTree:
+        return KDTree(self.leaves, extremes=True, crowded=self.crowded)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return self.beside(points, np.zeros((0, np.shape(points)[1])))
+
+    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        def chosen(points, order):
+            first = self.tree.beside(points, others)
+            return farthest(points, max(len(first), ENOUGH[points.shape[1]]), self.closest(points), first)
+
+        return chosen_in_order(points, chosen)
+
+    def closest(self, points: np.ndarray) -> float:
+        return self.tree.closest(points)
+
+
+def farthest(
+    points: np.ndarray,
+    count: int,
+    closest: float,
+    first: np.ndarray | None = None,
+    reach: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """Picks `count` points, each the farthest from those before, and returns their ids; it begins with the ids `first`.
+
+    It ends early when no point is `closest` away. With `reach` (n,) each point's distance is relative to its own reach, and
+    it ends when all points are within reach.
+    """
+    columns = np.ascontiguousarray(points.T)
+    distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
+    least, weight = closest**2, 1.0
+    if np.ndim(reach):
+        # finite where all points are in one place
+        weight, least = 1 / np.maximum(reach, max(closest, 1e-100)) ** 2, 1.0
+    least *= 1 + SAME
+    chosen, outermost = [], first_largest(((points - points.mean(axis=0)) ** 2).sum(axis=1))
+    for node in [outermost] if first is None else first.tolist():
+        if distance[node] > least and len(chosen) < count:
+            chosen.append(node)
+            _lower(distance, columns, node, weight, work)
+    while len(chosen) < count and (top := distance.max()) > least:
+        chosen.append(int((distance >= (1 - SAME) * top).argmax()))
+        _lower(distance, columns, chosen[-1], weight, work)
+    return np.array(chosen)
+
+
+def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndarray | float, work: np.ndarray) -> None:
+    """Lowers the squared distances from the nearest chosen node, now that `node` is chosen too.
+
+    It works in place, so that all stays in the cache.
+    """
+    total, term = work
+    np.subtract(columns[0], columns[0, node], out=total)
+    np.multiply(total, total, out=total)
+    for column in columns[1:]:
+        np.subtract(column, column[node], out=term)
+        np.multiply(term, term, out=term)
+        np.add(total, term, out=total)
+    np.multiply(total, weight, out=total)
+    np.minimum(distance, total, out=distance)

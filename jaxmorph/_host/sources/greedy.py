@@ -1,0 +1,111 @@
+"""Greedy reduction: sources one after the other, where the interpolation is worst (Rendall and Allen 2009)."""
+
+import dataclasses
+
+import numpy as np
+
+from ..package.arguments import between, finite_array, whole
+from ..package.rounding import SAME, first_largest
+from .farthest import farthest
+from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Greedy(AbstractReduction):
+    """Chooses sources one after the other, each where it is needed most.
+
+    With `motions`, each source is put where a thin plate spline through those before misses the motions by most, as Rendall
+    and Allen do (Journal of Computational Physics 228, 2009). Without motions it chooses as `FarthestPoints` does. It costs
+    the host sources^3 operations.
+
+    **Arguments:**
+
+    - `sources`: how many points to choose, at least 1.
+    - `motions`: displacements (k, m, d) of the m points, typical of the motions to come, such as modes. Default None.
+    - `tolerance`: it ends early when the spline misses no motion by more than this, relative to the largest displacement, or
+      by more than 1e-9, which is round-off; 0 by default.
+    - `group`: how many sources join in one round, as a share of those before: 0 puts them one by one. A source of a group knows of
+      those before it in the group by their distance alone. Default 1/8.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1.
+      Default 1e-3.
+
+    **Raises:** `ValueError` for fewer than one source, and when called with another number of points than the motions have.
+    """
+
+    sources: int
+    motions: np.ndarray | None = None
+    _: dataclasses.KW_ONLY
+    tolerance: float = 0.0
+    group: float = 0.125
+    separation: float = 1e-3
+
+    def __post_init__(self):
+        whole("sources", self.sources)
+        if self.motions is not None:
+            finite_array("motions", self.motions, (None, None, None))
+        between("tolerance", self.tolerance, 0, ends="[)")
+        between("group", self.group, 0, 1, "[]")
+        check_separation(self.separation)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return chosen_in_order(points, self._chosen)
+
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        closest = self.closest(points)
+        if self.motions is None:
+            return farthest(points, self.sources, closest)
+        motions = np.asarray(self.motions, dtype=float)
+        if motions.shape[1:] != points.shape:
+            raise ValueError(
+                f"`motions` has shape {motions.shape}, but there are {len(points)} points in {points.shape[1]} dimensions."
+            )
+        values = np.concatenate(list(motions[:, order]), axis=1)
+        return _by_error(points, values, self.sources, closest, self.tolerance, self.group)
+
+    def closest(self, points: np.ndarray) -> float:
+        return least_distance(points, self.separation)
+
+
+def _by_error(
+    points: np.ndarray, values: np.ndarray, count: int, closest: float, tolerance: float, group: float
+) -> np.ndarray:
+    """Picks the points where the interpolation of `values` (m, k d) misses by most, a `group` in each round."""
+    unit = (points - points.mean(axis=0)) / (np.ptp(points, axis=0).max() or 1.0)
+    tail = np.concatenate([np.ones((len(unit), 1)), unit], axis=1)
+    chosen = farthest(points, min(count, points.shape[1] + 1), closest)
+    kernel = _kernel(unit, unit[chosen])
+    distance = np.min([np.linalg.norm(points - points[i], axis=1) for i in chosen], axis=0)
+    closest, slack = closest * (1 + SAME), SAME * np.abs(values).max()
+    least = max(tolerance * np.abs(values).max(), slack)
+    while len(chosen) < count:
+        missed = _missed(kernel, tail, chosen, values)
+        missed[distance <= closest] = 0
+        if missed.max() <= least:
+            break
+        added = []
+        for _ in range(min(1 + int(group * len(chosen)), count - len(chosen))):
+            worst = first_largest(missed, slack)
+            if missed[worst] <= least:
+                break
+            added.append(worst)
+            away = np.linalg.norm(points - points[worst], axis=1)
+            missed = missed * np.minimum(away / distance[worst], 1)  # what this source will mend
+            distance = np.minimum(distance, away)
+            missed[distance <= closest] = 0
+        chosen = np.concatenate([chosen, added])
+        kernel = np.concatenate([kernel, _kernel(unit, unit[added])], axis=1)
+    return chosen
+
+
+def _missed(kernel: np.ndarray, tail: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Computes the largest miss (m,), over all values, of the spline through the chosen points (eq. 3 of the paper)."""
+    terms = tail.shape[1]
+    matrix = np.block([[kernel[chosen], tail[chosen]], [tail[chosen].T, np.zeros((terms, terms))]])
+    rhs = np.concatenate([values[chosen], np.zeros((terms, values.shape[1]))])
+    weights = np.linalg.lstsq(matrix, rhs)[0]  # points in one plane leave the polynomial undetermined
+    return np.abs(values - np.concatenate([kernel, tail], axis=1) @ weights).max(axis=1)
+
+
+def _kernel(points: np.ndarray, sources: np.ndarray) -> np.ndarray:
+    squared = sum(np.subtract.outer(points[:, k], sources[:, k]) ** 2 for k in range(points.shape[1]))
+    return 0.5 * squared * np.log(np.where(squared > 0, squared, 1))

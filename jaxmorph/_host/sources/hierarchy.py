@@ -1,0 +1,194 @@
+"""A hierarchy of surface nodes, farthest first, and the triangular system of functions that reach from node to node."""
+
+import dataclasses
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+
+from ..package.arguments import between
+from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
+from .farthest import FarthestPoints
+from .reduction import AbstractReduction, canonical_order
+
+BATCH = 256
+"""Candidates for the next nodes, examined together."""
+
+WIDTH = 8
+"""Entries in a row of a sweep's table."""
+
+
+def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Orders the nodes, each the farthest from those before it; finds for every node (b,) the nearest one before it.
+
+    The nodes `earlier` stand before all others. Without any, the first is the one farthest from the middle; the node
+    farthest from it then takes the place of its nearest. The mirror images of a node, those with its number in `images`
+    (b,), count as before it, so that images come alike. Nodes that coincide with one before are left out. They and the
+    earlier ones are their own nearest.
+    """
+    rank = canonical_order(points)
+    place = np.argsort(rank)
+    ordered = points[rank].astype(float)
+    distance, nearest = _own_images(ordered, images[rank])
+    start = place[earlier]
+    if not len(earlier):
+        start = _first(ordered, distance, nearest)
+    others = np.setdiff1d(np.arange(len(points)), start)
+    _approach(distance, nearest, others, *_nearest_of(ordered, start, others))
+    radius = np.zeros(len(points))
+    if not len(earlier):
+        radius[start] = distance[start]
+    distance[start] = 0
+    tree, least = KDTree(ordered), roundoff(points)
+    while (batch := _farthest(distance, least)).size:
+        picked = _certain(ordered, distance, batch)
+        radius[picked], distance[picked] = distance[picked], 0
+        around = tree.query_ball_point(ordered[picked], radius[picked])
+        near, node = _joined(around), np.repeat(picked, [len(ids) for ids in around])
+        apart = np.linalg.norm(ordered[near] - ordered[node], axis=1)
+        # nodes outside of the radius come before this node, or are not nearer to it
+        inside = apart < radius[node] * (1 - SAME)
+        _approach(distance, nearest, near[inside], node[inside], apart[inside])
+    nearest[radius == 0] = np.flatnonzero(radius == 0)
+    order = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
+    return rank[order], rank[nearest[place]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Share(AbstractReduction):
+    """Chooses a fraction of the points, at least one, each the farthest from those before."""
+
+    fraction: float
+
+    def __post_init__(self):
+        between("fraction", self.fraction, 0, 1, "(]")
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        count = int(np.ceil(self.fraction * len(points)))
+        return FarthestPoints(count)(points) if count else np.zeros(0, dtype=np.int64)
+
+
+def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Finds each node's nearest mirror image: its distance, infinite where there is none, and its id."""
+    distance, nearest = np.full(len(points), np.inf), np.arange(len(points))
+    order = np.argsort(images, kind="stable")
+    for shift in range(1, int(np.bincount(np.unique(images, return_inverse=True)[1]).max())):
+        for here, there in ((order[shift:], order[:-shift]), (order[:-shift], order[shift:])):
+            same = images[here] == images[there]
+            here, there = here[same], there[same]
+            apart = np.linalg.norm(points[here] - points[there], axis=1)
+            closer = apart < (1 - SAME) * distance[here]
+            distance[here[closer]], nearest[here[closer]] = apart[closer], there[closer]
+    return distance, nearest
+
+
+def _first(points: np.ndarray, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+    """Picks the node farthest from the middle. If it has no image, the node farthest from it becomes its nearest."""
+    first = first_largest(np.linalg.norm(points - points.mean(axis=0), axis=1))
+    if nearest[first] == first:
+        away = np.linalg.norm(points - points[first], axis=1)
+        distance[first], nearest[first] = away.max(), first_largest(away)
+    return np.array([first])
+
+
+def _nearest_of(points: np.ndarray, chosen: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    nearest = nearest_of(points[others], points[chosen], chosen)
+    return nearest, np.linalg.norm(points[others] - points[nearest], axis=1)
+
+
+def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
+    """Lists the nodes with the largest distances above `least`, the largest first, of equals the first."""
+    last = np.partition(distance, -min(BATCH, len(distance)))[-min(BATCH, len(distance))]
+    above, below = np.flatnonzero(distance > (1 + SAME) * last), (1 - SAME) * last
+    equal = np.flatnonzero((distance >= below) & (distance <= (1 + SAME) * last))
+    batch = np.concatenate([above, equal[: BATCH - len(above)]])
+    batch = batch[distance[batch] > least]
+    return batch[np.lexsort((batch, ranked(-distance[batch], SAME * distance.max())))]
+
+
+def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.ndarray:
+    """Selects the nodes of a batch whose distance does not change by the nodes that come before them."""
+    apart = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
+    return batch[apart.min(axis=1) >= distance[batch] * (1 - SAME)]
+
+
+def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, apart: np.ndarray) -> None:
+    """Updates, in place, distance and nearest node of the nodes `near`: each has a `node` that far `apart` from it."""
+    closer = np.flatnonzero(apart < (1 - SAME) * distance[near])
+    np.minimum.at(distance, near[closer], apart[closer])
+    closer = closer[apart[closer] <= (1 + SAME) * distance[near[closer]]]
+    closer = closer[np.argsort(-node[closer], kind="stable")]  # of equals the first is written last
+    nearest[near[closer]] = node[closer]
+
+
+def _joined(lists) -> np.ndarray:
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(np.asarray(ids, dtype=np.int64) for ids in lists)])
+
+
+def overlaps(
+    points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Finds pairs (target, centre) closer than the centre's radius (b,), sorted by target, then as in `centres`."""
+    tree = KDTree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
+    around = tree.query_ball_point(points[centres], radius[centres], return_sorted=False)
+    target, rank = _joined(around), np.repeat(np.arange(len(centres)), [len(ids) for ids in around])
+    order = np.lexsort((rank, target))
+    return target[order], centres[rank[order]]
+
+
+def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lays pairs sorted by target into rows (count, k) of centres, and tells which entries are pairs.
+
+    k is the largest number of centres that a target has.
+    """
+    sizes = np.bincount(target, minlength=count)
+    column = np.arange(len(target)) - (np.cumsum(sizes) - sizes)[target]
+    rows = np.zeros((count, max(1, sizes.max(initial=0))), dtype=np.int32)
+    used = np.zeros(rows.shape, dtype=bool)
+    rows[target, column], used[target, column] = centre, True
+    return rows, used
+
+
+Sweep = tuple[np.ndarray, np.ndarray]
+"""The order in which a triangular system is solved: s steps of r rows, each a sum of up to `WIDTH` entries for its owner.
+
+The first array (s, r, WIDTH) has positions in the list of entries, -1 where there is none; the second one (s, r) the owners.
+"""
+
+
+def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Sweep]:
+    """Orders the equations of a triangular matrix for a forward substitution, and those of its transpose.
+
+    The `count` equations have ones on the diagonal and entries below it. Equations of one level do not depend on each
+    other; a level needs only the levels before it.
+    """
+    level = np.zeros(count, dtype=np.int64)
+    while True:
+        deeper = level.copy()
+        np.maximum.at(deeper, row, level[column] + 1)
+        if (deeper == level).all():
+            break
+        level = deeper
+    return _sweep(row, level[row]), _sweep(column, level.max(initial=0) - level[column])
+
+
+def _sweep(owner: np.ndarray, level: np.ndarray) -> Sweep:
+    if not owner.size:
+        return np.zeros((0, 1, WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
+    order = np.lexsort((owner, level))
+    level, owner = level[order], owner[order]
+    first = np.r_[True, (owner[1:] != owner[:-1]) | (level[1:] != level[:-1])]
+    start = np.flatnonzero(first)[np.cumsum(first) - 1]
+    within = np.arange(len(owner)) - start
+    begins = within % WIDTH == 0
+    row = np.cumsum(begins) - 1  # of a table without padding
+    rows_of_level = np.bincount(level[begins])
+    rows = -(-int(rows_of_level.sum()) // (4 * len(rows_of_level)))
+    steps_of_level = -(-rows_of_level // rows)
+    first_row = np.cumsum(rows_of_level) - rows_of_level
+    first_slot = rows * (np.cumsum(steps_of_level) - steps_of_level)
+    slot = first_slot[level] + row - first_row[level]
+    steps = int(steps_of_level.sum())
+    entries, owners = np.full((steps * rows, WIDTH), -1, dtype=np.int32), np.zeros(steps * rows, dtype=np.int32)
+    entries[slot, within % WIDTH], owners[slot] = order, owner
+    return entries.reshape(steps, rows, WIDTH), owners.reshape(steps, rows)

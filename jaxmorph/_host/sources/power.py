@@ -1,0 +1,60 @@
+"""Sources by the power function: the largest error that an interpolation can have at a point (De Marchi et al. 2005)."""
+
+import dataclasses
+
+import numpy as np
+
+from ..package.arguments import check_fields, whole
+from ..package.rounding import SAME, first_largest
+from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
+
+NOISE = 1e-13
+"""Round-off of the power function, whose largest value is 1."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PGreedy(AbstractReduction):
+    """Picks points one after the other, each where the power function of those before is largest.
+
+    The choice is that of De Marchi, Schaback and Wendland (Advances in Computational Mathematics 23, 2005).
+    It depends on the places alone, not on a motion. The function is Wendland's C2 of a radius as large as the points'
+    extent. The factors grow by a column for each point (Newton's basis).
+
+    **Arguments:**
+
+    - `count`: how many points to choose; fewer where they come closer than `separation`.
+    - `separation`: least distance of two of them, relative to the extent. Default 1e-3.
+
+    **Raises:** `ValueError` for a count below 1, and a separation that is not from 0 to 1.
+    """
+
+    count: int
+    _: dataclasses.KW_ONLY
+    separation: float = 1e-3
+
+    def __post_init__(self):
+        whole("count", self.count)
+        check_fields(self)
+        check_separation(self.separation)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return chosen_in_order(points, self._chosen)
+
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        radius = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
+        count, closest = min(self.count, len(points)), self.closest(points)
+        basis, power, chosen = np.zeros((count, len(points))), np.ones(len(points)), []
+        node = first_largest(((points - points.mean(axis=0)) ** 2).sum(axis=1))
+        while len(chosen) < count and power[node] > 1e-14:
+            k = len(chosen)
+            apart = np.sqrt(((points - points[node]) ** 2).sum(axis=1))
+            xi = np.minimum(apart / radius, 1)
+            column = (1 - xi) ** 4 * (4 * xi + 1) - basis[:k, node] @ basis[:k]
+            basis[k] = column / np.sqrt(power[node])
+            power = np.where(apart <= closest * (1 + SAME), 0, np.maximum(power - basis[k] ** 2, 0))
+            chosen.append(node)
+            node = first_largest(power, SAME * power.max() + NOISE)
+        return np.array(chosen)
+
+    def closest(self, points: np.ndarray) -> float:
+        return least_distance(points, self.separation)

@@ -1,0 +1,272 @@
+"""Reduction of the source points: which nodes of a surface carry the radial basis functions (section 2.1 of the paper)."""
+
+import abc
+import dataclasses
+import heapq
+import itertools
+from collections.abc import Callable
+from typing import ClassVar
+
+import numpy as np
+import scipy.spatial
+
+from ..package.arguments import between, check_fields, finite_array, whole
+from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
+
+
+class AbstractReduction(abc.ABC):
+    """Chooses source points: called with points (k, d), it returns the ids of the chosen ones, each once, ascending.
+
+    A reduction of your own is a frozen (hashable) dataclass with this one method, `__call__`.
+
+    A choice is discontinuous in the coordinates: as nodes move, another one becomes a source. Round-off chooses none in the
+    library's own reductions: lengths within a relative 1e-9 are equal, and the first of equals in the order of coordinates counts.
+    """
+
+    most_on_far_walls: ClassVar[int] = 0
+    """Sources that fixed walls get at most which are farther from the moving ones than they are long; 0: they are as all others."""
+
+    @abc.abstractmethod
+    def __call__(self, points: np.ndarray) -> np.ndarray: ...
+
+    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Chooses as `__call__` does, given `others` (k, d): the fixed nodes, or the moving sources. Ignored by default."""
+        return self(points)
+
+    def closest(self, points: np.ndarray) -> float:
+        """Returns the distance within which one of two sources is dropped, for these points: round-off by default."""
+        return roundoff(points)
+
+
+class AbstractSearchPoints(abc.ABC):
+    """Places in a leaf's box, in its local coordinates from -1 to 1: the mesh point closest to each becomes a source."""
+
+    @abc.abstractmethod
+    def local(self, dimension: int) -> np.ndarray:
+        """Lists the local coordinates (k, d)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Centre(AbstractSearchPoints):
+    """The middle of each box."""
+
+    def local(self, dimension: int) -> np.ndarray:
+        return np.zeros((1, dimension))
+
+
+@dataclasses.dataclass(frozen=True)
+class GaussPoints(AbstractSearchPoints):
+    """The 4 or 8 Gauss points of the linear element, at +-1/sqrt(3)."""
+
+    def local(self, dimension: int) -> np.ndarray:
+        return Corners().local(dimension) / np.sqrt(3)
+
+
+@dataclasses.dataclass(frozen=True)
+class Corners(AbstractSearchPoints):
+    """The 4 or 8 corners of each box."""
+
+    def local(self, dimension: int) -> np.ndarray:
+        return np.array(list(itertools.product((-1.0, 1.0), repeat=dimension)))
+
+
+@dataclasses.dataclass(frozen=True)
+class AllPoints(AbstractReduction):
+    """Chooses every point, as in the classic method; of coincident points one."""
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return drop_close(points, np.arange(len(points)), roundoff(points))
+
+
+@dataclasses.dataclass(frozen=True)
+class KDTree(AbstractReduction):
+    """The paper's explicit reduction by a k-d tree (section 2.1), all five steps.
+
+    The box with the most points is split at the median of its longest side; points at one coordinate stay together. A leaf's
+    box bounds its own points. The mesh point closest to each search point of a leaf becomes a source, and duplicates are
+    dropped. The result depends on the set of points, not on their order.
+
+    **Arguments:**
+
+    - `leaves`: boxes are split until there are so many. One of `leaves`, `points_per_leaf` and `largest_box` is needed.
+    - `search_points`: places in each box; its `Corners()` by default, or `Centre()` or `GaussPoints()`.
+    - `points_per_leaf`: boxes are split until none holds more points. Default None: no limit.
+    - `smallest_box`, `largest_box`: lengths in the mesh's units. A box not longer than the first is left whole, one longer
+      than the second is split. Defaults 0 and infinity.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1. Closer ones
+      are dropped, for they ruin the conditioning of the solve and its derivatives. A fixed source is also dropped beside a
+      moving one, by the smaller one of their distances. Default 1e-3.
+    - `extremes`: adds the points that touch the bounding box, as on a blunt trailing edge or a wing's tip. Default False.
+    - `crowded`: the number of leaves if the other boundary is nearer to a point than the longest side of the bounding box,
+      as in a passage or at a joint. Default None: `leaves`.
+
+    **Raises:** `ValueError` if nothing says when to stop, and for values that are not in these ranges.
+    """
+
+    leaves: int | np.integer | None = None
+    search_points: AbstractSearchPoints = Corners()
+    _: dataclasses.KW_ONLY
+    points_per_leaf: int | np.integer | None = None
+    smallest_box: float = 0.0
+    largest_box: float = np.inf
+    separation: float = 1e-3
+    extremes: bool = False
+    crowded: int | np.integer | None = None
+
+    def __post_init__(self):
+        if self.leaves is None and self.points_per_leaf is None and self.largest_box == np.inf:
+            raise ValueError("KDTree needs one of `leaves`, `points_per_leaf`, `largest_box` to know when to stop.")
+        for name in ("leaves", "points_per_leaf", "crowded"):
+            if getattr(self, name) is not None:
+                whole(name, getattr(self, name))
+        check_fields(self)
+        if not 0 <= self.smallest_box <= self.largest_box:
+            raise ValueError(f"need 0 <= smallest_box <= largest_box, not {self.smallest_box}, {self.largest_box}.")
+        check_separation(self.separation)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return chosen_in_order(points, self._chosen)
+
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        boxes = self.boxes(points)
+        local = self.search_points.local(points.shape[1])
+        centre, half = boxes.mean(axis=1), np.ptp(boxes, axis=1) / 2
+        search = (centre[:, None] + half[:, None] * local).reshape(-1, points.shape[1])
+        sources = np.unique(nearest_of(search, points, np.arange(len(points))))
+        if self.extremes:
+            sources = np.concatenate([extreme_points(points), sources])
+        return drop_close(points, sources, self.closest(points))
+
+    def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        return self.given(points, others)(points)
+
+    def given(self, points: np.ndarray, others: np.ndarray) -> "KDTree":
+        """Returns the tree that is built beside the `others`: with `crowded` leaves where one of them is near."""
+        if self.crowded is None or not len(points) or not len(others):
+            return self
+        near = (1 - SAME) * float(np.ptp(points, axis=0).max())
+        distance = scipy.spatial.KDTree(others).query(points, distance_upper_bound=near)[0]
+        return dataclasses.replace(self, leaves=self.crowded) if np.isfinite(distance).any() else self
+
+    def closest(self, points: np.ndarray) -> float:
+        return least_distance(points, self.separation)
+
+    @staticmethod
+    def with_sources(count: int, points: np.ndarray) -> "KDTree":
+        """Searches for the number of leaves that gives points (n, d) about `count` sources, `extremes` among them.
+
+        **Arguments:**
+
+        - `count`: how many sources are wanted, at least d + 1. A tree gives not every number: the nearest found is taken.
+        - `points`: the moving nodes.
+
+        **Returns:** a tree with so many leaves.
+
+        **Raises:** `ValueError` for a count below d + 1.
+        """
+        points, count = finite_array("points", points, (None, 2), (None, 3)), whole("count", count)
+        points = points.astype(float)
+        if count <= points.shape[1] or not len(points):
+            least = f"{points.shape[1] + 1} or more in {points.shape[1]}-D"
+            raise ValueError(f"`count` must be {least}, not {count}, and {len(points)} points have sources.")
+        tried: dict[int, int] = {}
+        low, high = 1, min(count, len(points))
+        while low <= high:
+            leaves = (low + high) // 2
+            tried[leaves] = len(KDTree(leaves, extremes=True)(points))
+            low, high = (leaves + 1, high) if tried[leaves] < count else (low, leaves - 1)
+        return KDTree(min(tried, key=lambda leaves: (abs(tried[leaves] - count), leaves)), extremes=True)
+
+    def boxes(self, points: np.ndarray) -> np.ndarray:
+        """Builds the tree for points (n, d): lower and upper corner of each leaf's box (k, 2, d)."""
+        counter = itertools.count()  # breaks ties: the leaf found first is split first
+
+        def entry(members):
+            box = points[members]
+            return -len(members), next(counter), members, np.array([box.min(axis=0), box.max(axis=0)])
+
+        heap, done = [entry(np.arange(len(points)))], []
+        while heap:
+            count, _, members, box = leaf = heapq.heappop(heap)
+            sides = np.ptp(box, axis=0)
+            if len(members) < 2 or sides.max() <= self.smallest_box * (1 + SAME):
+                done.append(leaf)
+            elif sides.max() > self.largest_box * (1 + SAME) or self._too_few(-count, 1 + len(heap) + len(done)):
+                for half in _halves(points, members, first_largest(sides)):
+                    heapq.heappush(heap, entry(half))
+            else:
+                done.append(leaf)
+        return np.stack([box for *_, box in done])
+
+    def _too_few(self, count: int, leaves: int) -> bool:
+        wanted = self.leaves is not None and leaves < self.leaves
+        return bool(wanted or (self.points_per_leaf is not None and count > self.points_per_leaf))
+
+
+def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Splits members at the median along an axis; points side by side (an outlet, both sides of a wing) stay together."""
+    members = members[np.argsort(points[members, axis], kind="stable")]
+    along = points[members, axis]
+    gaps = 1 + np.flatnonzero(np.diff(along) > SAME * (along[-1] - along[0]))
+    middle = gaps[np.abs(gaps - len(members) / 2).argmin()]
+    return members[:middle], members[middle:]
+
+
+def canonical_order(points: np.ndarray) -> np.ndarray:
+    """Sorts points by their coordinates, so that results do not depend on the order in which they came."""
+    slack = SAME * float(np.ptp(points, axis=0).max())
+    return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
+
+
+def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    """Calls `choose` with the points in canonical order, and the ids that they have; returns ids of its choice, ascending."""
+    points = np.asarray(points, dtype=float)
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.int64)
+    order = canonical_order(points)
+    return np.sort(order[choose(points[order], order)])
+
+
+def check_separation(separation: float) -> None:
+    """Raises `ValueError` for a least distance between sources that is no share of the extent of the points."""
+    between("separation", separation, 0, 1, "[)")
+
+
+def least_distance(points: np.ndarray, separation: float) -> float:
+    """Returns `separation` times the diagonal of all points, but no less than round-off."""
+    if len(points) == 0:
+        return 0.0
+    return max(separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
+
+
+def extreme_points(points: np.ndarray) -> np.ndarray:
+    """Finds points on the faces of the bounding box: for each side the ones furthest apart within round-off of it."""
+    extremes, slack = [], SAME * float(np.ptp(points, axis=0).max())
+    for axis in range(points.shape[1]):
+        for sign in (-1, 1):
+            along = sign * points[:, axis]
+            touching = np.flatnonzero(along >= along.max() - slack)
+            others = np.delete(points[touching], axis, axis=1)
+            corners = [touching[first_largest(each, slack)] for column in others.T for each in (-column, column)]
+            extremes.extend(corners)
+    return np.unique(extremes)
+
+
+def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarray:
+    """Drops ids whose point lies within `closest` of an earlier one that is kept; the order is kept."""
+    if len(ids) < 2:
+        return ids
+    ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
+    pairs = scipy.spatial.KDTree(points[ids]).query_pairs(closest * (1 + SAME), output_type="ndarray")
+    keep = np.ones(len(ids), dtype=bool)
+    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # pairs come as first < second
+        if keep[first]:
+            keep[second] = False
+    return ids[keep]
+
+
+def drop_near(points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: float) -> np.ndarray:
+    """Drops ids whose point lies within `closest` of one of the `others`; the order is kept."""
+    if len(ids) == 0 or len(others) == 0:
+        return ids
+    return ids[scipy.spatial.KDTree(points[others]).query(points[ids])[0] > closest * (1 + SAME)]

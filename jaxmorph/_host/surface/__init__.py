@@ -1,0 +1,1 @@
+"""Surfaces by their nodes: graphs, walls, gaps, neighbours."""

@@ -1,0 +1,199 @@
+"""The skin of the moving walls: which of its nodes are joined by edges, and how large the bodies are."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.spatial import ConvexHull, KDTree, QhullError
+
+from ..package.rounding import SAME, distinct, first_largest, nearest_few, nearest_of, ranked, roundoff
+from ..sources.farthest import farthest
+from ..sources.reduction import canonical_order
+from .graph import morton_order
+
+FacesByType = Mapping[str, np.ndarray] | None
+
+RINGS, BEYOND = (40, 80), 1.1
+"""Radii of rings at which a body's field comes to rest, relative to the distance of its ends from its middle.
+
+A far field has them if it is `BEYOND` times as far away as the last one.
+"""
+
+SIDES = 64
+"""Sides of the surface's hull, the largest ones, that are looked at for free nodes."""
+
+APART = {2: 0.6, 3: 0.8}
+"""Distance of the points of a ring, relative to its radius: about 8 on a circle."""
+
+
+def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndarray:
+    """Lists each pair (e, 2) of neighbouring rows of the surface once, both among the `moving` first ones.
+
+    Pairs are the sides of the `faces` where those are known, else neighbours by distance. None is as short as round-off.
+    """
+    pairs = _sides(faces, moving)
+    if not len(pairs):
+        pairs = _neighbours(points[:moving])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    length = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1)
+    return pairs[length > roundoff(points)]
+
+
+def _sides(faces: FacesByType, moving: int) -> np.ndarray:
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    for corners in (faces or {}).values():
+        inside = corners[(corners < moving).all(axis=1)]
+        sides = 1 if corners.shape[1] == 2 else corners.shape[1]
+        pairs += [np.stack([inside[:, k], inside[:, (k + 1) % corners.shape[1]]], axis=1) for k in range(sides)]
+    return np.concatenate(pairs)
+
+
+def _neighbours(points: np.ndarray) -> np.ndarray:
+    """Pairs each node with its nearest and the nearest on its other side (2-D), or with its six nearest (3-D)."""
+    first = distinct(points)[0]
+    unique = points[first]
+    count = min(6, len(unique) - 1)
+    if count < 1:
+        return np.zeros((0, 2), dtype=np.int64)
+    nearest = nearest_few(unique, unique, count + 1)[:, 1:]
+    start = np.arange(len(unique))
+    if points.shape[1] == 3:
+        return first[np.stack([np.repeat(start, count), nearest.ravel()], axis=1)]
+    arm = unique[nearest] - unique[:, None]
+    behind = np.einsum("kcd,kd->kc", arm, arm[:, 0]) < -SAME * (arm[:, :1] ** 2).sum(axis=2)
+    other = np.where(behind.any(axis=1), nearest[start, behind.argmax(axis=1)], nearest[:, 0])
+    return first[np.concatenate([np.stack([start, end], axis=1) for end in (nearest[:, 0], other)])]
+
+
+def thinned(places: np.ndarray, most: int) -> np.ndarray:
+    """Picks the ids of at most `most` places, spread as all of them are."""
+    if len(places) <= most:
+        return np.arange(len(places))
+    canonical = canonical_order(places)
+    order = canonical[morton_order(places[canonical])]
+    return np.sort(order[np.linspace(0, len(order) - 1, most).astype(np.int64)])
+
+
+def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> tuple[np.ndarray, np.ndarray]:
+    """Finds two nodes far apart on each wall (w, 2), and measures its mean chord (w,) relative to their distance.
+
+    In 2-D the mean chord is half of a wall's length. In 3-D it is half of a wall's area over the distance of those two
+    nodes: a wing's chord, and about the diameter of a sphere or a fuselage.
+    """
+    count = int(wall.max(initial=-1)) + 1
+    size, ends = np.zeros(count), np.zeros((count, 2), dtype=np.int32)
+    np.add.at(size, wall, _shares(points, faces))
+    order = canonical_order(points)
+    by_wall = order[np.argsort(wall[order], kind="stable")]
+    for label, members in enumerate(np.split(by_wall, np.cumsum(np.bincount(wall, minlength=count))[:-1])):
+        if len(members):
+            first = members[first_largest(((points[members] - points[members].mean(axis=0)) ** 2).sum(axis=1))]
+            ends[label] = first, members[first_largest(((points[members] - points[first]) ** 2).sum(axis=1))]
+    span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+    safe = np.where(span > 0, span, 1)
+    return ends, size / (2 * safe ** (points.shape[1] - 1))
+
+
+def thicknesses(points: np.ndarray, wall: np.ndarray, faces: FacesByType, ends: np.ndarray) -> np.ndarray:
+    """Measures the mean thickness (w,) of each wall in 2-D: the area inside over half of the length, over the distance of its ends.
+
+    It is infinite for a wall that is not closed, and where no faces are known.
+    """
+    count = len(ends)
+    area, length, gap = np.zeros(count), np.zeros(count), np.zeros((count, 2))
+    lines = (faces or {}).get("line", np.zeros((0, 2), dtype=np.int64))
+    start, along = points[lines[:, 0]], points[lines[:, 1]] - points[lines[:, 0]]
+    for total, part in (
+        (area, (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / 2),
+        (length, np.linalg.norm(along, axis=1)),
+        (gap, along),
+    ):
+        np.add.at(total, wall[lines[:, 0]], part)
+    is_closed = (length > 0) & (np.linalg.norm(gap, axis=1) <= 1e-6 * length)
+    span = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+    safe = np.where(is_closed & (span > 0), length * span / 2, 1)
+    return np.where(is_closed, np.abs(area) / safe, np.inf)
+
+
+def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
+    """Measures the length (2-D) or area (3-D) of the surface around each node (b,).
+
+    It is exact with faces, else an estimate from the distances of neighbours.
+    """
+    share = np.zeros(len(points))
+    for corners in (faces or {}).values():
+        for column in corners.T:
+            np.add.at(share, column, _measure(points[corners]) / corners.shape[1])
+    left = np.flatnonzero(share == 0)
+    count = min(2 if points.shape[1] == 2 else 6, len(points) - 1)
+    if not left.size or count < 1:
+        return share
+    distance = np.asarray(KDTree(points).query(points[left], k=count + 1)[0])[:, 1:]
+    share[left] = distance.mean(axis=1) if points.shape[1] == 2 else np.pi * distance[:, -1] ** 2 / (count + 0.5)
+    return share
+
+
+def _measure(corners: np.ndarray) -> np.ndarray:
+    if corners.shape[1] == 2:
+        return np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    return np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]), axis=1) / 2
+
+
+def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Finds for each edge (e,) the nearest row that is fixed or on another wall; the edge's first row if there is none."""
+    middle = points[pairs].mean(axis=1)
+    nearest = pairs[:, 0].copy()
+    label_of_edge = wall[pairs[:, 0]]
+    for label in np.unique(label_of_edge):
+        here = np.flatnonzero(label_of_edge == label)
+        others = np.flatnonzero((wall != label) | (np.arange(len(wall)) >= moving))
+        if others.size:
+            nearest[here] = nearest_of(middle[here], points[others], others)
+    return nearest
+
+
+def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
+    """Finds fixed sources so far from the moving ones that the field is to come to rest on the way, and the shares of the way.
+
+    The way begins at the middle of the moving sources. Few directions are enough, each with its mirror images.
+    """
+    centre = surface[moving].mean(axis=0)
+    rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
+    way = np.linalg.norm(surface - centre, axis=1)
+    far = fixed[(images[fixed] == fixed) & (way[fixed] > BEYOND * (1 + SAME) * rings.max())]
+    if len(far):
+        far = far[canonical_order(surface[far])]
+        far = far[farthest(surface[far], len(far), 0.0, reach=APART[surface.shape[1]] * way[far])]
+    far = fixed[np.isin(images[fixed], far)]
+    return np.tile(far, len(rings)), (rings / way[far]).ravel()
+
+
+def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
+    """Tells whether a flat side of the surface's hull holds points that are not on the surface.
+
+    `surface` (b, d) has the images in symmetry planes; `is_free` (n,) says which of the `points` (n, d) are not on it.
+    """
+    try:
+        hull = ConvexHull(surface)
+    except QhullError:
+        return False
+    size = _measure(surface[hull.simplices])
+    plane = np.unique(np.round(hull.equations, 6), axis=0, return_inverse=True)[1].ravel()
+    area = np.bincount(plane, size)
+    largest = np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]
+    slack, free = 1e-8 * float(np.ptp(surface, axis=0).max()), points[is_free]
+    for label in largest:
+        facets = np.flatnonzero(plane == label)
+        *normal, offset = hull.equations[facets[size[facets].argmax()]]
+        if (free @ np.array(normal) + offset > -slack).sum() > 1:
+            return True
+    return False
+
+
+def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held: np.ndarray) -> bool:
+    """Tells whether boundary faces have corners that are not held (n,); not counting the two sides of a cut, which coincide."""
+    free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
+    middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
+    distance = np.full(len(middles), np.inf)
+    if len(middles) > 1:
+        distance = np.asarray(KDTree(middles).query(middles, k=2)[0])[:, 1]
+    return bool((distance > 1e-9 * np.ptp(points, axis=0).max()).any())

@@ -1,0 +1,193 @@
+"""Walls of a surface: by the faces between its nodes where these are known, else by chains of nearest neighbours."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from ..cells.pairs import parts_of
+from ..package.rounding import SAME, distinct, nearest_of
+from ..sources.farthest import farthest
+
+SHARP = np.cos(np.deg2rad(45))
+"""Cosine of the turn from which on two faces that close in on the mesh between them belong to different walls."""
+
+REACH = 1.5
+"""Distance within which nodes are neighbours, relative to that of the eighth nearest node (second nearest in 2-D)."""
+
+CURVED = 4
+"""The most nodes on a curve, relative to its extent over the distance of the nearest node; on a surface there are far more."""
+
+SAMPLE = 16
+"""Nodes of a curve that vote on which part is the next one."""
+
+AROUND = 512
+"""Nearest nodes among which a vote is sought, before all nodes are searched."""
+
+
+def walls(
+    points: np.ndarray,
+    moving: int,
+    faces: Mapping[str, np.ndarray] | None = None,
+    in_planes: np.ndarray | None = None,
+) -> np.ndarray:
+    """Numbers the walls, and returns the number (b,) for each surface node; the first `moving` nodes move.
+
+    Nodes that move and nodes that are fixed are on different walls, though they may touch. `faces` are rows of `points`,
+    each seen counter-clockwise from outside of the mesh. With them a wall goes on from a face to its neighbours, but not
+    round a corner of less than 135 degrees that holds the mesh. So floor and side of a box are two walls, both sides of an
+    airfoil one.
+
+    Without faces two nodes are of one wall when a chain of nearest neighbours (2 in 2-D, 8 in 3-D) leads from one to the
+    other. In 3-D structured meshes such chains may stay within one section of a wing; a wall of sections, or of lines, is put
+    together from them. Walls closer to each other than their own nodes then count as one. Nodes of symmetry planes are on no wall
+    of their own: those that `in_planes` (b,) marks are on the wall of the nearest other node.
+    """
+    label = np.full(len(points), -1)
+    groups = [_in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
+    if groups:
+        label = _by_faces(points, moving, groups)
+    else:
+        others = np.arange(moving, len(points))
+        others = others if in_planes is None else others[~in_planes[others]]
+        label[:moving] = _by_chains(points[:moving])
+        label[others] = _by_chains(points[others]) + 1 + label.max()
+    known, left = np.flatnonzero(label >= 0), np.flatnonzero(label < 0)
+    if left.size:
+        label[left] = nearest_of(points[left], points[known], label[known])
+    return np.unique(label, return_inverse=True)[1].astype(np.int32)
+
+
+def _in_order(faces: np.ndarray) -> np.ndarray:
+    """Sorts faces (k, c) by their nodes, each begun at its lowest: the walls of nodes do not depend on how faces came."""
+    if faces.shape[1] > 2:  # an edge begun at its other end would be seen from inside
+        turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
+        faces = np.take_along_axis(faces, turn % faces.shape[1], axis=1)
+    return faces[np.lexsort(faces.T[::-1])]
+
+
+def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Turns the faces of a whole boundary round if they enclose a negative area or volume: cells numbered clockwise."""
+    origin, enclosed = points.mean(axis=0), 0.0
+    for corners in faces.values():
+        enclosed += np.einsum("kd,kd->", *_outward(points[corners] - origin))
+    return {kind: corners[:, ::-1] for kind, corners in faces.items()} if enclosed < 0 else dict(faces)
+
+
+def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
+    """Finds the wall of each node (b,) by its faces, -1 without any."""
+    normal, middle = (
+        np.concatenate(parts) for parts in zip(*(_outward(points[group]) for group in groups), strict=True)
+    )
+    first, second, agree = _beside(groups)
+    unit = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
+    sharp = agree & closing & (np.einsum("kd,kd->k", unit[first], unit[second]) < SHARP * (1 - SAME))
+    fixed = np.concatenate([(group >= moving).any(axis=1) for group in groups])
+    joined = (fixed[first] == fixed[second]) & ~sharp
+    part = parts_of(first[joined], second[joined], len(fixed))
+    label, starts = np.full(len(points), -1), np.cumsum([0, *map(len, groups)])
+    for alike in (False, True):  # of a node's faces those of its own kind name it last
+        for group, start in zip(groups, starts, strict=False):
+            face = slice(start, start + len(group))
+            for column in group.T:
+                named = ((column >= moving) == fixed[face]) == alike
+                label[column[named]] = part[face][named]
+    return label
+
+
+def _outward(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Computes normals and middles of faces (k, corners, d); a normal's length is the face's area."""
+    if corners.shape[1] == 2:
+        along = corners[:, 1] - corners[:, 0]
+        return np.stack([along[:, 1], -along[:, 0]], axis=1), corners.mean(axis=1)
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
+    return normal, corners.mean(axis=1)
+
+
+def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Finds pairs of faces that share an edge (a node in 2-D), and tells whether they run through it in opposite senses.
+
+    Faces of a consistent surface do. They are numbered through all groups.
+    """
+    edges, owners, start = [], [], 0
+    for group in groups:
+        count = group.shape[1]
+        starts = [group[:, [k, k]] for k in range(2)] if count == 2 else []
+        edges += starts or [group[:, [k, (k + 1) % count]] for k in range(count)]
+        owners += [np.arange(start, start + len(group))] * count
+        start += len(group)
+    edge, owner = np.concatenate(edges), np.concatenate(owners)
+    turned = edge[:, 0] < edge[:, 1]
+    if groups[0].shape[1] == 2:
+        turned = np.repeat([False, True], len(edge) // 2)
+    edge = np.sort(edge, axis=1)
+    order = np.lexsort(edge.T)
+    before, after = order[:-1], order[1:]
+    same = (edge[after] == edge[before]).all(axis=1)
+    before, after = before[same], after[same]
+    return owner[before], owner[after], turned[before] != turned[after]
+
+
+def _by_chains(points: np.ndarray) -> np.ndarray:
+    """Finds the wall of nodes (k,), all moving or all fixed, by chains of nearest neighbours."""
+    first, inverse = distinct(points)
+    unique = points[first]
+    count = min({2: 2, 3: 8}[points.shape[1]], len(unique) - 1)
+    if count < 1:
+        return np.zeros(len(points), dtype=np.int64)
+    distance, nearest = map(np.asarray, KDTree(unique).query(unique, k=min(3 * count, len(unique))))
+    near = distance <= REACH * (1 + SAME) * distance[:, count, None]
+    label = parts_of(np.nonzero(near)[0], nearest[near], len(unique))
+    if points.shape[1] == 3 and label.max() > 0:
+        first, second = _next_to_curves(unique, label, distance[:, 1])
+        label = parts_of(first, second, int(label.max()) + 1)[label]
+    return label[inverse]
+
+
+def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs each part that is a curve with the next part of the same wall, on either side of it.
+
+    A wall is a surface, so a curve of nodes goes on to a part beside it. That part lies beside the plane of a section, or
+    beside a straight line. Most nodes of a sample of the curve must find the same part there.
+    """
+    tree, pairs = KDTree(points), []
+    for curve in range(label.max() + 1):
+        members = np.flatnonzero(label == curve)
+        extent = np.linalg.norm(np.ptp(points[members], axis=0))
+        if len(members) > CURVED * (1 + SAME) * extent / np.median(spacing[members]):
+            continue
+        sample = points[members[farthest(points[members], SAMPLE, 0.0)]]
+        around = np.sort(np.asarray(tree.query(sample, k=min(AROUND, len(points)))[1]).reshape(len(sample), -1), axis=1)
+        pairs += _votes(points, label, members, sample, around) or _votes(
+            points, label, members, sample, np.broadcast_to(np.arange(len(points)), (len(sample), len(points)))
+        )
+    first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return first, second
+
+
+def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
+    """Pairs the curve with the part that most of its sample find nearest on either side, among the nodes `around` each."""
+    curve = label[members[0]]
+    apart = points[around] - sample[:, None]
+    distance = np.where(label[around] == curve, np.inf, np.linalg.norm(apart, axis=2))
+    if not np.isfinite(distance).any():
+        return []
+    across, pairs = _across(points[members], apart, distance), []
+    for side in (-1, 1):
+        reachable = np.where(side * (apart @ across) > 0.5 * (1 + SAME) * distance, distance, np.inf)
+        least = reachable.min(axis=1)
+        closest = np.where(reachable <= (1 + SAME) * least[:, None], label[around], len(points)).min(axis=1)
+        votes = np.bincount(closest[np.isfinite(least)], minlength=1)
+        if 2 * votes.max() > len(sample):
+            pairs.append((curve, int(votes.argmax())))
+    return pairs
+
+
+def _across(curve: np.ndarray, apart: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Finds the direction across a curve: the normal of its plane, or towards the nearest other node if it is straight."""
+    size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
+    if size[1] > 0.01 * size[0]:
+        return axes[-1]
+    sample, node = np.argwhere(distance <= (1 + SAME) * distance.min())[0]
+    return apart[sample, node] / distance[sample, node]

@@ -1,0 +1,1 @@
+"""Methods that solve an equation on the cells of the mesh."""

@@ -1,0 +1,275 @@
+"""Methods that solve an equation on the mesh's cells, inner nodes and all: what they share."""
+
+import abc
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..._host.cells.topology import CORNERS
+from ..._host.linear import factors as linear
+from ..._host.package.rounding import nearest_of
+from ..._kernels.callback import host_call
+from ..._kernels.compile import compiled
+from ..._kernels.values import as_jax, norm
+from ..base import AbstractField, AbstractMethod, Surface
+from ..blocks import fold_rows
+
+CELLS = 4096
+"""Cells whose entries are computed together."""
+
+
+class CellIds(eqx.Module):
+    """Ids of k cells of one type.
+
+    - `corners`: of each cell.
+    - `entry`: the number of each of its pairs of corners in the list of pairs.
+    - `flipped`: for each of them, see below.
+
+    An entry is `flipped` where the pair's first corner is the entry's second node. It is the number of pairs where the two
+    corners are one node.
+    """
+
+    corners: Int[Array, "k c"]
+    entry: Int[Array, "k p"]
+    flipped: Bool[Array, "k p"]
+
+
+class NodeIds(eqx.Module):
+    """Ids of a mesh's n nodes for a solve.
+
+    - `cells`: by type.
+    - `pairs` (e, 2): nodes that share an entry of the matrix, the smaller id first.
+    - `frame` (d, d): axes in its columns, of which each symmetry plane has one as its normal.
+    - `free` (n, d): unknowns, by node and axis of the frame.
+    - `wall` (n,): the moving node nearest to each.
+    - `rows`, `nodes` (r,): rows of the surface that are nodes of the mesh, and which.
+    """
+
+    cells: dict[str, CellIds]
+    pairs: Int[Array, "e 2"]
+    frame: Float[Array, "d d"]
+    free: Bool[Array, "n d"]
+    wall: Int[Array, " n"]
+    rows: Int[Array, " r"]
+    nodes: Int[Array, " r"]
+
+
+class NodeFactors(eqx.Module):
+    """The matrix, as `jaxmorph._host.linear.factors.solve` takes it, and the nodes' places in the frame."""
+
+    values: Float[Array, "e ..."]
+    diagonal: Float[Array, "n ..."]
+    masses: Float[Array, " q"]
+    places: Float[Array, "n d"]
+
+
+class AbstractCellMethod(AbstractMethod):
+    """Solves a linear system for the displacements of all inner nodes, made of one small matrix for each cell.
+
+    The matrix is symmetric, and its rows add to zero: a translation is reproduced. Nodes at one place are one node. Nodes on
+    a symmetry plane slide in it. Nodes in no cell, or in cells that no moving or fixed node belongs to, rest.
+
+    The solve runs on the host, within traced code. In 2-D it factors the matrix; a large 3-D one takes conjugate gradients
+    with a multigrid cycle. Where these do not converge, up to 60,000 unknowns are factored; with more of them `prepare` raises.
+    The factors of the last two systems are kept. The transpose costs as much as the solve.
+    """
+
+    @abc.abstractmethod
+    def pairs(self, kind: str) -> tuple[tuple[int, int], ...]:
+        """Lists the pairs of corners of a type of cells that have an entry."""
+
+    @abc.abstractmethod
+    def entries(
+        self, kind: str, corners: Float[Array, "c d"], distance: Float[Array, " c"]
+    ) -> Float[Array, "p"] | Float[Array, "p d d"]:
+        """Computes a cell's entries of the matrix: numbers, or blocks of rows of the first corner. Traced.
+
+        `distance` is that of each corner from the nearest moving node.
+        """
+
+    def masses(self, ids: NodeIds, places: Float[Array, "n d"]) -> Float[Array, " q"]:
+        """Computes masses M of the nodes, for the matrix K M^-1 K; none by default. Traced."""
+        return jnp.zeros(0, places.dtype)
+
+    @property
+    def needs_cells(self) -> bool:
+        return True
+
+    def connect(self, surface: Surface, points):
+        cells = surface.cells
+        assert cells is not None  # the driver asks `needs_cells`
+        n = len(cells.on_plane)
+        rows = np.flatnonzero((surface.nodes >= 0) & (surface.nodes < n))
+        nodes = surface.nodes[rows]
+        stands = linear.coincident(points[:n], nodes)
+        corners = {kind: stands[ids] for kind, ids in cells.corners.items()}
+        pairs, ids = self._numbered(corners, n)
+        wall = nodes[rows < surface.moving]
+        wall = nearest_of(points[:n], points[wall], wall)
+        of_kind = {kind: _of_kind(corners[kind], *ids[kind]) for kind in corners}
+        known = np.zeros(n, dtype=bool)
+        known[nodes] = True
+        is_free = linear.reached(pairs, known) & ~known & (np.bincount(pairs.ravel(), minlength=n) > 0)
+        frame = _frame(cells.normals)
+        slides = [cells.on_plane[:, np.abs(cells.normals @ axis) > 0.5].any(axis=1) for axis in frame.T]
+        free = is_free[:, None] & ~np.stack(slides, axis=1)
+        linear.check_solver(int(free.sum()), points.shape[1])
+        volume = stands.copy()
+        volume[nodes] = n + rows
+        beyond = np.flatnonzero(surface.nodes >= n)  # images: the surface alone has them
+        last = np.zeros(len(points) - n, dtype=np.int64)
+        last[surface.nodes[beyond] - n] = n + beyond
+        pairs, wall, rows, nodes = (each.astype(np.int32) for each in (pairs, wall, rows, nodes))
+        node_ids = NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes)))
+        return node_ids, np.concatenate([volume, last]).astype(np.int32)
+
+    def _numbered(
+        self, corners: Mapping[str, np.ndarray], n: int
+    ) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
+        """Numbers the pairs of nodes (e, 2), and finds each cell's entries (k, p) and which of them are flipped."""
+        both = {kind: np.array(self.pairs(kind)).T for kind in corners}
+        first = {kind: corners[kind][:, i] for kind, (i, _) in both.items()}
+        second = {kind: corners[kind][:, j] for kind, (_, j) in both.items()}
+        keys = {
+            kind: np.minimum(first[kind], second[kind]) * n + np.maximum(first[kind], second[kind]) for kind in both
+        }
+        real = {kind: first[kind] != second[kind] for kind in both}
+        ordered = np.sort(np.concatenate([np.zeros(0, np.int64), *(keys[kind][real[kind]] for kind in both)]))
+        unique = ordered[np.diff(ordered, prepend=-1) > 0]  # NumPy's own takes a table of hashes, and ten times as long
+        entry = {kind: np.where(real[kind], np.searchsorted(unique, keys[kind]), len(unique)) for kind in both}
+        return np.stack(np.divmod(unique, n), axis=1), {k: (entry[k], first[k] > second[k]) for k in both}
+
+    def fit(self, ids: NodeIds, surface, points):
+        places = jnp.matmul(points, ids.frame.astype(points.dtype), precision="highest")
+        n, distance = len(places), norm(places - places[ids.wall])
+        first, *others = [self._of_cells(kind, ids, places, distance) for kind in ids.cells]
+        values = sum(others, start=first)
+        turned = jnp.swapaxes(values, 1, 2) if values.ndim == 3 else values
+        i, j = ids.pairs.T
+        diagonal = -jax.ops.segment_sum(values, i, n) - jax.ops.segment_sum(turned, j, n)
+        return NodeFactors(values, diagonal, self.masses(ids, places), places)
+
+    def _of_cells(self, kind: str, ids: NodeIds, places, distance):
+        """Adds up the entries of all cells of one type, one row a pair of nodes."""
+        cells = ids.cells[kind]
+
+        @jax.checkpoint
+        def entries(corners, flipped):
+            values = self.entries(kind, places[corners], distance[corners])
+            if values.ndim == 1:
+                return values
+            return jnp.where(flipped[:, None, None], jnp.swapaxes(values, 1, 2), values)
+
+        def add(total, rows):
+            corners, entry, flipped = rows
+            return total.at[entry].add(jax.vmap(entries)(corners, flipped))
+
+        one = jax.eval_shape(
+            entries, *(jax.ShapeDtypeStruct(each.shape[1:], each.dtype) for each in (cells.corners, cells.flipped))
+        )
+        none = jnp.zeros((len(ids.pairs), *one.shape[1:]), one.dtype)
+        return fold_rows(add, none, (cells.corners, cells.entry, cells.flipped), CELLS)
+
+    def field(self, ids: NodeIds, factors: NodeFactors, surface, u):
+        frame = ids.frame.astype(u.dtype)
+        turned = jnp.matmul(u, frame, precision="highest")
+        given = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
+        moved = given + _solve(ids, factors, -_product(ids, factors, given))
+        return NodeField(jnp.concatenate([jnp.matmul(moved, frame.T, precision="highest"), u]))
+
+    def check(self, ids: NodeIds, factors: NodeFactors, u):
+        if not _is_solved(self, ids, factors, u):
+            raise ValueError(
+                f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are not solved for: its stiffness is not finite or "
+                "not positive (cells without volume, a stiffness that differs too much between cells), or conjugate gradients "
+                "did not converge. Try a smaller exponent, or a method that does not solve on cells, such as the default."
+            )
+
+
+@compiled
+def _is_solved(
+    method: AbstractCellMethod, ids: NodeIds, factors: NodeFactors, u: Float[Array, "b d"]
+) -> Bool[Array, ""]:
+    return jnp.isfinite(method.field(ids, factors, u, u).values).all()
+
+
+class NodeField(AbstractField):
+    """Displacements of the nodes, then of the surface's rows; a point's id is its place among them."""
+
+    values: Float[Array, "k d"]
+
+    @property
+    def block_size(self) -> None:
+        return None
+
+    def __call__(self, x, ids):
+        return self.values[ids]
+
+
+def _of_kind(corners, entry, flipped) -> CellIds:
+    corners, entry = (np.asarray(each).astype(np.int32) for each in (corners, entry))
+    return CellIds(*as_jax((corners, entry, flipped)))
+
+
+def _frame(normals: np.ndarray) -> np.ndarray:
+    """Completes the normals of planes, each parallel or at right angles to the others, to axes in the columns of a matrix."""
+    d = normals.shape[1]
+    axes: list[np.ndarray] = []
+    for direction in (*normals, *np.eye(d)):
+        rest = direction - sum((axis * (axis @ direction) for axis in axes), start=np.zeros(d))
+        if np.linalg.norm(rest) > 0.3 and len(axes) < d:
+            axes.append(rest / np.linalg.norm(rest))
+    return np.stack(axes, axis=1)
+
+
+def _product(ids: NodeIds, factors: NodeFactors, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """Multiplies by the matrix."""
+    once = symmetric_product(ids.pairs, factors.values, factors.diagonal, x)
+    if not len(factors.masses):
+        return once
+    return symmetric_product(ids.pairs, factors.values, factors.diagonal, once / factors.masses[:, None])
+
+
+def symmetric_product(pairs, values, diagonal, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """Multiplies by a symmetric matrix of numbers or blocks, one a pair of nodes and one a node. Traced."""
+    i, j = pairs.T
+
+    def times(a, b):
+        return a[:, None] * b if a.ndim == 1 else jnp.einsum("eab,eb->ea", a, b, precision="highest")
+
+    turned = values if values.ndim == 1 else jnp.swapaxes(values, 1, 2)
+    there = jax.ops.segment_sum(times(values, x[j]), i, len(x)) + jax.ops.segment_sum(times(turned, x[i]), j, len(x))
+    return times(diagonal, x) + there
+
+
+def _solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """Solves for the free unknowns, on the host; its derivatives are products and solves of the same kind."""
+    free = ids.free
+
+    def product(x):
+        return jnp.where(free, _product(ids, factors, jnp.where(free, x, 0)), x)
+
+    return solved_on_host(product, ids.pairs, factors, free, jnp.where(free, right, 0))
+
+
+def solved_on_host(product, pairs, factors: NodeFactors, free, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """Solves a symmetric system whose product with x is given, by `jaxmorph._host.linear.factors.solve`. Traced."""
+    leaves = (pairs, factors.values, factors.diagonal, factors.masses, free)
+
+    def on_host(*system):
+        return linear.solve(*system, multigrid=factors.places.shape[1] > 0)
+
+    def solve(_, right):
+        shape = jax.ShapeDtypeStruct(right.shape, right.dtype)
+        return host_call(on_host, shape, *jax.lax.stop_gradient(leaves), right)
+
+    return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
+
+
+def all_pairs(kind: str) -> tuple[tuple[int, int], ...]:
+    """Lists all pairs of a cell's corners."""
+    return tuple((i, j) for j in range(CORNERS[kind]) for i in range(j))

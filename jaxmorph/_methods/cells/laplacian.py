@@ -1,0 +1,68 @@
+"""Laplace's equation for each component, and the biharmonic one (Helenbrook 2003)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..base import check_kind
+from .cells import AbstractCellMethod, all_pairs
+from .stiffness import AbstractStiffness, ByDistance, gradients, stiffness
+
+
+class Laplacian(AbstractCellMethod):
+    """Smooths each component of the displacement by Laplace's equation, of linear finite elements.
+
+    Löhner and Yang made the diffusivity depend on the distance from the body (Communications in Numerical Methods in
+    Engineering 12, 1996). It needs the mesh's cells. Components do not know of each other: a rotation shears the cells.
+
+    **Arguments:**
+
+    - `diffusivity`: of a cell: `ByDistance(exponent)` or `ByVolume(exponent)`. Default `ByDistance(2)`, which OpenFOAM calls
+      `quadratic inverseDistance`.
+
+    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without volume.
+    """
+
+    diffusivity: AbstractStiffness = eqx.field(default_factory=lambda: ByDistance(2.0))
+
+    def __check_init__(self):
+        check_kind(self.diffusivity, AbstractStiffness, "diffusivity", "jm.ByDistance(2)")
+
+    def pairs(self, kind):
+        return all_pairs(kind)
+
+    def entries(self, kind, corners, distance):
+        gradient, volume = gradients(kind, corners)
+        stiff = volume * stiffness(self.diffusivity, kind, volume, distance)
+        return _products(gradient, stiff, self.pairs(kind))
+
+
+class Biharmonic(AbstractCellMethod):
+    """Smooths each component by the biharmonic equation, in its mixed form with linear finite elements (Helenbrook 2003).
+
+    The displacement's derivative across the surface is zero: first cells keep their height, and follow the wall's
+    translation, not its rotation. It needs the mesh's cells.
+
+    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without volume.
+    """
+
+    def pairs(self, kind):
+        return all_pairs(kind)
+
+    def entries(self, kind, corners, distance):
+        return _products(*gradients(kind, corners), self.pairs(kind))
+
+    def masses(self, ids, places):
+        masses = jnp.zeros(len(places), places.dtype)
+        for kind, cells in ids.cells.items():
+            volumes = jax.vmap(lambda corners, kind=kind: gradients(kind, places[corners])[1].sum())(cells.corners)
+            share = jnp.broadcast_to(volumes[:, None], cells.corners.shape) / cells.corners.shape[1]
+            masses = masses.at[cells.corners].add(share)
+        return jnp.where(masses > 0, masses, 1)
+
+
+def _products(gradient, volume, pairs):
+    """Integrates the products of the gradients of two shape functions, for each pair."""
+    i, j = np.array(pairs).T
+    return jnp.einsum("q,qpa,qpa->p", volume, gradient[:, i], gradient[:, j], precision="highest")

@@ -1,0 +1,1 @@
+"""Radial basis functions: bases, systems, solvers, and the methods made of them."""

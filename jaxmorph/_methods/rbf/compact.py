@@ -1,0 +1,203 @@
+"""Radial basis functions of compact support at all nodes of the surface: one sparse system."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import dtypes
+from jaxtyping import Array, Bool, Float, Int
+from scipy.spatial import KDTree
+
+from ..._host.package.errors import place_of, warn
+from ..._host.sources.hierarchy import overlaps, padded
+from ..._host.sources.reduction import drop_close, roundoff
+from ..._host.surface.neighbours import nearly_coincident
+from ..._kernels.compile import compiled
+from ..._kernels.values import as_jax
+from ..base import AbstractMethod, Surface
+from ..cells.cells import NodeFactors, solved_on_host, symmetric_product
+from ..numbers import length_or_none
+from ..searched import SLACK, Searched, squared_distance
+from ..sparse import InterpolatedField, Reach
+from .basis import WendlandC2
+from .rbf import NOTICEABLE, NOTICEABLE_SINGLE, USELESS
+
+NEIGHBOURS = 200
+"""Nodes that the automatic radius reaches from half of the moving nodes."""
+
+INSIDE = 1 - 1e-6
+"""Share of a squared radius at which a function is taken to end, where functions are counted: it is 1e-24 there."""
+
+NEAR = 1e-3
+"""Distance of two nodes, as a share of that to the next ones, below which `prepare` warns of them."""
+
+
+class CompactIds(eqx.Module):
+    """Ids of the surface's b rows.
+
+    - `stands` (b,): the row that has the function of all rows at its place.
+    - `speaks` (b,): whether a row's displacement counts at its place: where one moves, fixed ones do not.
+    - `pairs` (e, 2): rows with functions that are within the search's distance of each other.
+    - `radius`: the functions' radius.
+    - `searched`: where the search was made.
+    """
+
+    stands: Int[Array, " b"]
+    speaks: Bool[Array, " b"]
+    pairs: Int[Array, "e 2"]
+    radius: Float[Array, ""]
+    searched: Searched
+
+    @property
+    def has_function(self) -> Bool[Array, " b"]:
+        """Marks the rows that stand for themselves."""
+        return self.stands == jnp.arange(len(self.stands))
+
+
+class CompactFactors(eqx.Module):
+    """The radius, the matrix, rows with functions (b,), and whether all nodes within the radius were surely found."""
+
+    radius: Float[Array, ""]
+    matrix: NodeFactors
+    has_function: Bool[Array, " b"]
+    is_certain: Bool[Array, ""]
+
+    def near(self, x: Float[Array, " d"], surface: Float[Array, "b d"]) -> Bool[Array, " b"]:
+        """Tells which functions reach a point. What is at the very end of its reach counts for nothing."""
+        return self.has_function & (squared_distance(x[None], surface) < INSIDE * self.radius**2)
+
+
+class CompactRBF(AbstractMethod):
+    """Interpolates with a Wendland C2 function at every node of the surface, all of one radius: a sparse system.
+
+    It is exact at the nodes, and zero beyond the radius from all of them. It has no polynomial: alone, not even a translation
+    is reproduced; it may be a correction too. Cells fold where the motion is a good part of the radius, so take a radius of
+    several times the largest displacement. Memory is that of the pairs of nodes within it.
+
+    Nodes at one place have one function. One place is a distance of 1.5e-8 (3.5e-4 in float32) times the radius or the extent of
+    the surface, whichever is less: the matrix does not tell such nodes apart. The function takes the mean of their displacements,
+    of the moving ones alone where fixed nodes are among them. Each node still goes where `u` sends it. The field is one-valued, so
+    it does not follow the two sides of a crack that opens. `LinearElasticity`, which sees cells, does.
+
+    **Arguments:**
+
+    - `radius`: in the mesh's units. Default: half of the moving nodes reach 200 nodes of the surface, or all of it.
+
+    **Raises:** `ValueError` for a radius that is not positive and finite. `prepare` raises it if rounding changes displacements
+    by more than 1 %, because the radius is too wide, and warns from 1e-6 on (1e-3 in float32). It also warns of nodes that are
+    nearer to each other than 1/1000 of the distance to the next ones: what such a pair differs by comes out a thousandfold.
+    `refit` raises it where nodes have come within the radius that were not when the plan was made. In traced code the answer
+    there is NaN.
+    """
+
+    radius: Float[Array, ""] | None = eqx.field(converter=length_or_none("radius"), default=None)
+
+    def connect(self, surface: Surface, points):
+        nodes, dtype = surface.points.astype(float), dtypes.canonicalize_dtype(surface.points.dtype)
+        if self.radius is None:
+            count = min(NEIGHBOURS, len(nodes))
+            apart = np.asarray(KDTree(nodes).query(nodes[: surface.moving], k=count)[0]).reshape(surface.moving, -1)
+            radius = float(np.median(apart[:, -1]))
+        else:
+            radius = float(self.radius)
+        # there 1 - phi is a few units of rounding
+        indistinct = float(np.sqrt(np.finfo(dtype).eps)) * min(radius, float(np.ptp(nodes, axis=0).max()))
+        stands = _standing(nodes, max(roundoff(surface.points), indistinct))
+        moves = np.arange(len(nodes)) < surface.moving
+        speaks = moves | (np.bincount(stands, moves, minlength=len(nodes)) == 0)[stands]
+        owners, distance = np.unique(stands), (1 + SLACK) * radius
+        pairs = np.asarray(KDTree(nodes[owners]).query_pairs(distance, output_type="ndarray"), np.int32).reshape(-1, 2)
+        near = overlaps(nodes, owners, np.full(len(nodes), distance), points.astype(float))
+        reach = Reach(*as_jax(padded(*near, len(points))))
+        searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
+        ids = as_jax((stands.astype(np.int32), speaks, owners[pairs].astype(np.int32), radius))
+        return CompactIds(*ids, searched=searched), reach
+
+    def reach(self, ids: CompactIds) -> float:
+        return float(ids.radius)
+
+    def fit(self, ids: CompactIds, surface, points):
+        radius = ids.radius if self.radius is None else self.radius
+        i, j = ids.pairs.T
+        values = WendlandC2(radius)(jnp.sum((surface[i] - surface[j]) ** 2, axis=1))
+        none = jnp.zeros((len(surface), 0), values.dtype)
+        matrix = NodeFactors(values, jnp.ones_like(surface[:, 0]), none[0], none)
+        is_certain = ids.searched.certain(radius, surface, points)
+        factors = CompactFactors(radius, matrix, ids.has_function, is_certain)
+
+        def is_lost():
+            count = jax.lax.map(lambda row: factors.near(surface[row], surface).sum() * factors.has_function[row], rows)
+            listed = squared_distance(surface[i], surface[j]) < INSIDE * radius**2
+            return count.sum() > 2 * listed.sum() + factors.has_function.sum()
+
+        rows = jnp.arange(len(surface))
+        lost = jax.lax.cond(jax.lax.stop_gradient(is_certain), lambda: jnp.array(False), is_lost)
+        return eqx.tree_at(lambda factors: factors.matrix.values, factors, jnp.where(lost, jnp.nan, values))
+
+    def carry(self, ids, factors, surface, points):
+        return factors
+
+    def place(self, x, ids: Reach, factors: CompactFactors, surface):
+        def is_lost():
+            listed = squared_distance(x[None], surface[ids.nodes]) < INSIDE * factors.radius**2
+            return factors.near(x, surface).sum() > (listed & ids.reached).sum()
+
+        lost = jax.lax.cond(factors.is_certain, lambda: jnp.array(False), is_lost)
+        weights = WendlandC2(factors.radius)(jnp.sum((surface[ids.nodes] - x[None]) ** 2, axis=1))
+        return ids.weighted(jnp.where(lost, jnp.nan, weights))
+
+    def field(self, ids: CompactIds, factors: CompactFactors, surface, u):
+        given = jnp.where(ids.has_function[:, None], _given(ids, u), 0)
+        free = jnp.broadcast_to(ids.has_function[:, None], u.shape)
+        product = _product(ids, factors)
+        return InterpolatedField(
+            self, factors, surface, solved_on_host(product, ids.pairs, factors.matrix, free, given)
+        )
+
+    def check(self, ids: CompactIds, factors: CompactFactors, u):
+        error, dtype = float(_missed(self, ids, factors, u)), factors.matrix.values.dtype
+        nodes = np.asarray(ids.searched.surface, dtype=float)[np.asarray(ids.has_function)]
+        if error > (NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE) or not error <= USELESS:
+            how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
+            message = (
+                f"the matrix of CompactRBF, of {len(nodes)} nodes and radius {float(factors.radius):.3g}, is "
+                f"{how if np.isfinite(error) else 'not positive, or no solve converged'}. Try a smaller radius."
+            )
+            if not error <= USELESS:
+                raise ValueError(message)
+            warn(message)
+        first, second = nearly_coincident(nodes, float(factors.radius), NEAR)
+        if len(first):
+            apart = np.linalg.norm(nodes[first[0]] - nodes[second[0]])
+            warn(
+                f"{len(first)} surface nodes nearly coincide with others, the nearest two {apart:.3g} apart near "
+                f"({place_of(nodes[first[0]])}). Where such nodes move differently, CompactRBF moves nodes around them by "
+                f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect.",
+            )
+
+
+def _standing(nodes: Float[np.ndarray, "b d"], closest: float) -> Int[np.ndarray, " b"]:
+    """Finds for each row the one that has the function of all within a distance: itself, if it comes first."""
+    owners = drop_close(nodes, np.arange(len(nodes)), closest)
+    return owners[np.asarray(KDTree(nodes[owners]).query(nodes)[1])]
+
+
+def _given(ids: CompactIds, u: Float[Array, "b d"]) -> Float[Array, "b d"]:
+    """Computes the mean displacement of the rows that speak at each row's place."""
+    count = jax.ops.segment_sum(ids.speaks.astype(u.dtype), ids.stands, len(u))
+    total = jax.ops.segment_sum(jnp.where(ids.speaks[:, None], u, 0), ids.stands, len(u))
+    return total / jnp.maximum(count, 1)[:, None]
+
+
+def _product(ids: CompactIds, factors: CompactFactors):
+    """Returns the product with the matrix."""
+    matrix = factors.matrix
+    return lambda x: symmetric_product(ids.pairs, matrix.values, matrix.diagonal, x)
+
+
+@compiled
+def _missed(method: CompactRBF, ids: CompactIds, factors: CompactFactors, u: Float[Array, "b d"]) -> Float[Array, ""]:
+    """Computes what the field misses of displacements at its nodes, relative to their size."""
+    reached = _product(ids, factors)(method.field(ids, factors, u, u).u)
+    missed = jnp.where(ids.has_function[:, None], _given(ids, u) - reached, 0)
+    return jnp.abs(missed).max() / jnp.abs(u).max()

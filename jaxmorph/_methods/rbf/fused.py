@@ -1,0 +1,142 @@
+"""The kernel sum as one operation, which a GPU has a kernel for: linear in its weights, its transpose is one of its own kind.
+
+What derivatives with respect to places and constants need beyond it is computed block by block.
+"""
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+from jaxtyping import Array, Float
+
+from ..._kernels.compile import is_for_cpu
+from ..._kernels.gpu import fused_sum, has_kernels, is_elementwise
+from ..._kernels.product import MOST_ROWS, few_rows_times
+from ..blocks import fold_rows, map_rows
+from .basis import AbstractBasis
+from .system import block_size, squared_distances
+
+MOST_FUSED = 48
+"""Columns of weights beyond which a product of matrices is faster, although it has the functions written to memory."""
+
+
+class Radial(eqx.Module):
+    """A basis as a function of squared distances that are in units of the sources' extent."""
+
+    basis: AbstractBasis
+    scale: Float[Array, ""]
+
+    def __call__(self, r2: Float[Array, "..."]) -> Float[Array, "..."]:
+        return self.basis(r2 if self.basis.scale_free else r2 / self.scale**2)
+
+
+def is_fused(phi: Radial, dtype: Any) -> bool:
+    """Tells whether a weighted sum is one operation: where a GPU may run it, and its kernel can have the function."""
+    if is_for_cpu() or not has_kernels() or dtype not in (jnp.float32, jnp.float64):
+        return False
+    return all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(phi)) and is_elementwise(phi, dtype)
+
+
+def fused(
+    phi: Radial, sources: Float[Array, "s d"], weights: Float[Array, "s k"], points: Float[Array, "c d"]
+) -> Float[Array, "c k"]:
+    """Sums weighted functions at points by one operation. Only where `is_fused`."""
+    if not len(points) or not len(sources):
+        return jnp.zeros((len(points), weights.shape[1]), points.dtype)
+    leaves, structure = jax.tree.flatten(phi)
+    return _sum.bind(weights, sources, points, *leaves, structure=structure)
+
+
+def _by_blocks(weights, sources, points, *leaves, structure):
+    phi = jax.tree.unflatten(structure, leaves)
+    if len(sources) <= len(points):
+
+        def at_points(part):
+            return few_rows_times(weights.T, phi(squared_distances(sources, part))).T
+
+        return map_rows(jax.checkpoint(at_points), points, block_size(len(sources)))
+
+    def of_sources(total, rows):
+        places, weights = rows
+        return total + few_rows_times(weights.T, phi(squared_distances(places, points)))
+
+    start = jnp.zeros((weights.shape[1], len(points)), points.dtype)
+    return fold_rows(jax.checkpoint(of_sources), start, (sources, weights), block_size(len(points))).T
+
+
+def _in_kernel(weights, sources, points, *leaves, structure):
+    columns = weights.shape[1]
+    if columns > MOST_FUSED:
+        return _by_blocks(weights, sources, points, *leaves, structure=structure)
+
+    def phi(r2, *leaves):
+        return jax.tree.unflatten(structure, leaves)(r2)
+
+    groups = [weights[:, start : start + MOST_ROWS] for start in range(0, columns, MOST_ROWS)]
+    return jnp.concatenate([fused_sum(phi, group, sources, points, leaves) for group in groups], axis=1)
+
+
+def _abstract(weights, sources, points, *leaves, structure):
+    varies = {"vma": weights.vma.union(sources.vma, points.vma)} if hasattr(weights, "vma") else {}
+    return weights.update(shape=(points.shape[0], weights.shape[1]), **varies)
+
+
+def _jvp(primals, tangents, *, structure):
+    def is_moving(tangent):
+        return not isinstance(tangent, ad.Zero)
+
+    result = _sum.bind(*primals, structure=structure)
+    changes = []
+    if is_moving(tangents[0]):
+        changes.append(_sum.bind(tangents[0], *primals[1:], structure=structure))
+    moving = [i for i, tangent in enumerate(tangents) if i and is_moving(tangent)]
+    if moving:
+
+        def of_moving(*values):
+            given = dict(enumerate(primals)) | dict(zip(moving, values, strict=True))
+            return _by_blocks(*given.values(), structure=structure)
+
+        changes.append(jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])[1])
+    return result, sum(changes[1:], start=changes[0])
+
+
+def _transposed(cotangent, weights, sources, points, *leaves, structure):
+    if isinstance(cotangent, ad.Zero):
+        return [ad.Zero(weights.aval), *[None] * (2 + len(leaves))]
+    return [_sum.bind(cotangent, points, sources, *leaves, structure=structure), *[None] * (2 + len(leaves))]
+
+
+def _batched(arguments, axes, *, structure):
+    weights, *others = arguments
+    if any(axis is not None for axis in axes[1:]):
+        return jax.vmap(functools.partial(_by_blocks, structure=structure), axes)(*arguments), 0
+    weights = jnp.moveaxis(weights, axes[0], 1)
+    sums = _sum.bind(weights.reshape(len(weights), -1), *others, structure=structure)
+    return sums.reshape(-1, *weights.shape[1:]), 1
+
+
+_sum = Primitive("weighted_sum")
+_sum.def_impl(
+    jax.jit(lambda *arguments, structure: _sum.bind(*arguments, structure=structure), static_argnames="structure")
+)
+_sum.def_abstract_eval(_abstract)
+ad.primitive_jvps[_sum] = _jvp
+ad.primitive_transposes[_sum] = _transposed
+batching.primitive_batchers[_sum] = _batched
+_lowered_by_blocks = mlir.lower_fun(_by_blocks, multiple_results=False)
+_lowered_in_kernel = mlir.lower_fun(_in_kernel, multiple_results=False)
+
+
+def _lowered_for_cuda(context, *arguments, structure):
+    """Gives loops to a program that is exported: JAX promises no stable kernels."""
+    is_export = context.module_context.lowering_parameters.for_export
+    lowered = _lowered_by_blocks if is_export else _lowered_in_kernel
+    return lowered(context, *arguments, structure=structure)
+
+
+mlir.register_lowering(_sum, _lowered_by_blocks)
+mlir.register_lowering(_sum, _lowered_for_cuda, platform="cuda")

@@ -1,0 +1,145 @@
+"""Measures of the first grid line off a wall, per wall node."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._host.cells.first_lines import Lines, areas, first_lines
+from .._host.linear.products import cross
+from .._host.package.arguments import between, checked, rows_of
+from .._kernels.compile import compiled
+from .._kernels.module import Module
+from .._kernels.values import Either, as_jax, is_known, largest, namespace, norm, on_host, smallest
+from .._mesh.mesh import Mesh
+from .quality import places
+
+
+class WallQuality(Module):
+    """Result of `wall_quality` at w wall nodes: arrays (w,).
+
+    - `nodes`: their ids, ascending. A wall node without an edge that leaves the wall is not among them.
+    - `angle`: degrees by which the first grid line has left its own angle to the wall; 0 on the undeformed mesh.
+    - `height`: distance from the wall at which that line ends, along the wall's normal, over the undeformed one: 1 there,
+      negative where the line points out of the mesh.
+    """
+
+    nodes: Int[Array, " w"]
+    angle: Float[Array, " w"]
+    height: Float[Array, " w"]
+
+    @property
+    def mean_angle(self) -> Float[Array, "..."]:
+        return jnp.mean(self.angle, axis=-1)
+
+    @property
+    def max_angle(self) -> Float[Array, "..."]:
+        return largest(self.angle, axis=-1)
+
+    @property
+    def min_height(self) -> Float[Array, "..."]:
+        return smallest(self.height, axis=-1)
+
+    @property
+    def max_height(self) -> Float[Array, "..."]:
+        return largest(self.height, axis=-1)
+
+    def __str__(self) -> str:
+        """Says both measures in one line, on the host."""
+        angle, height = f"{float(self.mean_angle):.3g} (mean), {float(self.max_angle):.3g} (max)", self.height
+        return (
+            f"{len(self.nodes)} wall nodes: first grid line {angle} degrees off its own angle to the wall; "
+            f"first cell {float(height.min()):.3g} to {float(height.max()):.3g} of its height"
+        )
+
+
+@checked
+def wall_quality(
+    mesh: Mesh,
+    wall: str | Sequence[str] | Int[Any, " k"],
+    points: Float[Any, "n d"] | None = None,
+    *,
+    softness: float | None = None,
+) -> WallQuality:
+    """Measures wall orthogonality and first-cell height at `points`, relative to the undeformed mesh, `mesh.points`.
+
+    The area-weighted mean of skewness hides both. The first grid line of a wall node is the edge that leaves the wall most
+    nearly along its normal on the undeformed mesh. The wall's normal at a node is that of the faces around it, weighted by
+    their area. In 3-D a neighbour on the wall says how the wall turns about the normal.
+
+    Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call, from cells and
+    coordinates that may not be traced: close over the mesh.
+
+    **Arguments:**
+
+    - `mesh`: the undeformed mesh with its cells.
+    - `wall`: a patch, several patches, or node ids (k,).
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default `mesh.points`.
+    - `softness`: in degrees. `angle` has a kink where it is zero; sqrt(angle^2 + softness^2) - softness takes its place,
+      smooth and less by `softness` at most. Default None: none. `height` has no kink.
+
+    **Returns:** a `WallQuality`.
+
+    **Raises:** `ValueError` for a patch that is not there, ids out of range, and nodes that hold no side of a cell on the
+    boundary. Also for a mesh without cells, and a shape of `points` other than that of `mesh.points`.
+    """
+    current = places(mesh, points)
+    if softness is not None and is_known(softness):
+        between("softness", softness, 0)
+    names = (wall,) if isinstance(wall, str) else wall
+    is_named = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(each, str) for each in names)
+    ids = mesh.patch(*names) if is_named else rows_of("wall", wall, len(mesh.points))
+    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
+    lines = first_lines(cells, np.asarray(mesh.points), ids)
+    with jax.ensure_compile_time_eval():
+        reference = jnp.asarray(mesh.points, dtype=current.dtype)
+    if not on_host(lines, reference, current, softness):
+        angle, height = _measured(lines, reference, current, softness)
+        return WallQuality(jnp.asarray(lines.nodes), angle, height)
+    with np.errstate(all="ignore"):
+        angle, height = _angle_and_height(lines, np.asarray(reference), np.asarray(current), softness)
+    return WallQuality(*as_jax((lines.nodes, angle, height)))
+
+
+def _angle_and_height(
+    lines: Lines, reference: Float[Either, "n d"], points: Float[Either, "n d"], softness: Any
+) -> tuple[Float[Either, " w"], Float[Either, " w"]]:
+    xp = namespace(points)
+    start, now = (_components(xp, lines, x) for x in (reference, points))
+    cosine = xp.sum(start * now, axis=1)
+    sine = norm(xp.stack(cross(start.T, now.T), axis=1))
+    none = sine**2 + cosine**2 == 0
+    angle = xp.rad2deg(xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine))))
+    if softness is not None:
+        angle = xp.sqrt(angle**2 + softness**2) - softness
+    flat = start[:, 0] == 0
+    return angle, xp.where(flat, 1, now[:, 0] / xp.where(flat, 1, start[:, 0]))
+
+
+_measured = compiled(_angle_and_height)
+
+
+def _components(xp: Any, lines: Lines, x: Float[Either, "n d"]) -> Float[Either, "w d"]:
+    """Computes each first grid line's components in a frame of its wall: along the normal, then along the wall."""
+    area = areas(x[lines.faces]) * lines.sign[:, None].astype(x.dtype)
+    normal = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
+    for rows in lines.rows.T:
+        if xp is np:
+            np.add.at(normal, rows[rows < len(normal)], area[rows < len(normal)])
+        else:
+            normal = normal.at[rows].add(area, mode="drop")
+    normal, line = _unit(normal), x[lines.ends] - x[lines.nodes]
+    if x.shape[1] == 2:
+        return xp.stack([xp.sum(normal * line, axis=1), *cross(normal.T, line.T)], axis=1)
+    beside = x[lines.beside] - x[lines.nodes]
+    tangent = _unit(beside - xp.sum(beside * normal, axis=1)[:, None] * normal)
+    frame = xp.stack([normal, tangent, xp.cross(normal, tangent)], axis=1)
+    return xp.sum(frame * line[:, None], axis=2)
+
+
+def _unit(a: Float[Either, "w d"]) -> Float[Either, "w d"]:
+    length = norm(a)
+    return a / namespace(length).where(length > 0, length, 1)[:, None]

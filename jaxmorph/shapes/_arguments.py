@@ -1,0 +1,129 @@
+"""Checks what comes in: shapes always, values where they are known."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int, Real
+
+from .._host.package.arguments import shown
+from .._kernels.values import array, is_known
+
+Number = Real[ArrayLike, ""]
+Numbers = Real[ArrayLike, "..."] | Sequence[Any]
+
+
+def positions(x: Numbers, name: str = "x") -> Float[Array, "m d"]:
+    """Turns positions into an array (m, d) of floats.
+
+    **Raises:** `ValueError` for another shape.
+    """
+    places = array(x)
+    if places.ndim != 2 or places.shape[1] not in (2, 3):
+        raise ValueError(f"`{name}` has shape {places.shape}; positions have shape (m, 2) or (m, 3).")
+    return places if jnp.issubdtype(places.dtype, jnp.floating) else places.astype(jnp.result_type(float))
+
+
+def known_positions(x: Numbers, name: str = "x") -> Float[np.ndarray, "m d"]:
+    """Turns positions that can be read into an array (m, d) of NumPy.
+
+    **Raises:** `ValueError` for another shape, and for positions that are not finite.
+    """
+    known = np.asarray(positions(x, name))
+    bad = np.flatnonzero(~np.isfinite(known).all(axis=1))
+    if len(bad):
+        raise ValueError(f"{len(bad)} of {len(known)} rows of `{name}` are not finite, first row {bad[0]}.")
+    return known
+
+
+def check_finite(**arrays: Any) -> None:
+    """Raises `ValueError` for the first array that can be read and is not finite."""
+    for name, values in arrays.items():
+        if values is not None and is_known(values) and not (finite := np.isfinite(np.asarray(values, float))).all():
+            raise ValueError(f"{(~finite).sum()} of {finite.size} numbers of `{name}` are not finite.")
+
+
+def check_parameters(parameters: Any) -> None:
+    """Raises `ValueError` for a leaf of parameters that holds no real numbers."""
+    for leaf in jax.tree.leaves(parameters):
+        if not hasattr(leaf, "dtype") and np.asarray(leaf).dtype.kind not in "fiub":
+            raise ValueError(f"`parameters` holds {shown(leaf)}; design variables are real numbers.")
+
+
+def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
+    """Turns ids into row numbers of `count` positions.
+
+    **Raises:** `ValueError` for anything else, with the first such id.
+    """
+    ids = np.asarray(ids)
+    if ids.dtype.kind not in "iu":
+        raise ValueError(f"`{name}` is an array of {ids.dtype}; expected row numbers.")
+    bad = ids[(ids < 0) | (ids >= count)]
+    if bad.size:
+        raise ValueError(f"{bad.size} ids of `{name}` are no row of {count} positions, first {bad[0]}.")
+    return ids
+
+
+def number(name: str, value: Any, like: Array) -> Float[Array, ""]:
+    """Turns one number into an array of the positions' dtype.
+
+    **Raises:** `ValueError` for more than one number, and for one that is not finite.
+    """
+    value = jnp.asarray(value, like.dtype)
+    if value.ndim != 0:
+        raise ValueError(f"`{name}` has shape {value.shape}; it is one number.")
+    if is_known(value) and not np.isfinite(value):
+        raise ValueError(f"`{name}` is {value}; it must be finite.")
+    return value
+
+
+def vector(name: str, values: Any, like: Array) -> Float[Array, " d"]:
+    """Turns d numbers into an array of the positions' dtype.
+
+    **Raises:** `ValueError` for another count, and for values that are not finite.
+    """
+    values, d = jnp.asarray(values, like.dtype), like.shape[1]
+    if values.shape != (d,):
+        raise ValueError(f"`{name}` has shape {values.shape}; positions in {d}-D need ({d},).")
+    if is_known(values) and not np.isfinite(values).all():
+        raise ValueError(f"`{name}` is {np.asarray(values)}; it must be finite.")
+    return values
+
+
+def direction(name: str, values: Any, like: Array) -> Float[Array, " d"]:
+    """Turns d numbers into a vector of length 1.
+
+    **Raises:** `ValueError` for another count, and for a vector without length.
+    """
+    values = vector(name, values, like)
+    if is_known(values) and not np.any(values):
+        raise ValueError(f"`{name}` has length 0; it must be a direction.")
+    return values / jnp.linalg.norm(values)
+
+
+def positive(name: str, value: Any, like: Array) -> Float[Array, ""]:
+    """Turns a length into an array.
+
+    **Raises:** `ValueError` for one that is not above 0.
+    """
+    value = number(name, value, like)
+    if is_known(value) and not value > 0:
+        raise ValueError(f"`{name}` is {value}; it must be above 0.")
+    return value
+
+
+def axis_for(values: Any, like: Array) -> Float[Array, " 3"] | None:
+    """Turns an axis of rotation into a vector of length 1; None in 2-D.
+
+    **Raises:** `ValueError` for an axis in 2-D, and for none in 3-D.
+    """
+    d = like.shape[1]
+    if (values is None) != (d == 2):
+        raise ValueError(
+            "`axis` is for positions in 3-D; leave it out in 2-D."
+            if d == 2
+            else "`axis` is missing: a rotation in 3-D needs (3,) numbers."
+        )
+    return None if values is None else direction("axis", values, like)
