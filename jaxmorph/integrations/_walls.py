@@ -39,7 +39,8 @@ class Walls:
         walls = tuple(name for name, kind in kinds.items() if kind == "wall") if specified is None else specified
         symmetry: tuple[Any, ...] = ()
         if options["symmetryPlanes"] is not None:
-            symmetry = tuple(_plane(mesh, *each, options["symmTol"]) for each in options["symmetryPlanes"])
+            planes = options["symmetryPlanes"]
+            symmetry = tuple(_plane(mesh, origin, normal, options["symmTol"]) for origin, normal in planes)
             flat = _lie_in(mesh, symmetry)
         elif flat is None:
             flat = tuple(name for name, kind in kinds.items() if kind == "symmetry")
@@ -79,7 +80,7 @@ class Walls:
     def half(self, moving: np.ndarray, method: jm.AbstractMethod | None, known: Mapping[str, Any]) -> jm.SurfaceHalf:
         """Prepares the surface: nodes of other patches are fixed, but those in symmetry planes, periodic and overset ones."""
         periodic = io.periodic(self.mesh)
-        loose = {*self.flat, *self.free, *(name for each in periodic for name in (each.patch, each.partner))}
+        loose = {*self.flat, *self.free, *(str(name) for each in periodic for name in (each.patch, each.partner))}
         fixed = self._nodes([name for name in self.mesh.patches if name not in loose])
         free = np.setdiff1d(self._nodes(self.free), np.concatenate([fixed, moving]))
         kinds = {"symmetry": self.symmetry, "periodic": periodic, "free": free}
