@@ -12,19 +12,25 @@ from jaxmorph.integrations.idwarp import USMesh
 folder, comm = pathlib.Path(sys.argv[1]), MPI.COMM_WORLD
 
 
+def places(points):
+    """The number of each point's place (k,) among the places of all processes, and how many places there are."""
+    points = points.reshape(-1, 3)
+    counts = comm.allgather(len(points))
+    at = np.unique(np.concatenate(comm.allgather(points)), axis=0, return_inverse=True)[1].ravel()
+    return at[sum(counts[: comm.rank]) :][: len(points)], at.max() + 1
+
+
 def summed(points, values):
-    """Values by place, in the order of the places; those of all processes and of copies at one place add up."""
-    points, values = (np.concatenate(comm.allgather(each.reshape(-1, 3))) for each in (points, values))
-    _, at = np.unique(points, axis=0, return_inverse=True)
-    total = np.zeros((at.max() + 1, 3))
-    np.add.at(total, at.ravel(), values)
-    return total
+    """Sums (p, 3) of values by place: those of all processes, and of copies at one place, add up."""
+    at, count = places(points)
+    total = np.zeros((count, 3))
+    np.add.at(total, at, values.reshape(-1, 3))
+    return np.sum(comm.allgather(total), axis=0)
 
 
 def by_place(points, values):
-    """Values by place, which are alike in all processes and copies."""
-    total, count = summed(points, values), summed(points, np.ones_like(values))
-    return total / count
+    """Means by place: of values that are alike in all processes and copies."""
+    return summed(points, values) / summed(points, np.ones_like(values))
 
 
 for kind, name in (("structured", "grid.cgns"), ("openfoam", "case")):
@@ -33,7 +39,6 @@ for kind, name in (("structured", "grid.cgns"), ("openfoam", "case")):
     mesh = USMesh(options=options, comm=comm)
     start = mesh.getCommonGrid()
     count = len(start)
-    first = sum(comm.allgather(count)[: comm.rank])
     # a solver that has the nodes of the other process, in the opposite order
     everything = sum(comm.allgather(count))
     share = np.array_split(np.arange(everything // 3), comm.size)[-1 - comm.rank][::-1]
@@ -47,9 +52,8 @@ for kind, name in (("structured", "grid.cgns"), ("openfoam", "case")):
     mesh.warpMesh()
     moved = mesh.getCommonGrid()
     found = {"grid": by_place(start, moved), "solver": by_place(whole[indices], mesh.getSolverGrid())}
-    # a derivative by place, which copies share: what each node has adds up to it
-    seed = np.cos(7 * start) / summed(start, np.ones(count))[np.unique(
-        np.concatenate(comm.allgather(start.reshape(-1, 3))), axis=0, return_inverse=True)[1].ravel()[first // 3 :][: count // 3]].ravel()  # fmt: skip
+    # a derivative by place: what its copies have adds up to it
+    seed = np.cos(7 * start) / summed(start, np.ones(count))[places(start)[0]].ravel()
     mesh.warpDeriv(seed, solverVec=False)
     found["dXs"] = summed(surface, mesh.getdXs())
     tangent = np.sin(5 * surface)

@@ -62,6 +62,7 @@ def test_walls_planes_and_derivatives(grids, kind, count, capsys):
     mesh = opened(grids, kind, symmetryPlanes=PLANES[count])
     assert np.array_equal(mesh.getCommonGrid(), nodes.ravel())
     assert np.array_equal(mesh.getWarpGrid(), nodes.ravel())
+    assert mesh.warp.griddata.warpmeshdof == nodes.size
     surface = mesh.getSurfaceCoordinates()
     floor = nodes[meshes.on(nodes, "floor")]
     assert np.array_equal(np.unique(surface, axis=0), np.unique(floor, axis=0))
@@ -121,7 +122,8 @@ def faces_of(nodes):
     """The floor's faces as solvers give them: each with corners of its own, of which many are at one place."""
     x = np.unique(nodes[:, 0])
     y = np.unique(nodes[:, 1])
-    corners = [(x[i], y[j], 0.0) for i, j in np.ndindex(len(x) - 1, len(y) - 1) for i, j in ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1))]  # fmt: skip
+    turns = ((0, 0), (1, 0), (1, 1), (0, 1))
+    corners = [(x[i + a], y[j + b], 0.0) for i, j in np.ndindex(len(x) - 1, len(y) - 1) for a, b in turns]
     points = np.array(corners)
     return points, np.arange(len(points)), np.full(len(points) // 4, 4)
 
@@ -184,10 +186,10 @@ def test_closest_points_of_triangles_are_those_of_a_fine_search():
     np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-14)
     assert weights.min() > -1e-14
     np.testing.assert_allclose(np.linalg.norm(weights @ points - x, axis=1), away, atol=1e-12)
-    share = random.dirichlet([0.6] * 3, size=20000)
-    places = np.concatenate([share @ points[each] for each in triangles])
     from scipy.spatial import KDTree
 
+    share = random.dirichlet([0.6] * 3, size=20000)
+    places = np.concatenate([share @ points[each] for each in triangles])
     nearest = KDTree(places).query(x)[0]
     assert (away <= nearest + 1e-12).all()
     assert (away >= nearest - 0.1).all()
@@ -204,7 +206,7 @@ def test_a_definition_from_a_file_of_blocks(grids, tmp_path):
     mesh.setSurfaceDefinitionFromFile(str(tmp_path / "surface.xyz"))
     surface = mesh.getSurfaceCoordinates()
     assert np.array_equal(surface, np.concatenate([block.reshape(-1, 3, order="F") for block in blocks]))
-    mesh.setSurfaceCoordinates(surface + [0, 0, 0.1])
+    mesh.setSurfaceCoordinates(surface + np.array([0, 0, 0.1]))
     mesh.warpMesh()
     nodes = grids["plot3d"][1]
     wall = meshes.on(nodes, "floor")

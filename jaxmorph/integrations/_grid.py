@@ -72,11 +72,11 @@ class Grid:
             return {}
         return {"nodes": io.global_nodes(self.outside), "faces": self.outside.cells}
 
-    def listed(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3k"]:
+    def listed(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " c"]:
         """Lists coordinates of nodes in the order of the file, in one row."""
         return points[self.rows].ravel()
 
-    def added(self, values: Float[np.ndarray, " 3k"]) -> Float[np.ndarray, "n 3"]:
+    def added(self, values: Float[np.ndarray, " c"]) -> Float[np.ndarray, "n 3"]:
         """Adds values of the file's list to its nodes: the transpose of `listed`."""
         total = np.zeros(self.points.shape)
         np.add.at(total, self.rows, values.reshape(-1, 3))
@@ -136,9 +136,14 @@ class SolverOrder:
         sent = comm.alltoall([wanted[rows] - firsts[rank] for rank, rows in enumerate(places)])
         return SolverOrder(comm, count, sent, places)
 
+    @property
+    def size(self) -> int:
+        """The numbers that this process' solver has."""
+        return sum(map(len, self.places))
+
     def to_solver(self, values: np.ndarray) -> np.ndarray:
         """Takes this process' numbers to the solver's."""
-        result = np.zeros(sum(map(len, self.places)))
+        result = np.zeros(self.size)
         for rows, answer in zip(self.places, self.comm.alltoall([values[rows] for rows in self.sent]), strict=True):
             result[rows] = answer
         return result

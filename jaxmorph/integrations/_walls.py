@@ -94,7 +94,7 @@ def _kinds(mesh: jm.Mesh) -> dict[str, str]:
     """Sorts patches into wall, symmetry, overset and others: by what the file says of them, else by their names."""
     told: Mapping[str, Any] = getattr(mesh, "kinds", None) or {}
     known = dict.fromkeys(io.symmetry(mesh), "symmetry") | dict.fromkeys(mesh.groups.get("wall", ()), "wall")
-    words = {"symm": "symmetry", "wall": "wall", "overset": "overset", "overlap": "overset"}
+    words = {"sym": "symmetry", "wall": "wall", "overset": "overset", "overlap": "overset"}
     kinds = {}
     for name in mesh.patches:
         said = str(told.get(name) or known.get(name) or name).lower()

@@ -1,5 +1,6 @@
 """IDWarp's mesh object: its calls, by jaxmorph's methods (extras `mpi` and, for CGNS, `io`)."""
 
+import types
 from collections.abc import Mapping
 from typing import Any
 
@@ -106,15 +107,15 @@ class USMesh:
         """
         self._order = SolverOrder.of(self.comm, 3 * len(self._grid.rows), ind)
 
-    def getSolverGrid(self) -> Float[np.ndarray, " s"]:
+    def getSolverGrid(self) -> Float[np.ndarray, " c"]:
         """Returns the coordinates of the moved mesh, in the order of `setExternalMeshIndices`."""
         return self._solver().to_solver(self.getCommonGrid())
 
-    def getCommonGrid(self) -> Float[np.ndarray, " 3k"]:
+    def getCommonGrid(self) -> Float[np.ndarray, " c"]:
         """Returns the coordinates of the moved mesh in the order of the file, as far as they are this process'."""
         return self._grid.listed(self._moved)
 
-    def getWarpGrid(self) -> Float[np.ndarray, " 3k"]:
+    def getWarpGrid(self) -> Float[np.ndarray, " c"]:
         """Returns what `getCommonGrid` does: no other order is used here."""
         return self.getCommonGrid()
 
@@ -137,7 +138,7 @@ class USMesh:
         """Returns the derivative by the surface's points that `warpDeriv` computed."""
         return self._dXs.copy()
 
-    def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Float[np.ndarray, " s"]:
+    def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Float[np.ndarray, " c"]:
         """Pushes a change of the surface's points (k, 3) forward to the mesh's coordinates.
 
         It moves the mesh too, as IDWarp does. The result is in the order of `getSolverGrid`, or of `getCommonGrid` where
@@ -191,6 +192,14 @@ class USMesh:
         if fileName is None:
             raise ValueError("`fileName` is missing: name a new file or folder; what the mesh was read from is kept.")
         self._grid.write(fileName, self._moved)
+
+    @property
+    def warp(self) -> Any:
+        """The numbers of coordinates of this process, called as in IDWarp's compiled module: `warp.griddata.warpmeshdof`."""
+        count = 3 * len(self._grid.rows)
+        solvers = 0 if self._order is None else self._order.size
+        sizes = types.SimpleNamespace(commonmeshdof=count, warpmeshdof=count, solvermeshdof=solvers)
+        return types.SimpleNamespace(griddata=sizes)
 
     def _defined(self) -> Follower:
         """Returns the surface; where no solver has defined one, that of the wall patches."""
@@ -249,8 +258,7 @@ class USMesh:
         if not is_solvers:
             return together(self.comm, lambda: _reals(name, values, (3 * len(self._grid.rows),)))
         order = self._solver()
-        count = sum(map(len, order.places))
-        return order.from_solver(together(self.comm, lambda: _reals(name, values, (count,))))
+        return order.from_solver(together(self.comm, lambda: _reals(name, values, (order.size,))))
 
 
 def _faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
