@@ -67,7 +67,7 @@ class Grid:
 
     @property
     def known(self) -> dict[str, Any]:
-        """What `prepare_surface` needs to know of `outside`, beside the boundary."""
+        """Keywords of `prepare_surface` for `outside`: ids of nodes and faces of a decomposed case."""
         if self.case is None or self.outside is None:
             return {}
         return {"nodes": io.global_nodes(self.outside), "faces": self.outside.cells}
@@ -114,28 +114,6 @@ class SolverOrder:
     sent: list[np.ndarray]
     places: list[np.ndarray]
 
-    @staticmethod
-    def of(comm: Any, count: int, indices: Any) -> "SolverOrder":
-        """Finds who has what. `indices` (k,) count the numbers of all processes from 0."""
-        firsts = np.cumsum([0, *comm.allgather(count)])
-
-        def checked() -> np.ndarray:
-            wanted = np.asarray(indices)
-            if wanted.ndim != 1 or wanted.dtype.kind not in "iuf" or (wanted != np.floor(wanted)).any():
-                raise ValueError(f"indices are whole numbers (k,), not {wanted.dtype} of shape {wanted.shape}.")
-            if wanted.size and (wanted.min() < 0 or wanted.max() >= firsts[-1]):
-                raise ValueError(
-                    f"indices go from {wanted.min()} to {wanted.max()}; the grid has coordinates 0 to {firsts[-1] - 1}, three "
-                    "for each node."
-                )
-            return wanted.astype(np.int64)
-
-        wanted = together(comm, checked)
-        keeper = np.searchsorted(firsts, wanted, side="right") - 1
-        places = [np.flatnonzero(keeper == rank) for rank in range(comm.size)]
-        sent = comm.alltoall([wanted[rows] - firsts[rank] for rank, rows in enumerate(places)])
-        return SolverOrder(comm, count, sent, places)
-
     @property
     def size(self) -> int:
         """The numbers that this process' solver has."""
@@ -154,6 +132,28 @@ class SolverOrder:
         for rows, answer in zip(self.sent, self.comm.alltoall([values[rows] for rows in self.places]), strict=True):
             np.add.at(result, rows, answer)
         return result
+
+
+def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
+    """Finds who has what. `indices` (k,) count the numbers of all processes from 0."""
+    firsts = np.cumsum([0, *comm.allgather(count)])
+
+    def checked() -> np.ndarray:
+        wanted = np.asarray(indices)
+        if wanted.ndim != 1 or wanted.dtype.kind not in "iuf" or (wanted != np.floor(wanted)).any():
+            raise ValueError(f"indices are whole numbers (k,), not {wanted.dtype} of shape {wanted.shape}.")
+        if wanted.size and (wanted.min() < 0 or wanted.max() >= firsts[-1]):
+            raise ValueError(
+                f"indices go from {wanted.min()} to {wanted.max()}; the grid has coordinates 0 to {firsts[-1] - 1}, three "
+                "for each node."
+            )
+        return wanted.astype(np.int64)
+
+    wanted = together(comm, checked)
+    keeper = np.searchsorted(firsts, wanted, side="right") - 1
+    places = [np.flatnonzero(keeper == rank) for rank in range(comm.size)]
+    sent = comm.alltoall([wanted[rows] - firsts[rank] for rank, rows in enumerate(places)])
+    return SolverOrder(comm, count, sent, places)
 
 
 def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:

@@ -1,4 +1,4 @@
-"""Which nodes of a mesh move with a surface that a solver defines, which are fixed, and which slide in symmetry planes."""
+"""Patches of a mesh by what becomes of their nodes: they move with a surface, slide in symmetry planes, or are fixed."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -30,22 +30,6 @@ class Walls:
     symmetry: tuple[Any, ...]
     flat: tuple[str, ...]
     free: tuple[str, ...]
-
-    @staticmethod
-    def of(mesh: jm.Mesh, options: Mapping[str, Any]) -> "Walls":
-        """Sorts them. Raises `ValueError`, with the patches there are, for a name that is none of them."""
-        kinds = _kinds(mesh)
-        specified, flat = (_named(mesh, options[name], name) for name in ("specifiedSurfaces", "symmetrySurfaces"))
-        walls = tuple(name for name, kind in kinds.items() if kind == "wall") if specified is None else specified
-        symmetry: tuple[Any, ...] = ()
-        if options["symmetryPlanes"] is not None:
-            planes = options["symmetryPlanes"]
-            symmetry = tuple(_plane(mesh, origin, normal, options["symmTol"]) for origin, normal in planes)
-            flat = _lie_in(mesh, symmetry)
-        elif flat is None:
-            flat = tuple(name for name, kind in kinds.items() if kind == "symmetry")
-        free = tuple(name for name, kind in kinds.items() if kind == "overset" and name not in walls)
-        return Walls(mesh, walls, symmetry or flat, tuple(name for name in flat if name not in walls), free)
 
     def moving(self, definition: Definition, is_own: bool) -> tuple[np.ndarray, Any]:
         """Finds the nodes (m,) of the mesh that move, ascending, and the weights (m, s) by which the surface moves them.
@@ -90,6 +74,23 @@ class Walls:
         return self.mesh.patch(*names)
 
 
+def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:
+    """Sorts the patches of a mesh. Raises `ValueError`, with the patches there are, for a name that is none of them."""
+    kinds = _kinds(mesh)
+    specified, flat = (_named(mesh, options[name], name) for name in ("specifiedSurfaces", "symmetrySurfaces"))
+    walls = tuple(name for name, kind in kinds.items() if kind == "wall") if specified is None else specified
+    symmetry: tuple[Any, ...] = ()
+    if options["symmetryPlanes"] is not None:
+        planes = options["symmetryPlanes"]
+        symmetry = tuple(_plane(mesh, origin, normal, options["symmTol"]) for origin, normal in planes)
+        flat = _lie_in(mesh, symmetry)
+    elif flat is None:
+        flat = tuple(name for name, kind in kinds.items() if kind == "symmetry")
+    flat = tuple(name for name in flat if name not in walls)
+    free = tuple(name for name, kind in kinds.items() if kind == "overset" and name not in walls)
+    return Walls(mesh, walls, symmetry or flat, flat, free)
+
+
 def _kinds(mesh: jm.Mesh) -> dict[str, str]:
     """Sorts patches into wall, symmetry, overset and others: by what the file says of them, else by their names."""
     told: Mapping[str, Any] = getattr(mesh, "kinds", None) or {}
@@ -97,8 +98,8 @@ def _kinds(mesh: jm.Mesh) -> dict[str, str]:
     words = {"sym": "symmetry", "wall": "wall", "overset": "overset", "overlap": "overset"}
     kinds = {}
     for name in mesh.patches:
-        said = str(told.get(name) or known.get(name) or name).lower()
-        kinds[name] = next((kind for word, kind in words.items() if word in said), "")
+        text = str(told.get(name) or known.get(name) or name).lower()
+        kinds[name] = next((kind for word, kind in words.items() if word in text), "")
     return kinds
 
 

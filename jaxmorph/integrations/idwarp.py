@@ -13,10 +13,10 @@ from jaxmorph import io
 from . import mpi
 from ._definition import Definition
 from ._follower import Follower, doubles
-from ._grid import Grid, SolverOrder
+from ._grid import Grid, SolverOrder, solver_order
 from ._idwarp_options import checked, method, warn_of
 from ._shared import together
-from ._walls import Walls
+from ._walls import walls_of
 
 
 class USMesh:
@@ -105,7 +105,7 @@ class USMesh:
 
         The list is that of `getCommonGrid` of all processes, one after the other.
         """
-        self._order = SolverOrder.of(self.comm, 3 * len(self._grid.rows), ind)
+        self._order = solver_order(self.comm, 3 * len(self._grid.rows), ind)
 
     def getSolverGrid(self) -> Float[np.ndarray, " c"]:
         """Returns the coordinates of the moved mesh, in the order of `setExternalMeshIndices`."""
@@ -215,7 +215,7 @@ class USMesh:
         return self._surface
 
     def _specified(self, mesh: jm.Mesh) -> tuple[str, ...]:
-        walls = Walls.of(mesh, self._options).walls
+        walls = walls_of(mesh, self._options).walls
         if not walls:
             raise ValueError(
                 "no patch is a wall: name those that move in the option `specifiedSurfaces`, or call setSurfaceDefinition. "
@@ -231,7 +231,7 @@ class USMesh:
                 return None
             if not len(definition.points):
                 raise ValueError("the surface has no points: no process defines any.")
-            walls = Walls.of(grid.outside, self._options)
+            walls = walls_of(grid.outside, self._options)
             moving, weights = walls.moving(definition, is_own)
             half = walls.half(moving, method(self._options), grid.known)
             ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[moving]

@@ -81,18 +81,20 @@ class Piece:
 
         It is the derivative of `deform` in one direction. It raises `ValueError` as `deform` does.
         """
-        u, tangent = self.gathered(u), self.gathered(tangent)
+        u, tangent = self.gathered(u), self.gathered(tangent, "tangent")
         return np.array(together(self.comm, lambda: jm.velocity(self.plan, u, tangent)))
 
-    def gathered(self, u: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "m d"]:
-        """Gathers the displacements of all moving nodes from those that each process has."""
+    def gathered(self, u: Real[ArrayLike, "k d"], name: str = "u") -> Float[np.ndarray, "m d"]:
+        """Gathers the displacements of all moving nodes from those that each process has; errors call them `name`."""
 
         def checked() -> np.ndarray:
-            check("u", u, ROWS, Piece.deform)
+            check(name, u, ROWS, Piece.deform)
             values = np.asarray(u, dtype=self.plan.points.dtype)
             expected = (len(self.moving), self.plan.points.shape[1])
             if values.shape != expected:
-                raise ValueError(f"`u` has shape {values.shape}; this piece moves {expected[0]} points: {expected}.")
+                raise ValueError(
+                    f"`{name}` has shape {values.shape}; this piece moves {expected[0]} points: {expected}."
+                )
             return values
 
         shares = self.comm.allgather((self.rows, together(self.comm, checked)))
@@ -164,8 +166,7 @@ def prepare(
     different places.
     """
 
-    if not hasattr(comm, "allgather"):
-        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
+    _check_comm(comm)
     piece = together(comm, lambda: _given(points, nodes, moving, fixed, symmetry, is_open))
     marks = owned(comm, piece.nodes)
     faces = faces_of(comm, piece.mesh, piece.nodes, marks[1])
@@ -209,6 +210,8 @@ def attach(
 
     **Raises:** `ValueError`, in every process, as `SurfaceHalf.attach` does.
     """
+    _check_comm(comm)
+    together(comm, lambda: check("half", half, jm.SurfaceHalf, attach))
     plan = together(comm, lambda: half.attach(np.asarray(points), np.asarray(nodes)))
     ids, order = np.asarray(nodes), np.argsort(half.moving)
     moving = np.flatnonzero(np.isin(ids, half.moving))
@@ -266,6 +269,11 @@ def _surface(
     names = np.concatenate([moving, fixed[rest], further[others], np.full(len(outermost), -1)])
     count = len(moving) + int(rest.sum())
     return everything, names, len(moving), count, count + int(others.sum())
+
+
+def _check_comm(comm: Any) -> None:
+    if not hasattr(comm, "allgather"):
+        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
 
 
 def _rows(values: Any, n: int) -> np.ndarray:
