@@ -10,6 +10,7 @@ from ._advice.inspect import inspect as inspect
 from ._advice.largest_step import LargestStep as LargestStep
 from ._advice.largest_step import largest_step as largest_step
 from ._boundary.outer_faces import FreeFaces as FreeFaces
+from ._boundary.outer_faces import boundary_faces as boundary_faces
 from ._boundary.periodic import Periodic as Periodic
 from ._boundary.slide import Revolution as Revolution
 from ._boundary.slide import Slide as Slide

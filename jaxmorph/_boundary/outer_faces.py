@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from .._host.cells import topology
 from .._host.cells.pairs import is_among
-from .._host.cells.topology import boundary_faces, solid
+from .._host.package.arguments import checked
 from .._host.surface.walls import seen_from_outside
 from .._mesh.mesh import Mesh
 from .._mesh.polyhedra import Polyhedra, triangles
@@ -38,15 +39,39 @@ class OuterFaces:
         return len(np.unique(np.concatenate(ids))) if ids else 0
 
 
+@checked
+def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
+    """Lists the boundary faces of a mesh, or of some of its patches, as arrays of node ids (edges in 2-D).
+
+    A face is of the patches when all of its nodes are. Seen from outside of the mesh its nodes go round counterclockwise.
+    Faces of polyhedra with more than four corners are cut into triangles.
+
+    **Arguments:**
+
+    - `mesh`: the mesh.
+    - `patches`: names of patches, as `Mesh.patch` takes them. Default: the whole boundary.
+
+    **Returns:** ids (k, corners) by type: `line`, `triangle` and `quad`.
+
+    **Raises:** `ValueError` for a name that means no patch, and for a mesh without cells of its dimension.
+    """
+    outer = outer_faces(mesh)
+    if outer is None:
+        raise ValueError(f"the mesh has no cells of {mesh.points.shape[1]} dimensions, and so no boundary faces.")
+    inside = np.full(len(mesh.points), not patches)
+    inside[mesh.patch(*patches)] = True
+    return {kind: corners[inside[corners].all(axis=1)] for kind, corners in outer.corners.items()}
+
+
 def outer_faces(mesh: Mesh) -> OuterFaces | None:
     """Finds the boundary faces of a mesh, without those between it and other parts; None where cells do not fill its dimension."""
     points = np.asarray(mesh.points)
-    cells = {kind: np.asarray(each) for kind, each in solid(mesh.cells, points.shape[1]).items()}
+    cells = {kind: np.asarray(each) for kind, each in topology.solid(mesh.cells, points.shape[1]).items()}
     if not cells:
         return None
     if mesh.polyhedra is not None and points.shape[1] == 3:
         return _of_polyhedra(mesh.polyhedra, points, mesh.between)
-    corners = seen_from_outside(points, boundary_faces(cells, len(points)))
+    corners = seen_from_outside(points, topology.boundary_faces(cells, len(points)))
     if mesh.between is not None:
         corners = {kind: each[~is_among(each, mesh.between)] for kind, each in corners.items()}
     return OuterFaces.numbered(corners)

@@ -89,6 +89,36 @@ class Mesh(Module):
         return {name: patches for name, patches in within.items() if patches}
 
     @property
+    def kinds(self) -> Mapping[str, str]:
+        """What the file says that patches are, by name: `BCWallViscous` or `BCFarfield` in CGNS, `wall` or `symmetry` in OpenFOAM.
+
+        Patches of which it says nothing are not in it.
+        """
+        return {name: kind for name, kind in getattr(self.source, "kinds", {}).items() if name in self.patches}
+
+    @property
+    def file_nodes(self) -> np.ndarray:
+        """The node (N,) of this mesh that each node of its file is, in the file's order.
+
+        Nodes that zones of a CGNS or PLOT3D file share are one. So are two of an OpenFOAM case in 2-D, in both of its planes.
+        """
+        nodes = getattr(self.source, "file_nodes", None)
+        return np.arange(len(self.points)) if nodes is None else nodes
+
+    @checked
+    def in_file_order(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> np.ndarray:
+        """Returns the coordinates (N, D) of all nodes of the file, in its order, when this mesh has `points` (n, d).
+
+        These are what `jaxmorph.io.write` writes. D is 3 also for a mesh in two coordinates of a CGNS, gmsh or OpenFOAM file that
+        has three. A node that has not moved stays as it was in each of its copies.
+
+        **Raises:** `ValueError` when the shape of `points` differs.
+        """
+        places = np.array(self.moved(points).points)
+        in_file = getattr(self.source, "in_file", None)
+        return places if in_file is None else in_file(places)
+
+    @property
     def polyhedra(self) -> Polyhedra | None:
         """The whole cells of a mesh that was read with polyhedra (in 2-D polygons), of which `cells` has pieces; or None."""
         return getattr(self.source, "polyhedra", None)

@@ -53,10 +53,11 @@ def info(file: pathlib.Path, out: Output) -> int:
     for name, least, most in zip("xyz", low, high, strict=False):
         out.say(f"{name:<9}{least:.6g} to {most:.6g}")
     patches = {name: len(nodes) for name, nodes in mesh.patches.items()}
-    out.say("patches" if patches else "patches  none", low=low, high=high, patches=patches)
+    kinds = dict(mesh.kinds)
+    out.say("patches" if patches else "patches  none", low=low, high=high, patches=patches, kinds=kinds)
     width = max(map(len, patches), default=0)
     for name, number in patches.items():
-        out.say(f"  {name:<{width}}  {number:>9} nodes")
+        out.say(f"  {name:<{width}}  {number:>9} nodes  {kinds.get(name, '')}".rstrip())
     if mesh.groups:
         out.say("groups", groups={name: list(names) for name, names in mesh.groups.items()})
     for name, names in mesh.groups.items():

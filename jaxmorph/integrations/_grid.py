@@ -42,7 +42,7 @@ class Grid:
             if comm.rank:
                 return None
             mesh = _in_space(io.read(path), path)
-            parts = np.array_split(io.file_nodes(mesh), comm.size)
+            parts = np.array_split(mesh.file_nodes, comm.size)
             each = (np.unique(part, return_inverse=True) for part in parts)
             return mesh, [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in each]
 

@@ -92,14 +92,14 @@ def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:
 
 
 def _kinds(mesh: jm.Mesh) -> dict[str, str]:
-    """Sorts patches into wall, symmetry, overset and others: by what the file says of them, else by their names."""
-    told: Mapping[str, Any] = getattr(mesh, "kinds", None) or {}
-    known = dict.fromkeys(io.symmetry(mesh), "symmetry") | dict.fromkeys(mesh.groups.get("wall", ()), "wall")
-    words = {"sym": "symmetry", "wall": "wall", "overset": "overset", "overlap": "overset"}
+    """Sorts patches into wall, symmetry, overset and others: by what the file says that they are, else by their names."""
+    words = {"sym": "symmetry", "wall": "wall", "overset": "overset"}
     kinds = {}
     for name in mesh.patches:
-        text = str(told.get(name) or known.get(name) or name).lower()
+        text = mesh.kinds.get(name, name).lower()
         kinds[name] = next((kind for word, kind in words.items() if word in text), "")
+        if not kinds[name] and "overset" in name.lower():  # no type of CGNS says so
+            kinds[name] = "overset"
     return kinds
 
 

@@ -89,13 +89,13 @@ class USMesh:
             if self.comm.rank:
                 return np.zeros((0, 3)), np.zeros((0, 4), int)
             mesh = io.read(surfFile)
-            if mesh.points.shape[1] != 3 or list(mesh.cells) != ["quad"]:
+            points = mesh.in_file_order(mesh.points)
+            if points.shape[1] != 3 or list(mesh.cells) != ["quad"]:
                 raise ValueError(
                     f"{surfFile}: a surface in 3-D of blocks with one layer of nodes is expected, not {mesh}."
                 )
-            nodes = io.file_nodes(mesh)
-            first = np.unique(nodes, return_index=True)[1]
-            return np.asarray(mesh.points)[nodes], first[np.asarray(mesh.cells["quad"])]
+            first = np.unique(mesh.file_nodes, return_index=True)[1]
+            return points, first[np.asarray(mesh.cells["quad"])]
 
         points, corners = together(self.comm, blocks)
         self.setSurfaceDefinition(points, corners.ravel(), np.full(len(corners), 4))

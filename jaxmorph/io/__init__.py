@@ -4,7 +4,6 @@ from ._box import read_box as read_box
 from ._displacement import read_displacement as read_displacement
 from ._gradient import check_gradient_output as check_gradient_output
 from ._gradient import write_gradient as write_gradient
-from ._joined import file_nodes as file_nodes
 from ._lattice import check_lattice_output as check_lattice_output
 from ._lattice import write_lattice as write_lattice
 from ._moved import cell_arrays as cell_arrays

@@ -3,7 +3,7 @@
 import dataclasses
 import importlib
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -20,7 +20,9 @@ class Source:
 
     It is compared by identity, so that it can be a static field of a pytree however large `content` is. `polyhedra`, `cell_ids`,
     `between` and `groups` are those of `Mesh`. `node_ids` are the numbers that files give to its nodes, None for 0, 1, 2, ...
-    `periodic` are the pairs of patches that the file names as such, `symmetry` the patches that lie in symmetry planes.
+    `periodic` are the pairs of patches that the file names as such, `symmetry` the patches that lie in symmetry planes. `kinds` is
+    what the file says that patches are. `file_nodes` are those of `Mesh`. `in_file` makes points of the file of points of the mesh.
+    Both are None where a mesh has the nodes of its file.
     """
 
     path: pathlib.Path
@@ -33,6 +35,9 @@ class Source:
     between: np.ndarray | None = None
     node_ids: np.ndarray | None = None
     symmetry: tuple[str, ...] = ()
+    kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    file_nodes: np.ndarray | None = None
+    in_file: Callable[[np.ndarray], np.ndarray] | None = None
 
     def __repr__(self) -> str:
         return f"Source({str(self.path)!r}, {self.format})"

@@ -4,13 +4,10 @@ import dataclasses
 import itertools
 
 import numpy as np
-from jaxtyping import Int
 
 from jaxmorph import Mesh
 from jaxmorph._host.cells.pairs import columns_of, is_single, sorted_columns
-from jaxmorph._host.package.arguments import checked
 
-from ._format import Source
 from ._structured import open_faces, shared_nodes
 
 
@@ -44,28 +41,6 @@ class Joined:
         moved = (points != self.points[first, :d])[self.node]
         new[:, :d] = np.where(moved, points[self.node], self.points[:, :d])
         return new
-
-
-@checked
-def file_nodes(mesh: Mesh) -> Int[np.ndarray, " k"]:
-    """Lists the mesh's node of each node of its file, in the order of the file.
-
-    Zones of CGNS and blocks of PLOT3D repeat the nodes where they meet: `mesh.points[file_nodes(mesh)]` are the coordinates as the
-    file lists them. Files of other formats, and generated meshes, have each node once.
-
-    **Arguments:**
-
-    - `mesh`: what `read` returned.
-
-    **Returns:** ids (k,) of nodes, k as many as the file has.
-
-    **Raises:** `ValueError` for an OpenFOAM case in 2-D, whose mesh has one node for two of the file.
-    """
-    content = mesh.source.content if isinstance(mesh.source, Source) else None
-    if getattr(content, "plane", None) is not None:
-        raise ValueError(f"{mesh.source.path}: this case is in 2-D; its mesh has one node for two points of the file.")
-    joined = getattr(content, "joined", None)
-    return np.arange(len(mesh.points)) if joined is None else np.asarray(joined.node)
 
 
 def join(zones: Zones) -> tuple[Mesh, Joined]:

@@ -23,6 +23,8 @@ def periodic(mesh: jm.Mesh) -> tuple[jm.Periodic, ...]:
 def symmetry(mesh: jm.Mesh) -> tuple[str, ...]:
     """Lists the symmetry patches that a mesh's file names: `symmetry` and `symmetryPlane` of an OpenFOAM case, the axis of wedges.
 
+    In CGNS these are of the type `BCSymmetryPlane`, their own or their family's.
+
     **Arguments:**
 
     - `mesh`: what `read` returned.

@@ -70,7 +70,9 @@ def read(path: pathlib.Path) -> Mesh:
     points = np.concatenate([block.T.astype(float) for block in layout.coordinates(numbers)])
     try:
         mesh, joined = join(_zones(path, layout.shapes, points))
-        return Mesh(mesh.points, mesh.cells, mesh.patches, source=Source(path, NAME, _Content(data, layout, joined)))
+        content = _Content(data, layout, joined)
+        source = Source(path, NAME, content, file_nodes=joined.node, in_file=joined.in_file)
+        return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 

@@ -102,12 +102,9 @@ class Ranges:
         )
         cells = {kind: np.searchsorted(nodes, each) for kind, each in faces.items()}
         patches = {name: np.searchsorted(nodes, each) for name, each in self.patches.items()}
-        return Mesh(
-            self.before[nodes],
-            cells,
-            patches,
-            source=Source(self.path, self._layout.name, None, node_ids=nodes, periodic=self._layout.periodic),
-        )
+        known = {name: getattr(self._layout, name) for name in ("periodic", "symmetry", "kinds")}
+        source = Source(self.path, self._layout.name, None, node_ids=nodes, **known)
+        return Mesh(self.before[nodes], cells, patches, source=source)
 
     def cells(self) -> Iterator[tuple[Mesh, np.ndarray]]:
         """Yields ranges of cells: the undeformed mesh of each, with faces to others in `between`, and its moved points (m, d).

@@ -68,6 +68,8 @@ class Layout:
     d: int
     name: ClassVar[str] = NAME
     periodic: ClassVar[tuple[Periodic, ...]] = ()
+    symmetry: ClassVar[tuple[str, ...]] = ()
+    kinds: ClassVar[Mapping[str, str]] = {}
 
     @classmethod
     def by_ranges(cls, path: pathlib.Path) -> "Layout":

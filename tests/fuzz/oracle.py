@@ -14,6 +14,8 @@ import warnings
 import h5py
 import numpy as np
 
+from jaxmorph.io.cgns import adf
+
 WORD = re.compile(rb"[^\s()<>\",;{}%]*")
 
 
@@ -79,8 +81,12 @@ def _dataset(data: bytes, at: int) -> str:
         if start is not None and start <= at < start + item.id.get_storage_size():
             named.append(name)
 
-    with h5py.File(io.BytesIO(data)) as opened:
-        opened.visititems(visit)
+    if data[4:25] == adf.MAGIC:
+        for name, pieces, _ in _nodes(data):
+            named += [name for first, count in pieces if first <= at < first + count]
+    else:
+        with h5py.File(io.BytesIO(data)) as opened:
+            opened.visititems(visit)
     if not named:
         return "structure"
     return "points" if "Coordinate" in named[0] else "ids" if "Connectivity" in named[0] else "any"
@@ -114,9 +120,27 @@ def content(data: bytes) -> dict[str, tuple]:
         except Exception as error:  # h5py answers damage by a dozen classes
             told[name] = (repr(error),)
 
+    if data[4:25] == adf.MAGIC:
+        return {name: content for name, _, content in _nodes(data)}
     with h5py.File(io.BytesIO(data)) as file:
         file.visititems(visit)
     return told
+
+
+def _nodes(data: bytes) -> list[tuple[str, list[tuple[int, int]], tuple]]:
+    """Labels, types and values of an ADF file by the path that HDF5 has, and where values stand in it."""
+    waiting, found = [("", adf.tree(pathlib.Path("a.cgns"), io.BytesIO(data)))], []
+    while waiting:
+        place, node = waiting.pop()
+        found.append((place, [], (node.attrs["label"],)))
+        for name, child in node.items():
+            path = f"{place}/{name}".lstrip("/")
+            if isinstance(child, adf.Array):
+                values = child[()]
+                found.append((path, child.pieces, ([], values.dtype.str, values.tobytes())))
+            else:
+                waiting.append((path, child))
+    return found
 
 
 def _structure(right: dict[str, tuple], damaged: dict[str, tuple], wrong: list[str], found, where: str) -> str:
@@ -212,7 +236,11 @@ def _places(good, found, expected: np.ndarray, where: str) -> str:
     if a.shape != b.shape:
         return f"{where} changes the number of cells"
     changed = np.unique(b[a != b])
-    return "" if set(changed.tolist()) <= set(expected.tolist()) else f"{where} makes {changed} of places"
+    told = expected[np.abs(expected) < 1e300]
+    # a node beside another one is joined to it
+    near = 1e-3 * np.ptp(a) if len(good["points"]) > len(found["points"]) else 0
+    is_told = (np.abs(changed[:, None] - told) <= near).any(axis=1)
+    return "" if is_told.all() else f"{where} makes {changed} of places"
 
 
 def _rows(good, found) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 
+import adf
 import cgns
 import foam
 import h5py
@@ -116,6 +117,16 @@ def cgns_files(folder: pathlib.Path) -> list[Seed]:
     return [single(folder / f"{name}.cgns") for name in "ab"]
 
 
+def adf_files(folder: pathlib.Path) -> list[Seed]:
+    cgns_files(folder)
+    seeds = []
+    for k, (version, order, pieces) in enumerate((("A", "<", 1), ("A", ">", 3), ("B", "<", 2), ("B", ">", 1))):
+        for name in "ab":
+            adf.twin(folder / f"{name}.cgns", folder / f"{name}{k}.cgns", version, order, pieces)
+            seeds.append(single(folder / f"{name}{k}.cgns"))
+    return seeds
+
+
 def plot3d(folder: pathlib.Path) -> list[Seed]:
     seeds = []
     for k, (form, order) in enumerate(itertools.product(("text", "records", "plain"), "<>")):
@@ -216,6 +227,7 @@ FORMATS = {
     "VTK": vtk,
     "gmsh": gmsh,
     "CGNS": cgns_files,
+    "ADF": adf_files,
     "PLOT3D": plot3d,
     "OpenFOAM": openfoam,
     "tables": tables,

@@ -1,1 +1,1 @@
-"""CGNS files in HDF5."""
+"""CGNS files, in HDF5 and in ADF."""

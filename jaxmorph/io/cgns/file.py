@@ -1,10 +1,4 @@
-"""CGNS in HDF5, structured and unstructured zones: a copy of the file with other coordinates, all else untouched."""
-
-try:
-    import h5py
-    from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
-except ImportError as error:
-    raise ImportError("CGNS files need h5py: pip install 'jaxmorph[io]'") from error
+"""CGNS, structured and unstructured zones: a copy of the file with other coordinates, all else untouched."""
 
 import dataclasses
 import pathlib
@@ -21,11 +15,12 @@ from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._format import Arrays, Source, source_of
 from .._joined import Joined, Zones, join
+from .kinds import kinds_of, symmetry_of
 from .polyhedra import Block
+from .tree import opened
 from .zone import DIMENSION, TYPES, Connection, Content, Zone, children, data, word
 
 NAME = "CGNS"
-_FOREIGN = "{0}: {1} {2}. Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
 LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 
@@ -44,22 +39,14 @@ def read(path: pathlib.Path) -> Mesh:
     patch `unnamed`, `boundary` in a file without any.
     """
     path.open("rb").close()
-    try:
-        with h5py.File(path, "r") as file:
-            refuse_foreign_data(path, file)
-            zones, cells, pairs = _zones(path, file)
-    except Exception as error:  # HDF5 answers damage by a dozen classes
-        if isinstance(error, ValueError) and str(path) in str(error):
-            raise
-        detail = " ".join(str(error).split())[:120]
-        raise ValueError(
-            f"{path}: not a CGNS file in HDF5, or a damaged one ({detail}); adf2hdf converts older ones."
-        ) from error
+    with opened(path) as file:
+        zones, cells, pairs, kinds = _zones(path, file)
     try:
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
         content = _CGNSContent(joined, stamp_of(path))
-        source = Source(path, NAME, content, whole, ids, periodic=periodic_of(pairs, joined.is_flat))
+        known = {"periodic": periodic_of(pairs, joined.is_flat), "symmetry": symmetry_of(kinds), "kinds": kinds}
+        source = Source(path, NAME, content, whole, ids, file_nodes=joined.node, in_file=joined.in_file, **known)
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
@@ -81,13 +68,13 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     source = source_of(mesh, NAME)
     assert source is not None
     content: _CGNSContent = source.content
-    with h5py.File(source.path, "r") as file:
-        refuse_foreign_data(source.path, file)
+    with opened(source.path):
+        pass  # data of other files are refused before anything is opened for writing
     shutil.copyfile(source.path, path)
     points = content.joined.in_file(np.asarray(mesh.points))
     if np.array_equal(points, content.joined.points):
         return
-    with h5py.File(path, "r+") as file:
+    with opened(path, writes=True) as file:
         for zone in open_zones(path, file)[0]:
             rows = slice(zone.first, zone.first + zone.count)
             for axis, values in enumerate(zone.coordinates()):
@@ -100,33 +87,7 @@ def stamp_of(path: pathlib.Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-def refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
-    """Raises `ValueError` where anything in the file has its data in another one: writing would go through to it.
-
-    Links to other files, data sets in external storage and virtual ones are refused, wherever they stand.
-    """
-    groups, seen = [file["/"]], set()
-    while groups:
-        group = groups.pop()
-        for name in group:
-            link, place = group.get(name, getlink=True), f"{group.name.rstrip('/')}/{name}"[-200:]
-            if isinstance(link, h5py.ExternalLink):
-                raise ValueError(_FOREIGN.format(path, place, f"is a link to {link.filename}"))
-            if isinstance(link, h5py.SoftLink):
-                continue  # to a place of this file, which is looked at by itself
-            child = group[name]
-            if isinstance(child, h5py.Dataset):
-                if child.external or child.is_virtual:
-                    other = child.external[0][0] if child.external else "other data sets"
-                    raise ValueError(_FOREIGN.format(path, place, f"keeps its values in {other}"))
-            elif isinstance(child, h5py.Group):
-                address = h5o.get_info(child.id).addr
-                if address not in seen:  # groups may hold each other
-                    seen.add(address)
-                    groups.append(child)
-
-
-def open_zones(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
+def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:
     """Lists the zones of the base, and the dimension of its cells."""
     bases = [base for _, base in children(file, "CGNSBase_t")]
     if len(bases) != 1:
@@ -144,7 +105,9 @@ def open_zones(path: pathlib.Path, file: h5py.File) -> tuple[list[Zone], int]:
     return zones, int(data(bases[0])[0])
 
 
-def _zones(path: pathlib.Path, file: h5py.File) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]]]:
+def _zones(
+    path: pathlib.Path, file: Any
+) -> tuple[Zones, list[Content], list[tuple[str, str, Connection]], dict[str, str]]:
     zones, dimension = open_zones(path, file)
     points, contents, patches, faces = [], [], {}, []
     for zone in zones:
@@ -159,7 +122,7 @@ def _zones(path: pathlib.Path, file: h5py.File) -> tuple[Zones, list[Content], l
         faces += content.sides or _outer(zone, points[-1], solid)
     pairs = pairs_of(zones, contents, patches)
     cells = [(block.kind, block.corners) for content in contents for block in content.blocks]
-    return Zones(np.concatenate(points), cells, patches, faces), contents, pairs
+    return Zones(np.concatenate(points), cells, patches, faces), contents, pairs, kinds_of(file, zones)
 
 
 def pairs_of(

@@ -4,8 +4,8 @@ import contextlib
 import pathlib
 import shutil
 from collections.abc import Iterator
+from typing import Any
 
-import h5py
 import numpy as np
 
 import jaxmorph as jm
@@ -15,7 +15,9 @@ from jaxmorph._host.cells.topology import SIDE_TYPES
 from .._joined import Zones, join_nodes
 from .._outer import outer_faces
 from .._structured import block_cells, block_ids, block_sides
-from .file import LEVEL, NAME, open_zones, pairs_of, periodic_of, refuse_foreign_data, stamp_of
+from .file import LEVEL, NAME, open_zones, pairs_of, periodic_of, stamp_of
+from .kinds import kinds_of, symmetry_of
+from .tree import opened
 from .zone import CORNERS, MIXED, NFACE, NGON, TYPES, Content, Zone, children, data
 
 ROWS = 1 << 18
@@ -31,7 +33,7 @@ class Layout:
     def __init__(self, path: pathlib.Path):
         path.open("rb").close()
         self.path, self.name, self._stamp = path, NAME, stamp_of(path)
-        with self._zones() as (zones, level):
+        with self._zones() as (zones, level, kinds):
             self.d, self._level = 2 if level == 2 and _is_flat(zones) else 3, level
             if self.d != level:
                 raise zones[0].error(f"cells of {level} dimensions in 3-D are not read by ranges")
@@ -42,19 +44,21 @@ class Layout:
                     patches.setdefault(name, []).append(nodes)
             pairs = pairs_of(zones, [Content([], elements=each) for each in elements], patches)
             self.periodic: tuple[jm.Periodic, ...] = periodic_of(pairs, self.d == 2)
+            self.kinds = kinds
+            self.symmetry = symmetry_of(kinds)
             faces = [each for zone in zones for each in self._outer(zone, patches)]
             self._join(zones, patches, faces)
 
     def points(self) -> Iterator[np.ndarray]:
         """Yields points (k, d)."""
-        with self._zones() as (zones, _):
+        with self._zones() as (zones, *_):
             for first, points in self._rows(zones):
                 here = slice(*np.searchsorted(self._copies, [first, first + len(points)]))
                 yield np.delete(points, self._copies[here] - first, axis=0) if len(self._copies) else points
 
     def cells(self, n: int) -> Iterator[dict[str, np.ndarray]]:
         """Yields corners (k, corners) by type, of cells between `n` points."""
-        with self._zones() as (zones, _):
+        with self._zones() as (zones, *_):
             for zone in zones:
                 for block in self._cells(zone):
                     yield {kind: self._in_mesh(corners + zone.first) for kind, corners in block.items()}
@@ -74,7 +78,7 @@ class Layout:
         with self._zones():
             pass  # data of other files are refused before anything is opened for writing
         shutil.copyfile(self.path, partial)
-        with h5py.File(partial, "r+") as file:
+        with opened(partial, writes=True) as file:
             for zone in open_zones(partial, file)[0]:
                 for axis, values in enumerate(zone.coordinates()[: self.d]):
                     for rows, first, old in _slabs(values):
@@ -84,17 +88,11 @@ class Layout:
                             values[rows] = np.where(a == b, old, b)
 
     @contextlib.contextmanager
-    def _zones(self) -> Iterator[tuple[list[Zone], int]]:
-        """Opens the file, and yields its zones and the dimension of their cells."""
-        try:
-            with h5py.File(self.path, "r") as file:
-                refuse_foreign_data(self.path, file)
-                yield open_zones(self.path, file)
-        except Exception as error:  # HDF5 answers damage by a dozen classes
-            if isinstance(error, ValueError) and str(self.path) in str(error):
-                raise
-            detail = " ".join(str(error).split())[:120]
-            raise ValueError(f"{self.path}: not a CGNS file in HDF5, or a damaged one ({detail}).") from error
+    def _zones(self) -> Iterator[tuple[list[Zone], int, dict[str, str]]]:
+        """Opens the file, and yields its zones, the dimension of their cells, and the kinds of its patches."""
+        with opened(self.path) as file:
+            zones, level = open_zones(self.path, file)
+            yield zones, level, kinds_of(file, zones)
 
     def _rows(self, zones: list[Zone]) -> Iterator[tuple[int, np.ndarray]]:
         """Yields the points (k, d) of the file, and the number of the first of them."""
@@ -182,7 +180,7 @@ def _is_flat(zones: list[Zone]) -> bool:
     return all((part == heights[0][(0,) * heights[0].ndim]).all() for each in heights for _, _, part in _slabs(each))
 
 
-def _slabs(values: h5py.Dataset) -> Iterator[tuple[slice, int, np.ndarray]]:
+def _slabs(values: Any) -> Iterator[tuple[slice, int, np.ndarray]]:
     """Yields rows of an array, the number of their first entry, and the entries."""
     width = int(np.prod(values.shape[1:]))
     step = max(ROWS // width, 1)
@@ -191,7 +189,7 @@ def _slabs(values: h5py.Dataset) -> Iterator[tuple[slice, int, np.ndarray]]:
         yield rows, start * width, values[rows]
 
 
-def _sections(zone: Zone) -> Iterator[tuple[str, int, int, h5py.Dataset]]:
+def _sections(zone: Zone) -> Iterator[tuple[str, int, int, Any]]:
     """Yields name, number of the first element, type and vertices of each section. Raises `ValueError` for polyhedra."""
     for name, section in children(zone.group, "Elements_t"):
         kind, parts = int(data(section)[0]), dict(section.items())
@@ -202,7 +200,7 @@ def _sections(zone: Zone) -> Iterator[tuple[str, int, int, h5py.Dataset]]:
         yield name, int(data(parts["ElementRange"])[0]), kind, parts["ElementConnectivity"][" data"]
 
 
-def _elements(zone: Zone, name: str, kind: int, values: h5py.Dataset) -> Iterator[tuple[int, np.ndarray]]:
+def _elements(zone: Zone, name: str, kind: int, values: Any) -> Iterator[tuple[int, np.ndarray]]:
     """Yields the type and the vertices (k, corners), from 1, of elements of a section, in its order."""
     width = 8 if kind == MIXED else CORNERS[kind]
     rest = np.zeros(0, np.int64)

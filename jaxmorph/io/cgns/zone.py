@@ -194,22 +194,31 @@ class Zone:
                     centre, angles = (values.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
                     yield Connection(name, sides[0], sides[1], centre, angles)
 
-    def patches(self, elements: dict[int, Any]) -> Iterator[tuple[str, np.ndarray]]:
-        """Yields name (that of its family, if it has one) and nodes of each boundary condition."""
+    def conditions(self) -> Iterator[tuple[str, str, Any]]:
+        """Yields the patch of each boundary condition (its family, if it has one), its name and its node."""
         for _, zone_bc in children(self.group, "ZoneBC_t"):
             for name, condition in children(zone_bc, "BC_t"):
                 family = [word(child) for _, child in children(condition, "FamilyName_t")]
-                parts = dict(condition.items())
-                places = [part for part in ("PointRange", "PointList", "ElementRange", "ElementList") if part in parts]
-                if not places:
-                    raise self.error(f"boundary condition {name} says neither a range nor a list of points")
-                place = word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
-                place = "FaceCenter" if places[0].startswith("Element") else place
-                chosen = np.atleast_2d(data(parts[places[0]])).astype(np.int64)
-                nodes = self._nodes(name, place, chosen, places[0].endswith("Range"), elements)
-                yield (family[0] if family else name), nodes
+                yield (family[0] if family else name), name, condition
+
+    def patches(self, elements: dict[int, Any]) -> Iterator[tuple[str, np.ndarray]]:
+        """Yields the patch and the nodes of each boundary condition."""
+        for patch, name, condition in self.conditions():
+            parts = dict(condition.items())
+            places = [part for part in ("PointRange", "PointList", "ElementRange", "ElementList") if part in parts]
+            if not places:
+                raise self.error(f"boundary condition {name} says neither a range nor a list of points")
+            place = word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
+            place = "FaceCenter" if places[0].startswith("Element") else place
+            chosen = np.atleast_2d(data(parts[places[0]])).astype(np.int64)
+            nodes = self._nodes(name, place, chosen, places[0].endswith("Range"), elements)
+            yield patch, nodes
 
     def _nodes(self, name: str, place: str, chosen: np.ndarray, is_range: bool, elements) -> np.ndarray:
+        # ranges may run backwards; one that ends before the first node, or a list without entries, is empty
+        first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
+        if not chosen.size or ((last < first) & (last < 1)).any():
+            return np.zeros(0, np.int64)
         if self.is_structured:
             low, high = chosen.min(axis=0) - 1, chosen.max(axis=0) - 1
             if not is_range and place != "Vertex":
@@ -224,9 +233,9 @@ class Zone:
                 return ids[tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))].ravel()
             return ids[tuple(chosen.T - 1)]
         chosen = chosen.ravel()
-        numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range and chosen.size else chosen
+        numbers = np.arange(chosen.min(), chosen.max() + 1) if is_range else chosen
         if place == "Vertex":
-            if numbers.size and (numbers.min() < 1 or numbers.max() > self.count):
+            if numbers.min() < 1 or numbers.max() > self.count:
                 raise self.error(f"boundary condition {name} names vertices beyond 1 to {self.count}")
             return numbers - 1 + self.first
         nodes, count = [np.zeros(0, np.int64)], 0

@@ -31,6 +31,10 @@ class _GmshContent:
     places: np.ndarray
     points: np.ndarray
 
+    def in_file(self, points: np.ndarray) -> np.ndarray:
+        """Returns points with the z of the file where they have none."""
+        return np.concatenate([points, self.points[:, points.shape[1] :]], axis=1)
+
 
 def read(path: pathlib.Path) -> Mesh:
     """Reads points, cells and patches: the physical groups of lower dimension than the mesh.
@@ -63,7 +67,7 @@ def read(path: pathlib.Path) -> Mesh:
         mesh = _mesh(content.points, _numbered(cells, tags), names)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    return to_mesh(path, mesh, Source(path, NAME, content))
+    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
 
 
 def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
@@ -119,8 +123,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
     if source is None:
         meshio.gmsh.write(str(path), _new(mesh), fmt_version="2.2", binary=True)
         return
-    points = np.array(source.content.points)
-    points[:, : mesh.points.shape[1]] = np.asarray(mesh.points)
+    points = source.content.in_file(np.asarray(mesh.points))
     with path.open("wb") as file:
         file.writelines(_replaced(source.content, points))
 

@@ -47,6 +47,10 @@ class _CaseContent:
     plane: Layer | Sector | None
     shared: np.ndarray
 
+    def in_file(self, points: np.ndarray) -> np.ndarray:
+        """Computes the points (N, 3) of the file, both planes' of one in 2-D. Raises `ValueError` where the axis does not stay."""
+        return points if self.plane is None else self.plane.in_space(self.points, points)
+
     @functools.cached_property
     def point_ids(self) -> np.ndarray:
         """The numbers (n,) of a part's points in the whole mesh: its `pointProcAddressing`."""
@@ -98,7 +102,10 @@ def read(path: pathlib.Path) -> Mesh:
     planes += ["axis"] * (isinstance(plane, Sector) and bool(plane.on_axis.any()))
     between = between if len(between) else None
     pairs = () if len(divided) else pairs
-    source = Source(file.path, NAME, content, whole, ids, groups, pairs, between, symmetry=tuple(planes))
+    kinds = {each.name: each.type for each in boundary} | {name: name for name in planes if name == "axis"}
+    nodes = None if plane is None else plane.file_nodes()
+    known = {"symmetry": tuple(planes), "kinds": kinds, "file_nodes": nodes, "in_file": content.in_file}
+    source = Source(file.path, NAME, content, whole, ids, groups, pairs, between, **known)
     return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
 
 
@@ -138,8 +145,7 @@ def file_points(mesh: Mesh) -> np.ndarray:
     source = source_of(mesh, NAME)
     assert source is not None
     content: _CaseContent = source.content
-    points = np.asarray(mesh.points)
-    points = points if content.plane is None else content.plane.in_space(content.points, points)
+    points = content.in_file(np.asarray(mesh.points))
     check_cyclic(content.topology, content.points, points)
     return points
 

@@ -6,9 +6,16 @@ from jaxmorph._mesh.faces import Faces
 
 
 class Front:
-    """Numbers nodes by their places in `front`, the case's ids of the nodes in front, which ascend."""
+    """Numbers nodes by their places in `front`, the case's ids of the nodes in front, which ascend. `back` are those behind."""
 
     front: np.ndarray
+    back: np.ndarray
+
+    def file_nodes(self) -> np.ndarray:
+        """Returns the 2-D mesh's node (N,) of each node of the case, in front and behind."""
+        nodes = np.zeros(max(self.front.max(), self.back.max()) + 1, np.int64)
+        nodes[self.front] = nodes[self.back] = np.arange(len(self.front))
+        return nodes
 
     def ids(self, nodes: np.ndarray) -> np.ndarray:
         """Returns the 2-D mesh's ids of those of `nodes` that are in the front, in their order."""

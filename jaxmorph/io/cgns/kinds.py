@@ -1,0 +1,30 @@
+"""What a CGNS file says that its boundary conditions are."""
+
+from typing import Any
+
+from .zone import Zone, children, word
+
+SYMMETRY = "BCSymmetryPlane"
+UNSAID = ("", "Null", "FamilySpecified")
+
+
+def kinds_of(file: Any, zones: list[Zone]) -> dict[str, str]:
+    """Finds the type of each patch: its conditions' own, or that of its family; several one after the other, if they differ."""
+    families = {}
+    for _, base in children(file, "CGNSBase_t"):
+        for name, family in children(base, "Family_t"):
+            families[name] = [word(each) for _, each in children(family, "FamilyBC_t") if " data" in each]
+    found: dict[str, list[str]] = {}
+    for zone in zones:
+        for patch, _, condition in zone.conditions():
+            own = word(condition) if " data" in condition else ""
+            found.setdefault(patch, []).extend(families.get(patch, []) if own in UNSAID else [own])
+    kinds = {
+        patch: ", ".join(dict.fromkeys(each for each in types if each not in UNSAID)) for patch, types in found.items()
+    }
+    return {patch: kind for patch, kind in kinds.items() if kind}
+
+
+def symmetry_of(kinds: dict[str, str]) -> tuple[str, ...]:
+    """Lists the patches that lie in symmetry planes."""
+    return tuple(patch for patch, kind in kinds.items() if kind == SYMMETRY)

@@ -1,0 +1,64 @@
+"""The tree of nodes in a CGNS file, in HDF5 or in ADF."""
+
+try:
+    import h5py
+    from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
+except ImportError as error:
+    raise ImportError("CGNS files need h5py: pip install 'jaxmorph[io]'") from error
+
+import contextlib
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
+from . import adf
+
+_FOREIGN = "{0}: {1} {2}. Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
+
+
+@contextlib.contextmanager
+def opened(path: pathlib.Path, writes: bool = False) -> Iterator[Any]:
+    """Opens a file, and yields the root of its tree as h5py has it: groups with the attribute `label`, arrays as " data".
+
+    A file to be read is refused with a `ValueError` where it is another one, damaged, or has data elsewhere. Writing would go
+    through to them.
+    """
+    try:
+        if adf.is_adf(path):
+            with path.open("r+b" if writes else "rb") as file:
+                yield adf.tree(path, file)
+        else:
+            with h5py.File(path, "r+" if writes else "r") as file:
+                _refuse_foreign_data(path, file)
+                yield file
+    except Exception as error:  # HDF5 answers damage by a dozen classes
+        if writes or (isinstance(error, ValueError) and str(path) in str(error)):
+            raise
+        detail = " ".join(str(error).split())[:120]
+        raise ValueError(f"{path}: not a CGNS file in HDF5 or ADF, or a damaged one ({detail}).") from error
+
+
+def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
+    """Raises `ValueError` where anything in an HDF5 file has its data in another one.
+
+    Links to other files, data sets in external storage and virtual ones are refused, wherever they stand.
+    """
+    groups, seen = [file["/"]], set()
+    while groups:
+        group = groups.pop()
+        for name in group:
+            link, place = group.get(name, getlink=True), f"{group.name.rstrip('/')}/{name}"[-200:]
+            if isinstance(link, h5py.ExternalLink):
+                raise ValueError(_FOREIGN.format(path, place, f"is a link to {link.filename}"))
+            if isinstance(link, h5py.SoftLink):
+                continue  # to a place of this file, which is looked at by itself
+            child = group[name]
+            if isinstance(child, h5py.Dataset):
+                if child.external or child.is_virtual:
+                    other = child.external[0][0] if child.external else "other data sets"
+                    raise ValueError(_FOREIGN.format(path, place, f"keeps its values in {other}"))
+            elif isinstance(child, h5py.Group):
+                address = h5o.get_info(child.id).addr
+                if address not in seen:  # groups may hold each other
+                    seen.add(address)
+                    groups.append(child)

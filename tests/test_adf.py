@@ -1,0 +1,210 @@
+"""CGNS in ADF: twins of files in HDF5, made here and by cgnslib, which judges what is written."""
+
+import shutil
+import subprocess
+
+import adf
+import cgns
+import h5py
+import numpy as np
+import pytest
+from test_cgns import polyhedral, two_blocks, unstructured
+
+import jaxmorph as jm
+from jaxmorph import io
+
+FILES = {"blocks": two_blocks, "elements": unstructured, "polyhedra": polyhedral}
+FORMS = [(version, order, pieces) for version in "AB" for order in "<>" for pieces in (1, 3)]
+
+
+def program(name):
+    """Finds a program of cgnslib, or skips the test."""
+    if shutil.which(name) is None:
+        pytest.skip(f"apt-get install cgns-convert brings {name}")
+    return name
+
+
+def same_mesh(a, b):
+    np.testing.assert_array_equal(a.points, b.points)
+    for one, other in ((a.cells, b.cells), (a.patches, b.patches)):
+        assert list(one) == list(other)
+        for name in one:
+            np.testing.assert_array_equal(one[name], other[name])
+
+
+def differing(a, b):
+    """The places of bytes that differ."""
+    a, b = (np.frombuffer(path.read_bytes(), np.uint8) for path in (a, b))
+    return np.flatnonzero(a != b)
+
+
+@pytest.mark.parametrize("make", FILES.values(), ids=FILES)
+@pytest.mark.parametrize("form", FORMS, ids=str)
+def test_every_form_is_the_mesh_of_its_twin(make, form, tmp_path):
+    make(tmp_path / "h.cgns")
+    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", *form)
+    mesh = io.read(tmp_path / "a.cgns")
+    same_mesh(mesh, io.read(tmp_path / "h.cgns"))
+    io.write(tmp_path / "same.cgns", mesh)
+    assert len(differing(tmp_path / "a.cgns", tmp_path / "same.cgns")) == 0
+    moved = mesh.points * np.pi
+    moved[0] = mesh.points[0]
+    io.write(tmp_path / "b.cgns", mesh.moved(moved))
+    same_mesh(io.read(tmp_path / "b.cgns"), mesh.moved(moved))
+
+
+@pytest.mark.parametrize("make", FILES.values(), ids=FILES)
+def test_cgnslib_agrees(make, tmp_path):
+    """Its converter makes the file, and its comparison finds the moved file and the moved one in HDF5 alike to the last bit."""
+    make(tmp_path / "h.cgns")
+    subprocess.run([program("hdf2adf"), "h.cgns", "a.cgns"], cwd=tmp_path, check=True, capture_output=True)
+    mesh, twin = io.read(tmp_path / "a.cgns"), io.read(tmp_path / "h.cgns")
+    same_mesh(mesh, twin)
+    for each, name in ((mesh, "moved.cgns"), (twin, "right.cgns")):
+        io.write(tmp_path / name, each.moved(each.points * np.pi))
+    subprocess.run([program("adf2hdf"), "moved.cgns", "back.cgns"], cwd=tmp_path, check=True, capture_output=True)
+    words = [program("cgnsdiff"), "-d", "back.cgns", "right.cgns"]
+    done = subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, text=True)
+    assert done.stdout == ""
+    words = [program("cgnsdiff"), "-d", "moved.cgns", "a.cgns"]
+    done = subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, text=True)
+    assert all("/Coordinate" in line for line in done.stdout.splitlines())
+    assert len(done.stdout.splitlines()) == 3 * (2 if make is two_blocks else 1)
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+def test_cgnslib_reads_what_these_tests_write(form, tmp_path):
+    """The writer of these tests is right: cgnslib finds the same nodes in its files."""
+    two_blocks(tmp_path / "h.cgns")
+    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", *form)
+    subprocess.run([program("adf2hdf"), "a.cgns", "b.cgns"], cwd=tmp_path, check=True, capture_output=True)
+    words = [program("cgnsdiff"), "-d", "b.cgns", "h.cgns"]
+    assert subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, text=True).stdout == ""
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_only_bytes_of_coordinates_differ(order, tmp_path):
+    """Values that stand nowhere else in the file are looked for in the bytes themselves."""
+    two_blocks(tmp_path / "h.cgns", "<f8")
+    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", "A", order)
+    mesh = io.read(tmp_path / "a.cgns")
+    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points + np.array([0, 0, 1])))
+    data = (tmp_path / "a.cgns").read_bytes()
+    inside = np.zeros(len(data), bool)
+    with h5py.File(tmp_path / "h.cgns") as file:
+        for zone in ("one", "two"):
+            raw = file[f"Base/{zone}/GridCoordinates/CoordinateZ/ data"][()].astype(f"{order}f8").tobytes()
+            assert data.count(raw) == 1
+            inside[data.index(raw) : data.index(raw) + len(raw)] = True
+    assert inside[differing(tmp_path / "a.cgns", tmp_path / "b.cgns")].all()
+
+
+def test_vtk_reads_what_is_written(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    two_blocks(tmp_path / "h.cgns")
+    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * 3))
+    blocks = []
+    for name in "ab":
+        reader = pyvista.CGNSReader(tmp_path / f"{name}.cgns")
+        reader.load_boundary_patch = False
+        blocks.append([block.points for block in reader.read().recursive_iterator() if block is not None])
+    assert [len(points) for points in blocks[0]] == [36, 27]
+    for before, after in zip(*blocks, strict=True):
+        np.testing.assert_allclose(after, before * 3, rtol=1e-6)
+
+
+def test_ranges_of_a_file_are_those_of_its_twin(tmp_path):
+    two_blocks(tmp_path / "h.cgns")
+    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", "B", ">", 3)
+    whole = io.read(tmp_path / "h.cgns")
+    ranges = io.Ranges(tmp_path / "a.cgns", 10)
+    np.testing.assert_array_equal(np.concatenate([ranges.read(k) for k in range(len(ranges))]), whole.points)
+    for k in range(len(ranges)):
+        ranges.put(k, ranges.read(k) * np.pi)
+    ranges.write(tmp_path / "b.cgns")
+    mesh = io.read(tmp_path / "a.cgns")
+    io.write(tmp_path / "c.cgns", mesh.moved(mesh.points * np.pi))
+    assert len(differing(tmp_path / "b.cgns", tmp_path / "c.cgns")) == 0
+
+
+def test_single_precision_stays(tmp_path):
+    two_blocks(tmp_path / "h.cgns", "<f4")
+    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", "A", ">")
+    mesh = io.read(tmp_path / "a.cgns")
+    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
+    np.testing.assert_array_equal(io.read(tmp_path / "b.cgns").points, (mesh.points * np.pi).astype(np.float32))
+
+
+def heap(links=None):
+    """A root with one child of each kind, for damage by hand; `links` is what a node of the kind LK says."""
+    made = adf.Heap("A", "<")
+    leaf = made.node("Version", b"CGNSLibraryVersion_t", np.array([3.4], np.float32), [])
+    children = [leaf]
+    if links is not None:
+        at = made.part(b"DaTa", links, b"dEnD")
+        children.append((b"away".ljust(32), made.add(made.head("away", b"", [], b"LK", [len(links)], 1, at))))
+    return made, made.node("ADF MotherNode", b"Root Node of ADF File", None, children)[1]
+
+
+def test_hostile_files_are_refused(tmp_path):
+    """What lies beyond the file, nodes in a circle, parts on each other, links, and numbers of unknown machines."""
+    path = tmp_path / "a.cgns"
+
+    def refused(data, message):
+        path.write_bytes(data)
+        with pytest.raises(ValueError, match=message) as raised:
+            io.read(path)
+        assert str(path) in str(raised.value)
+
+    made, root = heap()
+    good = made.finish(root)
+    refused(good, "0 CGNS bases")
+    refused(good[:150], "a place 0 beyond the 150 bytes")
+    refused(good[:100] + b"N" + good[101:], "numbers of format 'N'; those of IEEE are read")
+    refused(good[:110] + b"08" + good[112:], "sizes of numbers")
+    refused(good[:134] + made.pointer(10**9) + good[146:], "beyond the")
+    refused(good[:134] + b"0000000x0000" + good[146:], "where hexadecimal digits should stand")
+    table = good.index(b"SNTb") + 16
+    entry = slice(table + 32, table + 44)
+    refused(good[: entry.start] + made.pointer(root) + good[entry.stop :], "stands at two places of the tree")
+    many = good[: root + 68] + b"FFFFFFFF" + good[root + 76 :]
+    refused(many, "a table of 188978560980 bytes in 132")
+    leaf = good.index(b"NoDeVersion")
+    huge = good[: leaf + 130] + b"FFFFFFFF" + good[leaf + 138 :]
+    refused(huge, "less data than its shape")
+    refused(good.replace(b"dEnD", b"dEnE"), "where b'dend' should stand")
+    refused(good[: leaf + 230] + made.pointer(table - 16) + good[leaf + 242 :], "where b'data' should stand")
+    for target in (b"other.cgns>/Base", b">/Base"):
+        made, root = heap(target)
+        refused(made.finish(root), rf"/away is a link to {target.decode()}\. .* `cgnsconvert -l` makes one")
+    made, root = heap()
+    data = made.part(b"DaTa", np.float32(1).tobytes(), b"dEnD")
+    twice = [
+        (name.ljust(32), made.add(made.head(name.decode(), b"", [], b"R4", [1], 1, data))) for name in (b"a", b"b")
+    ]
+    refused(made.finish(made.node("ADF MotherNode", b"", None, twice)[1]), "two parts of the file lie on each other")
+
+
+@pytest.mark.parametrize("is_adf", [False, True])
+def test_empty_conditions_are_empty_patches(is_adf, tmp_path):
+    """A range that ends before the first node, as some preprocessors write it, in blocks and between elements."""
+    two_blocks(tmp_path / "a.cgns")
+    unstructured(tmp_path / "b.cgns")
+    with h5py.File(tmp_path / "a.cgns", "r+") as file:
+        cgns.condition(file["Base/one"], "nothing", [[4, 0, 1], [4, -1, 3]])
+        cgns.condition(file["Base/one"], "back", [[1, 3, 3], [1, 1, 1]])
+    with h5py.File(tmp_path / "b.cgns", "r+") as file:
+        cgns.condition(file["Base/all"], "nothing", [[65], [0]])
+        cgns.condition(file["Base/all"], "faces", [[1], [0]], None, "FaceCenter")
+        cgns.condition(file["Base/all"], "list", np.zeros((0, 1)), None, "FaceCenter", "PointList")
+    for name, empty in (("a", ["nothing"]), ("b", ["nothing", "faces", "list"])):
+        if is_adf:
+            adf.twin(tmp_path / f"{name}.cgns", tmp_path / f"{name}.adf.cgns")
+        mesh = io.read(tmp_path / f"{name}.adf.cgns" if is_adf else tmp_path / f"{name}.cgns")
+        assert [len(mesh.patches[each]) for each in empty] == [0] * len(empty)
+        if name == "a":
+            np.testing.assert_array_equal(mesh.patches["back"], mesh.patches["inlet"])
+        with pytest.raises(ValueError, match="`moving` is empty"):
+            jm.prepare(mesh, "nothing", "wall" if name == "b" else "floor")
