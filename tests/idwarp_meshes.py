@@ -31,11 +31,17 @@ def on(points, name):
     return np.flatnonzero(points[..., axis].ravel() == place) if points.ndim == 2 else points[..., axis] == place
 
 
+CONDITIONS = {"floor": "BCWallViscous", "sym0": "BCSymmetryPlane", "sym1": "BCSymmetryPlane"}
+
+
 def write_structured(path):
-    """Two blocks that meet at x = 1/2; the family of a side is called as the side."""
+    """Two blocks that meet at x = 1/2; the family of a side is called as the side, and says what it is."""
     grid = cube()
     with h5py.File(path, "w", track_order=True) as file:
         base = cgns.base(file, 3, 3)
+        for side in SIDES:
+            family = cgns.node(base, side, "Family_t")
+            cgns.node(family, "FamilyBC", "FamilyBC_t", CONDITIONS.get(side, "BCFarfield"))
         for name, part in (("left", grid[:3]), ("right", grid[2:])):
             zone = cgns.zone(base, name, [part[..., k] for k in range(3)])
             for side, (axis, place) in SIDES.items():

@@ -212,11 +212,13 @@ def test_a_definition_from_a_file_of_blocks(grids, tmp_path):
     np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3)[wall], nodes[wall] + [0, 0, 0.1], atol=1e-8)
 
 
-def test_walls_and_planes_of_the_file_are_the_default(grids):
-    """A case of OpenFOAM tells the types of its patches."""
-    mesh = opened(grids, "openfoam", specifiedSurfaces=None)
-    nodes = grids["openfoam"][1]
-    assert np.array_equal(mesh.getSurfaceCoordinates(), nodes[meshes.on(nodes, "floor")])
+@pytest.mark.parametrize("kind", ["openfoam", "structured"])
+def test_walls_and_planes_of_the_file_are_the_default(grids, kind):
+    """Types of OpenFOAM's patches, and of CGNS's families, say what they are."""
+    mesh = opened(grids, kind, specifiedSurfaces=None)
+    nodes = grids[kind][1]
+    floor = nodes[meshes.on(nodes, "floor")]
+    assert np.array_equal(np.unique(mesh.getSurfaceCoordinates(), axis=0), np.unique(floor, axis=0))
     mesh.setSurfaceCoordinates(meshes.bump(mesh.getSurfaceCoordinates()))
     mesh.warpMesh()
     moved = mesh.getCommonGrid().reshape(-1, 3)
@@ -282,7 +284,10 @@ def test_nonsense_is_refused_by_name(grids, tmp_path):
         ({"specifiedSurfaces": ["roof"]}, "specifiedSurfaces.*roof.*floor"),
         ({"symmetrySurfaces": ["roof"]}, "symmetrySurfaces.*roof"),
         ({"symmetryPlanes": [[0, 0, 0]]}, "symmetryPlanes"),
-        ({"specifiedSurfaces": None, "symmetryPlanes": []}, "specifiedSurfaces"),
+        (
+            {"specifiedSurfaces": None, "gridFile": str(grids["unstructured"][0])},
+            "no patch is a wall.*specifiedSurfaces",
+        ),
     ):
         with pytest.raises(ValueError, match=name):
             USMesh(options=good | wrong, comm=MPI.COMM_SELF).getSurfaceCoordinates()
