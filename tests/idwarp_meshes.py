@@ -53,7 +53,8 @@ def write_structured(path):
     return np.concatenate([part.reshape(-1, 3, order="F") for part in (grid[:3], grid[2:])])
 
 
-def write_unstructured(path):
+def write_unstructured(path, names=None):
+    """One zone; `names` call sides otherwise."""
     grid = cube()
     points, cells = grid.reshape(-1, 3, order="F"), corners(grid.shape[:3])
     with h5py.File(path, "w", track_order=True) as file:
@@ -61,7 +62,9 @@ def write_unstructured(path):
         cgns.elements(zone, "hexahedra", 17, cells + 1, 1, len(cells))
         for side in SIDES:
             nodes = on(points, side) + 1
-            cgns.condition(zone, side, nodes[:, None], family=side, location="Vertex", what="PointList")
+            cgns.condition(
+                zone, side, nodes[:, None], family=(names or {}).get(side, side), location="Vertex", what="PointList"
+            )
     return points
 
 

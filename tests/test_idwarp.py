@@ -228,6 +228,18 @@ def test_walls_and_planes_of_the_file_are_the_default(grids, kind):
         assert np.abs(moved[rows] - nodes[rows]).max() > 0.01
 
 
+def test_nodes_between_overset_grids_are_free(tmp_path):
+    nodes = meshes.write_unstructured(tmp_path / "mesh.cgns", {"xmax": "Overset_outer", "floor": "wing_wall"})
+    mesh = USMesh({"gridFile": str(tmp_path / "mesh.cgns"), "useRotations": False}, MPI.COMM_SELF)
+    surface = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(surface + 0.1 * surface[:, 1:2] * np.array([0, 0, 1]))
+    mesh.warpMesh()
+    change = mesh.getCommonGrid().reshape(-1, 3) - nodes
+    others = np.concatenate([meshes.on(nodes, name) for name in ("lid", "ymax", "floor", "sym1")])
+    assert (change[np.setdiff1d(meshes.on(nodes, "xmax"), others), 2] > 1e-3).all()
+    assert not change[np.setdiff1d(meshes.on(nodes, "ymax"), meshes.on(nodes, "floor"))].any()
+
+
 def test_planes_hold_nodes_within_symmtol(grids):
     planes = [[[3e-5, 0, 0], [1, 0, 0]]]
     with pytest.raises(ValueError, match="holds no node"):
@@ -340,6 +352,16 @@ def test_the_adapter_stands_on_public_names():
                 assert "jaxmorph" not in names[:1] or not any(name.startswith("_") for name in names), file
             if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__"):
                 assert ast.unparse(node.value) in ("self", "Grid"), (file, node.attr)
+
+
+def test_the_extra_says_what_else_it_needs():
+    """mpi4py without an MPI library is no ImportError of its own."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MPI4PY_LIBMPI": "/nowhere/libmpi.so"}
+    code = "import jaxmorph.integrations.idwarp"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    if done.returncode == 0:
+        pytest.skip("this mpi4py is built for one MPI library")
+    assert "ImportError: pieces over MPI need mpi4py and an MPI library: pip install" in done.stderr
 
 
 @pytest.mark.slow

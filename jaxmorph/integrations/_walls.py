@@ -65,13 +65,10 @@ class Walls:
         """Prepares the surface: nodes of other patches are fixed, but those in symmetry planes, periodic and overset ones."""
         periodic = io.periodic(self.mesh)
         loose = {*self.flat, *self.free, *(str(name) for each in periodic for name in (each.patch, each.partner))}
-        fixed = self._nodes([name for name in self.mesh.patches if name not in loose])
-        free = np.setdiff1d(self._nodes(self.free), np.concatenate([fixed, moving]))
+        fixed = self.mesh.patch(*(name for name in self.mesh.patches if name not in loose))
+        free = np.setdiff1d(self.mesh.patch(*self.free), np.concatenate([fixed, moving]))
         kinds = {"symmetry": self.symmetry, "periodic": periodic, "free": free}
         return jm.prepare_surface(self.mesh, moving, np.setdiff1d(fixed, moving), method=method, **kinds, **known)
-
-    def _nodes(self, names: Sequence[str]) -> np.ndarray:
-        return self.mesh.patch(*names)
 
 
 def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:

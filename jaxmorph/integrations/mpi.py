@@ -2,8 +2,10 @@
 
 try:
     from mpi4py import MPI
-except ImportError as error:
-    raise ImportError("pieces over MPI need mpi4py: pip install 'jaxmorph[mpi]', and an MPI library") from error
+except (ImportError, RuntimeError) as error:  # the latter where mpi4py is there and no MPI library
+    raise ImportError(
+        "pieces over MPI need mpi4py and an MPI library: pip install 'jaxmorph[mpi]' mpich, or the machine's own MPI in place of mpich"
+    ) from error
 
 import dataclasses
 from collections.abc import Sequence
