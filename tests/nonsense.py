@@ -107,6 +107,8 @@ U, X = np.zeros((M, 2)), np.array([[0.0, 0.0], [0.5, -0.1], [1.0, 0.0], [0.5, 0.
 FOLDER = pathlib.Path(tempfile.mkdtemp(prefix="jaxmorph-nonsense-"))
 CHORD = shapes.Chord()
 (FOLDER / "moves.dat").write_text("".join(f"{node} 0.0 0.0\n" for node in MESH.patch("wall")))
+io.write(FOLDER / "a.su2", jm.Mesh(POINTS, MESH.cells))
+ZONES = list(io.read_zones(FOLDER / "a.su2"))
 np.savez(FOLDER / "moves.npz", displacement=U, ids=MESH.patch("wall"))
 np.savez(FOLDER / "every.npz", sensitivity=POINTS)
 BOX = shapes.FreeForm([-1.0, -1.0], 3 * np.eye(2), (3, 3))
@@ -339,6 +341,7 @@ TABLE: dict[str, dict[str, Argument]] = {
     "jm.Mesh.from_meshio": {"mesh": instance(Lazy(lambda: MESH.to_meshio()), object)},
     "jm.Mesh.from_pyvista": {"grid": instance(Lazy(lambda: MESH.to_pyvista()), object)},
     "jm.Mesh.moved": {"points": reals(POINTS, short=POINTS[:3], wide=np.zeros((N, 3)))},
+    "jm.Mesh.in_file_order": {"points": reals(POINTS, short=POINTS[:3], wide=np.zeros((N, 3)))},
     "jm.Mesh.patch": {"*": word("wall")},
     "jm.Mesh.patch_names": {"*": word("wall")},
     "jm.Mesh.to_meshio": {
@@ -455,6 +458,7 @@ TABLE: dict[str, dict[str, Argument]] = {
         "mesh": mesh() - "none",
         "nodes": ids(np.arange(N), N) - "none beyond huge",
     },
+    "jm.boundary_faces": {"mesh": mesh(), "*": word("wall")},
     "jm.inverted": {"mesh": mesh(), "points": MOVED - "nan infinite"},
     "jm.largest_step": {
         "plan": a_plan(),
@@ -556,6 +560,7 @@ TABLE: dict[str, dict[str, Argument]] = {
     "io.periodic": {"mesh": mesh() - "empty"},
     "io.symmetry": {"mesh": mesh() - "empty"},
     "io.read": {"path": path("a.vtu") - "folder"},
+    "io.read_zones": {"path": path("a.su2") - "folder"},
     "io.read_box": {
         "source": Argument(
             {"low": [0, 0], "high": [1, 1], "points": [2, 2], "moved": []},
@@ -576,6 +581,12 @@ TABLE: dict[str, dict[str, Argument]] = {
         "mesh": mesh(),
         "point_data": mapping({"a": np.zeros(N)}) - "none empty",
         "cell_data": mapping({"a": np.zeros(9)}) - "none empty",
+    },
+    "io.write_zones": {
+        "path": path("b.su2"),
+        "meshes": Argument(
+            ZONES, {"none": None, "number": 3, "word": "word", "empty": [], "others": [MESH], "twice": [*ZONES, *ZONES]}
+        ),
     },
     "io.write_gradient": {
         "path": path("a.csv"),

@@ -200,7 +200,7 @@ BAD = {
     "no mesh": ("", "no NDIME="),
     "dimension": (PLAIN.replace("NDIME= 2", "NDIME= 4"), "line 1: NDIME= must be 2 or 3, found 4"),
     "count is no number": (PLAIN.replace("NELEM= 3", "NELEM= many"), "line 2: NELEM= must be .* found 'many'"),
-    "zones": ("NZONE= 2\n" + PLAIN, "line 1: the file holds 2 zones"),
+    "zones": ("NZONE= 2\n" + PLAIN, "line 1: NZONE= 2, but 0 zones are in the file"),
     "unmarked zones": (PLAIN + PLAIN, "line 22: a second NDIME="),
     "too few points": (PLAIN.replace("2e0 0.0 2\n", ""), "line 6: NPOIN= 6, but 5 rows of points"),
     "too few elements": (PLAIN.replace("NELEM= 3", "NELEM= 4"), "line 2: NELEM= 4, but 3 rows of elements"),

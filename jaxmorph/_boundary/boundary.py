@@ -14,7 +14,6 @@ from .._host.package.errors import MeshError, place_of, warn
 from .._host.surface.skin import has_free_faces
 from .._mesh.mesh import Mesh
 from .closest import AbstractWall, Flat, Track
-from .kinds import by_kinds
 from .outer_faces import FreeFaces, OuterFaces, free_faces, outer_faces
 from .periodic import Pairing, Periodic, check_pairings, merged, paired
 from .slide import Slide, check_repeated, tracks_of, walls_of_patch
@@ -133,12 +132,6 @@ def boundary(
     """
     points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
     patches = mesh if isinstance(mesh, Mesh) else None
-    if (
-        patches is not None
-        and _names(moving)
-        and all(isinstance(each, tuple) and not each for each in (fixed, symmetry, free, sliding))
-    ):
-        fixed, symmetry = by_kinds(patches, patches.patch_names(*_names(moving)), _names_in(periodic), planes_of)
     _check_named_once(sliding, fixed=fixed, symmetry=symmetry)
     moving, fixed, free = (
         _nodes(ids, name, patches, len(points)) for ids, name in ((moving, "moving"), (fixed, "fixed"), (free, "free"))
@@ -220,13 +213,6 @@ def _names(values: Any) -> tuple[str, ...] | None:
         return (values,)
     is_list = isinstance(values, list | tuple | set | frozenset)
     return tuple(values) if is_list and values and all(isinstance(each, str) for each in values) else None
-
-
-def _names_in(periodic: Any) -> set[str]:
-    """Collects the names of periodic patches."""
-    pairs = [periodic] if isinstance(periodic, Periodic) else periodic if isinstance(periodic, Sequence) else ()
-    sides = [side for each in pairs if isinstance(each, Periodic) for side in (each.patch, each.partner)]
-    return {side for side in sides if isinstance(side, str)}
 
 
 def _nodes(values: Any, name: str, mesh: Mesh | None, n: int) -> Int[np.ndarray, " k"]:

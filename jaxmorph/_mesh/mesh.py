@@ -90,7 +90,7 @@ class Mesh(Module):
 
     @property
     def kinds(self) -> Mapping[str, str]:
-        """What the file says that patches are, by name: `BCWallViscous` or `BCFarfield` in CGNS, `wall` or `symmetry` in OpenFOAM.
+        """The kind of each patch in the file, by name: `BCWallViscous` or `BCFarfield` in CGNS, `wall` or `symmetry` in OpenFOAM.
 
         Patches of which it says nothing are not in it.
         """

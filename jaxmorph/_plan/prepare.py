@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 
 from .._boundary.boundary import Boundary, boundary, renumbered
 from .._boundary.images import Images, images_of
+from .._boundary.kinds import by_kinds
 from .._boundary.periodic import Periodic, check_pairings
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
@@ -47,7 +48,8 @@ def prepare(
     - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see which nodes its
       boundary faces connect, patches may be named, and boundary faces in no list are warned of. Precision and device
       are those of the points: float64 needs JAX's x64 mode.
-    - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both moves. All others follow.
+    - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both moves. All others follow. Where patches
+      that move are all that is named, others are taken from their `kinds`: symmetry planes, and the rest as fixed. It is told.
     - `method`: `SurfaceReconstruction()` by default.
     - `symmetry`: planes, or names of the patches that lie in one or several. Nodes on a plane stay in it, moving ones too.
     - `periodic`: pairs of patches of which one repeats the other. Their nodes move alike, and neighbours are felt.
@@ -62,6 +64,8 @@ def prepare(
     and sliding ones that do not lie on their surface.
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
+    if all(isinstance(each, tuple) and not each for each in (fixed, symmetry, sliding, free)):
+        fixed, symmetry = by_kinds(mesh, moving, periodic)
     return plan_of(boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method)
 
 

@@ -20,5 +20,7 @@ from ._sensitivity import write_sensitivity as write_sensitivity
 from ._series import XDMFSeries as XDMFSeries
 from ._series import write_pvd as write_pvd
 from ._surface import read_surface as read_surface
+from ._zones import read_zones as read_zones
+from ._zones import write_zones as write_zones
 from .openfoam.parts import Decomposed as Decomposed
 from .openfoam.parts import global_nodes as global_nodes

@@ -18,6 +18,7 @@ FORMATS = (
     Format("VTK", (".vtu", ".vtk"), "_vtk"),
     Format("gmsh", (".msh",), "gmsh.file", holds_arrays=False),
     Format("CGNS", (".cgns",), "cgns.file", holds_arrays=False),
+    Format("MED", (".med",), "_med", holds_arrays=False),
     Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d", holds_arrays=False),
     Format("OpenFOAM", (), "openfoam.case", holds_arrays=False, is_folder=True),
 )
@@ -41,13 +42,13 @@ def format_of(path: pathlib.Path) -> Format:
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
-    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g). Of an
-    OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh and CGNS need the extra `io`.
+    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g).
+    Of an OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh, CGNS and MED need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two coordinates when all z
     of the file are equal. Patches are
 
-    - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, OpenFOAM's patches;
+    - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, MED's groups, OpenFOAM's patches;
     - the sides of PLOT3D's blocks, or those that a file beside it names. It is called as the grid with the ending
       `.patches`, and holds lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
     - in VTK files the point arrays called `patch:NAME`;
@@ -96,7 +97,7 @@ def write(
     Written to the format it came from, everything but the coordinates is kept, byte for byte in SU2, gmsh, OpenFOAM and
     PLOT3D files. An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once where the file is
     in single precision. Between formats, and for generated meshes, points, cells and patches are written. SU2 and gmsh
-    express a patch by the boundary faces between its nodes. CGNS, PLOT3D and OpenFOAM take back only meshes that came
+    express a patch by the boundary faces between its nodes. CGNS, MED, PLOT3D and OpenFOAM take back only meshes that came
     from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its `polyMesh/points`), or into a new

@@ -83,16 +83,35 @@ class Layout:
     @classmethod
     def in_text(cls, path: pathlib.Path, original: Any, text: Any) -> "Layout":
         """Finds the keywords of a text without comments. Raises `ValueError` for several zones, and other dimensions."""
-        keywords = list(_keywords(path, text))
-        dimension = _only(path, keywords, "NDIME")
-        if (d := dimension.number()) not in (2, 3):
-            raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
-        for keyword in keywords:
-            if keyword.name == "NZONE" and keyword.number() > 1:
-                raise keyword.section.error(
-                    f"the file holds {keyword.number()} zones; one is read. Split it into one file for each zone."
-                )
-        return cls(path, original, keywords, d)
+        zones = cls.zones(path, original, text)
+        if len(zones) > 1:
+            raise ValueError(
+                f"{path}: the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
+                "writes some of them, the others as they are."
+            )
+        return zones[0]
+
+    @classmethod
+    def zones(cls, path: pathlib.Path, original: Any, text: Any) -> list["Layout"]:
+        """Finds the keywords of each zone of a text without comments: those behind its `IZONE=`, and those before all zones."""
+        head, *zones = _by_zones(list(_keywords(path, text)))
+        stated = [keyword for keyword in head if keyword.name == "NZONE"]
+        if stated and stated[0].number(least=1) != max(len(zones), 1):
+            raise stated[0].section.error(f"NZONE= {stated[0].value}, but {len(zones)} zones are in the file.")
+        numbers = [zone[0].number() for zone in zones]
+        if sorted(numbers) != list(range(1, len(zones) + 1)):
+            raise ValueError(
+                f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once."
+            )
+        layouts = []
+        for zone in zones or [[]]:
+            names = {keyword.name for keyword in zone}
+            keywords = [*(keyword for keyword in head if keyword.name not in names), *zone]
+            dimension = _only(path, keywords, "NDIME")
+            if (d := dimension.number()) not in (2, 3):
+                raise dimension.section.error(f"NDIME= must be 2 or 3, found {d}.")
+            layouts.append(cls(path, original, keywords, d))
+        return layouts
 
     @property
     def section(self) -> Section:
@@ -118,7 +137,7 @@ class Layout:
     def write(self, partial: pathlib.Path, before: np.ndarray, after: np.ndarray) -> None:
         """Writes the text with the points `after` (n, d) in place of those `before`."""
         with partial.open("wb") as file:
-            file.writelines(_with_points(self.text, self.section.start, self.section.stop, after))
+            file.writelines(with_points(self.text, self.section.start, self.section.stop, after))
 
 
 def read(path: pathlib.Path) -> Mesh:
@@ -128,7 +147,12 @@ def read(path: pathlib.Path) -> Mesh:
     `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
-    layout = Layout.in_text(path, text, blank_comments(text))
+    return mesh_of(Layout.in_text(path, text, blank_comments(text)))
+
+
+def mesh_of(layout: Layout) -> Mesh:
+    """Reads the points, cells and markers of a zone, or of a file without zones."""
+    path, text = layout.path, layout.text
     points = np.concatenate(list(layout.points()))
     cells = _joined(layout.cells(len(points)))
     section = layout.section
@@ -159,10 +183,10 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         content: _SU2Content = source.content
         if points.shape != content.shape:
             raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {content.shape}.")
-        file.writelines(_with_points(content.text, content.start, content.stop, points))
+        file.writelines(with_points(content.text, content.start, content.stop, points))
 
 
-def _with_points(text: Any, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
+def with_points(text: Any, start: int, stop: int, points: np.ndarray) -> Iterator[bytes | memoryview]:
     """Yields the text with `points` (n, d) in place of those that stand from `start` to `stop`."""
     d = points.shape[1]
     return replace(text, slice(start, stop), points, lambda counts: counts >= d)
@@ -184,12 +208,18 @@ def _keywords(path: pathlib.Path, text: Any) -> Iterator[_Keyword]:
         yield _Keyword(name, value, Section(path, text, end, stop))
 
 
+def _by_zones(keywords: list[_Keyword]) -> list[list[_Keyword]]:
+    """Cuts keywords before each `IZONE=`."""
+    cuts = [number for number, keyword in enumerate(keywords) if keyword.name == "IZONE"]
+    return [keywords[a:b] for a, b in zip([0, *cuts], [*cuts, len(keywords)], strict=True)]
+
+
 def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:
     named = [keyword for keyword in keywords if keyword.name == name]
     if not named:
         raise ValueError(f"{path}: no {name}= in this file; it is not an SU2 mesh, or it is cut short.")
     if len(named) > 1:
-        raise named[1].section.error(f"a second {name}=; files of several zones are not read.")
+        raise named[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
     return named[0]
 
 

@@ -1,4 +1,4 @@
-"""What a CGNS file says that its boundary conditions are."""
+"""The types of a CGNS file's boundary conditions."""
 
 from typing import Any
 
@@ -14,13 +14,14 @@ def kinds_of(file: Any, zones: list[Zone]) -> dict[str, str]:
     for _, base in children(file, "CGNSBase_t"):
         for name, family in children(base, "Family_t"):
             families[name] = [word(each) for _, each in children(family, "FamilyBC_t") if " data" in each]
-    found: dict[str, list[str]] = {}
+    types: dict[str, list[str]] = {}
     for zone in zones:
         for patch, _, condition in zone.conditions():
-            own = word(condition) if " data" in condition else ""
-            found.setdefault(patch, []).extend(families.get(patch, []) if own in UNSAID else [own])
+            kind = word(condition) if " data" in condition else ""
+            types.setdefault(patch, []).extend(families.get(patch, []) if kind in UNSAID else [kind])
     kinds = {
-        patch: ", ".join(dict.fromkeys(each for each in types if each not in UNSAID)) for patch, types in found.items()
+        patch: ", ".join(dict.fromkeys(kind for kind in several if kind not in UNSAID))
+        for patch, several in types.items()
     }
     return {patch: kind for patch, kind in kinds.items() if kind}
 

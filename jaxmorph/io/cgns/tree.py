@@ -4,7 +4,7 @@ try:
     import h5py
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 except ImportError as error:
-    raise ImportError("CGNS files need h5py: pip install 'jaxmorph[io]'") from error
+    raise ImportError("CGNS and MED files need h5py: pip install 'jaxmorph[io]'") from error
 
 import contextlib
 import pathlib
@@ -17,11 +17,11 @@ _FOREIGN = "{0}: {1} {2}. Only files that hold all of their data are read: `h5re
 
 
 @contextlib.contextmanager
-def opened(path: pathlib.Path, writes: bool = False) -> Iterator[Any]:
+def opened(path: pathlib.Path, writes: bool = False, what: str = "a CGNS file in HDF5 or ADF") -> Iterator[Any]:
     """Opens a file, and yields the root of its tree as h5py has it: groups with the attribute `label`, arrays as " data".
 
-    A file to be read is refused with a `ValueError` where it is another one, damaged, or has data elsewhere. Writing would go
-    through to them.
+    `what` names the format in messages. A file to be read is refused with a `ValueError` where it is another one, damaged, or has
+    data elsewhere. Writing would go through to them.
     """
     try:
         if adf.is_adf(path):
@@ -35,7 +35,7 @@ def opened(path: pathlib.Path, writes: bool = False) -> Iterator[Any]:
         if writes or (isinstance(error, ValueError) and str(path) in str(error)):
             raise
         detail = " ".join(str(error).split())[:120]
-        raise ValueError(f"{path}: not a CGNS file in HDF5 or ADF, or a damaged one ({detail}).") from error
+        raise ValueError(f"{path}: not {what}, or a damaged one ({detail}).") from error
 
 
 def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:

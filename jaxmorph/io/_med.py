@@ -1,0 +1,127 @@
+"""MED files of Salome and Code_Aster, in HDF5: a copy of the file with other coordinates, all else untouched."""
+
+import dataclasses
+import pathlib
+import shutil
+import urllib.parse
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from jaxmorph import Mesh
+from jaxmorph._mesh.exchange import PREFIX
+
+from ._format import Arrays, Source, source_of
+from ._meshio import meshio, to_mesh
+from .cgns.file import stamp_of
+from .cgns.tree import opened
+
+NAME = "MED"
+WHAT = "a MED file"
+TYPES = {
+    "PO1": ("vertex", [0]),
+    "SE2": ("line", [0, 1]),
+    "TR3": ("triangle", [0, 1, 2]),
+    "QU4": ("quad", [0, 1, 2, 3]),
+    "TE4": ("tetra", [0, 2, 1, 3]),
+    "PY5": ("pyramid", [0, 3, 2, 1, 4]),
+    "PE6": ("wedge", [0, 2, 1, 3, 5, 4]),
+    "HE8": ("hexahedron", [0, 3, 2, 1, 4, 7, 6, 5]),
+}
+"""Our types by MED's, and MED's corners in VTK's order: it sees cells from the other side."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _MEDContent:
+    """Keeps the points of the file, and what tells that the file is still the same."""
+
+    points: np.ndarray
+    stamp: tuple[int, int]
+
+    def in_file(self, points: np.ndarray) -> np.ndarray:
+        """Returns points with the z of the file where they have none."""
+        return np.concatenate([points, self.points[:, points.shape[1] :]], axis=1)
+
+
+def read(path: pathlib.Path) -> Mesh:
+    """Reads points, cells and patches: the groups of nodes, and of elements of lower dimension than the mesh."""
+    path.open("rb").close()
+    with opened(path, what=WHAT) as file:
+        name, step = _step(file)
+        points = _points(step)
+        blocks, families = [], []
+        for kind, group in step["MAI"].items():
+            if kind not in TYPES:
+                raise ValueError(f"{path}: elements of type {kind}; linear ones are read ({', '.join(TYPES)}).")
+            ours, order = TYPES[kind]
+            corners = group["NOD"][()].reshape(len(order), -1).T[:, order].astype(np.int64) - 1
+            blocks.append((ours, corners))
+            families.append(group["FAM"][()] if "FAM" in group else np.zeros(len(corners), int))
+        of_nodes = step["NOE"]["FAM"][()] if "FAM" in step["NOE"] else np.zeros(len(points), int)
+        sets: dict[str, Any] = {}
+        for group, numbers in _groups(file, name, "ELEME"):
+            sets[group] = [np.flatnonzero(np.isin(each, numbers)) for each in families]
+        flags = {}
+        for group, numbers in _groups(file, name, "NOEUD"):
+            flags[PREFIX + urllib.parse.quote(group)] = np.isin(of_nodes, numbers).astype(int)
+    if any(len(each) != len(corners) for each, (_, corners) in zip(families, blocks, strict=True)):
+        raise ValueError(f"{path}: not {WHAT}, or a damaged one (families of other elements than there are).")
+    content = _MEDContent(points, stamp_of(path))
+    mesh = meshio.Mesh(points, blocks, point_data=flags, cell_sets=sets)
+    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
+
+
+def check(path: pathlib.Path, mesh: Mesh) -> None:
+    """Raises `ValueError` for a mesh that was not read from a MED file, or when that file has changed."""
+    source = source_of(mesh, NAME)
+    if source is None:
+        raise ValueError(
+            f"{path}: only a mesh that was read from a MED file can be written to one; write .vtu or .su2."
+        )
+    if stamp_of(source.path) != source.content.stamp:
+        raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
+
+
+def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    """Writes a copy of the file that the mesh was read from."""
+    source = source_of(mesh, NAME)
+    assert source is not None
+    with opened(source.path, what=WHAT):
+        pass  # data of other files are refused before anything is opened for writing
+    shutil.copyfile(source.path, path)
+    points = source.content.in_file(np.asarray(mesh.points))
+    if np.array_equal(points, source.content.points):
+        return
+    with opened(path, writes=True, what=WHAT) as file:
+        coordinates = _step(file)[1]["NOE"]["COO"]
+        coordinates[...] = points.T.reshape(coordinates.shape)
+
+
+def _step(file: Any) -> tuple[str, Any]:
+    """Finds the one mesh of a file: its name, and the group of its one step of time."""
+    meshes = dict(file["ENS_MAA"].items())
+    if len(meshes) != 1:
+        raise ValueError(f"{len(meshes)} meshes in the file, one is read")
+    ((name, mesh),) = meshes.items()
+    steps = [mesh] if "NOE" in mesh else list(mesh.values())
+    if len(steps) != 1:
+        raise ValueError(f"{len(steps)} steps of time in the file, one is read")
+    return name, steps[0]
+
+
+def _points(step: Any) -> np.ndarray:
+    """Reads coordinates (n, d): the file has those of x, then of y, then of z."""
+    coordinates = step["NOE"]["COO"]
+    return coordinates[()].reshape(-1, int(coordinates.attrs["NBR"])).T.astype(float)
+
+
+def _groups(file: Any, name: str, kind: str) -> Iterator[tuple[str, list[int]]]:
+    """Yields the groups of elements or of nodes, and the numbers of their families."""
+    families = file["FAS"][name] if "FAS" in file and name in file["FAS"] else {}
+    groups: dict[str, list[int]] = {}
+    for family in families.get(kind, {}).values():
+        for characters in family["GRO"]["NOM"][()] if "GRO" in family else ():
+            group = bytes(np.asarray(characters, np.uint8)).split(b"\0")[0].decode(errors="replace").strip()
+            groups.setdefault(group, []).append(int(family.attrs["NUM"]))
+    yield from groups.items()

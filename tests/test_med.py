@@ -1,0 +1,119 @@
+"""MED files as gmsh and meshio write them, and gmsh's view of what is written back."""
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+from small import bricks
+
+import jaxmorph as jm
+from jaxmorph import io
+
+
+def box(path):
+    """A box of tetrahedra with groups, one face in two of them."""
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.8)
+        gmsh.model.occ.addBox(0, 0, 0, 2, 1, 1)
+        gmsh.model.occ.synchronize()
+        for tag, (dimension, faces, name) in enumerate(
+            [(2, [1], "low x"), (2, [2, 3], "others"), (2, [3], "also"), (3, [1], "fluid")], start=1
+        ):
+            gmsh.model.addPhysicalGroup(dimension, faces, tag, name)
+        gmsh.model.mesh.generate(3)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+
+
+def of_gmsh(path):
+    """The nodes of a file as gmsh has them, by their tags, and the volume of its cells."""
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(path))
+        tags, places, _ = gmsh.model.mesh.getNodes()
+        tetrahedra = gmsh.model.mesh.getElementsByType(4)[0]
+        return places.reshape(-1, 3)[np.argsort(tags)], gmsh.model.mesh.getElementQualities(tetrahedra, "volume")
+    finally:
+        gmsh.finalize()
+
+
+def content(path):
+    """All data and attributes of a file."""
+    found = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: (
+            item[()].tobytes() if isinstance(item, h5py.Dataset) else b"", sorted((k, str(v)) for k, v in item.attrs.items())
+        )}))  # fmt: skip
+    return found
+
+
+def test_groups_are_patches_and_coordinates_alone_change(tmp_path):
+    box(tmp_path / "a.med")
+    mesh = io.read(tmp_path / "a.med")
+    assert set(mesh.patches) == {"low x", "others", "also"}
+    x, y = mesh.points[:, 0], mesh.points[:, 1]
+    np.testing.assert_array_equal(mesh.patch("low x"), np.flatnonzero(x == 0))
+    np.testing.assert_array_equal(mesh.patch("also"), np.flatnonzero(y == 0))
+    np.testing.assert_array_equal(mesh.patch("others"), np.flatnonzero((y == 0) | (x == 2)))
+    volumes = np.asarray(jm.quality(mesh).volume)
+    assert (volumes > 0).all()
+    np.testing.assert_allclose(volumes.sum(), 2, rtol=1e-6)
+    io.write(tmp_path / "same.med", mesh)
+    assert (tmp_path / "same.med").read_bytes() == (tmp_path / "a.med").read_bytes()
+    moved = mesh.points * np.pi + 0.1
+    io.write(tmp_path / "b.med", mesh.moved(moved))
+    np.testing.assert_array_equal(io.read(tmp_path / "b.med").points, moved)
+    before, after = content(tmp_path / "a.med"), content(tmp_path / "b.med")
+    assert before.keys() == after.keys()
+    assert {name.split("/")[-1] for name in before if before[name] != after[name]} == {"COO"}
+    places, sizes = of_gmsh(tmp_path / "b.med")
+    np.testing.assert_array_equal(places, moved)
+    np.testing.assert_allclose(np.sort(sizes), np.sort(volumes) * np.pi**3, rtol=1e-5)
+
+
+def test_node_groups_and_other_cells(tmp_path):
+    """Hexahedra by meshio, which keeps the order of corners: MED's is turned to VTK's. A group of nodes is a patch."""
+    right = bricks(2)
+    corners = np.asarray(right.cells["hexahedron"])[:, [0, 3, 2, 1, 4, 7, 6, 5]]
+    points = np.asarray(right.points)
+    mesh = meshio.Mesh(points, [("hexahedron", corners)], point_data={"point_tags": (points[:, 2] == 0).astype(int)})
+    mesh.point_tags = {1: ["floor"]}
+    meshio.med.write(tmp_path / "a.med", mesh)
+    mesh = io.read(tmp_path / "a.med")
+    np.testing.assert_array_equal(mesh.cells["hexahedron"], right.cells["hexahedron"])
+    np.testing.assert_array_equal(mesh.patch("floor"), np.flatnonzero(points[:, 2] == 0))
+    assert int(jm.quality(mesh).inverted) == 0
+
+
+def test_two_dimensions(tmp_path):
+    points = np.array([[0.0, 0, 3], [1, 0, 3], [1, 1, 3], [0, 1, 3]])
+    meshio.med.write(tmp_path / "a.med", meshio.Mesh(points, [("quad", [[0, 1, 2, 3]])]))
+    mesh = io.read(tmp_path / "a.med")
+    np.testing.assert_array_equal(mesh.points, points[:, :2])
+    assert set(mesh.patches) == {"boundary"}
+    io.write(tmp_path / "b.med", mesh.moved(mesh.points * 2))
+    expected = points * [2, 2, 1]
+    np.testing.assert_array_equal(meshio.med.read(tmp_path / "b.med").points, expected)
+    np.testing.assert_array_equal(mesh.in_file_order(mesh.points * 2), expected)
+
+
+def test_what_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="only a mesh that was read from a MED file"):
+        io.write(tmp_path / "a.med", bricks(2))
+    (tmp_path / "a.med").write_bytes(b"no file of this kind")
+    with pytest.raises(ValueError, match=r"a\.med: not a MED file"):
+        io.read(tmp_path / "a.med")
+    points = np.random.default_rng(0).normal(size=(10, 3))
+    meshio.med.write(tmp_path / "b.med", meshio.Mesh(points, [("tetra10", [np.arange(10)])]))
+    with pytest.raises(ValueError, match=r"b\.med: elements of type T10; linear ones are read"):
+        io.read(tmp_path / "b.med")
+    with h5py.File(tmp_path / "b.med", "r+") as file:
+        file["ENS_MAA/other"] = h5py.ExternalLink("c.med", "/ENS_MAA/mesh")
+    with pytest.raises(ValueError, match=r"is a link to c\.med"):
+        io.read(tmp_path / "b.med")

@@ -1,0 +1,119 @@
+"""SU2 files of several zones: each a mesh, moved alone or together, the others byte for byte."""
+
+import numpy as np
+import pytest
+from small import bricks
+
+import jaxmorph as jm
+from jaxmorph import io
+
+
+def square(n, at=0.0):
+    """A square of n x n quads from x = `at`, with a marker on each side."""
+    grid = np.linspace(0, 1, n + 1)
+    x, y = (each.ravel() for each in np.meshgrid(grid, grid, indexing="ij"))
+    ids = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    cells = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    sides = {"left": ids[0], "right": ids[-1], "low": ids[:, 0], "high": ids[:, -1]}
+    return jm.Mesh(np.stack([x + at, y], axis=1), {"quad": cells}, sides)
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Two squares side by side, with comments and indices that stay; their zones meet at x = 1."""
+    texts = []
+    for k, mesh in enumerate((square(4), square(6, 1.0)), start=1):
+        io.write(tmp_path / "one.su2", mesh)
+        text = (tmp_path / "one.su2").read_text().replace("MARKER_TAG= ", f"MARKER_TAG= zone{k}_")
+        texts.append(f"% zone {k}\nIZONE= {k}\n{text}")
+    (tmp_path / "one.su2").unlink()
+    (tmp_path / "a.su2").write_text("NZONE= 2\n" + "".join(texts))
+    return tmp_path / "a.su2"
+
+
+def halves(path):
+    """The lines of each zone."""
+    head, first, second = path.read_text().split("% zone ")
+    return head, first, second
+
+
+def test_each_zone_is_a_mesh(path):
+    first, second = io.read_zones(path)
+    for mesh, right, k in ((first, square(4), 1), (second, square(6, 1.0), 2)):
+        np.testing.assert_array_equal(mesh.points, right.points)
+        np.testing.assert_array_equal(mesh.cells["quad"], right.cells["quad"])
+        assert set(mesh.patches) == {f"zone{k}_{side}" for side in right.patches}
+        np.testing.assert_array_equal(mesh.patches[f"zone{k}_low"], right.patches["low"])
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_one_zone_moves_alone(path, which):
+    zones = io.read_zones(path)
+    moved = zones[which].moved(zones[which].points * np.pi)
+    io.write(path.with_name("b.su2"), moved)
+    again = io.read_zones(path.with_name("b.su2"))
+    np.testing.assert_array_equal(again[which].points, moved.points)
+    before, after = halves(path), halves(path.with_name("b.su2"))
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, which == 1, which == 0]
+    io.write_zones(path.with_name("c.su2"), [moved])
+    assert path.with_name("c.su2").read_bytes() == path.with_name("b.su2").read_bytes()
+    io.write_zones(path.with_name("same.su2"), zones)
+    assert path.with_name("same.su2").read_bytes() == path.read_bytes()
+
+
+def test_a_wall_between_zones_moves_in_both(path):
+    """Their nodes are where the motion of the wall takes them, which two zones have at x = 1."""
+    zones, moved = io.read_zones(path), []
+    for mesh, wall in zip(zones, ("zone1_right", "zone2_left"), strict=True):
+        rest = [name for name in mesh.patches if name != wall]
+        plan = jm.prepare(mesh, wall, rest, method=jm.Laplacian())
+        y = mesh.points[plan.moving, 1]
+        u = np.stack([0.1 * np.sin(np.pi * y), 0 * y], axis=1)
+        moved.append(mesh.moved(jm.deform(plan, u)))
+    io.write_zones(path.with_name("b.su2"), moved[::-1])
+    first, second = io.read_zones(path.with_name("b.su2"))
+    for mesh, wall in ((first, "zone1_right"), (second, "zone2_left")):
+        at = mesh.points[mesh.patch(wall)]
+        ends = np.isin(at[:, 1], (0, 1))
+        np.testing.assert_allclose(at[:, 0], 1 + 0.1 * np.sin(np.pi * at[:, 1]), atol=1e-9)
+        assert ends.sum() == 2
+        assert int(jm.quality(mesh).inverted) == 0
+
+
+def test_what_is_refused(path):
+    with pytest.raises(ValueError, match=r"holds 2 zones, each a mesh of its own: io\.read_zones"):
+        io.read(path)
+    with pytest.raises(ValueError, match=r"holds 2 zones"):
+        io.Ranges(path)
+    zones, target = io.read_zones(path), path.with_name("b.su2")
+    with pytest.raises(ValueError, match="not of one reading"):
+        io.write_zones(target, [zones[0], io.read_zones(path)[1]])
+    with pytest.raises(ValueError, match="one zone is twice"):
+        io.write_zones(target, [zones[0], zones[0]])
+    for wrong in ([], [bricks(2)]):
+        with pytest.raises(ValueError, match=r"zones that io\.read_zones has read"):
+            io.write_zones(target, wrong)
+    with pytest.raises(ValueError, match="read from this file"):
+        io.write_zones(path, zones)
+    with pytest.raises(ValueError, match="not finite"):
+        io.write_zones(target, [zones[0].moved(zones[0].points * np.nan)])
+    with pytest.raises(ValueError, match="have zones that are meshes of their own"):
+        io.read_zones(path.with_suffix(".vtu"))
+    text = path.read_text()
+    for old, new, message in (
+        ("NZONE= 2", "NZONE= 3", "NZONE= 3, but 2 zones are in the file"),
+        ("IZONE= 2", "IZONE= 1", "IZONE= is 1, 1; 1 to 2 expected"),
+        ("IZONE= 2\n", "", "NZONE= 2, but 1 zones are in the file"),
+    ):
+        path.write_text(text.replace(old, new))
+        with pytest.raises(ValueError, match=message):
+            io.read_zones(path)
+    assert not target.exists()
+
+
+def test_a_file_of_one_zone_is_read_either_way(tmp_path):
+    io.write(tmp_path / "a.su2", square(2))
+    (tmp_path / "b.su2").write_text("NZONE= 1\nIZONE= 1\n" + (tmp_path / "a.su2").read_text())
+    for name in "ab":
+        (mesh,) = io.read_zones(tmp_path / f"{name}.su2")
+        np.testing.assert_array_equal(mesh.points, io.read(tmp_path / f"{name}.su2").points)
