@@ -43,6 +43,16 @@ assert np.abs(moved - whole[nodes]).max() < 3e-12
 weight = np.random.default_rng(3).normal(size=points.shape)
 gradient = piece.pullback(u, weight[nodes])
 expected = np.asarray(jm.pullback(plan, u_all, weight))
+# forward products, and pieces of a half that one process prepared
+half = comm.bcast(jm.prepare_surface(points, wall, far) if comm.rank == 0 else None)
+attached = mpi.attach(comm, half, points[nodes], nodes)
+assert np.array_equal(attached.moving, moving)
+tangent = np.cos(3 * points[wall])
+change = np.asarray(jm.velocity(plan, u_all, tangent))[nodes]
+for each in (piece, attached):
+    assert np.abs(each.pushforward(u, tangent[np.searchsorted(wall, nodes[moving])]) - change).max() < 3e-12
+assert np.abs(attached.deform(u) - moved).max() < 3e-12
+
 row = {node: k for k, node in enumerate(wall)}
 expected = expected[[row[node] for node in nodes[moving]]]
 assert np.abs(gradient - expected).max() < 2e-9 * np.abs(expected).max()
@@ -116,6 +126,8 @@ for wrong in (
     lambda: mpi.prepare(comm, part if comm.rank else points[nodes], nodes, moving, fixed),
     lambda: mpi.prepare("world", points[nodes], nodes, moving, fixed),
     lambda: piece.pullback(u, {} if comm.rank else weight[nodes]),
+    lambda: piece.pushforward(u, u[:-1] if comm.rank else u),
+    lambda: mpi.attach(comm, None if comm.rank else half, points[nodes], nodes),
     lambda: piece.summary(None if comm.rank else jm.quality(part, moved)),
 ):
     try:

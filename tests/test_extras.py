@@ -33,6 +33,7 @@ calls = {
     "openmdao": lambda: importlib.import_module("jaxmorph.integrations.openmdao"),
     "mphys": lambda: importlib.import_module("jaxmorph.integrations.mphys"),
     "mpi": lambda: importlib.import_module("jaxmorph.integrations.mpi"),
+    "idwarp": lambda: importlib.import_module("jaxmorph.integrations.idwarp"),
     "wing": cases.agard445,
 }
 for name, call in calls.items():
@@ -54,7 +55,7 @@ def test_each_missing_extra_is_named(tmp_path):
     )
     assert remedies == {
         "vtu": "io", "msh": "io", "cgns": "io", "meshio": "io", "pyvista": "plot", "plot": "plot",
-        "openmdao": "openmdao", "mphys": "mphys", "mpi": "mpi", "wing": "cases",
+        "openmdao": "openmdao", "mphys": "mphys", "mpi": "mpi", "idwarp": "mpi", "wing": "cases",
     }  # fmt: skip
     project = tomllib.loads((pathlib.Path(root) / "pyproject.toml").read_text())["project"]
     assert set(remedies.values()) <= set(project["optional-dependencies"])

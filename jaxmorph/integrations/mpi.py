@@ -2,8 +2,10 @@
 
 try:
     from mpi4py import MPI
-except ImportError as error:
-    raise ImportError("pieces over MPI need mpi4py: pip install 'jaxmorph[mpi]', and an MPI library") from error
+except (ImportError, RuntimeError) as error:  # the latter where mpi4py is there and no MPI library
+    raise ImportError(
+        "pieces over MPI need mpi4py and an MPI library: pip install 'jaxmorph[mpi]' mpich, or the machine's own MPI"
+    ) from error
 
 import dataclasses
 from collections.abc import Sequence
@@ -76,15 +78,25 @@ class Piece:
         self.comm.Allreduce(MPI.IN_PLACE, total)
         return total[self.rows]
 
-    def gathered(self, u: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "m d"]:
-        """Gathers the displacements of all moving nodes from those that each process has."""
+    def pushforward(self, u: Real[ArrayLike, "k d"], tangent: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
+        """Pushes a change of the displacements `u` (k, d), `tangent` (k, d), forward to this piece's points (n, d).
+
+        It is the derivative of `deform` in one direction. It raises `ValueError` as `deform` does.
+        """
+        u, tangent = self.gathered(u), self.gathered(tangent, "tangent")
+        return np.array(together(self.comm, lambda: jm.velocity(self.plan, u, tangent)))
+
+    def gathered(self, u: Real[ArrayLike, "k d"], name: str = "u") -> Float[np.ndarray, "m d"]:
+        """Gathers the displacements of all moving nodes from those that each process has; errors call them `name`."""
 
         def checked() -> np.ndarray:
-            check("u", u, ROWS, Piece.deform)
+            check(name, u, ROWS, Piece.deform)
             values = np.asarray(u, dtype=self.plan.points.dtype)
             expected = (len(self.moving), self.plan.points.shape[1])
             if values.shape != expected:
-                raise ValueError(f"`u` has shape {values.shape}; this piece moves {expected[0]} points: {expected}.")
+                raise ValueError(
+                    f"`{name}` has shape {values.shape}; this piece moves {expected[0]} points: {expected}."
+                )
             return values
 
         shares = self.comm.allgather((self.rows, together(self.comm, checked)))
@@ -156,8 +168,7 @@ def prepare(
     different places.
     """
 
-    if not hasattr(comm, "allgather"):
-        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
+    _check_comm(comm)
     piece = together(comm, lambda: _given(points, nodes, moving, fixed, symmetry, is_open))
     marks = owned(comm, piece.nodes)
     faces = faces_of(comm, piece.mesh, piece.nodes, marks[1])
@@ -181,6 +192,33 @@ def prepare(
     plan = together(comm, lambda: shared.attach(piece.points, piece.nodes))
     rows = np.searchsorted(names[:m], piece.nodes[piece.moving])
     return Piece(comm, plan, piece.nodes, piece.moving, rows, *marks)
+
+
+def attach(
+    comm: Any,
+    half: jm.SurfaceHalf,
+    points: Real[ArrayLike, "n d"],
+    nodes: Int[ArrayLike, " n"] | Sequence[int],
+) -> Piece:
+    """Attaches the piece of a mesh that this process has to a surface that is prepared; every process calls it together.
+
+    **Arguments:**
+
+    - `comm`: the communicator.
+    - `half`: what `prepare_surface` returned in one process, broadcast to all.
+    - `points`, `nodes`: as `SurfaceHalf.attach` takes them. Each id is from 0 on.
+
+    **Returns:** a `Piece`, whose `moving` are in the order of `points`.
+
+    **Raises:** `ValueError`, in every process, as `SurfaceHalf.attach` does.
+    """
+    _check_comm(comm)
+    together(comm, lambda: check("half", half, jm.SurfaceHalf, attach))
+    plan = together(comm, lambda: half.attach(np.asarray(points), np.asarray(nodes)))
+    ids, order = np.asarray(nodes), np.argsort(half.moving)
+    moving = np.flatnonzero(np.isin(ids, half.moving))
+    rows = order[np.searchsorted(half.moving[order], ids[moving])]
+    return Piece(comm, plan, ids, moving, rows, *owned(comm, ids))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -233,6 +271,11 @@ def _surface(
     names = np.concatenate([moving, fixed[rest], further[others], np.full(len(outermost), -1)])
     count = len(moving) + int(rest.sum())
     return everything, names, len(moving), count, count + int(others.sum())
+
+
+def _check_comm(comm: Any) -> None:
+    if not hasattr(comm, "allgather"):
+        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {shown(comm)}.")
 
 
 def _rows(values: Any, n: int) -> np.ndarray:

@@ -41,6 +41,7 @@ class Side:
     - `groups`: the groups of patches by name.
     - `pairs`: pairs of cyclic patches.
     - `symmetry`: patches in symmetry planes.
+    - `kinds`: what patches are, by name.
     """
 
     nodes: np.ndarray
@@ -50,6 +51,7 @@ class Side:
     groups: Mapping[str, tuple[str, ...]]
     pairs: tuple[tuple[str, str], ...]
     symmetry: tuple[str, ...]
+    kinds: Mapping[str, str]
 
 
 class Decomposed:
@@ -139,6 +141,7 @@ class Decomposed:
             mesh.source.groups,
             tuple((each.name, each.neighbour) for each in boundary if each.type == "cyclic"),
             mesh.source.symmetry,
+            mesh.kinds,
         )
 
     @checked
@@ -181,7 +184,9 @@ class Decomposed:
         periodic = tuple(Periodic(*pair) for pair in pairs.values() if all(len(patches_of_all[name]) for name in pair))
         groups = {name: each for side in sides for name, each in side.groups.items()}
         flat = tuple(dict.fromkeys(name for side in sides for name in side.symmetry))
-        source = Source(self.path, NAME, None, groups=groups, periodic=periodic, node_ids=nodes, symmetry=flat)
+        patch_kinds = {name: kind for side in sides for name, kind in side.kinds.items()}
+        known = {"groups": groups, "periodic": periodic, "symmetry": flat, "kinds": patch_kinds}
+        source = Source(self.path, NAME, None, node_ids=nodes, **known)
         return Mesh(points, cells, patches_of_all, source=source)
 
     @checked

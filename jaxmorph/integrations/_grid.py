@@ -1,0 +1,163 @@
+"""A grid file in the processes of an MPI run: the nodes that each has, the order of the file, and a solver's own order."""
+
+import dataclasses
+import pathlib
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+import jaxmorph as jm
+from jaxmorph import io
+
+from ._shared import together
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Grid:
+    """Holds what this process has of a grid in 3-D. The coordinates of all processes, one after the other, are the file's.
+
+    - `points` (n, 3), `nodes` (n,): coordinates, and ids in the whole mesh.
+    - `rows` (k,): the row of `points` of each node that the file lists, as far as it is this process'. Blocks repeat nodes.
+    - `mesh`: the whole mesh in the first process and None in others; or the part of a decomposed case that this process has.
+    - `outside`: the mesh of the first process by whose patches the surface is prepared; None in others.
+    - `case`: the decomposed case.
+    """
+
+    comm: Any
+    points: Float[np.ndarray, "n 3"]
+    nodes: Int[np.ndarray, " n"]
+    rows: Int[np.ndarray, " k"]
+    mesh: jm.Mesh | None
+    outside: jm.Mesh | None
+    case: io.Decomposed | None = None
+
+    @staticmethod
+    def read(comm: Any, path: str) -> "Grid":
+        """Reads a file, or a case of OpenFOAM: of several processes each reads its folder processor* where there are any."""
+        if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
+            return Grid._decomposed(comm, path)
+
+        def shares() -> tuple[jm.Mesh, list[Any]] | None:
+            if comm.rank:
+                return None
+            mesh = _in_space(io.read(path), path)
+            parts = np.array_split(mesh.file_nodes, comm.size)
+            each = (np.unique(part, return_inverse=True) for part in parts)
+            return mesh, [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in each]
+
+        read = together(comm, shares)
+        points, nodes, rows = comm.scatter(None if read is None else read[1])
+        mesh = None if read is None else read[0]
+        return Grid(comm, points, nodes, rows, mesh, mesh)
+
+    @staticmethod
+    def _decomposed(comm: Any, path: str) -> "Grid":
+        def part() -> tuple[io.Decomposed, jm.Mesh, Any]:
+            case = io.Decomposed(path)
+            if len(case) != comm.size:
+                raise ValueError(f"{path}: {len(case)} folders processor*, and {comm.size} processes: run as many.")
+            return case, _in_space(case.read(comm.rank), path), case.side(comm.rank)
+
+        case, mesh, side = together(comm, part)
+        sides = comm.gather(side)
+        outside = together(comm, lambda: None if comm.rank else case.surface(sides))
+        points = np.asarray(mesh.points)
+        return Grid(comm, points, io.global_nodes(mesh), np.arange(len(points)), mesh, outside, case)
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """Keywords of `prepare_surface` for `outside`: ids of nodes and faces of a decomposed case."""
+        if self.case is None or self.outside is None:
+            return {}
+        return {"nodes": io.global_nodes(self.outside), "faces": self.outside.cells}
+
+    def listed(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " c"]:
+        """Lists coordinates of nodes in the order of the file, in one row."""
+        return points[self.rows].ravel()
+
+    def added(self, values: Float[np.ndarray, " c"]) -> Float[np.ndarray, "n 3"]:
+        """Adds values of the file's list to its nodes: the transpose of `listed`."""
+        total = np.zeros(self.points.shape)
+        np.add.at(total, self.rows, values.reshape(-1, 3))
+        return total
+
+    def write(self, path: str, points: Float[np.ndarray, "n 3"]) -> None:
+        """Writes the grid with other coordinates."""
+        if self.case is not None and self.mesh is not None:
+            with self.case.writing(path, self.comm) as writer:
+                writer.add(self.comm.rank, self.mesh.moved(points))
+            return
+        shares = self.comm.gather((self.nodes, points))
+
+        def whole() -> None:
+            if self.mesh is not None:
+                places = np.array(self.mesh.points)
+                for nodes, values in shares:
+                    places[nodes] = values
+                io.write(path, self.mesh.moved(places))
+
+        together(self.comm, whole)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SolverOrder:
+    """Takes coordinates from the list of all processes, one after the other, to the list that each process' solver has, and back.
+
+    - `count`: the numbers that this process has of the list of all.
+    - `sent`: places of them that go to each process, in its order.
+    - `places`: where those that come from each process stand in this process' solver.
+    """
+
+    comm: Any
+    count: int
+    sent: list[np.ndarray]
+    places: list[np.ndarray]
+
+    @property
+    def size(self) -> int:
+        """The numbers that this process' solver has."""
+        return sum(map(len, self.places))
+
+    def to_solver(self, values: np.ndarray) -> np.ndarray:
+        """Takes this process' numbers to the solver's."""
+        result = np.zeros(self.size)
+        for rows, answer in zip(self.places, self.comm.alltoall([values[rows] for rows in self.sent]), strict=True):
+            result[rows] = answer
+        return result
+
+    def from_solver(self, values: np.ndarray) -> np.ndarray:
+        """Adds the solvers' numbers to this process': the transpose of `to_solver`."""
+        result = np.zeros(self.count)
+        for rows, answer in zip(self.sent, self.comm.alltoall([values[rows] for rows in self.places]), strict=True):
+            np.add.at(result, rows, answer)
+        return result
+
+
+def solver_order(comm: Any, count: int, indices: Any) -> SolverOrder:
+    """Finds who has what. `indices` (k,) count the numbers of all processes from 0."""
+    firsts = np.cumsum([0, *comm.allgather(count)])
+
+    def checked() -> np.ndarray:
+        wanted = np.asarray(indices)
+        if wanted.ndim != 1 or wanted.dtype.kind not in "iuf" or (wanted != np.floor(wanted)).any():
+            raise ValueError(f"indices are whole numbers (k,), not {wanted.dtype} of shape {wanted.shape}.")
+        if wanted.size and (wanted.min() < 0 or wanted.max() >= firsts[-1]):
+            raise ValueError(
+                f"indices go from {wanted.min()} to {wanted.max()}; the grid has coordinates 0 to {firsts[-1] - 1}, three "
+                "for each node."
+            )
+        return wanted.astype(np.int64)
+
+    wanted = together(comm, checked)
+    keeper = np.searchsorted(firsts, wanted, side="right") - 1
+    places = [np.flatnonzero(keeper == rank) for rank in range(comm.size)]
+    sent = comm.alltoall([wanted[rows] - firsts[rank] for rank, rows in enumerate(places)])
+    return SolverOrder(comm, count, sent, places)
+
+
+def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
+    """Returns the mesh. Raises `ValueError` for one in 2-D."""
+    if mesh.points.shape[1] != 3:
+        raise ValueError(f"{path}: this mesh is in 2-D, and IDWarp's coordinates are in 3-D: take `jaxmorph.prepare`.")
+    return mesh

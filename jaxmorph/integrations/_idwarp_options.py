@@ -1,0 +1,92 @@
+"""Options of IDWarp: those that choose a method, and those that nothing corresponds to."""
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+import jaxmorph as jm
+
+OPTIONS: dict[str, tuple[tuple[type, ...], Any]] = {
+    "gridFile": ((str,), None),
+    "fileType": ((str,), "CGNS"),
+    "specifiedSurfaces": ((list, tuple), None),
+    "symmetrySurfaces": ((list, tuple), None),
+    "symmetryPlanes": ((list, tuple, np.ndarray), None),
+    "symmTol": ((int, float), 1e-6),
+    "useRotations": ((bool,), None),
+    "aExp": ((int, float), 3.0),
+    "bExp": ((int, float), 5.0),
+    "alpha": ((int, float), 0.25),
+    "LdefFact": ((int, float), 1.0),
+    "errTol": ((int, float), 5e-4),
+    "evalMode": ((str,), "fast"),
+    "zeroCornerRotations": ((bool,), True),
+    "cornerAngle": ((int, float), 30.0),
+    "restartFile": ((str,), None),
+    "bucketSize": ((int,), 8),
+}
+"""IDWarp's options: the types that each takes beside None, and its default."""
+WEIGHTS = ("aExp", "bExp", "alpha")
+"""Options of IDWarp's own method alone."""
+WITHOUT = ("LdefFact", "errTol", "evalMode", "zeroCornerRotations", "cornerAngle", "restartFile", "bucketSize")
+"""Options that nothing here corresponds to."""
+FILES = ("CGNS", "OpenFOAM", "PLOT3D")
+
+
+def checked(options: Any) -> dict[str, Any]:
+    """Completes options by IDWarp's defaults; names may be in any case.
+
+    Raises `ValueError` for one that IDWarp does not have, or of another type.
+    """
+    if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
+        raise ValueError(f"`options` must be a dictionary of options by name, such as gridFile, not {options!r}.")
+    names = {name.lower(): name for name in OPTIONS}
+    unknown = sorted(name for name in options if name.lower() not in names)
+    if unknown:
+        raise ValueError(f"`options`: IDWarp has no option {', '.join(unknown)}; it has {', '.join(OPTIONS)}.")
+    values = {names[name.lower()]: value for name, value in options.items()}
+    for name, value in values.items():
+        types = OPTIONS[name][0]
+        if value is not None and (not isinstance(value, types) or (isinstance(value, bool) and bool not in types)):
+            raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(each.__name__ for each in types)}.")
+    _check_lists(values)
+    if values.get("gridFile") is None or values.get("fileType", FILES[0]) not in FILES:
+        raise ValueError(f"`gridFile` must be the name of a grid, and `fileType` one of {', '.join(FILES)}.")
+    return {name: values.get(name, default) for name, (_, default) in OPTIONS.items()} | {"told": tuple(values)}
+
+
+def _check_lists(values: Mapping[str, Any]) -> None:
+    for name in ("specifiedSurfaces", "symmetrySurfaces"):
+        if not all(isinstance(each, str) for each in values.get(name) or ()):
+            raise ValueError(f"`{name}` is {values[name]!r}; expected names of patches.")
+    planes = values.get("symmetryPlanes")
+    if planes is not None and len(planes):
+        try:
+            shape = np.asarray(planes, dtype=float).shape
+        except (TypeError, ValueError):
+            shape = None
+        if shape is None or shape[1:] != (2, 3):
+            raise ValueError(
+                f"`symmetryPlanes` is {planes!r}; expected a point and a normal for each: [[[0, 0, 0], [0, 1, 0]]]."
+            )
+
+
+def warn_of(options: Mapping[str, Any]) -> None:
+    """Names the options that were told and that nothing corresponds to."""
+    without = WITHOUT if options["useRotations"] is not None else (*WEIGHTS, *WITHOUT)
+    told = [name for name in without if name in options["told"] and options[name] is not None]
+    if told:
+        by = "IDWarp's, not approximated" if without is WITHOUT else "the default of jaxmorph.prepare"
+        warnings.warn(
+            f"options of IDWarp that nothing corresponds to here: {', '.join(told)}. The method is {by}.", stacklevel=3
+        )
+
+
+def method(options: Mapping[str, Any]) -> jm.AbstractMethod | None:
+    """Makes the method; None is the default of `prepare`."""
+    if options["useRotations"] is None:
+        return None
+    far, near, alpha = (options[name] for name in WEIGHTS)
+    return jm.InverseDistance(far=far, near=near, alpha=alpha, rotations=options["useRotations"])

@@ -1,0 +1,296 @@
+"""IDWarp's mesh object: its calls, by jaxmorph's methods (extras `mpi` and, for CGNS, `io`)."""
+
+import types
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+import jaxmorph as jm
+from jaxmorph import io
+
+from . import mpi
+from ._definition import Definition
+from ._follower import Follower, doubles
+from ._grid import Grid, SolverOrder, solver_order
+from ._idwarp_options import checked, method, warn_of
+from ._shared import together
+from ._walls import walls_of
+
+
+class USMesh:
+    """Moves a volume mesh as its surface moves, called as `idwarp.USMesh` is: one line of imports is what changes.
+
+    Processes of an MPI run call it together. Arrays are NumPy's and float64, whatever JAX's mode is.
+
+    - A solver that calls `setExternalMeshIndices` and `setSurfaceDefinition` speaks in its own order of nodes. Its surface may have
+      other points than the mesh's wall: this follows by a linear map.
+    - Without a definition the surface is the nodes of the wall patches, or of `specifiedSurfaces`, each once, in the file's order.
+      The first process has all of a file; with folders `processor*` each has its own.
+    - Nodes of patches that are neither walls nor symmetry planes are fixed. IDWarp lets them follow.
+
+    **Arguments:**
+
+    - `options`: IDWarp's options by name, in any case. `useRotations` chooses IDWarp's method, `InverseDistance(rotations=...)`,
+      with `aExp`, `bExp` and `alpha`; without it the method is `prepare`'s default. `symmTol` is the distance within which nodes
+      lie on `symmetryPlanes`. Without planes they come from the file. Options without a counterpart are named in one warning.
+    - `comm`: the communicator. Default: that of all processes.
+    - `debug`: IDWarp's; nothing here depends on it.
+
+    **Raises:** `ValueError`, in every process, for an option that IDWarp does not have, for values of another type, for a mesh in
+    2-D, and for what `jaxmorph.io.read` refuses.
+    """
+
+    def __init__(self, options: Mapping[str, Any] | None = None, comm: Any = None, debug: bool = False):
+        self.comm: Any = mpi.MPI.COMM_WORLD if comm is None else comm
+        if not hasattr(self.comm, "allgather"):
+            raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {comm!r}.")
+        self._options = together(self.comm, lambda: checked(options))
+        if self.comm.rank == 0:
+            warn_of(self._options)
+        self._grid = Grid.read(self.comm, self._options["gridFile"])
+        self._moved = self._grid.points
+        self._order: SolverOrder | None = None
+        self._surface: Follower | None = None
+        self._dXs = np.zeros((0, 3))
+
+    def getSurfaceCoordinates(self) -> Float[np.ndarray, "k 3"]:
+        """Returns the surface's points that this process has, as they were set last."""
+        return self._defined().coordinates.copy()
+
+    def setSurfaceCoordinates(self, coordinates: Any) -> None:
+        """Sets the points of the surface, in the order of `getSurfaceCoordinates`; `warpMesh` then moves the mesh."""
+        surface = self._defined()
+        surface.coordinates = self._rows("coordinates", coordinates)
+
+    def setSurfaceDefinition(self, pts: Any, conn: Any, faceSizes: Any, cgnsBlockID: Any = None) -> None:
+        """Defines the surface by points (k, 3) of this process and faces between them; points at one place are one.
+
+        Wall nodes at its points move with them. Others move as the closest point of its faces; without faces as the three points
+        that are nearest.
+
+        **Arguments:**
+
+        - `pts`: coordinates (k, 3), none where this process has no part of the surface.
+        - `conn`: the corners of all faces in one list, counted from 0 in `pts`.
+        - `faceSizes`: how many of them each face has.
+        - `cgnsBlockID`: IDWarp's; nothing here depends on it.
+
+        **Raises:** `ValueError`, in every process, for other shapes, and for a surface on which no patch of the mesh lies.
+        """
+        points, corners, sizes = together(self.comm, lambda: _faces(pts, conn, faceSizes))
+        self._define(points, corners, sizes, is_own=False)
+
+    def setSurfaceDefinitionFromFile(self, surfFile: str) -> None:
+        """Defines the surface by the blocks of a PLOT3D file, which the first process has."""
+
+        def blocks() -> tuple[np.ndarray, np.ndarray]:
+            if self.comm.rank:
+                return np.zeros((0, 3)), np.zeros((0, 4), int)
+            mesh = io.read(surfFile)
+            points = mesh.in_file_order(mesh.points)
+            if points.shape[1] != 3 or list(mesh.cells) != ["quad"]:
+                raise ValueError(
+                    f"{surfFile}: a surface in 3-D of blocks with one layer of nodes is expected, not {mesh}."
+                )
+            first = np.unique(mesh.file_nodes, return_index=True)[1]
+            return points, first[np.asarray(mesh.cells["quad"])]
+
+        points, corners = together(self.comm, blocks)
+        self.setSurfaceDefinition(points, corners.ravel(), np.full(len(corners), 4))
+
+    def setExternalMeshIndices(self, ind: Any) -> None:
+        """Sets which coordinates of the file's list this process' solver has, three for each node, counted from 0.
+
+        The list is that of `getCommonGrid` of all processes, one after the other.
+        """
+        self._order = solver_order(self.comm, 3 * len(self._grid.rows), ind)
+
+    def getSolverGrid(self) -> Float[np.ndarray, " c"]:
+        """Returns the coordinates of the moved mesh, in the order of `setExternalMeshIndices`."""
+        return self._solver().to_solver(self.getCommonGrid())
+
+    def getCommonGrid(self) -> Float[np.ndarray, " c"]:
+        """Returns the coordinates of the moved mesh in the order of the file, as far as they are this process'."""
+        return self._grid.listed(self._moved)
+
+    def getWarpGrid(self) -> Float[np.ndarray, " c"]:
+        """Returns what `getCommonGrid` does: no other order is used here."""
+        return self.getCommonGrid()
+
+    def warpMesh(self) -> None:
+        """Moves the mesh from its first place to where the surface is."""
+        self._moved = self._defined().deform()
+
+    def warpDeriv(self, dXv: Any, solverVec: bool = True) -> None:
+        """Pulls the derivative by the mesh's coordinates back to the surface's points; `getdXs` returns it.
+
+        **Arguments:**
+
+        - `dXv`: the derivative, in the order of `getSolverGrid`, or of `getCommonGrid`. Contributions of processes add up.
+        - `solverVec`: whether its order is the solver's. Default True.
+        """
+        surface = self._defined()
+        self._dXs = surface.pullback(self._grid.added(self._volume("dXv", dXv, solverVec)))
+
+    def getdXs(self) -> Float[np.ndarray, "k 3"]:
+        """Returns the derivative by the surface's points that `warpDeriv` computed."""
+        return self._dXs.copy()
+
+    def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Float[np.ndarray, " c"]:
+        """Pushes a change of the surface's points (k, 3) forward to the mesh's coordinates.
+
+        It moves the mesh too, as IDWarp does. The result is in the order of `getSolverGrid`, or of `getCommonGrid` where
+        `solverVec` is False.
+        """
+        tangent = self._rows("dXs", np.reshape(np.asarray(dXs, float), (-1, 3)))
+        self.warpMesh()
+        change = self._grid.listed(self._defined().pushforward(tangent))
+        return self._solver().to_solver(change) if solverVec else change
+
+    def verifyWarpDeriv(
+        self,
+        dXv: Any = None,
+        solverVec: bool = True,
+        dofStart: int = 0,
+        dofEnd: int = 10,
+        h: float = 1e-6,
+        randomSeed: int = 314,
+    ) -> float:
+        """Compares `warpDeriv` with central differences, and prints a line for each coordinate of the surface's points.
+
+        **Arguments:**
+
+        - `dXv`, `solverVec`: those of `warpDeriv`. Default: random numbers.
+        - `dofStart`, `dofEnd`: the first coordinate and that after the last, counted over the points of all processes.
+        - `h`: the step, in the mesh's unit.
+        - `randomSeed`: of the random numbers.
+
+        **Returns:** the largest difference, relative to the largest derivative.
+        """
+        surface, count = self._defined(), 3 * len(self._grid.rows)
+        if dXv is None:
+            dXv, solverVec = np.random.default_rng([randomSeed, self.comm.rank]).random(count), False
+        seed = self._volume("dXv", dXv, solverVec)
+        self.warpDeriv(seed, solverVec=False)
+        slopes = np.concatenate(self.comm.allgather(self._dXs)).ravel()
+        scale, worst = float(np.abs(slopes).max(initial=0.0)), 0.0
+        for dof in range(dofStart, min(dofEnd, len(slopes))):
+            ahead, behind = (self._grid.listed(surface.deform(dof, step)) for step in (h, -h))
+            slope = self.comm.allreduce(float(seed @ (ahead - behind))) / (2 * h)
+            worst = max(worst, abs(slope - float(slopes[dof])))
+            if self.comm.rank == 0:
+                print(f"surface coordinate {dof}: derivative {slopes[dof]:.12e}, difference {slope:.12e}")
+        return worst / scale if scale else worst
+
+    def writeGrid(self, fileName: str | None = None) -> None:
+        """Writes the moved mesh: a new file in the format of `gridFile`, or a new case or time folder of OpenFOAM.
+
+        It raises `ValueError` without a name, of OpenFOAM too: what was read is never overwritten.
+        """
+        if fileName is None:
+            raise ValueError("`fileName` is missing: name a new file or folder; what the mesh was read from is kept.")
+        self._grid.write(fileName, self._moved)
+
+    @property
+    def warp(self) -> Any:
+        """The numbers of coordinates of this process, called as in IDWarp's compiled module: `warp.griddata.warpmeshdof`."""
+        count = 3 * len(self._grid.rows)
+        solvers = 0 if self._order is None else self._order.size
+        sizes = types.SimpleNamespace(commonmeshdof=count, warpmeshdof=count, solvermeshdof=solvers)
+        return types.SimpleNamespace(griddata=sizes)
+
+    def _defined(self) -> Follower:
+        """Returns the surface; where no solver has defined one, that of the wall patches."""
+        if self._surface is None:
+            outside = self._grid.outside
+            names = together(self.comm, lambda: None if outside is None else self._specified(outside))
+            names, mesh = self.comm.bcast(names), self._grid.mesh
+            patches = [] if mesh is None else [np.asarray(mesh.patches[name]) for name in names if name in mesh.patches]
+            rows = np.unique(np.concatenate([np.zeros(0, int), *patches]))
+            points = np.zeros((0, 3)) if mesh is None else np.asarray(mesh.points, float)[rows]
+            self._define(points, np.zeros(0, int), np.zeros(0, int), is_own=True)
+        assert self._surface is not None
+        return self._surface
+
+    def _specified(self, mesh: jm.Mesh) -> tuple[str, ...]:
+        walls = walls_of(mesh, self._options).walls
+        if not walls:
+            raise ValueError(
+                "no patch is a wall: name those that move in the option `specifiedSurfaces`, or call setSurfaceDefinition. "
+                f"There are {', '.join(mesh.patches)}."
+            )
+        return walls
+
+    def _define(self, points: np.ndarray, corners: np.ndarray, sizes: np.ndarray, is_own: bool) -> None:
+        definition, grid = Definition.gathered(self.comm, points, corners, sizes), self._grid
+
+        def prepared() -> tuple[jm.SurfaceHalf, Any] | None:
+            if grid.outside is None:
+                return None
+            if not len(definition.points):
+                raise ValueError("the surface has no points: no process defines any.")
+            walls = walls_of(grid.outside, self._options)
+            moving, weights = walls.moving(definition, is_own)
+            half = walls.half(moving, method(self._options), grid.known)
+            ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[moving]
+            order = np.argsort(ids)
+            return half, weights[order[np.searchsorted(ids[order], half.moving)]]
+
+        with doubles():
+            half, weights = self.comm.bcast(together(self.comm, prepared))
+            piece = mpi.attach(self.comm, half, grid.points, grid.nodes)
+        self._surface = Follower(piece, weights, points)
+        self._dXs = np.zeros_like(points)
+
+    def _solver(self) -> SolverOrder:
+        if self._order is None:
+            raise ValueError("the solver's order is not known: call setExternalMeshIndices, or pass solverVec=False.")
+        return self._order
+
+    def _rows(self, name: str, values: Any) -> np.ndarray:
+        shape = self._defined().coordinates.shape
+        return together(self.comm, lambda: _reals(name, values, shape))
+
+    def _volume(self, name: str, values: Any, is_solvers: bool) -> np.ndarray:
+        """Returns values by coordinates in the order of the file."""
+        if not is_solvers:
+            return together(self.comm, lambda: _reals(name, values, (3 * len(self._grid.rows),)))
+        order = self._solver()
+        return order.from_solver(together(self.comm, lambda: _reals(name, values, (order.size,))))
+
+
+def _faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns a definition as arrays."""
+    points = _array("pts", points, float).reshape(-1, 3) if np.size(points) == 0 else _array("pts", points, float)
+    corners, counts = _array("conn", conn, np.int64).ravel(), _array("faceSizes", sizes, np.int64).ravel()
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise ValueError(f"`pts` has shape {points.shape}; expected finite coordinates (k, 3).")
+    if (counts < 3).any() or counts.sum() != len(corners):
+        raise ValueError(
+            f"`faceSizes` adds up to {counts.sum()}, and `conn` has {len(corners)} corners; a face has 3 or more."
+        )
+    if corners.size and (corners.min() < 0 or corners.max() >= len(points)):
+        raise ValueError(
+            f"`conn` goes from {corners.min()} to {corners.max()}; `pts` has points 0 to {len(points) - 1}."
+        )
+    return points, corners, counts
+
+
+def _array(name: str, values: Any, kind: type) -> np.ndarray:
+    """Returns numbers as an array; whole ones may come as floats."""
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"`{name}` must be real numbers, not {values!r}.") from None
+    if kind is not float and not (array == np.floor(array)).all():
+        raise ValueError(f"`{name}` must be whole numbers.")
+    return array.astype(kind)
+
+
+def _reals(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = _array(name, values, float)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"`{name}` has shape {array.shape}; this process has {shape}, of finite numbers.")
+    return array

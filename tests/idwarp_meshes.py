@@ -1,0 +1,114 @@
+"""Grid files for the tests of IDWarp's calls: the unit cube on a floor, structured, unstructured, and as a case of OpenFOAM."""
+
+import pathlib
+
+import cgns
+import foam
+import h5py
+import numpy as np
+
+CELLS = 4
+SIDES = {"floor": (2, 0.0), "lid": (2, 1.0), "sym0": (0, 0.0), "xmax": (0, 1.0), "sym1": (1, 0.0), "ymax": (1, 1.0)}
+"""Patches of the cube: the axis that each is across, and where."""
+
+
+def cube():
+    """Coordinates (5, 5, 5, 3) of the cube's nodes by i, j, k; layers grow from the floor."""
+    x, z = np.linspace(0, 1, CELLS + 1), np.linspace(0, 1, CELLS + 1) ** 1.5
+    return np.stack(np.meshgrid(x, x, z, indexing="ij"), axis=-1)
+
+
+def corners(shape):
+    """Hexahedra between nodes numbered with i fastest."""
+    ids = np.arange(np.prod(shape)).reshape(shape, order="F")
+    steps = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    parts = [ids[tuple(slice(s, n - 1 + s) for s, n in zip(step, shape, strict=True))].ravel() for step in steps]
+    return np.stack(parts, axis=1)
+
+
+def on(points, name):
+    axis, place = SIDES[name]
+    return np.flatnonzero(points[..., axis].ravel() == place) if points.ndim == 2 else points[..., axis] == place
+
+
+CONDITIONS = {"floor": "BCWallViscous", "sym0": "BCSymmetryPlane", "sym1": "BCSymmetryPlane"}
+
+
+def write_structured(path):
+    """Two blocks that meet at x = 1/2; the family of a side is called as the side, and says what it is."""
+    grid = cube()
+    with h5py.File(path, "w", track_order=True) as file:
+        base = cgns.base(file, 3, 3)
+        for side in SIDES:
+            family = cgns.node(base, side, "Family_t")
+            cgns.node(family, "FamilyBC", "FamilyBC_t", CONDITIONS.get(side, "BCFarfield"))
+        for name, part in (("left", grid[:3]), ("right", grid[2:])):
+            zone = cgns.zone(base, name, [part[..., k] for k in range(3)])
+            for side, (axis, place) in SIDES.items():
+                is_on = np.all(part[..., axis] == place, axis=tuple(k for k in range(3) if k != axis))
+                if is_on.any():
+                    low, high = np.ones(3, int), np.array(part.shape[:3])
+                    low[axis] = high[axis] = 1 + np.flatnonzero(is_on)[0]
+                    cgns.condition(zone, f"{side} of {name}", np.stack([low, high], axis=1).T, family=side)
+    return np.concatenate([part.reshape(-1, 3, order="F") for part in (grid[:3], grid[2:])])
+
+
+def write_unstructured(path, names=None):
+    """One zone; `names` call sides otherwise."""
+    grid = cube()
+    points, cells = grid.reshape(-1, 3, order="F"), corners(grid.shape[:3])
+    with h5py.File(path, "w", track_order=True) as file:
+        zone = cgns.zone(cgns.base(file, 3, 3), "zone", list(points.T), cells=len(cells))
+        cgns.elements(zone, "hexahedra", 17, cells + 1, 1, len(cells))
+        for side in SIDES:
+            nodes = on(points, side) + 1
+            cgns.condition(
+                zone, side, nodes[:, None], family=(names or {}).get(side, side), location="Vertex", what="PointList"
+            )
+    return points
+
+
+def write_plot3d(path):
+    grid = cube()
+    numbers = " ".join(map(repr, grid.reshape(-1, 3, order="F").T.ravel().tolist()))
+    pathlib.Path(path).write_text(f"1\n{CELLS + 1} {CELLS + 1} {CELLS + 1}\n{numbers}\n")
+    return grid.reshape(-1, 3, order="F")
+
+
+FACES = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (3, 7, 6, 2), (0, 4, 7, 3), (1, 2, 6, 5)]
+TYPES = {"floor": "wall", "sym0": "symmetryPlane", "sym1": "symmetry"}
+
+
+def write_openfoam(folder, parts=False):
+    """The case whole, and in two parts where `parts` is set."""
+    grid = cube()
+    points = grid.reshape(-1, 3, order="F")
+    cells = [[[int(cell[k]) for k in face] for face in FACES] for cell in corners(grid.shape[:3])]
+    tests = [
+        (
+            name,
+            TYPES.get(name, "patch"),
+            lambda nodes, axis=axis, place=place: bool((points[nodes, axis] == place).all()),
+        )
+        for name, (axis, place) in SIDES.items()
+    ]
+    foam.write_case(folder, points, cells, tests)
+    if parts:
+        owner = [int(points[cell[0], 0].min() >= 0.5) for cell in corners(grid.shape[:3])]
+        foam.write_parts(folder, points, cells, tests, owner)
+    return points
+
+
+FILES = {
+    "structured": ("grid.cgns", "CGNS", write_structured),
+    "unstructured": ("mesh.cgns", "CGNS", write_unstructured),
+    "plot3d": ("grid.xyz", "PLOT3D", write_plot3d),
+    "openfoam": ("case", "OpenFOAM", write_openfoam),
+}
+
+
+def bump(points):
+    """Moves the floor where it is not near its edges, by a shape that is smooth, and symmetric about x = 0 and y = 0."""
+    x, y = points[:, 0], points[:, 1]
+    height = 0.1 * np.cos(np.pi * x / 2) ** 2 * np.cos(np.pi * y / 2) ** 2
+    return points + np.stack([0.05 * x * (1 - x), 0.3 * height * y, height], axis=1)

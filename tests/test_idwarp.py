@@ -1,0 +1,386 @@
+"""IDWarp's calls: what its own tests assert of surfaces, derivatives and processes, on generated meshes."""
+
+import ast
+import os
+import pathlib
+import subprocess
+import sys
+import warnings
+
+import idwarp_meshes as meshes
+import jax
+import numpy as np
+import pytest
+
+import jaxmorph as jm
+from jaxmorph import cases, io
+
+MPI = pytest.importorskip("mpi4py.MPI")
+pytest.importorskip("h5py")
+idwarp = pytest.importorskip("jaxmorph.integrations.idwarp")
+USMesh = idwarp.USMesh
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+PLANES = {
+    1: [[[0, 0, 0], [1, 0, 0]]],
+    2: [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]],
+}
+
+
+@pytest.fixture(scope="module")
+def grids(tmp_path_factory):
+    """The file of each kind, and its nodes in the order of the file."""
+    folder = tmp_path_factory.mktemp("grids")
+    return {kind: (folder / name, write(folder / name)) for kind, (name, _, write) in meshes.FILES.items()}
+
+
+def opened(grids, kind, **options):
+    """The mesh of a file; exact weights by distance, which compile fast, unless `useRotations=None` asks for the default."""
+    walls = {"specifiedSurfaces": ["kmin" if kind == "plot3d" else "Floor"]}
+    settled = {"gridFile": str(grids[kind][0]), "fileType": meshes.FILES[kind][1], "useRotations": False}
+    return USMesh(options=settled | walls | options, comm=MPI.COMM_SELF)
+
+
+def dot_is_equal(mesh, seed=0):
+    """Forward against reverse, in the order of the file and in a solver's own."""
+    random = np.random.default_rng(seed)
+    count = len(mesh.getCommonGrid())
+    mesh.setExternalMeshIndices(random.integers(0, count, 2 * count // 3))
+    tangent = random.normal(size=mesh.getSurfaceCoordinates().shape)
+    for is_solvers in (True, False):
+        change = mesh.warpDerivFwd(tangent, solverVec=is_solvers)
+        cotangent = random.normal(size=change.shape)
+        assert len(change) == (2 * count // 3 if is_solvers else count)
+        mesh.warpDeriv(cotangent, solverVec=is_solvers)
+        scale = np.linalg.norm(change) * np.linalg.norm(cotangent)
+        assert abs(np.vdot(change, cotangent) - np.vdot(tangent, mesh.getdXs())) < 1e-12 * scale
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("kind", meshes.FILES)
+def test_walls_planes_and_derivatives(grids, kind, count, capsys):
+    nodes = grids[kind][1]
+    mesh = opened(grids, kind, symmetryPlanes=PLANES[count])
+    assert np.array_equal(mesh.getCommonGrid(), nodes.ravel())
+    assert np.array_equal(mesh.getWarpGrid(), nodes.ravel())
+    assert mesh.warp.griddata.warpmeshdof == nodes.size
+    surface = mesh.getSurfaceCoordinates()
+    floor = nodes[meshes.on(nodes, "floor")]
+    assert np.array_equal(np.unique(surface, axis=0), np.unique(floor, axis=0))
+    assert len(surface) == len(np.unique(floor, axis=0))
+
+    mesh.setSurfaceCoordinates(meshes.bump(surface))
+    mesh.warpMesh()
+    moved = mesh.getCommonGrid().reshape(-1, 3)
+    wall = meshes.on(nodes, "floor")
+    np.testing.assert_allclose(moved[wall], meshes.bump(nodes[wall]), atol=1e-15)
+    held = np.setdiff1d(np.concatenate([meshes.on(nodes, name) for name in ("lid", "xmax", "ymax")]), wall)
+    assert np.array_equal(moved[held], nodes[held])
+    for name, axis in (("sym0", 0), ("sym1", 1))[:count]:
+        assert np.array_equal(moved[meshes.on(nodes, name), axis], nodes[meshes.on(nodes, name), axis])
+    if count == 1:  # the other side is no plane of symmetry then: it is fixed
+        side = np.setdiff1d(meshes.on(nodes, "sym1"), wall)
+        assert np.array_equal(moved[side], nodes[side])
+    inner = (nodes > 0).all(axis=1) & (nodes < 1).all(axis=1)
+    assert (np.abs(moved - nodes)[inner].max(axis=1) > 1e-4).all()
+    _, copies = np.unique(nodes, axis=0, return_inverse=True)
+    first = np.unique(copies, return_index=True)[1]
+    assert np.array_equal(moved, moved[first][copies.ravel()])
+
+    dot_is_equal(mesh)
+    assert mesh.verifyWarpDeriv(np.linspace(0, 1, nodes.size), solverVec=False, dofStart=0, dofEnd=5) < 1e-7
+    assert capsys.readouterr().out.count("surface coordinate") == 5
+
+
+def test_a_cube_inflates(grids):
+    """IDWarp's case: each coordinate of a closed surface times a number of its own."""
+    mesh = opened(grids, "structured", specifiedSurfaces=list(meshes.SIDES), symmetryPlanes=[], useRotations=None)
+    surface = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(surface * [1.1, 1.2, 1.3])
+    mesh.warpMesh()
+    np.testing.assert_allclose(mesh.getCommonGrid(), (grids["structured"][1] * [1.1, 1.2, 1.3]).ravel(), atol=1e-9)
+
+
+@pytest.mark.parametrize("is_turning", [True, None])
+def test_the_method_is_idwarps_or_the_default(grids, is_turning):
+    """`useRotations` asks for IDWarp's; without it the mesh moves as `prepare` moves it."""
+    options = {"useRotations": is_turning, "symmetryPlanes": PLANES[2]}
+    mesh = opened(grids, "unstructured", **options)
+    surface = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(meshes.bump(surface))
+    mesh.warpMesh()
+    file = io.read(grids["unstructured"][0])
+    method = jm.InverseDistance(rotations=True) if is_turning else None
+    planes = [jm.Plane([1, 0, 0], [0, 0, 0]), jm.Plane([0, 1, 0], [0, 0, 0])]
+    plan = jm.prepare(file, "floor", ["lid", "xmax", "ymax"], method=method, symmetry=planes)
+    expected = jm.deform(plan, meshes.bump(plan.moving_points) - plan.moving_points)
+    np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3), expected, atol=1e-12)
+    dot_is_equal(mesh)
+    assert mesh.verifyWarpDeriv(dofStart=30, dofEnd=33) < 1e-6
+
+
+def faces_of(nodes):
+    """The floor's faces as solvers give them: each with corners of its own, of which many are at one place."""
+    x = np.unique(nodes[:, 0])
+    y = np.unique(nodes[:, 1])
+    turns = ((0, 0), (1, 0), (1, 1), (0, 1))
+    corners = [(x[i + a], y[j + b], 0.0) for i, j in np.ndindex(len(x) - 1, len(y) - 1) for a, b in turns]
+    points = np.array(corners)
+    return points, np.arange(len(points)), np.full(len(points) // 4, 4)
+
+
+def test_a_solvers_own_points_move_the_wall(grids):
+    nodes = grids["unstructured"][1]
+    mesh = opened(grids, "unstructured", symmetryPlanes=PLANES[2], specifiedSurfaces=None)
+    own = opened(grids, "unstructured", symmetryPlanes=PLANES[2])
+    definition = faces_of(nodes)
+    mesh.setSurfaceDefinition(*definition, np.zeros(len(definition[2])))
+    assert np.array_equal(mesh.getSurfaceCoordinates(), definition[0])
+    for each in (mesh, own):
+        each.setSurfaceCoordinates(meshes.bump(each.getSurfaceCoordinates()))
+        each.warpMesh()
+    np.testing.assert_allclose(mesh.getCommonGrid(), own.getCommonGrid(), atol=1e-14)
+    dot_is_equal(mesh)
+    # all points at one place together have the derivative of the node there
+    seed = np.random.default_rng(1).normal(size=nodes.size)
+    for each in (mesh, own):
+        each.warpDeriv(seed, solverVec=False)
+    place = {tuple(point): row for row, point in enumerate(nodes[meshes.on(nodes, "floor")].tolist())}
+    total = np.zeros((len(place), 3))
+    np.add.at(total, [place[tuple(point)] for point in definition[0].tolist()], mesh.getdXs())
+    np.testing.assert_allclose(total, own.getdXs(), atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [3, 8], ids=["coarser", "finer"])
+@pytest.mark.parametrize("has_faces", [True, False])
+def test_points_that_are_no_nodes_move_the_wall_by_a_linear_map(grids, count, has_faces):
+    """A motion that is affine on the surface reaches the wall exactly by faces; a shift does by points alone."""
+    nodes = grids["unstructured"][1]
+    mesh = opened(grids, "unstructured", symmetryPlanes=[])
+    x = np.linspace(0, 1, count)
+    points = np.array([(a, b, 0.0) for a in x for b in x])
+    ids = np.arange(count * count).reshape(count, count)
+    quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], axis=-1).reshape(-1, 4)
+    quads = quads if has_faces else quads[:0]
+    mesh.setSurfaceDefinition(points, quads.ravel(), np.full(len(quads), 4))
+    matrix = np.array([[0.1, 0.2, 0], [-0.1, 0.05, 0], [0.3, -0.2, 0]]) * has_faces
+    motion = lambda places: places + places @ matrix.T + [0.01, 0.02, 0.03]  # noqa: E731
+    mesh.setSurfaceCoordinates(motion(points))
+    mesh.warpMesh()
+    wall = meshes.on(nodes, "floor")
+    np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3)[wall], motion(nodes[wall]), atol=1e-14)
+    dot_is_equal(mesh)
+    assert mesh.verifyWarpDeriv(dofEnd=4) < 1e-7
+
+
+def test_closest_points_of_triangles_are_those_of_a_fine_search():
+    """Oracle: the nearest of many points of each triangle; long triangles among short ones."""
+    from jaxmorph.integrations._definition import Definition
+
+    random = np.random.default_rng(5)
+    points = random.normal(size=(30, 3)) * [5, 1, 0.2]
+    triangles = np.array([random.choice(30, 3, replace=False) for _ in range(25)])
+    surface = Definition(points, triangles)
+    x = random.normal(size=(40, 3)) * [5, 1, 1]
+    weights, away, _ = surface.weights(x)
+    weights = weights.toarray()
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-14)
+    assert weights.min() > -1e-14
+    np.testing.assert_allclose(np.linalg.norm(weights @ points - x, axis=1), away, atol=1e-12)
+    from scipy.spatial import KDTree
+
+    share = random.dirichlet([0.6] * 3, size=20000)
+    places = np.concatenate([share @ points[each] for each in triangles])
+    nearest = KDTree(places).query(x)[0]
+    assert (away <= nearest + 1e-12).all()
+    assert (away >= nearest - 0.1).all()
+
+
+def test_a_definition_from_a_file_of_blocks(grids, tmp_path):
+    x = np.linspace(0, 1, meshes.CELLS + 1)
+    blocks = [np.stack(np.meshgrid(part, x, [0.0], indexing="ij"), axis=-1) for part in (x[:3], x[2:])]
+    text = "2\n" + "".join("{} {} {}\n".format(*block.shape[:3]) for block in blocks)
+    text += "\n".join(" ".join(map(repr, block.reshape(-1, 3, order="F").T.ravel().tolist())) for block in blocks)
+    (tmp_path / "surface.xyz").write_text(text)
+    mesh = opened(grids, "plot3d", symmetryPlanes=[], specifiedSurfaces=None)
+    mesh.setSurfaceDefinitionFromFile(str(tmp_path / "surface.xyz"))
+    surface = mesh.getSurfaceCoordinates()
+    assert np.array_equal(surface, np.concatenate([block.reshape(-1, 3, order="F") for block in blocks]))
+    mesh.setSurfaceCoordinates(surface + np.array([0, 0, 0.1]))
+    mesh.warpMesh()
+    nodes = grids["plot3d"][1]
+    wall = meshes.on(nodes, "floor")
+    np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3)[wall], nodes[wall] + [0, 0, 0.1], atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["openfoam", "structured"])
+def test_walls_and_planes_of_the_file_are_the_default(grids, kind):
+    """Types of OpenFOAM's patches, and of CGNS's families, say what they are."""
+    mesh = opened(grids, kind, specifiedSurfaces=None)
+    nodes = grids[kind][1]
+    floor = nodes[meshes.on(nodes, "floor")]
+    assert np.array_equal(np.unique(mesh.getSurfaceCoordinates(), axis=0), np.unique(floor, axis=0))
+    mesh.setSurfaceCoordinates(meshes.bump(mesh.getSurfaceCoordinates()))
+    mesh.warpMesh()
+    moved = mesh.getCommonGrid().reshape(-1, 3)
+    for name, axis in (("sym0", 0), ("sym1", 1)):
+        rows = meshes.on(nodes, name)
+        assert np.array_equal(moved[rows, axis], nodes[rows, axis])
+        assert np.abs(moved[rows] - nodes[rows]).max() > 0.01
+
+
+def test_nodes_between_overset_grids_are_free(tmp_path):
+    nodes = meshes.write_unstructured(tmp_path / "mesh.cgns", {"xmax": "Overset_outer", "floor": "wing_wall"})
+    mesh = USMesh({"gridFile": str(tmp_path / "mesh.cgns"), "useRotations": False}, MPI.COMM_SELF)
+    surface = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(surface + 0.1 * surface[:, 1:2] * np.array([0, 0, 1]))
+    mesh.warpMesh()
+    change = mesh.getCommonGrid().reshape(-1, 3) - nodes
+    others = np.concatenate([meshes.on(nodes, name) for name in ("lid", "ymax", "floor", "sym1")])
+    assert (change[np.setdiff1d(meshes.on(nodes, "xmax"), others), 2] > 1e-3).all()
+    assert not change[np.setdiff1d(meshes.on(nodes, "ymax"), meshes.on(nodes, "floor"))].any()
+
+
+def test_planes_hold_nodes_within_symmtol(grids):
+    planes = [[[3e-5, 0, 0], [1, 0, 0]]]
+    with pytest.raises(ValueError, match="holds no node"):
+        opened(grids, "unstructured", symmetryPlanes=planes).getSurfaceCoordinates()
+    mesh = opened(grids, "unstructured", symmetryPlanes=planes, symmTol=1e-4)
+    assert len(mesh.getSurfaceCoordinates()) == (meshes.CELLS + 1) ** 2
+
+
+@pytest.mark.parametrize("kind", meshes.FILES)
+def test_grids_are_written(grids, kind, tmp_path):
+    path, nodes = grids[kind]
+    mesh = opened(grids, kind, symmetryPlanes=PLANES[2])
+    mesh.setSurfaceCoordinates(meshes.bump(mesh.getSurfaceCoordinates()))
+    mesh.warpMesh()
+    written = tmp_path / path.name
+    mesh.writeGrid(str(written))
+    new, old = io.read(written), io.read(path)
+    assert np.array_equal(new.in_file_order(new.points).ravel(), mesh.getCommonGrid())
+    assert np.array_equal(old.in_file_order(old.points), nodes)
+    for name in (str(path), None):
+        with pytest.raises(ValueError, match=r"fileName|was read from|exists"):
+            mesh.writeGrid(name)
+
+
+def test_numbers_are_doubles_whatever_the_mode_is(grids):
+    with jax.enable_x64(False):
+        mesh = opened(grids, "structured", symmetryPlanes=PLANES[1])
+        mesh.setSurfaceCoordinates(meshes.bump(mesh.getSurfaceCoordinates()))
+        mesh.warpMesh()
+        dot_is_equal(mesh)
+        assert jax.numpy.ones(1).dtype == np.float32
+    assert mesh.getCommonGrid().dtype == np.float64
+
+
+def test_options_without_a_counterpart_are_named_once(grids):
+    options = {"gridFile": str(grids["structured"][0]), "ldefFact": 2.0, "errTol": 1e-3, "aExp": 3.0, "symmTol": 1e-6}
+    with pytest.warns(UserWarning, match="aExp, LdefFact, errTol") as told:
+        USMesh(options=options, comm=MPI.COMM_SELF)
+    assert len(told) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        USMesh(options={"gridFile": options["gridFile"], "aExp": 3.0, "useRotations": True}, comm=MPI.COMM_SELF)
+
+
+def test_nonsense_is_refused_by_name(grids, tmp_path):
+    good = {"gridFile": str(grids["structured"][0]), "specifiedSurfaces": ["floor"], "useRotations": False}
+    for wrong, name in (
+        ({"nonsense": 1}, "nonsense"),
+        ({"gridFile": None}, "gridFile"),
+        ({"fileType": "SU2"}, "fileType"),
+        ({"symmTol": "small"}, "symmTol"),
+        ({"useRotations": 1}, "useRotations"),
+        ({"specifiedSurfaces": [3]}, "specifiedSurfaces"),
+        ({"specifiedSurfaces": ["roof"]}, "specifiedSurfaces.*roof.*floor"),
+        ({"symmetrySurfaces": ["roof"]}, "symmetrySurfaces.*roof"),
+        ({"symmetryPlanes": [[0, 0, 0]]}, "symmetryPlanes"),
+        (
+            {"specifiedSurfaces": None, "gridFile": str(grids["unstructured"][0])},
+            "no patch is a wall.*specifiedSurfaces",
+        ),
+    ):
+        with pytest.raises(ValueError, match=name):
+            USMesh(options=good | wrong, comm=MPI.COMM_SELF).getSurfaceCoordinates()
+    with pytest.raises(ValueError, match="options"):
+        USMesh(comm=MPI.COMM_SELF)
+    with pytest.raises(ValueError, match="comm"):
+        USMesh(options=good, comm="world")
+    flat = tmp_path / "flat.su2"
+    io.write(flat, cases.naca0015(points=300))
+    with pytest.raises(ValueError, match="2-D"):
+        USMesh(options=good | {"gridFile": str(flat)}, comm=MPI.COMM_SELF)
+
+    mesh = USMesh(options=good, comm=MPI.COMM_SELF)
+    points, conn, sizes = faces_of(grids["structured"][1])
+    for wrong, name in (
+        ((points[:, :2], conn, sizes), "pts"),
+        ((points, conn + 1, sizes), "conn"),
+        ((points, conn, sizes + 1), "faceSizes"),
+        ((points, conn * 0.5, sizes), "conn"),
+        ((points + 50, conn, sizes), "no patch of the mesh lies on the surface"),
+        ((points[:0], conn[:0], sizes[:0]), "no points"),
+    ):
+        with pytest.raises(ValueError, match=name):
+            mesh.setSurfaceDefinition(*wrong)
+    count = len(mesh.getCommonGrid())
+    for call, name in (
+        (lambda: mesh.setSurfaceCoordinates(np.zeros((3, 3))), "coordinates"),
+        (lambda: mesh.setSurfaceCoordinates(mesh.getSurfaceCoordinates() * np.nan), "coordinates"),
+        (lambda: mesh.getSolverGrid(), "setExternalMeshIndices"),
+        (lambda: mesh.setExternalMeshIndices([count]), "indices"),
+        (lambda: mesh.setExternalMeshIndices([0.5]), "indices"),
+        (lambda: mesh.warpDeriv(np.zeros(4), solverVec=False), "dXv"),
+        (lambda: mesh.warpDerivFwd(np.zeros((2, 3)), solverVec=False), "dXs"),
+        (lambda: mesh.setSurfaceDefinitionFromFile(str(grids["plot3d"][0])), "surface in 3-D"),
+    ):
+        with pytest.raises(ValueError, match=name):
+            call()
+
+
+def test_the_adapter_stands_on_public_names():
+    """What it imports of the package outside of `integrations` has no private part."""
+    room = ROOT / "jaxmorph" / "integrations"
+    files = [
+        room / f"{name}.py" for name in ("idwarp", "_definition", "_follower", "_grid", "_idwarp_options", "_walls")
+    ]
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and not node.level:
+                names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
+                assert "jaxmorph" not in names[:1] or not any(name.startswith("_") for name in names), file
+            if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__"):
+                assert ast.unparse(node.value) in ("self", "Grid"), (file, node.attr)
+
+
+def test_the_extra_says_what_else_it_needs():
+    """mpi4py without an MPI library is no ImportError of its own."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MPI4PY_LIBMPI": "/nowhere/libmpi.so"}
+    code = "import jaxmorph.integrations.idwarp"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    if done.returncode == 0:
+        pytest.skip("this mpi4py is built for one MPI library")
+    assert "ImportError: pieces over MPI need mpi4py and an MPI library: pip install" in done.stderr
+
+
+@pytest.mark.slow
+def test_two_processes_have_what_one_has(grids, tmp_path):
+    command = pathlib.Path(sys.executable).with_name("mpiexec")
+    if not command.exists():
+        pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
+    meshes.write_openfoam(tmp_path / "case", parts=True)
+    meshes.write_structured(tmp_path / "grid.cgns")
+    for count in (1, 2):
+        run = [str(command), "-n", str(count), sys.executable, str(ROOT / "tests" / "mpi_idwarp.py"), str(tmp_path)]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+        done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=600, check=False)
+        assert done.returncode == 0, done.stderr
+    for kind in ("structured", "openfoam"):
+        one, two = (np.load(tmp_path / f"{kind}-{count}.npz") for count in (1, 2))
+        assert set(one) == set(two) == {"grid", "solver", "dXs", "change"}
+        for name in one:
+            np.testing.assert_allclose(two[name], one[name], rtol=0, atol=1e-10 * np.abs(one[name]).max(), err_msg=name)
+    old, new = io.Decomposed(tmp_path / "case"), io.Decomposed(tmp_path / "moved")
+    assert len(old) == len(new) == 2
+    assert np.abs(np.asarray(new.read(1).points) - np.asarray(old.read(1).points)).max() > 0.01
