@@ -12,8 +12,8 @@ from scipy.sparse.linalg import spsolve
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._host.cells.elements import quadrature
-from jaxmorph._host.linear import factors as linear
-from jaxmorph._host.linear import multigrid
+from jaxmorph._host.linear import multigrid, solves
+from jaxmorph._host.linear import systems as linear
 from jaxmorph._methods.cells.stiffness import gradients
 
 UNIFORM = jm.LinearElasticity(jm.ByVolume(0.0))
@@ -143,7 +143,7 @@ def test_multigrid_agrees_with_the_factors(monkeypatch):
     boundary = hull(mesh.points)
     u, w = 0.1 * rng.normal(size=(len(boundary), 3)), rng.normal(size=mesh.points.shape)
     for direct in (10**6, 10):
-        monkeypatch.setattr(linear, "DIRECT", direct)
+        monkeypatch.setattr(solves, "DIRECT", direct)
         linear._kept.clear()
         for method in (jm.LinearElasticity(), jm.Laplacian()):
             plan = jm.prepare(mesh, boundary, method=method)
@@ -198,7 +198,7 @@ def test_wrong_uses_are_told():
 
 def test_a_missing_solver_is_told(monkeypatch):
     mesh = cases.bricks("tetra", cells=3)
-    monkeypatch.setattr(linear, "DIRECT", 10)
+    monkeypatch.setattr(solves, "DIRECT", 10)
     monkeypatch.setattr(linear, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"24 unknowns in 3-D .* pip install 'jaxmorph\[solvers\]'"):
         jm.prepare(mesh, hull(mesh.points), method=jm.LinearElasticity())
@@ -206,8 +206,8 @@ def test_a_missing_solver_is_told(monkeypatch):
 
 def test_a_solve_that_does_not_converge_is_factored_or_no_answer(monkeypatch):
     pytest.importorskip("pyamg")
-    monkeypatch.setattr(linear, "DIRECT", 0)
-    monkeypatch.setattr(multigrid, "LIMIT", 1)
+    monkeypatch.setattr(solves, "DIRECT", 0)
+    monkeypatch.setattr(linear, "LIMIT", 1)
     rng = np.random.default_rng(0)
     pairs, values = np.array([[0, 1], [1, 2]]), rng.normal(size=(2, 3, 3))
     right, free = rng.normal(size=(3, 3)), np.ones((3, 3), bool)
@@ -250,14 +250,14 @@ def test_thin_layers_of_hexahedra_take_few_steps(monkeypatch):
     root = np.sqrt(matrix.diagonal())
     scaled = (sparse.diags(1 / root) @ matrix @ sparse.diags(1 / root)).tocsr()
     right = np.random.default_rng(0).normal(size=len(root))
-    monkeypatch.setattr(multigrid, "LIMIT", 25)
-    x = multigrid.conjugate_gradients(scaled, right, multigrid.hierarchy(scaled, root), 1 / root)
+    monkeypatch.setattr(linear, "LIMIT", 25)
+    x = linear.iterated(scaled, right, multigrid.hierarchy(scaled, root), 1 / root)
     np.testing.assert_allclose(scaled @ x, right, rtol=0, atol=1e-7)
 
 
 def test_a_right_side_that_is_not_finite_changes_no_later_solve(monkeypatch):
     pytest.importorskip("pyamg")
-    monkeypatch.setattr(linear, "DIRECT", 0)
+    monkeypatch.setattr(solves, "DIRECT", 0)
     rng = np.random.default_rng(0)
     pairs, right = np.stack([np.arange(19), np.arange(1, 20)], axis=1), rng.normal(size=(20, 3))
     system = pairs, -np.ones(19), np.full(20, 2.01), np.zeros(0), np.ones((20, 3), bool)
@@ -278,8 +278,8 @@ def test_a_dense_system_is_solved_without_multigrid(monkeypatch):
     apart = np.linalg.norm(points[:, None] - points[None], axis=2) / 1.2
     matrix = np.maximum(1 - apart, 0) ** 4 * (4 * apart + 1)  # Wendland's C2 on a sphere
     right = np.sin(3 * points[:, 0])
-    monkeypatch.setattr(multigrid, "LIMIT", 120)  # 240 without a cycle
-    x = multigrid.conjugate_gradients(matrix, right, None, np.ones(1000))
+    monkeypatch.setattr(linear, "LIMIT", 120)  # 240 without a cycle
+    x = linear.iterated(matrix, right, None, np.ones(1000))
     np.testing.assert_allclose(matrix @ x, right, rtol=0, atol=1e-8)
 
 
@@ -294,7 +294,7 @@ def test_thin_layers_of_soft_and_stiff_cells_are_solved_as_by_factors(method, mo
     mesh = jm.Mesh(points, mesh.cells, {"floor": np.flatnonzero(points[:, 2] == 0)})
     u, moved = 0.1 * np.random.default_rng(0).normal(size=(81, 3)), []
     for direct in (10**6, 10):
-        monkeypatch.setattr(linear, "DIRECT", direct)
+        monkeypatch.setattr(solves, "DIRECT", direct)
         linear._kept.clear()
         fixed = np.setdiff1d(hull(points), mesh.patch("floor"))
         moved.append(np.asarray(jm.deform(jm.prepare(mesh, "floor", fixed, method=method), u)))
@@ -421,7 +421,7 @@ def test_systems_of_pairs_against_dense_matrices(what, monkeypatch):
     n, d = 9, 3 if what == "multigrid" else 2
     if what == "multigrid":
         pytest.importorskip("pyamg")
-        monkeypatch.setattr(linear, "DIRECT", 0)
+        monkeypatch.setattr(solves, "DIRECT", 0)
     rng, pairs = np.random.default_rng(0), np.stack(np.triu_indices(n, 1), axis=1)
     block = (d, d) if what in ("blocks", "multigrid") else ()
     values = rng.normal(size=(len(pairs), *block))

@@ -195,7 +195,8 @@ def test_camber_asks_for_the_cells_and_half_a_turn_for_a_rigid_blend(problem, mo
     first, second = (jm.choose(mesh, moving, fixed, u[None], leaves=(8,)) for u in (camber, turn))
     rows = {row["method"]: row for row in first.table}
     assert first.method.needs_cells
-    assert first.table[first.chosen]["angle"] < rows["fitted"]["angle"] - 1 < rows["thin plate"]["angle"]
+    within = min(row["angle"] for row in first.table) + 1
+    assert first.table[first.chosen]["angle"] <= within < rows["fitted"]["angle"] < rows["thin plate"]["angle"]
     assert rows["elasticity"]["angle"] < rows["graph"]["angle"]
     assert all(row["seconds"] > 0 for row in first.table)
     chosen = second.table[second.chosen]

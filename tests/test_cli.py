@@ -98,12 +98,23 @@ def test_the_wall_and_the_overshoot_stand_in_the_table(here, capsys):
     assert max(map(len, text.split("\n"))) <= 80
 
 
-@pytest.mark.parametrize("name", ["elasticity", pytest.param("inverse-distance", marks=pytest.mark.slow)])
+BY_NAME = {
+    "elasticity": jm.LinearElasticity(),
+    "rigid": jm.SurfaceReconstruction(jm.RigidBlend(0.5, 4.0), jm.NearWall()),
+    "inverse-distance": jm.InverseDistance(),
+    "turning": jm.InverseDistance(rotations=True),
+    "multiscale": jm.Multiscale.whole(4.0, 0.1),
+}
+"""Methods for the ring, whose wall has the radius 1 and the far field 5."""
+
+
+@pytest.mark.parametrize(
+    "name", [name if name == "rigid" else pytest.param(name, marks=pytest.mark.slow) for name in BY_NAME]
+)
 def test_methods_by_name(here, name):
     assert deform("by_name.su2", "--rotate", "20", "--method", name) == 0
     before, after = io.read("ring.su2"), io.read("by_name.su2")
-    method = {"elasticity": jm.LinearElasticity(), "inverse-distance": jm.InverseDistance()}[name]
-    plan = jm.prepare(before, "wall", "far", method=method)
+    plan = jm.prepare(before, "wall", "far", method=BY_NAME[name])
     expected = jm.deform(plan, (after.points - before.points)[plan.moving])
     np.testing.assert_allclose(after.points, expected, rtol=0, atol=1e-12)
 

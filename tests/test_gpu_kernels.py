@@ -138,6 +138,20 @@ def test_an_exported_program_has_loops():
     assert "stablehlo.while" in exported or "stablehlo.reduce" in exported
 
 
+def test_a_version_of_jax_without_the_instructions_has_loops(monkeypatch):
+    """Where Pallas has other names, sums are made by loops, and a warning tells why."""
+    monkeypatch.delattr(pallas.triton, "elementwise_inline_asm")
+    monkeypatch.setattr(fused, "has_kernels", lambda: True)
+    spline, gaussian = (fused.Radial(basis, jnp.ones(())) for basis in (jm.ThinPlateSpline(), jm.Gaussian(0.5)))
+    assert not fused.is_fused(spline, jnp.dtype("float64"))
+    shapes = [jax.ShapeDtypeStruct(shape, "float64") for shape in [(9, 3), (9, 3), (2000, 3)]]
+    program = jax.jit(lambda sources, weights, points: fused.fused(gaussian, sources, weights, points)).trace(*shapes)
+    with pytest.warns(UserWarning, match="loops take its place: AttributeError"):
+        text = program.lower(lowering_platforms=("cuda",)).as_text()
+    assert "gpu.triton" not in text
+    assert "stablehlo.while" in text or "stablehlo.reduce" in text
+
+
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_every_basis_can_be_in_a_kernel(dtype):
     bases = [each(0.7) for each in (jm.WendlandC4, jm.CompactC2a, jm.InverseMultiquadric)]

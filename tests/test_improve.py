@@ -14,8 +14,8 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._boundary.closest import Flat, Track
 from jaxmorph._boundary.periodic import Pairing
+from jaxmorph._host.linear.hessians import pattern, solve
 from jaxmorph._improve.improve import _kept, _prepared
-from jaxmorph._improve.systems import pattern, solve
 from jaxmorph._improve.ways import Ways
 from jaxmorph._kernels.values import as_jax
 from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target

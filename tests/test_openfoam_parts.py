@@ -106,12 +106,12 @@ def test_summaries_of_parts_add_up_to_the_whole(divided):
     points = whole.points + 0.4 * np.random.default_rng(3).normal(size=whole.points.shape)
     limits = {"max_face_aspect_ratio": 2.0}
     undeformed = Judged(whole, whole.points)
-    expected = Summary.of(Judged(whole, points, undeformed), limits)
+    expected = Summary.from_judged(Judged(whole, points, undeformed), limits)
     parts = []
     for k in range(2):
         part = case.read(k)
         moved = points[io.global_nodes(part)]
-        parts.append(Summary.of(Judged(part, moved, Judged(part, part.points)), limits, k))
+        parts.append(Summary.from_judged(Judged(part, moved, Judged(part, part.points)), limits, k))
     found = Summary.together(parts)
     assert (found.cells, found.inverted, found.spoilt) == (expected.cells, expected.inverted, expected.spoilt)
     assert 0 < found.inverted < 12

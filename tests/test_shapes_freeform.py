@@ -1,5 +1,6 @@
 """Free-form deformation against SciPy's B-splines and Bernstein polynomials."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -170,6 +171,26 @@ def test_many_points_are_summed_in_blocks(name):
     np.testing.assert_allclose(several[1], operator(other), atol=1e-13)
     squares = jax.jvp(jax.grad(lambda c: jnp.sum(operator(c) ** 2)), (control,), (other,))[1]
     np.testing.assert_allclose(squares, 2 * jax.linear_transpose(operator, control)(operator(other))[0], atol=1e-11)
+
+
+def test_sums_in_blocks_have_derivatives_in_their_weights():
+    """Linear in the outer weights: forward the sums with other weights, and reverse the transpose of that."""
+    rng, x, control = (
+        np.random.default_rng(5),
+        cloud(2, 1500),
+        jnp.asarray(np.random.default_rng(6).normal(size=(12, 2))),
+    )
+    blocks = shapes.FreeForm.around(x, (4, 3), margin=0.1).at(x).weights
+    other = jnp.asarray(rng.normal(size=blocks.outer.shape))
+
+    def summed(outer):
+        return eqx.tree_at(lambda blocks: blocks.outer, blocks, outer).sums(control)
+
+    cotangent = rng.normal(size=x.shape)
+    _, change = jax.jvp(summed, (blocks.outer,), (other,))
+    np.testing.assert_allclose(change, summed(other), atol=1e-12)
+    back = jax.vjp(summed, blocks.outer)[1](jnp.asarray(cotangent))[0]
+    np.testing.assert_allclose(np.vdot(change, cotangent), np.vdot(other, back), rtol=1e-11)
 
 
 @pytest.mark.parametrize("d", [2, pytest.param(3, marks=pytest.mark.slow)])

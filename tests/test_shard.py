@@ -13,7 +13,7 @@ import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_enable_x64", True)
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.linear import factors as linear
+from jaxmorph._host.linear import systems as linear
 
 mesh, found = cases.naca0015(points=2000), {}
 rng = np.random.default_rng(0)

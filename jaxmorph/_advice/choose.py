@@ -103,10 +103,10 @@ def choose(
     `error` and `rounding` (see `Choice`). It is found by optimistix's golden section search, between a fifth of the moving nodes'
     extent and ten times it.
 
-    The choice is among the rows that invert fewest cells and keep 80 % of the best smallest Jacobian ratio. The first of them
-    is chosen whose first grid lines are within a degree of the best row's angle to the wall. Rows stand in the order of the
-    table: radial functions by their number of sources, then fitted ones, then the other methods. Fields that interpolate and
-    miss the surface by more than `tolerance` are left out, unless no other row inverts as few cells.
+    Of the rows that invert fewest cells and keep 80 % of the best Jacobian ratio, the first is chosen whose angle is within a
+    degree of the best. Rows stand in the order of the table: radial functions by their number of leaves, then fitted ones, then
+    the other methods. Fields that interpolate and miss the surface by more than
+    `tolerance` are left out, unless no other row inverts as few cells.
 
     The other methods are, in this order: `DelaunayGraph`, `Multiscale.whole`, `Biharmonic`, `LinearElasticity`,
     `TorsionalSprings`, `InverseDistance(rotations=True)` and `RigidBlend`, corrected by `NearWall`. The last two are not linear

@@ -52,13 +52,13 @@ class Entry:
 
     def make(self, wall: Lengths) -> "AbstractMethod":
         """Makes the method for the lengths of a boundary. Its module is imported now, not before."""
-        method = _found(self.path)(*self.numbers(wall), **self.options)
+        method = _constructor(self.path)(*self.numbers(wall), **self.options)
         if self.is_coarse:
-            return _found("reconstruction.SurfaceReconstruction")(method, _found("nearwall.NearWall")())
+            return _constructor("reconstruction.SurfaceReconstruction")(method, _constructor("nearwall.NearWall")())
         return method
 
 
-def _found(path: str) -> Any:
+def _constructor(path: str) -> Any:
     """Imports the module whose name comes before the first capital letter, and finds the rest in it."""
     words = path.split(".")
     first = next(k for k, word in enumerate(words) if word[0].isupper())

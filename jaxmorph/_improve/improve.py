@@ -19,6 +19,7 @@ from .._boundary.slide import Slide, check_repeated, tracks_of
 from .._boundary.symmetry import Plane
 from .._host.cells.adjacency import neighbours
 from .._host.cells.topology import FACES, solid
+from .._host.linear.hessians import pattern
 from .._host.package.arguments import between, checked, whole
 from .._host.package.errors import MeshError
 from .._kernels.compile import compiled
@@ -31,7 +32,6 @@ from .._quality.distortion import node_scales, target
 from .._quality.quality import quality
 from .._quality.vector import corners
 from .newton import Distortion, HessianSolver, ProjectedNewton
-from .systems import pattern
 from .ways import Ways
 
 QUARTER = 0.05

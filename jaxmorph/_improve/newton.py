@@ -12,12 +12,12 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Integer
 
 from .._host.cells.topology import CORNERS, DIMENSION
+from .._host.linear.hessians import Pattern, solve, solve_exactly
 from .._kernels.callback import host_call
 from .._quality import measures
 from .._quality.distortion import Target, energy, energy_of_cells, samples
 from .._quality.vector import Vector, corners
 from .hessian import blocks
-from .systems import Pattern, solve, solve_exactly
 from .ways import Ways
 
 SHIFT = 1e-12
@@ -145,7 +145,7 @@ def _shares(kind: str) -> Float[Array, "s c e"]:
 
 
 def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Calls a `solver` of `systems` on the host, for a Hessian and a right side."""
+    """Calls a `solver` of `hessians` on the host, for a Hessian and a right side."""
     structure = jax.ShapeDtypeStruct(right.shape, right.dtype)
     return host_call(solver, structure, *pattern, blocks, shift, right)
 

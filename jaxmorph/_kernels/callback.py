@@ -14,6 +14,7 @@ from jaxtyping import Array
 # `jax.pure_callback` makes arrays of JAX of its arguments. XLA copies those above 100 KiB on a pool of a thread for each core, that
 # also waits for programs: on one core the copy waits for the program that waits for it. This primitive hands on what XLA gives,
 # complete NumPy arrays. So does `jax.experimental.buffer_callback`, but not on a GPU, and on each of several devices anew.
+# `jax.interpreters.mlir` is public, but may change between versions of JAX.
 
 
 def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *arguments: Any) -> Array:
@@ -63,8 +64,10 @@ def _sharding(context: Any) -> Any:
     layout = context.module_context.axis_context
     if isinstance(layout, mlir.ShardingContext) and layout.num_devices == 1:
         return None
-    from jax._src.callback import _callback_op_sharding  # a private name, for such programs alone
-
+    try:  # a private name, for such programs alone
+        from jax._src.callback import _callback_op_sharding
+    except ImportError:  # XLA then lays it out itself: each device makes the call
+        return None
     return _callback_op_sharding(layout, None, context.avals_out)
 
 

@@ -56,10 +56,10 @@ ELEMENTWISE = {
     *("and", "eq", "ge", "gt", "le", "lt", "ne", "not", "or", "select_n"),
     *("bitcast_convert_type", "broadcast_in_dim", "convert_element_type", "shift_left", "shift_right_logical"),
 }
-"""Operations that a kernel may have."""
+"""Operations that a kernel may have. Their names are JAX's own, not promised: what has another name is left to loops."""
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "closed_call": "call_jaxpr"}
-"""Operations that hold others, and where."""
+"""Operations that hold others, and where. These names are not promised either: a function with others is left to loops."""
 
 _is_in_kernel = contextvars.ContextVar("_is_in_kernel", default=False)
 
@@ -88,8 +88,11 @@ def has_kernels() -> bool:
 
 def is_elementwise(phi: Callable, dtype: Any) -> bool:
     """Tells whether a function of one array has nothing but operations that a kernel may have."""
-    with _in_kernel():
-        closed = jax.make_jaxpr(phi)(jax.ShapeDtypeStruct((BLOCK,), dtype))
+    try:
+        with _in_kernel():
+            closed = jax.make_jaxpr(phi)(jax.ShapeDtypeStruct((BLOCK,), dtype))
+    except (ImportError, AttributeError):  # Pallas is experimental: it may give its instructions another name
+        return False
     return not any(jnp.ndim(const) for const in closed.consts) and _allowed(closed.jaxpr)
 
 
@@ -253,6 +256,7 @@ def rough_reciprocal(x: Float[Array, "*b"]) -> Float[Array, "*b"]:
 
 _KINDS = {"float64": ("f64", "d"), "float32": ("f32", "f")}
 _INLINE = "elementwise_inline_asm_p"
+"""The name that Pallas, which is experimental, gives its instructions. Under another one logarithms are left to loops."""
 
 
 def _inline(code: str, constraints: str, *arrays: Array) -> Array:

@@ -1,22 +1,19 @@
 """Points that follow a few surface nodes each: a sparse operator, with its transpose as fast as itself.
 
-XLA transposes a gather into a scatter, which is many times slower on a CPU. Two linear primitives that are each other's
-transposes avoid that; being primitives they keep forward and reverse derivatives of any order, and batching.
+XLA transposes a gather into a scatter, which is many times slower on a CPU. A linear primitive in two forms, each the
+transpose of the other, avoids that.
 """
 
-import functools
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import ShapedArray  # pyright: ignore[reportAttributeAccessIssue]
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._host.linear.transpose import tabulate
+from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
 from .base import AbstractField, AbstractRows
 from .placing import AbstractPlacing
@@ -139,53 +136,9 @@ def _rows(values: Float[Array, "b c"], ids: Int[Array, " n"]) -> Float[Array, "n
     return values.at[ids].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
-_sum_p = Primitive("jaxmorph_sparse_sum")
-_sum_p.def_impl(jax.jit(_sum, static_argnames=("turned", "count")))
-mlir.register_lowering(_sum_p, mlir.lower_fun(_sum, multiple_results=False))
-
-
-@_sum_p.def_abstract_eval
-def _(values, weights, sorted_weights, nodes, entries, owner, *, turned, count):
-    return ShapedArray((count if turned else weights.shape[0], values.shape[1]), values.dtype)
-
-
-def _jvp(primals, tangents, **params):
-    values, weights, sorted_weights, *ids = primals
-    values_dot, weights_dot, sorted_dot = tangents[:3]
-    out = _sum_p.bind(*primals, **params)
-    parts = []
-    if not isinstance(values_dot, ad.Zero):
-        parts.append(_sum_p.bind(values_dot, weights, sorted_weights, *ids, **params))
-    if not (isinstance(weights_dot, ad.Zero) and isinstance(sorted_dot, ad.Zero)):
-        dots = ad.instantiate_zeros(weights_dot), ad.instantiate_zeros(sorted_dot)
-        parts.append(_sum_p.bind(values, *dots, *ids, **params))
-    return out, sum(parts) if parts else jnp.zeros_like(out)
-
-
-def _transpose(cotangent, values, weights, sorted_weights, nodes, entries, owner, *, turned, count):
-    if isinstance(cotangent, ad.Zero):
-        return (None,) * 6
-    if ad.is_undefined_primal(values):
-        ids = (nodes, entries, owner)
-        back = _sum_p.bind(cotangent, weights, sorted_weights, *ids, turned=not turned, count=count)
-        return back, None, None, None, None, None
-    if turned:
-        columns = [values[entries[:, i] // nodes.shape[1]] * cotangent[owner] for i in range(entries.shape[1])]
-        of_sorted = jnp.where(entries < 0, 0, jnp.stack([column.sum(axis=1) for column in columns], axis=1))
-        return None, ad.Zero(weights.aval), of_sorted, None, None, None
-    columns = [jnp.sum(cotangent * values[nodes[:, i]], axis=1) for i in range(nodes.shape[1])]
-    return None, jnp.stack(columns, axis=1), ad.Zero(sorted_weights.aval), None, None, None
-
-
-def _batch(arguments, axes, **params):
-    values, *others = arguments
-    if all(axis is None for axis in axes[1:]):
-        batched = jnp.moveaxis(values, axes[0], 1)  # more columns for the same rows
-        out = _sum_p.bind(batched.reshape(len(batched), -1), *others, **params)
-        return out.reshape(len(out), *batched.shape[1:]), 1
-    return jax.vmap(functools.partial(_sum, **params), tuple(axes))(*arguments), 0
-
-
-ad.primitive_jvps[_sum_p] = _jvp
-ad.primitive_transposes[_sum_p] = _transpose
-batching.primitive_batchers[_sum_p] = _batch
+_sum_p = linear_primitive(
+    "jaxmorph_sparse_sum",
+    _sum,
+    rows=lambda weights, *_, turned, count: count if turned else weights.shape[0],
+    turned=lambda *others, turned, count: (others, {"turned": not turned, "count": count}),
+)

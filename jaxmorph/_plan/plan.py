@@ -15,7 +15,7 @@ from .._boundary.periodic import Pairing
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._kernels.values import as_jax, is_known, on_host, taken
+from .._kernels.values import is_known
 from .._methods import placing
 from .._methods.base import AbstractMethod, Located
 from .._methods.blocks import (
@@ -131,17 +131,17 @@ class Plan(Module):
     @property
     def moving(self) -> Int[Array, " m"]:
         """Node ids of the moving nodes; row i of a displacement moves node `moving[i]`."""
-        return taken(self.surface.nodes, slice(self.n_moving))
+        return self.surface.nodes[: self.n_moving]
 
     @property
     def fixed(self) -> Int[Array, " f"]:
         """Node ids of the fixed nodes, those that also move left out."""
-        return taken(self.surface.nodes, slice(self.n_moving, len(self.surface.nodes) - self.n_guided))
+        return self.surface.nodes[self.n_moving : len(self.surface.nodes) - self.n_guided]
 
     @property
     def guided(self) -> Int[Array, " g"]:
         """Node ids of those that follow along a boundary: of sliding and periodic patches, and of parallel symmetry planes."""
-        return taken(self.surface.nodes, slice(len(self.surface.nodes) - self.n_guided, None))
+        return self.surface.nodes[len(self.surface.nodes) - self.n_guided :]
 
     @property
     def is_linear(self) -> bool:
@@ -181,7 +181,7 @@ class Plan(Module):
     def surface_points(self) -> Float[Array, "o d"]:
         """Base coordinates of `surface_nodes`, those of other pieces included."""
         if not self.is_piece:
-            return taken(self.points, self.surface.nodes)
+            return self.points[self.surface.nodes]
         if self.images is None:
             return self.surface.points
         rows = jnp.zeros((len(self.surface.nodes), self.points.shape[1]), self.points.dtype)
@@ -190,7 +190,7 @@ class Plan(Module):
     @property
     def moving_points(self) -> Float[Array, "m d"]:
         """Base coordinates of `moving`, in a piece those of nodes of other pieces too."""
-        return taken(self.surface_points, slice(self.n_moving))
+        return self.surface_points[: self.n_moving]
 
     def check_surface(self, call: str) -> None:
         """Raises `ValueError`, on the host, for a piece that lacks nodes of the surface."""
@@ -359,8 +359,6 @@ def _of_surface(plan: Plan, u: Any) -> Float[Array, "o d"]:
     if u.shape != (m, d):
         raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.")
     rest = len(plan.surface.nodes) - m
-    if on_host(u):
-        return as_jax(np.pad(np.asarray(u).astype(plan.points.dtype), ((0, rest), (0, 0))))
     return jnp.zeros((m + rest, d), plan.points.dtype).at[:m].set(u.astype(plan.points.dtype))
 
 

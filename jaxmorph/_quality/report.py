@@ -64,7 +64,7 @@ def table_of(report: Report, heading: str, names: tuple[str, ...]) -> str:
     lines = [heading, f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"]
     for name in names:
         cell = report.worst(1, by=name)[0]
-        numbers = "".join(f"{float(of(name)):>10.3g}" for of in (report.min, report.mean, report.max))
+        numbers = "".join(f"{float(value(name)):>10.3g}" for value in (report.min, report.mean, report.max))
         lines.append(f"{name:<17}{numbers}  {cell:<8}{place_of(report, cell)}")
     return "\n".join(lines)
 

@@ -70,7 +70,7 @@ class Attempt:
     def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, Summary, list[str]]:
         """Judges the moved mesh, sums it up, and says one sentence for each fault."""
         judged = Judged(self.patches.mesh, points, self.undeformed)
-        after = Summary.of(judged, self.request.gates.limits)
+        after = Summary.from_judged(judged, self.request.gates.limits)
         return judged, after, faults(self.before, after)
 
 

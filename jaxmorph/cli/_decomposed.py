@@ -59,7 +59,7 @@ def deform_parts(request: Deform, out: Output) -> int:
                 stage.done(min(1.0, (first + ranks.size) / len(case)))
             every = {k: pair for share in ranks.allgather(judged) for k, pair in share.items()}
             _say_warnings_of_all(out, ranks)
-            bad = _said([every[k] for k in sorted(every)], out)
+            bad = _print_summary([every[k] for k in sorted(every)], out)
             if bad and not request.allow_inverted:
                 raise _Bad
     except _Bad:
@@ -71,7 +71,7 @@ def deform_parts(request: Deform, out: Output) -> int:
     return 1 if bad else 0
 
 
-def _said(parts: list[tuple[Summary, Summary]], out: Output) -> list[str]:
+def _print_summary(parts: list[tuple[Summary, Summary]], out: Output) -> list[str]:
     """Adds up what was judged before and after the motion, prints it, and returns a sentence for each fault."""
     before, after = (Summary.together(side) for side in zip(*parts, strict=True))
     out.say("\n" + "\n\n".join(filter(None, [table(before, after), gate_table(before, after)])) + "\n")
@@ -172,8 +172,8 @@ def _moved(
     base = np.asarray(mesh.points)
     points = _moved_points(half, path, dtype, largest, base, io.global_nodes(mesh), f"processor{k}")
     undeformed, limits = Judged(mesh, base), request.gates.limits
-    after = Summary.of(Judged(mesh, points, undeformed), limits, k)
-    judged[k] = Summary.of(undeformed, limits, k), after
+    after = Summary.from_judged(Judged(mesh, points, undeformed), limits, k)
+    judged[k] = Summary.from_judged(undeformed, limits, k), after
     return mesh.moved(points)
 
 

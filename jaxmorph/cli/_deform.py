@@ -87,7 +87,7 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     described(request, patches, choice, moves.path(wall, 1)[-1], out)
     with out.progress("judging the cells"):
         undeformed = Judged(mesh, mesh.points)
-        before = Summary.of(undeformed, request.gates.limits)  # what cannot be judged is told now
+        before = Summary.from_judged(undeformed, request.gates.limits)  # what cannot be judged is told now
     return Attempt(request, patches, moves, undeformed, before), choice, chunks
 
 

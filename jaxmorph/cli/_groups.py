@@ -39,9 +39,9 @@ class InGroup(argparse.Action):
         if self.dest == "mode":
             group.mode = [*group.mode, _mode(parser, values)]
             return
-        if self.dest in group.said:
+        if self.dest in group.flags:
             parser.error(f"{option_string} twice for one --moving; name the patches by --moving again to go on.")
-        group.said.add(self.dest)
+        group.flags.add(self.dest)
         setattr(group, self.dest, values)
 
 
@@ -50,7 +50,7 @@ class Job(argparse.Action):
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
         for group in _groups(namespace):
-            group.said.clear()
+            group.flags.clear()
         setattr(namespace, self.dest, values)
 
 
@@ -82,13 +82,13 @@ def _angle(what: str, **settings: Any) -> Any:
 
 @dataclasses.dataclass
 class Group:
-    """Patches that move and their motion: `--moving` and the flags after it. `said` are the flags that have been."""
+    """Patches that move and their motion: `--moving` and the flags after it. `flags` are the ones that have been read."""
 
     SECTION: ClassVar = "motion of the patches of the last --moving (one at least)"
 
     patches: Sequence[str] = flag(WHAT_MOVES, "--moving", section="surface", everyday=True, action=Moving, **SEVERAL)
     displacement: Path | None = _in_group(
-        "new positions: rows of node id, x, y[, z]; or .npz, .stl, .obj", metavar="FILE", type=Path, everyday=True
+        "new positions: node id, x, y[, z]; .npz, .stl, .obj", metavar="FILE", type=Path, everyday=True
     )
     displacement_from: Path | None = _in_group(
         "the undeformed surface (.stl, .obj, .npz), if --displacement is a deformed one",
@@ -117,16 +117,14 @@ class Group:
     )
     rotate: float | None = _angle("degrees, counterclockwise; right-handed about --axis", everyday=True)
     translate: list[float] | None = _vector("vector to translate by", everyday=True)
-    about: list[float] | None = _vector(
-        "centre of scaling, twist, bend and rotation (default: the origin)", everyday=True
-    )
+    about: list[float] | None = _vector("centre of scaling, twist, bend, rotation (the origin)", everyday=True)
     axis: list[float] | None = _vector("axis of rotation and bend, 3-D only", everyday=True)
     along: list[float] | None = _vector("direction of the line from --about, for twist and bend")
     length: float | None = _in_group(
         "length of the line (default: up to the end of the patches)", metavar="L", type=float
     )
     name: str | None = _in_group("name of this motion for --set (default: its patches)", metavar="NAME")
-    said: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
+    flags: set[str] = dataclasses.field(default_factory=set, repr=False, compare=False)
 
     @property
     def title(self) -> str:

@@ -23,10 +23,10 @@ def quality(request: Quality, out: Output) -> int:
         raise ValueError("--min-jacobian-ratio compares two meshes: give FILE2.")
     with out.progress("judging the cells"):
         judged = Judged(mesh, mesh.points)
-        before, after = None, Summary.of(judged, limits)
+        before, after = None, Summary.from_judged(judged, limits)
         if moved is not None:
             _check_same(request, mesh, moved)
-            before, after = after, Summary.of(Judged(mesh, moved.points, judged), limits)
+            before, after = after, Summary.from_judged(Judged(mesh, moved.points, judged), limits)
     tables = [table(before, after), gate_table(before, after)]
     out.say("\n\n".join(filter(None, tables)), gates=gate_facts(before, after))
     if before is not None:

@@ -25,7 +25,7 @@ KINDS = {int: "number", float: "number", table: "table"}
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """What a job may say by the name of a flag: its kind of value, and whether it may be a list.
+    """A name in a job, that of a flag: the kind of its value, and whether the value may be a list.
 
     A path is relative to the folder of the job. A table stands in the job, or in a file at a path.
     """
@@ -37,7 +37,7 @@ class Key:
     flag: str
 
     @classmethod
-    def of(cls, field: dataclasses.Field) -> "Key":
+    def from_field(cls, field: dataclasses.Field) -> "Key":
         settings, names = field.metadata["settings"], field.metadata["names"]
         kind = KINDS.get(settings.get("type"), "path" if field.type in (Path, Path | None) else "text")
         kind = "switch" if settings.get("action") in ("store_true", "store_false") else kind
@@ -47,8 +47,10 @@ class Key:
 
 
 def _keys(fields: Fields) -> dict[str, Key]:
-    found = {field.name: Key.of(field) for field, owner in flags_of(fields) if fields is Group or owner is not Group}
-    return {name: key for name, key in found.items() if name not in NO_KEYS}
+    keys = {
+        field.name: Key.from_field(field) for field, owner in flags_of(fields) if fields is Group or owner is not Group
+    }
+    return {name: key for name, key in keys.items() if name not in NO_KEYS}
 
 
 JOB, MOTION = _keys(Deform), _keys(Group)

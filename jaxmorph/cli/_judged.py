@@ -63,7 +63,7 @@ class Judged:
 
     def key(self, name: str) -> str:
         """Names a measure of the report as tables and flags do."""
-        return next((key for key, own in BY_FACES.items() if self.by_faces and own == name), name)
+        return next((key for key, measure in BY_FACES.items() if self.by_faces and measure == name), name)
 
     @functools.cached_property
     def counted(self) -> np.ndarray:

@@ -49,14 +49,14 @@ def modes(request: Modes, out: Output) -> int:
     out.say(f"{title(request.file)}: {len(mesh.points)} points, {what}", points=len(mesh.points))
     out.say(f"method   {choice.name}", method=choice.name)
     base, limits = Judged(mesh, mesh.points), request.gates.limits
-    before = Summary.of(base, limits)
+    before = Summary.from_judged(base, limits)
     ratio = "V" if base.by_faces else "J"
     out.say(f"\n{'':>6}{'amplitude':>12}{'skewness':>12}{f'min {ratio}/{ratio}0':>12}{'inverted':>10}  mode")
     good, bad = [], 0
     with out.progress("moving") as stage:
         for case, points in _moved(mesh, plan, np.stack(shapes), cases):
             judged = Judged(mesh, points, base)
-            after = Summary.of(judged, limits)
+            after = Summary.from_judged(judged, limits)
             failed = faults(before, after)
             bad += bool(failed)
             _tell(case, request.mode[case.mode], after, failed, out)

@@ -59,14 +59,14 @@ def flags_of(fields: Fields) -> Iterator[tuple[dataclasses.Field, Fields]]:
 
 def made(fields: type[T], values: argparse.Namespace) -> T:
     """Makes a dataclass from the values of its flags."""
-    found = {}
+    arguments = {}
     for field in dataclasses.fields(fields):  # pyright: ignore[reportArgumentType]
         if "part" in field.metadata:
-            found[field.name] = made(field.metadata["part"], values)
+            arguments[field.name] = made(field.metadata["part"], values)
         else:
             value = getattr(values, field.name, field.default)
-            found[field.name] = tuple(value) if isinstance(value, list) else value
-    return fields(**found)
+            arguments[field.name] = tuple(value) if isinstance(value, list) else value
+    return fields(**arguments)
 
 
 class Parser(argparse.ArgumentParser):

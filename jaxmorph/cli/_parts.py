@@ -83,14 +83,16 @@ class Gates:
     @property
     def limits(self) -> dict[str, float]:
         """Limits by the names of their flags: those of the preset, and of flags, which win."""
-        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "preset"}
-        limits = PRESETS.get(self.preset or "", {}) | {name: limit for name, limit in own.items() if limit is not None}
-        return {name: limits[name] for name in own if name in limits}
+        flags = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "preset"}
+        limits = PRESETS.get(self.preset or "", {}) | {
+            name: limit for name, limit in flags.items() if limit is not None
+        }
+        return {name: limits[name] for name in flags if name in limits}
 
 
 @dataclasses.dataclass(frozen=True)
 class Speech:
-    """How a command speaks."""
+    """Flags of how a command speaks."""
 
     SECTION: ClassVar = "output"
 

@@ -1,4 +1,4 @@
-"""What each command is asked for: its flags as fields. The parser, job files and pages of help are built from them."""
+"""The request of each command: its flags as fields. The parser, job files and pages of help are built from them."""
 
 import argparse
 import dataclasses
@@ -52,7 +52,7 @@ class Deform:
 
     file: Path = positional(MESH, "IN", type=Path)
     output: Path = positional(
-        "where to write the mesh: the ending chooses the format; for an OpenFOAM case a new folder, or CASE/TIME",
+        "the new mesh, in the format of its ending; for an OpenFOAM case a new folder, or CASE/TIME",
         "OUT",
         type=_output,
     )

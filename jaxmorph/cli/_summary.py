@@ -1,4 +1,4 @@
-"""What is said of a judged mesh: numbers that add up over its parts."""
+"""Summaries of judged meshes: numbers that add up over the parts of a mesh."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -63,7 +63,7 @@ class Gate:
         return f"{self.flag[:3]} {label(self.flag[4:])}"
 
     @classmethod
-    def of(cls, judged: Judged, flag: str, limit: float, part: int | None) -> "Gate":
+    def from_judged(cls, judged: Judged, flag: str, limit: float, part: int | None) -> "Gate":
         kind = flag[:3]
         values = judged.values(flag[4:]).astype(float)
         badness = np.where(np.isnan(values), np.inf, values if kind == "max" else -values)
@@ -98,9 +98,9 @@ class Summary:
     between: int = 0
 
     @classmethod
-    def of(cls, judged: Judged, limits: Mapping[str, float], part: int | None = None) -> "Summary":
+    def from_judged(cls, judged: Judged, limits: Mapping[str, float], part: int | None = None) -> "Summary":
         """Sums up a mesh, or part number `part`. Raises `ValueError` for a limit on a measure that its cells do not have."""
-        gates = tuple(Gate.of(judged, flag, limit, part) for flag, limit in limits.items())
+        gates = tuple(Gate.from_judged(judged, flag, limit, part) for flag, limit in limits.items())
         spoilt = judged.spoilt
         number = "pyramid" if judged.by_faces else "jacobian_ratio"
         worst = None

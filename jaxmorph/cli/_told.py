@@ -1,4 +1,4 @@
-"""What `deform` checks and says of its request, for a whole mesh and for one in parts."""
+"""Checks and descriptions of a request of `deform`, for a whole mesh and for one in parts."""
 
 import textwrap
 from pathlib import Path

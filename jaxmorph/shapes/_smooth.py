@@ -11,30 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from .._host.cells.topology import boundary_faces
+from .._host.linear.solves import Factors
 from .._host.package.arguments import as_array, between, checked, rows_of
 from .._kernels.callback import host_call
 from .._mesh.mesh import Mesh
 from ._arguments import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, AbstractOperator
-
-
-class Factor:
-    """Holds a factor of a sparse symmetric matrix on the host; each is equal to itself alone."""
-
-    def __init__(self, matrix: Any):
-        self.factor = splu(
-            sparse.csc_matrix(matrix),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-
-    def __call__(self, right: np.ndarray) -> np.ndarray:
-        """Solves for a right-hand side (m, d)."""
-        return self.factor.solve(np.ascontiguousarray(right, dtype=float))
 
 
 class Smoother(AbstractLinearShape):
@@ -59,7 +43,7 @@ class Smoother(AbstractLinearShape):
     values: Float[Array, " e"]
     free: Float[Array, " m"]
     dimension: int = eqx.field(static=True)
-    factor: Factor = eqx.field(static=True)
+    factors: Factors = eqx.field(static=True)
 
     @checked
     def __init__(self, points: Numbers, faces: Any, length: float, *, held: Any = ()):
@@ -74,7 +58,7 @@ class Smoother(AbstractLinearShape):
         free[held] = 0
         mask = sparse.diags(free)
         matrix = (mask @ (length**2 * stiffness) @ mask + sparse.diags(masses)).tocoo()
-        self.factor, self.dimension = Factor(matrix), known.shape[1]
+        self.factors, self.dimension = Factors(matrix), known.shape[1]
         self.masses, self.free = jnp.asarray(masses), jnp.asarray(free)
         self.rows, self.columns, self.values = (jnp.asarray(part) for part in (matrix.row, matrix.col, matrix.data))
 
@@ -127,7 +111,7 @@ class Smoother(AbstractLinearShape):
             return jnp.zeros_like(v).at[self.rows].add(self.values.astype(v.dtype)[:, None] * v[self.columns])
 
         def solve(_, b):
-            return host_call(self.factor, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
+            return host_call(self.factors, jax.ShapeDtypeStruct(b.shape, b.dtype), b)
 
         return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 

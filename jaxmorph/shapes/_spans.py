@@ -5,16 +5,14 @@ forms of one primitive: each is gathers and products, where XLA would turn a gat
 """
 
 import functools
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import ShapedArray  # pyright: ignore[reportAttributeAccessIssue]
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float, Int
+
+from .._kernels.linear import linear_primitive
 
 BLOCK = 256
 """Points in a block, at most."""
@@ -96,41 +94,9 @@ def _turned(cotangent, outer, inner, controls, span, slot, point, count):
     return jnp.zeros((count, c), flat.dtype).at[controls.ravel()].add(flat)
 
 
-_sum_p = Primitive("jaxmorph_lattice_sum")
-_sum_p.def_impl(jax.jit(_sum, static_argnames=("turned", "count")))
-mlir.register_lowering(_sum_p, mlir.lower_fun(_sum, multiple_results=False))
-
-
-@_sum_p.def_abstract_eval
-def _(values, outer, inner, controls, span, slot, point, *, turned, count):
-    return ShapedArray((count if turned else slot.shape[0], values.shape[1]), values.dtype)
-
-
-def _jvp(primals, tangents, **params):
-    # the weights are those of known positions: only the control points have a derivative
-    if any(type(tangent) is not ad.Zero for tangent in tangents[1:3]):
-        raise NotImplementedError("the weights of `box.at(x)` have no derivative: take it through `box(x, control)`.")
-    out = _sum_p.bind(*primals, **params)
-    if type(tangents[0]) is ad.Zero:
-        return out, ad.Zero.from_primal_value(out)  # pyright: ignore[reportAttributeAccessIssue]
-    return out, _sum_p.bind(tangents[0], *primals[1:], **params)
-
-
-def _transpose(cotangent, values, *rest, turned, count):
-    if type(cotangent) is ad.Zero:
-        return (None,) * (1 + len(rest))
-    return _sum_p.bind(cotangent, *rest, turned=not turned, count=count), *(None,) * len(rest)
-
-
-def _batch(arguments: Any, axes: Any, **params):
-    values, *rest = arguments
-    if all(axis is None for axis in axes[1:]):
-        batched = jnp.moveaxis(values, axes[0], 1)  # more columns for the same rows
-        out = _sum_p.bind(batched.reshape(len(batched), -1), *rest, **params)
-        return out.reshape(len(out), *batched.shape[1:]), 1
-    return jax.vmap(functools.partial(_sum, **params), tuple(axes))(*arguments), 0
-
-
-ad.primitive_jvps[_sum_p] = _jvp
-ad.primitive_transposes[_sum_p] = _transpose
-batching.primitive_batchers[_sum_p] = _batch
+_sum_p = linear_primitive(
+    "jaxmorph_lattice_sum",
+    _sum,
+    rows=lambda outer, inner, controls, span, slot, point, *, turned, count: count if turned else slot.shape[0],
+    turned=lambda *others, turned, count: (others, {"turned": not turned, "count": count}),
+)

@@ -1,7 +1,7 @@
-"""Conjugate gradients with multigrid for large sparse positive matrices.
+"""A cycle of multigrid for large sparse positive matrices: pyamg's levels, with sweeps that are products of SciPy.
 
-Sums of products are NumPy's own here. The threads of a BLAS would wait for each next one in a loop, at the cost of a
-second core.
+pyamg's own sweeps of Gauss and Seidel need as many steps, and two to three times as long: see `benchmarks/README.md`.
+Its polynomials take their bounds from random vectors, so that no two runs would agree.
 """
 
 import dataclasses
@@ -9,13 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.sparse import linalg
 
-ACCURACY = 1e-9
-"""Residual, relative to the right side, and error, relative to the solution, at which conjugate gradients stop."""
-
-LIMIT = 500
-"""Most steps. A mesh of 65,000 nodes takes 50."""
+from .solves import Factors
 
 SPREAD = 10
 """Largest eigenvalue over the smallest one that the smoother is made for."""
@@ -82,21 +77,18 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
     while len(levels) > 1 and levels[-1].A.shape[0] < 2:  # no unknowns were joined: an empty level
         levels.pop()
     *fine, last = levels
-    return Hierarchy([_level(each) for each in fine], _last(last.A))
+    return Hierarchy([_level(level) for level in fine], _last(last.A))
 
 
 def _last(matrix: Any) -> Callable[[np.ndarray], np.ndarray]:
     """Makes the solver of the last level: by sparse factors where unknowns that nothing joins have left it large."""
     if matrix.shape[0] <= COARSEST:
         return np.linalg.pinv(matrix.toarray(), hermitian=True).__matmul__
-    try:
-        return linalg.splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A").solve
-    except RuntimeError:  # singular
-        return lambda right: np.full_like(right, np.nan)
+    return Factors(matrix)
 
 
-def _level(given: Any) -> Level:
-    matrix, prolongation = given.A.tocsr(), given.P.tocsr()
+def _level(level: Any) -> Level:
+    matrix, prolongation = level.A.tocsr(), level.P.tocsr()
     inverse = 1 / matrix.diagonal()
     top = float((inverse * np.ravel(abs(matrix).sum(axis=1))).max())
     return Level(matrix, prolongation, prolongation.T.tocsr(), inverse, top)
@@ -110,41 +102,3 @@ def by_component(cycles: Sequence[Hierarchy]) -> Callable[[np.ndarray], np.ndarr
         return np.stack([one(column) for one, column in zip(cycles, columns, strict=True)], axis=1).ravel()
 
     return cycle
-
-
-def conjugate_gradients(
-    matrix: Any,
-    right: np.ndarray,
-    cycle: Callable[[np.ndarray], np.ndarray] | None,
-    scale: np.ndarray,
-) -> np.ndarray:
-    """Solves for one right side (k,); NaN where that does not converge, or the matrix is not positive.
-
-    `scale` (k,) times the unknowns are those that are wanted. What the cycle makes of the residual is as large as their
-    error. The residual alone is not enough: one small beside that of stiff cells moves soft ones far. Without a cycle it has to do.
-    """
-    x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
-    enough = ACCURACY**2 * _dot(right, right)
-    for _ in range(LIMIT if cycle else 2 * LIMIT):
-        steep = cycle(residual) if cycle else residual
-        is_small = _dot(residual, residual) <= enough
-        if is_small and (cycle is None or _largest(scale * steep) <= ACCURACY * _largest(scale * x)):
-            return x
-        share = _dot(residual, steep)
-        along = steep + share / before * along
-        image = matrix @ along
-        curvature = _dot(along, image)
-        if not curvature > 0:
-            break
-        x += share / curvature * along
-        residual -= share / curvature * image
-        before = share
-    return np.full_like(right, np.nan)
-
-
-def _largest(x: np.ndarray) -> float:
-    return max(float(x.max(initial=0)), -float(x.min(initial=0)))
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.einsum("i,i->", a, b))

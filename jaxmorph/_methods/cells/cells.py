@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._host.cells.topology import CORNERS
-from ..._host.linear import factors as linear
+from ..._host.linear import systems as linear
 from ..._host.package.rounding import nearest_of
 from ..._kernels.callback import host_call
 from ..._kernels.compile import compiled
@@ -59,7 +59,7 @@ class NodeIds(eqx.Module):
 
 
 class NodeFactors(eqx.Module):
-    """The matrix, as `jaxmorph._host.linear.factors.solve` takes it, and the nodes' places in the frame."""
+    """The matrix, as `jaxmorph._host.linear.systems.solve` takes it, and the nodes' places in the frame."""
 
     values: Float[Array, "e ..."]
     diagonal: Float[Array, "n ..."]
@@ -257,7 +257,7 @@ def _solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Fl
 
 
 def solved_on_host(product, pairs, factors: NodeFactors, free, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves a symmetric system whose product with x is given, by `jaxmorph._host.linear.factors.solve`. Traced."""
+    """Solves a symmetric system whose product with x is given, by `jaxmorph._host.linear.systems.solve`. Traced."""
     leaves = (pairs, factors.values, factors.diagonal, factors.masses, free)
 
     def on_host(*system):

@@ -3,18 +3,18 @@
 What derivatives with respect to places and constants need beyond it is computed block by block.
 """
 
-import functools
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import mlir
 from jaxtyping import Array, Float
 
+from ..._host.package.errors import warn
 from ..._kernels.compile import is_for_cpu
 from ..._kernels.gpu import fused_sum, has_kernels, is_elementwise
+from ..._kernels.linear import linear_primitive
 from ..._kernels.product import MOST_ROWS, few_rows_times
 from ..blocks import fold_rows, map_rows
 from .basis import AbstractBasis
@@ -80,63 +80,31 @@ def _in_kernel(weights, sources, points, *leaves, structure):
     return jnp.concatenate([fused_sum(phi, group, sources, points, leaves) for group in groups], axis=1)
 
 
-def _abstract(weights, sources, points, *leaves, structure):
-    varies = {"vma": weights.vma.union(sources.vma, points.vma)} if hasattr(weights, "vma") else {}
-    return weights.update(shape=(points.shape[0], weights.shape[1]), **varies)
-
-
-def _jvp(primals, tangents, *, structure):
-    def is_moving(tangent):
-        return not isinstance(tangent, ad.Zero)
-
-    result = _sum.bind(*primals, structure=structure)
-    changes = []
-    if is_moving(tangents[0]):
-        changes.append(_sum.bind(tangents[0], *primals[1:], structure=structure))
-    moving = [i for i, tangent in enumerate(tangents) if i and is_moving(tangent)]
-    if moving:
-
-        def of_moving(*values):
-            given = dict(enumerate(primals)) | dict(zip(moving, values, strict=True))
-            return _by_blocks(*given.values(), structure=structure)
-
-        changes.append(jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])[1])
-    return result, sum(changes[1:], start=changes[0])
-
-
-def _transposed(cotangent, weights, sources, points, *leaves, structure):
-    if isinstance(cotangent, ad.Zero):
-        return [ad.Zero(weights.aval), *[None] * (2 + len(leaves))]
-    return [_sum.bind(cotangent, points, sources, *leaves, structure=structure), *[None] * (2 + len(leaves))]
-
-
-def _batched(arguments, axes, *, structure):
-    weights, *others = arguments
-    if any(axis is not None for axis in axes[1:]):
-        return jax.vmap(functools.partial(_by_blocks, structure=structure), axes)(*arguments), 0
-    weights = jnp.moveaxis(weights, axes[0], 1)
-    sums = _sum.bind(weights.reshape(len(weights), -1), *others, structure=structure)
-    return sums.reshape(-1, *weights.shape[1:]), 1
-
-
-_sum = Primitive("weighted_sum")
-_sum.def_impl(
-    jax.jit(lambda *arguments, structure: _sum.bind(*arguments, structure=structure), static_argnames="structure")
+_sum = linear_primitive(
+    "weighted_sum",
+    _by_blocks,
+    rows=lambda sources, points, *leaves, structure: points.shape[0],
+    turned=lambda sources, points, *leaves, structure: ((points, sources, *leaves), {"structure": structure}),
 )
-_sum.def_abstract_eval(_abstract)
-ad.primitive_jvps[_sum] = _jvp
-ad.primitive_transposes[_sum] = _transposed
-batching.primitive_batchers[_sum] = _batched
 _lowered_by_blocks = mlir.lower_fun(_by_blocks, multiple_results=False)
 _lowered_in_kernel = mlir.lower_fun(_in_kernel, multiple_results=False)
 
 
 def _lowered_for_cuda(context, *arguments, structure):
     """Gives loops to a program that is exported: JAX promises no stable kernels."""
-    is_export = context.module_context.lowering_parameters.for_export
-    lowered = _lowered_by_blocks if is_export else _lowered_in_kernel
-    return lowered(context, *arguments, structure=structure)
+    # `lowering_parameters` is a private name. Without it the export itself says that it takes no kernel.
+    parameters = getattr(context.module_context, "lowering_parameters", None)
+    if getattr(parameters, "for_export", False):
+        return _lowered_by_blocks(context, *arguments, structure=structure)
+    # Pallas is experimental, and the kernel reads JAX's own expressions: whatever another version has changed, loops remain
+    try:
+        return _lowered_in_kernel(context, *arguments, structure=structure)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        warn(
+            f"this version of JAX ({jax.__version__}) does not compile the kernel for the GPU, loops take its place: {reason}"
+        )
+        return _lowered_by_blocks(context, *arguments, structure=structure)
 
 
-mlir.register_lowering(_sum, _lowered_by_blocks)
 mlir.register_lowering(_sum, _lowered_for_cuda, platform="cuda")

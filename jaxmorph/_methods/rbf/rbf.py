@@ -231,8 +231,10 @@ class RBF(AbstractMethod):
     def check(self, ids, factors: "RBFFactors", u):
         dtype = factors.lu.dtype
         sources, scale, centre = map(np.asarray, (factors.sources, factors.scale, factors.centre))
-        warn_of_close(sources / scale + centre, np.inf, type(self).__name__)
-        values = np.asarray(u, dtype)[self.control(ids).sources]
+        places, values = sources / scale + centre, np.asarray(u, dtype)[self.control(ids).sources]
+        body = places[values.any(axis=1)]
+        extent = float(np.linalg.norm(np.ptp(body, axis=0))) if len(body) else 0.0
+        warn_of_close(places, extent, type(self).__name__)
         if factors.cardinals is not None:
             return _check_convergence(self, factors, factors.cardinals, values)
         error = _rounding(self, factors, values) / np.abs(u).max()

@@ -29,7 +29,6 @@ from .topology import Topology, topology_of
 from .wedge import Sector, sector
 
 NAME = "OpenFOAM"
-TOPOLOGY = ("faces", "owner", "neighbour", "boundary")
 COPIED = ("constant", "system", "0", "0.orig")
 """Parts of a case that a new one gets."""
 

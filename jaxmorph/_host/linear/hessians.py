@@ -4,14 +4,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import linalg
 
-DIRECT = 3000
-"""Nodes up to which a 3-D system is factored. 2-D systems always are, since their factors hardly fill."""
+from .solves import Factors, conjugate_gradients, dot, is_factored
+
 DAMPING = (1e-2, 1e-1, 1.0, 10.0)
 ROUGH = 1e-2
 """Relative residual that is enough for a step of Newton's method."""
-_SYMMETRIC = {"SymmetricMode": True}
 
 
 class Pattern(NamedTuple):
@@ -33,7 +31,7 @@ def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
     """
     starts, columns, block = _rows(cells, n)
     order = np.arange(n)
-    if _is_factored(n, dimension):
+    if is_factored(n * dimension, dimension):
         order = _ordering(starts, columns)
         rank = np.argsort(order)
         starts, columns, block = _rows([rank[ids] for ids in cells], n)
@@ -48,19 +46,12 @@ def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.n
     return np.searchsorted(unique // n, np.arange(n + 1)), unique % n, block
 
 
-def _is_factored(n: int, dimension: int) -> bool:
-    return dimension == 2 or n <= DIRECT
-
-
 def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Orders the nodes by minimum degree: less fill, and half the time, than ordering their components."""
     n = len(starts) - 1
     degrees = sparse.diags(np.diff(starts) + 1.0)
     graph = sparse.csr_matrix((np.ones(len(columns)), columns, starts), shape=(n, n))
-    factors = linalg.splu(
-        (degrees + graph).tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=_SYMMETRIC
-    )
-    return np.argsort(factors.perm_c)
+    return Factors(degrees + graph).order
 
 
 def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
@@ -90,7 +81,7 @@ def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarr
         return np.full_like(right, 0 if accuracy is None else np.nan)
     matrix = sparse.bsr_matrix((data, columns, starts), shape=(n * d, n * d)) + sparse.diags(np.repeat(shift[order], d))
     wanted = right[order].astype(float)
-    if _is_factored(n, d):
+    if is_factored(n * d, d):
         solved = _factored(matrix, wanted, (0.0,) if accuracy else (0.0, *DAMPING))
     else:
         solved = _iterated(matrix.tobsr((d, d)), wanted, accuracy or ROUGH)
@@ -104,32 +95,24 @@ def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarr
 def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.ndarray:
     """Solves by pivots on the diagonal, whose signs tell a positive matrix; to any other `damping` is added, one after another."""
     for added in damping:
-        shifted = (matrix + added * sparse.identity(matrix.shape[0])).tocsc()
-        factors = linalg.splu(shifted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options=_SYMMETRIC)
-        if (factors.U.diagonal() > 0).all():
-            return factors.solve(right.ravel()).reshape(right.shape)
+        factors = Factors(matrix + added * sparse.identity(matrix.shape[0]), is_ordered=True)
+        if factors.is_positive:
+            return factors(right.ravel()).reshape(right.shape)
     return np.full_like(right, np.nan) if len(damping) == 1 else right / damping[-1]
 
 
 def _iterated(matrix: Any, right: np.ndarray, accuracy: float) -> np.ndarray:
-    """Runs conjugate gradients up to a direction of negative curvature (Nocedal and Wright, algorithm 7.1)."""
-    inverse, rows = _inverse_diagonal(matrix), matrix.tocsr()
-    x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
-    enough = accuracy * np.linalg.norm(right)
-    for _ in range(500 if accuracy == ROUGH else 20_000):
-        if np.linalg.norm(residual) <= enough:
-            break
-        steep = np.einsum("nab,nb->na", inverse, residual)
-        share = np.vdot(residual, steep)
-        along = steep + share / before * along
-        image = (rows @ along.ravel()).reshape(right.shape)
-        curvature = np.vdot(along, image)
-        if not curvature > 0:
-            return x if x.any() else steep
-        x += share / curvature * along
-        residual -= share / curvature * image
-        before = share
-    return x
+    """Runs conjugate gradients, with the blocks on the diagonal as preconditioner."""
+    blocks, enough = _inverse_diagonal(matrix), accuracy**2 * dot(right.ravel(), right.ravel())
+
+    def inverse(residual):
+        return np.einsum("nab,nb->na", blocks, residual.reshape(right.shape)).ravel()
+
+    def is_enough(_, residual, __):
+        return dot(residual, residual) <= enough
+
+    limit = 500 if accuracy == ROUGH else 20_000
+    return conjugate_gradients(matrix.tocsr(), right.ravel(), inverse, is_enough, limit)[0].reshape(right.shape)
 
 
 def _inverse_diagonal(matrix: Any) -> np.ndarray:

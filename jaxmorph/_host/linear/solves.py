@@ -1,0 +1,89 @@
+"""The two ways in which a sparse symmetric system is solved: by factors, and by conjugate gradients.
+
+SciPy's conjugate gradients and pyamg's cycle were measured beside these: see `benchmarks/README.md`. SciPy's stop at the
+residual alone. Their sums of products are those of a BLAS, whose threads wait for each next one in a loop, at the cost
+of a second core. Sums of products are NumPy's own here.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.sparse import linalg
+
+DIRECT = 12_000
+"""Unknowns up to which a 3-D system is factored. 2-D systems always are, since their factors hardly fill."""
+
+
+def is_factored(unknowns: int, dimension: int) -> bool:
+    """Decides whether a system of a mesh is small enough to be factored."""
+    return dimension == 2 or unknowns <= DIRECT
+
+
+class Factors:
+    """Factors of a sparse symmetric matrix, by pivots on the diagonal; equal to itself alone.
+
+    Pivots are taken in an order of minimum degree, or, where `is_ordered`, as they stand.
+    """
+
+    def __init__(self, matrix: Any, *, is_ordered: bool = False):
+        try:
+            self._factors = linalg.splu(
+                matrix.tocsc(),
+                permc_spec="NATURAL" if is_ordered else "MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError:  # singular
+            self._factors = None
+
+    def __call__(self, right: np.ndarray) -> np.ndarray:
+        """Solves for right sides (k,) or (k, c); NaN where the matrix is singular."""
+        return np.full_like(right, np.nan) if self._factors is None else self._factors.solve(np.asarray(right, float))
+
+    @property
+    def is_positive(self) -> bool:
+        """Whether the matrix is positive: the signs of its pivots are those of its eigenvalues."""
+        return self._factors is not None and bool((self._factors.U.diagonal() > 0).all())
+
+    @property
+    def order(self) -> np.ndarray:
+        """The order (k,) in which unknowns are taken."""
+        return np.argsort(self._factors.perm_c) if self._factors is not None else np.arange(0)
+
+
+def conjugate_gradients(
+    matrix: Any, right: np.ndarray, inverse: Callable, is_enough: Callable, limit: int
+) -> tuple[np.ndarray, bool]:
+    """Solves for one right side (k,), up to a direction of negative curvature (Nocedal and Wright, algorithm 7.1).
+
+    **Arguments:**
+
+    - `matrix`: has products `matrix @ x`.
+    - `right`: the right side (k,).
+    - `inverse`: the preconditioner, a symmetric positive map of (k,) to (k,).
+    - `is_enough`: decides from the solution, the residual and the residual's image under `inverse`.
+    - `limit`: most steps.
+
+    **Returns:** x (k,), and whether it `is_enough`. If the first direction has negative curvature, x is that direction.
+    """
+    x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
+    for _ in range(limit):
+        steep = inverse(residual)
+        if is_enough(x, residual, steep):
+            return x, True
+        share = dot(residual, steep)
+        along = steep + share / before * along
+        image = matrix @ along
+        curvature = dot(along, image)
+        if not curvature > 0:
+            return (x if x.any() else steep), False
+        x += share / curvature * along
+        residual -= share / curvature * image
+        before = share
+    return x, False
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> float:
+    """Sums products without a BLAS."""
+    return float(np.einsum("i,i->", a, b))
