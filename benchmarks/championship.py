@@ -221,11 +221,11 @@ def of_peers(case: Case) -> list[dict]:
     return rows
 
 
-def compared(rows: list[dict]) -> list[tuple[str, int, float, float, float, float, float, float]]:
+def compared(rows: list[dict]) -> list[tuple[str, int, int, float, float, float, float, float, float]]:
     """Compares methods over all rows by largest skewness, relative to the best of the row, which inverts no cell.
 
-    For each method: rows with inverted cells, the share of its rows within `CLOSE` of the best, its worst ratio to the best where
-    it inverts none, and medians of skewness, angle, limit and time.
+    For each method: its rows, without those that it refuses; rows with inverted cells; the share within `CLOSE` of the best; its
+    worst ratio to the best where it inverts none; medians of skewness, angle, limit and time.
     """
     best: dict[tuple, float] = {}
     for each in rows:
@@ -234,7 +234,7 @@ def compared(rows: list[dict]) -> list[tuple[str, int, float, float, float, floa
             best[key] = min(best.get(key, np.inf), each["max_skewness"])
     summary = []
     for name in dict.fromkeys(each["method"] for each in rows):
-        own = [each for each in rows if each["method"] == name]
+        own = [each for each in rows if each["method"] == name and each["inverted"] is not None]
         over = [ratio_to_best(each, best) for each in own if (each["case"], each["motion"]) in best]
         medians = [
             float(np.median([each[key] for each in own if each[key] is not None] or [np.nan]))
@@ -242,8 +242,8 @@ def compared(rows: list[dict]) -> list[tuple[str, int, float, float, float, floa
         ]
         share = sum(value <= CLOSE for value in over) / max(1, len(over))
         worst = max((value for value in over if np.isfinite(value)), default=np.nan)
-        summary.append((name, sum(each["inverted"] != 0 for each in own), share, worst, *medians))
-    return sorted(summary, key=lambda line: (line[1], -line[2]))
+        summary.append((name, len(own), sum(each["inverted"] > 0 for each in own), share, worst, *medians))
+    return sorted(summary, key=lambda line: (line[2], -line[3]))
 
 
 def ratio_to_best(row: dict, best: dict[tuple, float]) -> float:
@@ -317,7 +317,17 @@ def main() -> None:
     rows += [each for each in earlier if (each["case"], each["method"]) not in now]
     if asked.picture:
         draw(rows, asked.picture)
-    heads = ("method", "rows inverted", "within 10 %", "worst ratio", "median skewness", "angle", "limit", "move (s)")
+    heads = (
+        "method",
+        "rows",
+        "inverted",
+        "within 10 %",
+        "worst ratio",
+        "median skewness",
+        "angle",
+        "limit",
+        "move (s)",
+    )
     print(f"\n{len(rows)} rows\n\n| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
     for name, *numbers in compared(rows):
         print(f"| {name} | " + " | ".join(f"{number:.3g}" for number in numbers) + " |")
