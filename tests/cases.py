@@ -43,7 +43,7 @@ class Case:
         method = self.make(length)
         if not (method.needs_cells or self.faces):
             return jm.prepare(points, moving, fixed, method=method)
-        cells = body(points.shape[1]).cells
+        cells = body(points.shape[1]).cells if method.needs_cells else body(points.shape[1]).outside
         number = np.arange(len(points)) if order is None else np.argsort(order)
         mesh = jm.Mesh(points, {"triangle" if points.shape[1] == 2 else "tetra": number[cells]})
         return jm.prepare(mesh, moving, fixed, method=method, free=np.arange(len(points)))
@@ -82,7 +82,7 @@ def extension():
 
 CASES = [
     Case("default", lambda length: jm.SurfaceReconstruction(), turns=False),
-    Case("default with faces", lambda length: jm.SurfaceReconstruction(), turns=False, dimensions=(2,), faces=True),
+    Case("default with faces", lambda length: jm.SurfaceReconstruction(), turns=False, faces=True),
     Case("published", lambda length: jm.SurfaceReconstruction.published(), turns=False, dimensions=(2,)),
     Case("few-sources", lambda length: jm.SurfaceReconstruction(few(), jm.DelaunayGraph()), turns=False),
     Case(
@@ -115,7 +115,6 @@ CASES = [
         lambda length: jm.FittedRBF(few(), ell=0.2 * length, mu=0.1 * length),
         exact=False,
         turns=False,
-        dimensions=(2,),
         faces=True,
     ),
     Case("reduced", lambda length: few(), exact=False, turns=False),
@@ -204,10 +203,15 @@ class Body:
         return np.concatenate([self.moving, self.fixed])
 
     @property
-    def cells(self) -> np.ndarray:
-        """Simplices between body and far field."""
+    def outside(self) -> np.ndarray:
+        """Simplices between body and far field, whose outer faces are all on these two."""
         corners = Delaunay(self.points).simplices
-        corners = corners[~np.isin(corners, self.moving).all(axis=1)]
+        return corners[~np.isin(corners, self.moving).all(axis=1)]
+
+    @property
+    def cells(self) -> np.ndarray:
+        """Simplices between body and far field that are no slivers."""
+        corners = self.outside
         edges = self.points[corners[:, 1:]] - self.points[corners[:, :1]]
         size = np.linalg.norm(edges, axis=2).prod(axis=1)
         return corners[np.abs(np.linalg.det(edges)) > 1e-3 * size]

@@ -110,6 +110,23 @@ def two_blocks(path, kind="<f8"):
         condition(second, "f", [[2, 2, 2], [3, 3, 3]], what="PointList")
 
 
+def unstructured(path):
+    """A cube and a wedge beside it, as MIXED elements; boundary quads; a condition of each kind."""
+    square = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    points = np.array([[*p, z] for z in (0, 1) for p in square] + [[2, 0, 0], [2, 0, 1]], float)
+    mixed = [17, 1, 2, 3, 4, 5, 6, 7, 8, 14, 2, 9, 3, 6, 10, 7]
+    with h5py.File(path, "w", track_order=True) as file:
+        one = zone(base(file, 3, 3), "all", tuple(points.T), 2)
+        elements(one, "volume", 20, mixed, 1, 2)
+        elements(one, "sides", 7, [[1, 4, 3, 2], [5, 6, 7, 8]], 3, 2)
+        elements(one, "ends", 5, [[2, 3, 9]], 5, 1)
+        condition(one, "low", [[3], [5]], "wall", "FaceCenter", "PointList")
+        condition(one, "high", [[4], [4]], None, "FaceCenter")
+        condition(one, "some", [[1], [8]], what="PointList")
+        condition(one, "old", [[4], [5]], what="ElementRange")
+    return points
+
+
 def joined_polyhedra(path):
     """A cube, four small ones against its side; all as polyhedra, the face of each boundary cell seen from either side."""
     points, cells = foam.split()

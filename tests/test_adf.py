@@ -8,12 +8,12 @@ import cgns
 import h5py
 import numpy as np
 import pytest
-from test_cgns import polyhedral, two_blocks, unstructured
+from cgns import joined_polyhedra, two_blocks, unstructured
 
 import jaxmorph as jm
 from jaxmorph import io
 
-FILES = {"blocks": two_blocks, "elements": unstructured, "polyhedra": polyhedral}
+FILES = {"blocks": two_blocks, "elements": unstructured, "polyhedra": joined_polyhedra}
 FORMS = [(version, order, pieces) for version in "AB" for order in "<>" for pieces in (1, 3)]
 
 

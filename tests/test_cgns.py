@@ -6,7 +6,7 @@ import cgns
 import h5py
 import numpy as np
 import pytest
-from cgns import joined_polyhedra, two_blocks
+from cgns import joined_polyhedra, two_blocks, unstructured
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -63,23 +63,6 @@ def test_single_precision_stays(tmp_path):
     io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * np.pi))
     again = io.read(tmp_path / "b.cgns").points
     np.testing.assert_array_equal(again, (mesh.points * np.pi).astype(np.float32))
-
-
-def unstructured(path):
-    """A cube and a wedge beside it, as MIXED elements; boundary quads; a condition of each kind."""
-    square = [[0, 0], [1, 0], [1, 1], [0, 1]]
-    points = np.array([[*p, z] for z in (0, 1) for p in square] + [[2, 0, 0], [2, 0, 1]], float)
-    mixed = [17, 1, 2, 3, 4, 5, 6, 7, 8, 14, 2, 9, 3, 6, 10, 7]
-    with h5py.File(path, "w", track_order=True) as file:
-        zone = cgns.zone(cgns.base(file, 3, 3), "all", tuple(points.T), 2)
-        cgns.elements(zone, "volume", 20, mixed, 1, 2)
-        cgns.elements(zone, "sides", 7, [[1, 4, 3, 2], [5, 6, 7, 8]], 3, 2)
-        cgns.elements(zone, "ends", 5, [[2, 3, 9]], 5, 1)
-        cgns.condition(zone, "low", [[3], [5]], "wall", "FaceCenter", "PointList")
-        cgns.condition(zone, "high", [[4], [4]], None, "FaceCenter")
-        cgns.condition(zone, "some", [[1], [8]], what="PointList")
-        cgns.condition(zone, "old", [[4], [5]], what="ElementRange")
-    return points
 
 
 def test_unstructured_zones(tmp_path):

@@ -121,9 +121,9 @@ def test_a_singular_system():
 
 
 def test_fixed_sources_keep_away_from_moving_ones():
-    """A wall that goes on as a fixed one, and a node of each 1e-4 from the other: the moving one alone is a source."""
+    """A wall that goes on as a fixed one, and a node of each 9e-4 from the other: the moving one alone is a source."""
     moving = np.stack([np.linspace(0, 1, 9), np.zeros(9)], axis=1)
-    fixed = np.concatenate([np.stack([np.linspace(1 + 1e-4, 3, 9), np.zeros(9)], axis=1), [[0, 2.0], [3, 2]]])
+    fixed = np.concatenate([np.stack([np.linspace(1 + 9e-4, 3, 9), np.zeros(9)], axis=1), [[0, 2.0], [3, 2]]])
     points = np.concatenate([moving, fixed])
 
     def sources(reduction, fixed_reduction):

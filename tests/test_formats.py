@@ -5,6 +5,7 @@ import pathlib
 import cgns
 import foam
 import h5py
+import meshio
 import numpy as np
 import pytest
 from foam import PATCHES, mixed
@@ -30,6 +31,12 @@ def written(folder: pathlib.Path, ending: str) -> pathlib.Path:
             base = cgns.base(file, 3, 3)
             zone = cgns.zone(base, "box", tuple(np.asarray(mesh.points).T), len(corners))
             cgns.elements(zone, "cells", 17, corners, 1, len(corners))
+    elif ending == ".med":
+        corners = np.asarray(mesh.cells["hexahedron"])[:, [0, 3, 2, 1, 4, 7, 6, 5]]  # MED's order
+        tags = np.isin(np.arange(len(mesh.points)), mesh.patch("floor")).astype(int)
+        tagged = meshio.Mesh(mesh.points, [("hexahedron", corners)], point_data={"point_tags": tags})
+        tagged.point_tags = {1: ["floor"]}
+        meshio.med.write(path, tagged)
     elif ending in (".xyz", ".p3d", ".p3dfmt", ".x", ".g"):
         grid = np.stack(np.meshgrid(*(np.linspace(0, 1, 3),) * 3, indexing="ij"))
         write_plot3d(path, [grid], "text")
@@ -61,7 +68,9 @@ def test_every_pair_is_decided_before_any_work(tmp_path, capsys, source, to):
     else:
         io.write(out, moved)
         np.testing.assert_array_equal(io.read(out).points, moved.points)
-    one_way = {".cgns": "CGNS", "": "OpenFOAM"} | dict.fromkeys((".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "PLOT3D")
+    one_way = {".cgns": "CGNS", "": "OpenFOAM", ".med": "MED"} | dict.fromkeys(
+        (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "PLOT3D"
+    )
     assert bool(refusal) == (to in one_way and one_way.get(source) != one_way[to])
     assert {path.name for path in tmp_path.iterdir()} <= {f"in{source}", f"out{to}"}
 

@@ -9,11 +9,11 @@ import foam
 import h5py
 import numpy as np
 import pytest
-from small import bricks
-from test_cgns import two_blocks, unstructured
-from test_openfoam import strip
-from test_plot3d import box
-from test_plot3d import write as write_plot3d
+from cgns import two_blocks, unstructured
+from foam import strip
+from meshes import bricks
+from plot3d import box
+from plot3d import write as write_plot3d
 
 import jaxmorph as jm
 from jaxmorph import io

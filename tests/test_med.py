@@ -4,7 +4,7 @@ import h5py
 import meshio
 import numpy as np
 import pytest
-from small import bricks
+from meshes import bricks
 
 import jaxmorph as jm
 from jaxmorph import io

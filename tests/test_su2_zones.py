@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small import bricks
+from meshes import bricks
 
 import jaxmorph as jm
 from jaxmorph import io

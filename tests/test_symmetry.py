@@ -203,7 +203,8 @@ def test_a_patch_that_lies_in_several_planes():
     """Front and back, or all sides of a duct, as one patch: the planes one by one. A duct of one cell's width is the hardest."""
     axes = np.linspace(0, 2, 7), np.array([0, 1.0]), np.array([0, 0.5, 1.5])
     points = lattice(*axes)
-    cells = blocks(np.arange(len(points)).reshape(7, 2, 3))
+    ids = np.arange(len(points)).reshape(7, 2, 3)
+    cells = blocks(ids)
     front, bottom = (np.isin(points[:, axis], axes[axis][[0, -1]]) for axis in (1, 2))
     sides = {"front and back": front, "sides": front | bottom, "inlet": points[:, 0] == 0, "outlet": points[:, 0] == 2}
     mesh = jm.Mesh(points, {"hexahedron": cells}, {name: np.flatnonzero(is_on) for name, is_on in sides.items()})

@@ -302,7 +302,7 @@ def test_sources_stand_beside_a_sharp_tip():
 
 @pytest.mark.slow
 def test_waves_on_a_finer_sharp_section():
-    """Of 200 wall nodes 90 are sources; without those beside the tip the cell there inverts, which classic RBF keeps at 0.68."""
+    """Of 200 wall nodes 84 are sources; without those beside the tip the cell there inverts, which classic RBF keeps at 0.68."""
     mesh = cases.sharp_o_grid(around=200, layers=40, first_cell=1e-5)
     base = np.asarray(mesh.points)[mesh.patch("airfoil")]
     u = np.stack([0 * base[:, 0], 0.061 * np.sin(4 * np.pi * base[:, 0])], axis=1)

@@ -208,7 +208,7 @@ def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
         return np.zeros(0, dtype=bool)
     normals = np.stack([plane.normal for plane in planes])
     parallel = (np.abs(normals @ normals.T) > 0.5) & ~np.eye(len(normals), dtype=bool)
-    return parallel.any(axis=1)
+    return np.any(parallel, axis=1)
 
 
 def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:

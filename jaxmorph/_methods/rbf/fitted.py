@@ -77,7 +77,7 @@ class FittedRBF(AbstractMethod):
     **Arguments:**
 
     - `rbf`: basis and sources. By default the moving sources are those of 16 leaves of a k-d tree, 32 if another boundary is
-      near, and then the nodes farthest from them: 90 in 2-D, 400 in 3-D.
+      near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D.
     - `ell`: the length that weighs strain, in the mesh's units. A large one keeps the wall's lines at right angles, a small one
       follows the skin. It is nowhere more than 0.05 of the distance to the nearest node that is held or of another wall.
       Default 0.17 of each wall's mean chord, half of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07

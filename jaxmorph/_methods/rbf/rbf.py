@@ -230,16 +230,14 @@ class RBF(AbstractMethod):
 
     def check(self, ids, factors: "RBFFactors", u):
         dtype = factors.lu.dtype
-        sources, scale, centre = map(np.asarray, (factors.sources, factors.scale, factors.centre))
-        places, values = sources / scale + centre, np.asarray(u, dtype)[self.control(ids).sources]
-        body = places[values.any(axis=1)]
-        extent = float(np.linalg.norm(np.ptp(body, axis=0))) if len(body) else 0.0
-        warn_of_close(places, extent, type(self).__name__)
+        values = np.asarray(u, dtype)[self.control(ids).sources]
         if factors.cardinals is not None:
             return _check_convergence(self, factors, factors.cardinals, values)
         error = _rounding(self, factors, values) / np.abs(u).max()
         noticeable = NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE
         if error <= noticeable:
+            if not self.ridge:
+                _warn_of_close_sources(type(self).__name__, factors, values)
             return
         useless = not error <= USELESS  # NaN too
         how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
@@ -491,6 +489,14 @@ class RBFField(AbstractField):
         terms = polynomial(x.T, self.rbf.degree).T
         tail = sum((self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)), start=jnp.zeros_like(x))
         return (kernel_sum(self._phi, self.sources, self.beta, x) + tail).T
+
+
+def _warn_of_close_sources(method: str, factors: "RBFFactors", values: Float[np.ndarray, "s k"]) -> None:
+    """Warns of sources that nearly coincide for the size of what moves."""
+    places, scale, centre = map(np.asarray, (factors.sources, factors.scale, factors.centre))
+    body = places[values.any(axis=1)]
+    extent = float(np.linalg.norm(np.ptp(body, axis=0))) if len(body) else 0.0
+    warn_of_close(places / scale + centre, extent / float(scale), method)
 
 
 def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -> None:
