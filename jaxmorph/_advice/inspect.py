@@ -164,14 +164,17 @@ class Inspection:
         )
 
     def renumbered(self, ids: np.ndarray) -> "Inspection":
-        """Returns the same inspection for a larger mesh, in which node k is node `ids[k]`."""
+        """Renumbers the inspection for a larger mesh, in which node k is node `ids[k]`."""
         ids = np.asarray(ids)
         node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
         kept = {"put_back": ids[self.put_back], "ended": ids[self.ended]}
         return dataclasses.replace(self, offset_node=node, contradictions=pairs, **kept)
 
     def with_faces(self, mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int) -> "Inspection":
-        """Returns the same with what needs faces: the mesh's `nodes` (o,) move by `vectors` (o, d), the first `moving` given."""
+        """Adds what needs faces to the inspection.
+
+        The mesh's `nodes` (o,) move by `vectors` (o, d); the caller gave the first `moving` vectors.
+        """
         cut, left, node, touches = simplices(mesh, nodes), None, None, self.touches
         crossed = None if cut is None else crossings_of(cut, mesh, nodes, vectors)
         if cut is not None and self.rests.any():
@@ -188,7 +191,7 @@ class Inspection:
         return dataclasses.replace(self, crossings=crossed, gap_left=left, gap_node=node, torn=torn, touches=touches)
 
     def __str__(self) -> str:
-        """Tells what no method moves well, then what another method may do better."""
+        """Lists what no method moves well, then what another method may do better."""
         return "\n".join((*self.warnings, *self.advice)) or "nothing to warn of."
 
 

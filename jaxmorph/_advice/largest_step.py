@@ -109,7 +109,7 @@ class Corners:
         return best, worst
 
     def hold(self, points: Float[Array, "n d"]) -> Bool[Array, ""]:
-        """Tells whether every cell is above its bound; traced."""
+        """Checks whether every cell is above its bound; traced."""
         held = jnp.array(True)
         for kind, ids, sign, judged, bound in self.parts:
             relative, _ = measures.relative_corners(corners(points, ids))

@@ -22,7 +22,10 @@ def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) ->
 
 
 def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
-    """Tells which pairs (k, 2) of `count` rows have a face in common, or faces that share a node, among `faces` (f, corners)."""
+    """Marks the pairs (k, 2) of `count` rows that lie on one face, or on faces that share a node.
+
+    `faces` are (f, corners).
+    """
     corners = np.repeat(np.arange(len(faces)), faces.shape[1])
     holds = sparse.csr_matrix(
         (np.ones(faces.size, dtype=np.int64), (faces.ravel(), corners)), shape=(count, len(faces))

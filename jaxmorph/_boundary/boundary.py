@@ -69,7 +69,7 @@ class Boundary:
     def with_faces_of(
         self, mesh: Mesh, outer: OuterFaces | None = None, free: np.ndarray | Sequence[int] = ()
     ) -> "Boundary":
-        """Returns the same with the faces and cells of its mesh, and those of the faces, `outer` ones, that no list names."""
+        """Adds the faces and cells of the mesh, and the `outer` faces that no list names."""
         outer = outer_faces(mesh) if outer is None else outer
         if outer is None:
             return self
@@ -86,7 +86,7 @@ class Boundary:
             warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.")
 
     def part(self, nodes: np.ndarray) -> "Boundary":
-        """Returns the same of the mesh's nodes `nodes` alone, ascending ids that hold the whole surface."""
+        """Restricts the boundary to the mesh's nodes `nodes`: ascending ids with the whole surface."""
         moving, fixed, guided = (np.searchsorted(nodes, ids) for ids in (self.moving, self.fixed, self.guided))
         faces, surface = self.surface_faces, np.concatenate([moving, fixed, guided])
         faces = None if faces is None else {kind: surface[rows] for kind, rows in faces.items()}
@@ -96,7 +96,7 @@ class Boundary:
         return Boundary(self.points[nodes], *lists, faces, self.left, self.is_open, cells)
 
     def alone(self) -> "Boundary":
-        """Returns the same with the surface's nodes as the only points, of which the guided ones are in no list."""
+        """Restricts the boundary to the surface's nodes; the guided nodes are then in no list."""
         known = len(self.moving) + len(self.fixed)
         rows, place = np.arange(known), _rows(self.nodes, len(self.points))
         faces = self.surface_faces
@@ -111,7 +111,7 @@ class Boundary:
 def renumbered(
     pairings: Sequence[Pairing], tracks: Sequence[Track], place: np.ndarray
 ) -> tuple[tuple[Pairing, ...], tuple[Track, ...]]:
-    """Returns pairs and tracks with node k called `place[k]`."""
+    """Renumbers pairs and tracks: node k becomes `place[k]`."""
     return tuple(each.renumbered(place) for each in pairings), tuple(each.renumbered(place) for each in tracks)
 
 
@@ -319,7 +319,7 @@ def _tracks(
     lists: Mapping[str, np.ndarray],
     faces: Mapping[str, np.ndarray] | None,
 ) -> tuple[tuple[Track, ...], np.ndarray]:
-    """Groups the sliding nodes by the walls that keep them; returns those that are held between these, too."""
+    """Groups the sliding nodes by their walls; returns the nodes held between walls, too."""
     walls = _walls(sliding, points, mesh, lists, faces)
     return tracks_of(walls, planes if walls else (), points)
 
@@ -340,18 +340,21 @@ def _walls(
                 place = place_of(points[nodes[0]])
                 raise MeshError(
                     f"all {len(nodes)} nodes of {each.name} are in `{name}`, first node {{node}} at ({place}): it would not slide. "
-                    "Leave them out of one of both.",
+                    "Remove them from one of the two.",
                     nodes,
                 )
         if any(np.array_equal(nodes, other) for other in patches):
-            raise ValueError(f"{each.name} is given twice: its nodes slide along one surface. Leave one of both out.")
+            raise ValueError(f"{each.name} is given twice. Its nodes slide along one surface. Remove one of the two.")
         patches.append(nodes)
         walls += walls_of_patch(each, nodes, points, faces, lists.get("moving", ()))
     return walls
 
 
 def slides(sliding: Any) -> tuple[Slide, ...]:
-    """Returns one slide or several, names as those along their own faces. Raises `ValueError` for anything else."""
+    """Returns a list of slides; a name becomes a slide along the patch's own faces.
+
+    Raises `ValueError` for anything else.
+    """
     if isinstance(sliding, type):
         raise ValueError(f"`sliding` is the class {sliding.__name__}: call it, sliding=jm.Slide('shroud').")
     several = [sliding] if isinstance(sliding, Slide | str) else sliding
@@ -372,7 +375,7 @@ def _check_named_once(sliding: Any, **lists: Any) -> None:
             both = set(_names(each.patch) or ()) & set(_names(values) or ())
             if both:
                 raise ValueError(
-                    f"the patch {min(both)!r} is named in `sliding` and in `{name}`, and would not slide: name it in one of both."
+                    f"the patch {min(both)!r} is named in `sliding` and in `{name}`, and would not slide. Remove one of the two."
                 )
 
 

@@ -34,7 +34,7 @@ class Images(eqx.Module):
     pairings: tuple[Pairing, ...]
 
     def at(self, pairings: Sequence[Pairing]) -> "Images":
-        """Returns the same with the shifts of other pairings, which differ in their translations alone. Traced."""
+        """Replaces the shifts by those of `pairings`, which differ only in translation. Traced."""
         shifts, moved = self.shifts, []
         for p, (old, new) in enumerate(zip(self.pairings, pairings, strict=True)):
             shift = jnp.asarray(new.shift, shifts.dtype)
@@ -151,8 +151,9 @@ def _numbered(
     elements: Sequence[tuple], pairings: Sequence[Pairing], on_plane: Bool[np.ndarray, "o p"]
 ) -> tuple[Int[np.ndarray, "t o"], Int[np.ndarray, " o"]]:
     """Numbers the place of each row's image by each transform; finds the row for which each row stands."""
-    # A place is one integer of mixed radix: a bit for each mirror plane, then a digit for the periodic power of each pairing,
-    # then the root row. Rows on a plane, on an axis, and second sides count as what they repeat: equal integers, one place.
+    # Each image position is one integer of mixed radix: a bit for each mirror plane, then a digit
+    # for the periodic power of each pairing, then the source row. Rows on a plane, on an axis, and
+    # on second sides have the integer of the row that they repeat: equal integers, one position.
     count, size = on_plane.shape
     roots, radix = np.arange(count), 1 << size
     places = np.array([[np.array(flag, dtype=np.int64) @ (1 << np.arange(size))] for _, flag in elements])

@@ -1,4 +1,4 @@
-"""Periodic boundaries: which node of one patch is which of its partner, found and checked by the transform between them."""
+"""Pairs the nodes of two periodic patches and checks the pairs."""
 
 import contextlib
 import dataclasses
@@ -27,7 +27,8 @@ class Periodic:
     """Joins two patches of which the second repeats the first: passages of a cascade, sectors of a wheel, ends of a duct.
 
     The surface is repeated by the transform before a method sees it, so the field knows its neighbours. What is left is made
-    equal by averaging each pair of nodes. Both patches move: they keep no shape but that of each other.
+    equal by averaging each pair of nodes. Both patches move: they may change shape, but stay copies
+    of each other.
 
     Without any of `translation`, `rotation`, `about` and `axis` the transform is the translation between the middles of the
     patches. If they do not match, it is a rotation about an axis of coordinates (the origin in 2-D).
@@ -79,7 +80,7 @@ class Periodic:
 
     @property
     def is_rotation(self) -> bool:
-        """Tells whether the transform is a rotation."""
+        """Checks whether the transform is a rotation."""
         return not (self.rotation is None and self.about is None and self.axis is None)
 
 
@@ -87,7 +88,7 @@ class Pairing(eqx.Module):
     """Holds pairs of nodes, and the transform x -> `matrix` x + `shift` that leads from `first` to `second`.
 
     - `first`, `second` (q,): ids of nodes, or rows of them.
-    - `alone` (s,): those that the transform leaves where they are, on the axis of a rotation.
+    - `alone` (s,): nodes on the axis of a rotation, which the transform does not move.
     - `keeps` (d, d): projection on the vectors that the transform does not turn.
     - `turn`: how many sectors make a whole turn, 0 where the transform never comes back.
     - `copies`: as `Periodic` has it.
@@ -134,7 +135,7 @@ class Pairing(eqx.Module):
         )
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
-        """Returns the same with node k called `place[k]`; pairs of which a node has none (-1) are left out."""
+        """Renumbers the pairs: node k becomes `place[k]`. Pairs with a node of place -1 are dropped."""
         first, second, alone = (place[np.asarray(nodes)] for nodes in (self.first, self.second, self.alone))
         kept = (first >= 0) & (second >= 0)
         numbers = first[kept], second[kept], alone[alone >= 0]
@@ -231,7 +232,7 @@ def _keeps(periodic: Periodic, dimension: int) -> np.ndarray:
 
 
 def _refuse(periodic: Periodic, nodes: tuple, matches: tuple, points: np.ndarray) -> None:
-    """Raises: names the worst node of those without a partner."""
+    """Raises `ValueError`, with the worst node without a partner."""
     first, second = nodes
     distance, apart, nearest = matches
     if not apart.size:

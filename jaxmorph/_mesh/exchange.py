@@ -189,5 +189,5 @@ def _rank(name: str) -> int:
 
 
 def _are_whole(values: Any) -> bool:
-    """Tells whether there is one whole number each, as a float too, with NaN nowhere."""
+    """Checks whether values are one whole number a cell, ints or floats, without NaN."""
     return np.ndim(values) == 1 and bool((values == np.floor(values)).all())

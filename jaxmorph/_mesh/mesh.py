@@ -150,7 +150,7 @@ class Mesh(Module):
 
     @checked
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
-        """Returns the same mesh with other coordinates `points` (n, d); this one stays as it is.
+        """Makes a mesh of other coordinates `points` (n, d) with these cells and patches.
 
         **Raises:** `ValueError` when the shape of `points` differs.
         """

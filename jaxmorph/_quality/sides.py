@@ -132,7 +132,10 @@ def _paired(mesh: Mesh, columns: list[np.ndarray], owner: Int[np.ndarray, " t"])
 
 
 def _is_reversed(a: list[np.ndarray], b: list[np.ndarray]) -> Bool[np.ndarray, " f"]:
-    """Tells which faces run round the same corners in the opposite sense; `a` and `b` are their corners by column."""
+    """Marks the pairs of faces that run round equal corners in opposite senses.
+
+    `a` and `b` are the faces' corners by column.
+    """
     is_reversed = np.zeros(len(a[0]), dtype=bool)
     for start in range(len(b)):
         same = a[0] == b[start]

@@ -23,7 +23,7 @@ class Stage:
         self.began, self.share = time.monotonic(), 0.0
 
     def done(self, share: float) -> None:
-        """Tells how much of the stage is done, of 1."""
+        """Sets the share of the stage that is done, from 0 to 1."""
         self.share = share
 
     def __str__(self) -> str:

@@ -169,7 +169,7 @@ def checked_target(name: str | os.PathLike[str], source: object) -> Format:
 
 
 def _same_file(a: pathlib.Path, b: pathlib.Path) -> bool:
-    """Tells whether two paths lead to one file."""
+    """Checks whether two paths lead to one file."""
     try:
         return os.path.samefile(a, b)
     except OSError:

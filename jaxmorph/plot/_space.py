@@ -221,7 +221,7 @@ def whole_view(
 
 
 def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
-    """Returns the same of the camera as it is."""
+    """Returns the view (10,) of the plotter's camera as it is now."""
     return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
 
 

@@ -143,7 +143,7 @@ class FreeForm(AbstractLinearShape):
         return (x - self.origin.astype(x.dtype)[None, :]) @ inverse
 
     def holds(self, t: Float[Array, "m d"]) -> Bool[Array, " m"]:
-        """Tells which coordinates lie in the box, its border and round-off included."""
+        """Marks the coordinates in the box, its border and round-off included."""
         beyond = slack(t.dtype)
         return jnp.all((t >= -beyond) & (t <= 1 + beyond), axis=1)
 

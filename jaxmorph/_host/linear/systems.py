@@ -230,7 +230,7 @@ def _scaled(matrix: Any, scale: np.ndarray) -> Any:
 
 
 def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Tells which nodes (n,) hang together, by pairs (e, 2), with one that is `known` (n,)."""
+    """Marks the nodes (n,) that pairs (e, 2) connect to a node that is `known` (n,)."""
     part = parts_of(pairs[:, 0], pairs[:, 1], len(known))
     return np.bincount(part, known)[part] > 0
 

@@ -164,7 +164,10 @@ def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.
 
 
 def _says(annotation: Any) -> bool:
-    """Tells whether an annotation says anything about a value: trees and names of classes that come later do not."""
+    """Checks whether an annotation says anything about a value.
+
+    Annotations of trees, and names of classes that are defined later, say nothing.
+    """
     is_silent = annotation in (Any, inspect.Parameter.empty, object) or isinstance(annotation, str | typing.TypeVar)
     return not is_silent and getattr(annotation, "__name__", "") != "PyTree"
 
@@ -191,7 +194,10 @@ def _fits(value: Any, annotation: Any) -> bool:
 
 
 def _fits_array(value: Any, annotation: Any) -> bool:
-    """Tells whether a value is an array of the right kind, masked nowhere; its shape is for the function to check."""
+    """Checks whether a value is an array of the right kind, without masked numbers.
+
+    The function that takes the array checks its shape.
+    """
     try:
         array = value if _has_type(value) else np.asarray(value)
     except ValueError:
@@ -204,7 +210,7 @@ def _fits_array(value: Any, annotation: Any) -> bool:
 
 
 def _holds_traced(value: Any) -> bool:
-    """Tells whether a number in nested lists is traced by JAX."""
+    """Checks whether a number in nested lists is traced by JAX."""
     return any(map(_holds_traced, value)) if isinstance(value, list | tuple) else hasattr(value, "aval")
 
 

@@ -19,7 +19,7 @@ Once = Callable[[Any, Callable[[], Any]], Any]
 
 
 def at_once(key: Any, make: Callable[[], Any]) -> Any:
-    """Makes a thing and keeps nothing."""
+    """Calls `make` without a cache."""
     return make()
 
 

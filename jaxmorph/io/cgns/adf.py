@@ -20,7 +20,7 @@ _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4
 
 
 def is_adf(path: pathlib.Path) -> bool:
-    """Tells whether a file begins as ADF does."""
+    """Checks whether a file begins as an ADF file."""
     with path.open("rb") as file:
         return file.read(TAG + len(MAGIC))[TAG:] == MAGIC
 
