@@ -99,4 +99,4 @@ METHODS = (
 
 def entry(name: str) -> Entry:
     """Finds the entry of a name that is in the list."""
-    return next(each for each in METHODS if each.name == name)
+    return next(entry for entry in METHODS if entry.name == name)

@@ -39,7 +39,7 @@ def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
 
     One node of a pair rests, or both move. A resting node's boundary touches the other node's there, or lies across a gap.
     """
-    slides, gap, both = (int(each.sum()) for each in (touches, rests & ~touches, ~rests))
+    slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
     at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "
     texts = (
         f"{at}If a boundary slides along the moving one, name it in `sliding` (--sliding) in place of `fixed`, or make it a "

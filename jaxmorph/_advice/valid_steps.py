@@ -92,7 +92,7 @@ class ValidSteps(Module, optx.AbstractSearch):
         self, first_step: Any, y: Any, y_eval: Any, f_info: Any, f_eval_info: Any, state: Any
     ) -> tuple[Any, Any, Any, Any]:
         """Accepts the variables that were tried, or gives a shorter step."""
-        before, after = (deform(self.plan, self.displacement(each)) for each in (y, y_eval))
+        before, after = (deform(self.plan, self.displacement(variables)) for variables in (y, y_eval))
         corners, dtype = self.corners, before.dtype
 
         def share(before: Any, after: Any) -> Any:

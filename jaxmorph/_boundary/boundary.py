@@ -150,22 +150,22 @@ def find_boundary(
         outer = outer_faces(patches)
     pairings = _pairings(periodic, points, patches)
     lists = {"fixed": fixed, "moving": moving}
-    tracks, held = _tracks(sliding, points, patches, planes, lists, None if outer is None else outer.corners)
-    if np.isin(held, moving).any():
-        corner = held[np.isin(held, moving)]
+    tracks, corners = _tracks(sliding, points, patches, planes, lists, None if outer is None else outer.corners)
+    if np.isin(corners, moving).any():
+        corner = corners[np.isin(corners, moving)]
         raise MeshError(
             f"{len(corner)} moving nodes are corners of sliding patches and cannot move, the first is node {{node}} at "
             f"({place_of(points[corner[0]])}). Leave them out of `moving`, or slide along fewer patches.",
             corner,
         )
     is_free = np.isin(np.arange(len(points)), fixed, invert=True)
-    check_repeated(tracks, held, pairings, points, is_free)
-    fixed = np.append(fixed, held[~np.isin(held, fixed)])
+    check_repeated(tracks, corners, pairings, points, is_free)
+    fixed = np.append(fixed, corners[~np.isin(corners, fixed)])
     tracks = tuple(Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
     tracks = tuple(track for track in tracks if len(track.rows))
     lists = moving, fixed, _guided(pairings, tracks, moving, fixed, points), planes, pairings, tracks
-    named = Boundary(points, *lists, None, None, None)
-    return named if patches is None else named.with_faces_of(patches, outer, free)
+    boundary = Boundary(points, *lists, None, None, None)
+    return boundary if patches is None else boundary.with_faces_of(patches, outer, free)
 
 
 def checked_points(points: Any) -> np.ndarray:
@@ -280,14 +280,14 @@ def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
 def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pairing, ...]:
     """Finds the pairs of nodes of periodic patches."""
     several = [periodic] if isinstance(periodic, Periodic) else periodic
-    if not isinstance(several, Sequence) or not all(isinstance(each, Periodic) for each in several):
+    if not isinstance(several, Sequence) or not all(isinstance(pair, Periodic) for pair in several):
         raise ValueError(
             f"`periodic` must be pairs such as jm.Periodic('lower', 'upper', translation=(0, 1)), not {periodic!r}."
         )
     pairings = []
-    for each in several:
-        first, second = (np.unique(_nodes(side, "periodic", mesh, len(points))) for side in (each.patch, each.partner))
-        pairings.append(paired(each, first, second, points))
+    for pair in several:
+        first, second = (np.unique(_nodes(side, "periodic", mesh, len(points))) for side in (pair.patch, pair.partner))
+        pairings.append(paired(pair, first, second, points))
     return merged(pairings, float(np.ptp(points, axis=0).max()))
 
 
@@ -333,20 +333,20 @@ def _walls(
 ) -> list[tuple[AbstractWall, np.ndarray]]:
     """Makes the walls of sliding patches, each with its nodes. Raises `ValueError` for a patch that is in a list as a whole."""
     walls, patches = [], []
-    for each in slides(sliding):
-        nodes = np.unique(_nodes(each.patch, "sliding", mesh, len(points)))
+    for slide in slides(sliding):
+        nodes = np.unique(_nodes(slide.patch, "sliding", mesh, len(points)))
         for name, listed in lists.items():
             if len(nodes) and np.isin(nodes, listed).all():
                 place = place_of(points[nodes[0]])
                 raise MeshError(
-                    f"all {len(nodes)} nodes of {each.name} are in `{name}`, first node {{node}} at ({place}): it would not slide. "
-                    "Remove them from one of the two.",
+                    f"all {len(nodes)} nodes of {slide.name} are in `{name}`, first node {{node}} at ({place}): "
+                    "it would not slide. Remove them from one of the two.",
                     nodes,
                 )
         if any(np.array_equal(nodes, other) for other in patches):
-            raise ValueError(f"{each.name} is given twice. Its nodes slide along one surface. Remove one of the two.")
+            raise ValueError(f"{slide.name} is given twice. Its nodes slide along one surface. Remove one of the two.")
         patches.append(nodes)
-        walls += walls_of_patch(each, nodes, points, faces, lists.get("moving", ()))
+        walls += walls_of_patch(slide, nodes, points, faces, lists.get("moving", ()))
     return walls
 
 
@@ -360,8 +360,8 @@ def slides(sliding: Any) -> tuple[Slide, ...]:
     several = [sliding] if isinstance(sliding, Slide | str) else sliding
     if not isinstance(several, Sequence | set | frozenset):
         raise ValueError(f"`sliding` must be a Slide or several, jm.Slide('shroud'), not {several!r}.")
-    several = [Slide(each) if isinstance(each, str) else each for each in several if each is not None]
-    if not all(isinstance(each, Slide) for each in several):
+    several = [Slide(slide) if isinstance(slide, str) else slide for slide in several if slide is not None]
+    if not all(isinstance(slide, Slide) for slide in several):
         raise ValueError(
             f"`sliding` must be slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), not {sliding!r}."
         )
@@ -370,9 +370,9 @@ def slides(sliding: Any) -> tuple[Slide, ...]:
 
 def _check_named_once(sliding: Any, **lists: Any) -> None:
     """Raises `ValueError` for a patch that slides and is in another list, where its nodes do not."""
-    for each in slides(sliding):
+    for slide in slides(sliding):
         for name, values in lists.items():
-            both = set(_names(each.patch) or ()) & set(_names(values) or ())
+            both = set(_names(slide.patch) or ()) & set(_names(values) or ())
             if both:
                 raise ValueError(
                     f"the patch {min(both)!r} is named in `sliding` and in `{name}`, and would not slide. Remove one of the two."

@@ -129,7 +129,7 @@ class Round(AbstractWall):
         radius = norm(outward)
         outward = outward / jnp.where(radius > 0, radius, 1)[:, None]
         if self.spline is None or self.knots is None:
-            a, b, c = (jnp.asarray(each, x.dtype) for each in self.line)
+            a, b, c = (jnp.asarray(coefficient, x.dtype) for coefficient in self.line)
             above, a, b = (
                 a * along + b * radius - c,
                 jnp.broadcast_to(a, radius.shape),
@@ -312,13 +312,15 @@ class Track(eqx.Module):
 
     def along(self, points: Float[Array, "n d"], u: Float[Array, "n d"]) -> Float[Array, "n d"]:
         """Changes displacements so that the rows stay as near to the walls as they are. Traced."""
-        start, given = points[self.rows], u[self.rows]
+        start, displacement = points[self.rows], u[self.rows]
         if self.is_linear:
             normals = [jnp.asarray(wall.height(start[:1])[1][0]) for wall in self.walls]
-            kept = given - _least(normals, [jnp.matmul(given, normal, precision="highest") for normal in normals])
+            tangential = displacement - _least(
+                normals, [jnp.matmul(displacement, normal, precision="highest") for normal in normals]
+            )
         else:
-            kept = self.project(start + given) - self.project(start)
-        return u.at[self.rows].set(kept)
+            tangential = self.project(start + displacement) - self.project(start)
+        return u.at[self.rows].set(tangential)
 
     def project(self, x: Float[Array, "k d"]) -> Float[Array, "k d"]:
         """Moves points to the walls."""

@@ -134,16 +134,18 @@ def copies(
     elements = sorted(
         itertools.product(itertools.product(*powers), flags), key=lambda each: sum(map(abs, each[0]))
     )  # stable: as they come among those as near
-    matrices, shifts = map(np.stack, zip(*(_transform(planes, pairings, *each) for each in elements), strict=True))
+    matrices, shifts = map(
+        np.stack, zip(*(_transform(planes, pairings, *element) for element in elements), strict=True)
+    )
     places, roots = _numbered(elements, pairings, on_plane)
     if pairings:
         places = _joined(places, np.einsum("tij,oj->toi", matrices, points.astype(float)) + shifts[:, None], points)
     rows, kind = _once(places, moving)
-    lying = [np.union1d(side, each.alone) for each in pairings for side in (each.first, each.second)]
+    lying = [np.union1d(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
     sides = np.zeros((len(points), len(lying)), dtype=bool)
     for column, rows_there in zip(sides.T, lying, strict=True):
         column[rows_there] = True
-    taken = np.array([each for each, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
+    taken = np.array([exponents for exponents, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
     return Copies(places, roots, rows, kind, int((rows < moving).sum()), matrices, shifts, taken, sides)
 
 
@@ -159,7 +161,7 @@ def _numbered(
     places = np.array([[np.array(flag, dtype=np.int64) @ (1 << np.arange(size))] for _, flag in elements])
     places = places & ~(on_plane @ (1 << np.arange(size)))[None]
     for p, pairing in enumerate(pairings):
-        power = np.array([each[p] for each, _ in elements])[:, None]
+        power = np.array([exponents[p] for exponents, _ in elements])[:, None]
         ahead = np.zeros(count, dtype=np.int64)
         ahead[pairing.second] = 1
         span = pairing.turn or 2 * pairing.copies + 2

@@ -74,7 +74,7 @@ class Periodic:
     def name(self) -> str:
         """Names both patches for a message."""
         names = [
-            repr(each) if isinstance(each, str) else f"of {len(each)} nodes" for each in (self.patch, self.partner)
+            repr(side) if isinstance(side, str) else f"of {len(side)} nodes" for side in (self.patch, self.partner)
         ]
         return f"the periodic patches {names[0]} and {names[1]}"
 
@@ -137,18 +137,18 @@ class Pairing(eqx.Module):
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
         """Renumbers the pairs: node k becomes `place[k]`. Pairs with a node of place -1 are dropped."""
         first, second, alone = (place[np.asarray(nodes)] for nodes in (self.first, self.second, self.alone))
-        kept = (first >= 0) & (second >= 0)
-        numbers = first[kept], second[kept], alone[alone >= 0]
+        is_complete = (first >= 0) & (second >= 0)
+        numbers = first[is_complete], second[is_complete], alone[alone >= 0]
         return eqx.tree_at(lambda pairing: (pairing.first, pairing.second, pairing.alone), self, numbers)
 
     def at(self, points: Float[Array, "n d"]) -> "Pairing":
         """Returns the pairs of other base points: a translation is theirs, a rotation stays. Traced."""
         if self.is_rotation:
             return self
-        apart = points[self.second] - points[self.first]
-        mean = jnp.mean(apart, axis=0)
+        difference = points[self.second] - points[self.first]
+        mean = jnp.mean(difference, axis=0)
         # the value of most pairs, where round-off has no part, with the derivative of the mean
-        shift = mean + jax.lax.stop_gradient(jnp.median(apart, axis=0) - mean)
+        shift = mean + jax.lax.stop_gradient(jnp.median(difference, axis=0) - mean)
         shift = jnp.where(jnp.abs(shift) < ALONG_AXIS * jnp.max(jnp.abs(shift)), 0, shift)
         return eqx.tree_at(lambda pairing: pairing.shift, self, shift)
 
@@ -210,9 +210,9 @@ def _paired(
     distance, nearest = map(np.asarray, tree.query(images))
     spacing = np.ptp(exact, axis=0).max() if len(second) < 2 else np.asarray(tree.query(exact[second], k=2)[0])[:, 1]
     allowed = np.maximum(MISMATCH * np.broadcast_to(spacing, len(second))[nearest], 2 * tolerance(points))
-    apart = np.flatnonzero(distance > allowed)
-    if apart.size or len(np.unique(nearest)) < len(second):
-        _refuse(periodic, (first, second), (distance, apart, nearest), points)
+    unmatched = np.flatnonzero(distance > allowed)
+    if unmatched.size or len(np.unique(nearest)) < len(second):
+        _refuse(periodic, (first, second), (distance, unmatched, nearest), points)
     same = first == second[nearest]
     whole = 2 * np.pi / abs(angle) if angle else 0
     turn = round(whole) if abs(whole - round(whole)) < 1e-6 * whole else 0
@@ -317,7 +317,7 @@ def _is_same_transform(one: Pairing, other: Pairing, size: float) -> bool:
 
 
 def _union(one: Pairing, other: Pairing) -> Pairing:
-    both = [np.stack([each.first, each.second], axis=1) for each in (one, other)]
+    both = [np.stack([pairing.first, pairing.second], axis=1) for pairing in (one, other)]
     first, second = np.unique(np.concatenate(both), axis=0).T
     alone, copies = np.unique(np.concatenate([one.alone, other.alone])), max(one.copies, other.copies)
     return Pairing(first, second, alone, one.matrix, one.shift, one.keeps, one.turn, copies, one.is_rotation)

@@ -107,14 +107,14 @@ def planes_through(
     try:
         return (Plane.through(points, nodes),)
     except MeshError as error:
-        held = np.zeros(len(points), dtype=bool)
-        held[nodes] = True
-        sides = [np.asarray(corners)[held[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
+        remaining = np.zeros(len(points), dtype=bool)
+        remaining[nodes] = True
+        sides = [np.asarray(corners)[remaining[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
         planes: list[Plane] = []
         first: list[Plane] = []
-        while held.any():
-            candidates = _candidates(points.astype(float), sides, held) if len(planes) < MOST else []
-            counts = np.array([held[plane.holds(points)].sum() for plane in candidates], dtype=int)
+        while remaining.any():
+            candidates = _candidates(points.astype(float), sides, remaining) if len(planes) < MOST else []
+            counts = np.array([remaining[plane.holds(points)].sum() for plane in candidates], dtype=int)
             if not len(counts) or counts.max() < points.shape[1]:
                 raise error from None
             best = [candidates[k] for k in np.flatnonzero(counts == counts.max())]
@@ -122,7 +122,7 @@ def planes_through(
             chosen = best[0].holds(points)
             on = nodes[chosen[nodes]]
             planes.append(Plane.through(points, on))
-            held[on] = False
+            remaining[on] = False
             sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
         if not all(any(plane.equals(other, points) for other in planes) for plane in first):
             raise error from None  # one cell wide and high: nodes do not tell which sides are meant

@@ -79,7 +79,7 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
         off["mismatch"].append((surface[pairing.first], pairing.misses(points[surface].astype(float))))
     largest, worst = dict.fromkeys(off, 0.0), {}
     for name, parts in off.items():
-        nodes = np.concatenate([np.zeros(0, int), *(each for each, _ in parts)])
+        nodes = np.concatenate([np.zeros(0, int), *(ids for ids, _ in parts)])
         if len(nodes):
             distances = np.concatenate([each for _, each in parts])
             row = int(np.argmax(distances))

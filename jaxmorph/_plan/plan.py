@@ -72,8 +72,8 @@ class Guide(Module):
         The listed rows are the moving and the fixed rows.
         """
         plan, known = self.plan, len(self.plan.surface.nodes)
-        given = vectors[:known] if plan.images is None else plan.images.kept(vectors[:known])
-        u = self._on_walls(jnp.concatenate([given, jnp.zeros_like(vectors[known:])]))
+        displacement = vectors[:known] if plan.images is None else plan.images.kept(vectors[:known])
+        u = self._on_walls(jnp.concatenate([displacement, jnp.zeros_like(vectors[known:])]))
         moved = deform_surface(plan, u[:known]) - plan.points
         u = self._alike(jnp.concatenate([u[:known], moved[known:]]))
         return self._alike(self._on_walls(u)) if self.tracks else u

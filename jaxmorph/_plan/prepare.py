@@ -64,7 +64,7 @@ def prepare(
     and sliding ones that do not lie on their surface.
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
-    if all(isinstance(each, tuple) and not each for each in (fixed, symmetry, sliding, free)):
+    if all(isinstance(argument, tuple) and not argument for argument in (fixed, symmetry, sliding, free)):
         fixed, symmetry = by_kinds(mesh, moving, periodic)
     return plan_of(find_boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method)
 

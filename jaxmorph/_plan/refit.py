@@ -105,7 +105,7 @@ def _check_boundary(plan: Plan, points: np.ndarray) -> None:
     here, exact = points[nodes], points[nodes].astype(float)
     for track in guide.tracks:
         rows = np.asarray(track.rows)
-        size = np.ptp(np.concatenate([here[np.asarray(each.rows)] for each in guide.tracks]), axis=0).max()
+        size = np.ptp(np.concatenate([here[np.asarray(track.rows)] for track in guide.tracks]), axis=0).max()
         for wall in track.walls:
             off = np.asarray(wall.distance(jax.numpy.asarray(here[rows])))
             what = "nodes of sliding patches have left their surface"

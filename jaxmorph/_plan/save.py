@@ -137,7 +137,7 @@ class _Writer:
                 raise ValueError(
                     f"{where} is laid over devices: save the plan that `prepare` returned, and `shard` what is loaded."
                 )
-            fields = {each.name: getattr(value, each.name) for each in dataclasses.fields(value)}
+            fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
             described = {name: self.node(each, f"{where}.{name}") for name, each in fields.items()}
             return {"class": self._name(type(value), where), "fields": described}
         kind = type(value).__name__
@@ -205,7 +205,7 @@ class _Reader:
 
     def _object(self, name: str, fields: dict[str, Any]) -> Any:
         kind = self._class(name, object)
-        expected = {each.name for each in dataclasses.fields(kind)}
+        expected = {field.name for field in dataclasses.fields(kind)}
         if expected != fields.keys():
             raise _Refused(
                 f"{name} has the fields {', '.join(fields)} in the file, but {', '.join(sorted(expected))} here: it was written "

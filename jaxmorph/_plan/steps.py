@@ -123,7 +123,7 @@ def _check_piece(plan: Plan, rebuild: bool) -> None:
 
 
 def _anew(plan: Plan, points, mesh: Mesh | None) -> Plan:
-    named = dataclasses.replace(boundary_of(plan), points=np.asarray(points))
+    boundary = dataclasses.replace(boundary_of(plan), points=np.asarray(points))
     if mesh is not None:
-        named = dataclasses.replace(named.with_faces_of(mesh), left=None)  # `prepare` has warned of these
-    return plan_of(named, plan.method)
+        boundary = dataclasses.replace(boundary.with_faces_of(mesh), left=None)  # `prepare` has warned of these
+    return plan_of(boundary, plan.method)

@@ -72,8 +72,8 @@ def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.nd
             first, second = first[near], second[near]
             near = (low[first, axis] <= high[second, axis]) & (low[second, axis] <= high[first, axis])
         first, second = first[near], second[near]
-    apart = first != second
-    return order[first[apart]], order[second[apart]]
+    differs = first != second
+    return order[first[differs]], order[second[differs]]
 
 
 def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:

@@ -39,9 +39,9 @@ def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
     short = np.flatnonzero((distance < np.inf).sum(axis=1) < count)
     best, kept = _smallest(distance, nearest, count)
     if short.size:
-        apart = np.where(nearest[short] >= start, distance[short], np.inf)
+        distances = np.where(nearest[short] >= start, distance[short], np.inf)
         more, older = _query(points[:start], points[start + short], min(start, count))
-        both = np.concatenate([apart, more], axis=1), np.concatenate([nearest[short], older], axis=1)
+        both = np.concatenate([distances, more], axis=1), np.concatenate([nearest[short], older], axis=1)
         best[short], kept[short] = _smallest(*both, count)
     return np.where(best < np.inf, kept, place)
 

@@ -105,7 +105,7 @@ def between(name: str, value: Any, low: float | int = -np.inf, high: float | int
 def _range(low: float | int, high: float | int, ends: str) -> str:
     lower = "" if low == -np.inf else f"of {low:g} or more" if ends[0] == "[" else f"above {low:g}"
     upper = "finite" if high == np.inf else f"{'up to' if ends[1] == ']' else 'below'} {high:g}"
-    words = [each for each in (lower, upper) if each and not (each == "finite" and ends[1] == "]")]
+    words = [word for word in (lower, upper) if word and not (word == "finite" and ends[1] == "]")]
     return (" that is " if words == ["finite"] else " ") + " and ".join(words) if words else ""
 
 
@@ -134,7 +134,7 @@ def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
 def check_patch(name: str, patch: Any) -> None:
     """Raises `ValueError` for what is neither the name of a patch, nor several, nor ids of nodes."""
     is_names = isinstance(patch, str) or (
-        isinstance(patch, list | tuple) and all(isinstance(each, str) for each in patch)
+        isinstance(patch, list | tuple) and all(isinstance(name, str) for name in patch)
     )
     if not is_names:
         rows_of(name, patch, 2**62)
@@ -177,7 +177,7 @@ def _members(annotation: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Lists the members of a union: arrays, and all else."""
     is_union = typing.get_origin(annotation) in (typing.Union, types.UnionType)
     members = typing.get_args(annotation) if is_union else (annotation,)
-    return tuple(filter(_is_array, members)), tuple(each for each in members if not _is_array(each))
+    return tuple(filter(_is_array, members)), tuple(member for member in members if not _is_array(member))
 
 
 def _is_array(annotation: Any) -> bool:
@@ -190,7 +190,7 @@ def _fits(value: Any, annotation: Any) -> bool:
         return _fits_array(value, arrays[0])
     if arrays and isinstance(value, list | tuple) and _fits_array(value, arrays[0]):
         return True
-    return any(_fits_one(value, each, bool(arrays)) for each in others)
+    return any(_fits_one(value, member, bool(arrays)) for member in others)
 
 
 def _fits_array(value: Any, annotation: Any) -> bool:
@@ -299,6 +299,8 @@ def _call(callee: Callable) -> str:
     """Writes the call to make, with the names of the arguments that stand without theirs."""
     parameters = inspect.signature(callee).parameters.values()
     words = [
-        each.name for each in parameters if each.name not in ("self", "cls") and each.kind is not each.KEYWORD_ONLY
+        parameter.name
+        for parameter in parameters
+        if parameter.name not in ("self", "cls") and parameter.kind is not parameter.KEYWORD_ONLY
     ]
     return f"{callee.__qualname__.removesuffix('.__init__')}({', '.join(words)})"

@@ -175,8 +175,8 @@ def morton_order(points: np.ndarray) -> np.ndarray:
 def _spread(grid: np.ndarray, dimension: int) -> np.ndarray:
     """Moves bit k of each number to place k times `dimension`: blocks of bits are halved until each holds one."""
     for half in (16, 8, 4, 2, 1):
-        kept = sum((2**half - 1) << place for place in range(0, 64, half * dimension)) % 2**64
-        grid = (grid | grid << np.uint64(half * (dimension - 1))) & np.uint64(kept)
+        bits = sum((2**half - 1) << place for place in range(0, 64, half * dimension)) % 2**64
+        grid = (grid | grid << np.uint64(half * (dimension - 1))) & np.uint64(bits)
     return grid
 
 
@@ -209,8 +209,8 @@ def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
     groups = KDTree(unit).query_pairs(closest, output_type="ndarray")
     keep = np.ones(len(unit), dtype=bool)
     keep[groups.max(axis=1) if len(groups) else []] = False
-    kept = np.flatnonzero(keep)
-    return kept[canonical_order(unit[kept])]
+    rows = np.flatnonzero(keep)
+    return rows[canonical_order(unit[rows])]
 
 
 def _snapped(nodes: np.ndarray) -> np.ndarray:
