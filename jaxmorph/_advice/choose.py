@@ -192,7 +192,7 @@ def _tries(leaves: Sequence[int]) -> list[tuple[bool, int, bool]]:
 
 
 def _resolving(leaves: Sequence[int], points: np.ndarray, motions: np.ndarray) -> Sequence[int]:
-    """Adds the leaves in 3-D whose sources resolve all motions, where none of those to try does."""
+    """Adds a number of leaves in 3-D whose sources resolve all motions, if no number does yet."""
     if points.shape[1] == 2:
         return leaves
     enough = max(leaves_enough(points, motion) or 0 for motion in motions)

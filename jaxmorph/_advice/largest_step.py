@@ -76,7 +76,7 @@ def largest_step(
 
 
 def _nonlinear(plan: Plan) -> str:
-    """Says what makes a plan's displacements not linear."""
+    """Names what makes a plan's displacements not linear."""
     method = plan.method
     if method.linear:
         return "nodes slide along curved walls"

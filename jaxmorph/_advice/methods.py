@@ -94,7 +94,7 @@ METHODS = (
           sources="all", title="compact RBF"),
 )
 # fmt: on
-"""Methods in the order in which `choose` tries them; ones that are not linear in `u` come after those that are."""
+"""Methods in the order in which `choose` tries them. Methods that are linear in `u` come first."""
 
 
 def entry(name: str) -> Entry:

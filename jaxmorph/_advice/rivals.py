@@ -49,7 +49,7 @@ class Extent:
 
 
 def too_large(method: AbstractMethod, boundary: Boundary) -> str | None:
-    """Says why a mesh is too large for a method to be tried by default; None where it is not."""
+    """Returns why a mesh is too large to try a method by default; None if it is small enough."""
     n, d = boundary.points.shape
     if method.needs_cells and n > MOST_POINTS[d]:
         return f"{n} points; a solve on the cells is tried up to {MOST_POINTS[d]}"
@@ -71,7 +71,10 @@ def tried(boundary: Boundary, method: AbstractMethod | None) -> Plan | Exception
 def others(
     mesh: Mesh, boundary: Boundary, methods: Mapping[str, AbstractMethod] | None, motions: np.ndarray
 ) -> list[tuple[dict[str, Any], Plan | None]]:
-    """Tries the named methods, or those of the list: a row of the table and a plan each, None where there is none."""
+    """Tries the named methods, by default all of the list.
+
+    It yields a row of the table and a plan for each method, None if the method has no plan.
+    """
     wall = Extent(boundary.points[boundary.moving], boundary.points[boundary.fixed])
     makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}
     if methods is not None:

@@ -35,7 +35,7 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
 
 
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
-    """Says what tears each kind of pairs (k,), and what to try.
+    """Describes what tears each kind of pairs (k,), and what to try.
 
     One node of a pair rests, or both move. A resting node's boundary touches the other node's there, or lies across a gap.
     """

@@ -86,7 +86,7 @@ class Boundary:
             warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.")
 
     def part(self, nodes: np.ndarray) -> "Boundary":
-        """Restricts the boundary to the mesh's nodes `nodes`: ascending ids with the whole surface."""
+        """Restricts the boundary to some `nodes` of the mesh: ascending ids with the whole surface."""
         moving, fixed, guided = (np.searchsorted(nodes, ids) for ids in (self.moving, self.fixed, self.guided))
         faces, surface = self.surface_faces, np.concatenate([moving, fixed, guided])
         faces = None if faces is None else {kind: surface[rows] for kind, rows in faces.items()}

@@ -7,16 +7,20 @@ from scipy.spatial import Delaunay, QhullError
 from .closest import inside
 
 CONTINUES = 0.5
-"""Least cosine between a hole's new faces and those around it: 60 degrees. The rim of a dome, or a tube's end, is no hole."""
+"""Least cosine between a hole's new faces and the faces around it: 60 degrees.
+
+The rim of a dome, or a tube's end, is no hole.
+"""
 
 
 def filled(
     faces: Int[np.ndarray, "e d"], vertices: Float[np.ndarray, "v d"], moves: Bool[np.ndarray, " v"]
 ) -> Int[np.ndarray, "f d"]:
-    """Adds faces between the vertices around each hole whose rim moves; the others stay open. A triangle's order is kept.
+    """Adds faces between the vertices around each hole whose rim moves; other holes stay open.
 
     New faces continue the direction of the faces around them. In 2-D a line joins two ends that
-    move. In 3-D a Delaunay triangulation in the rim's mean plane makes the faces.
+    move. In 3-D a Delaunay triangulation in the rim's mean plane makes the faces. The given faces
+    come first, in their order.
     """
     if faces.shape[1] == 2:
         return np.concatenate([faces, _joined(faces, vertices, moves)]).astype(faces.dtype)

@@ -34,7 +34,7 @@ class Images(eqx.Module):
     pairings: tuple[Pairing, ...]
 
     def at(self, pairings: Sequence[Pairing]) -> "Images":
-        """Replaces the shifts by those of `pairings`, which differ only in translation. Traced."""
+        """Takes the shifts from `pairings` that differ only in their translations. Traced."""
         shifts, moved = self.shifts, []
         for p, (old, new) in enumerate(zip(self.pairings, pairings, strict=True)):
             shift = jnp.asarray(new.shift, shifts.dtype)
@@ -100,7 +100,7 @@ class Copies:
 
     @property
     def first(self) -> np.ndarray:
-        """For each extended row the first one (b,) that is the same row or its periodic partner."""
+        """The first extended row (b,) that repeats each extended row or its periodic partner."""
         _, first, inverse = np.unique(self.roots[self.rows], return_index=True, return_inverse=True)
         return first[inverse]
 
@@ -192,7 +192,7 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
 
 
 def _once(places: Int[np.ndarray, "t o"], moving: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lists row and transform of each place once: moving ones, then the others, own rows before their images."""
+    """Lists row and transform of each place once: moving rows first, own rows before their images."""
     count = places.shape[1]
     first = np.sort(np.unique(places, return_index=True)[1])
     kind, rows = np.divmod(first, count)

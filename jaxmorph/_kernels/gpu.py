@@ -26,7 +26,7 @@ FEW_BLOCK, FEW_WARPS = 64, 1
 """`BLOCK` and `WARPS` of fewer points."""
 
 PROGRAMS, LEAST_SHARE = 2**17, 256
-"""Programs that keep a card busy to the end, and the least number of sources that one takes."""
+"""Number of programs that keep a card busy to the end, and least number of sources of a program."""
 
 TOGETHER = 4
 """Sources of one round of the kernel's loop."""

@@ -65,7 +65,7 @@ def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
 
 
 def largest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
-    """Takes the largest value along an axis; its derivative is that of the largest, or the mean of those of equal ones."""
+    """Takes the largest value along an axis; its derivative is the mean over equal largest values."""
     return np.max(values, axis=axis) if namespace(values) is np else _largest(values, axis)
 
 

@@ -77,7 +77,7 @@ def _refuse_unknown(kinds) -> None:
     unknown = dict.fromkeys(kind for kind in kinds if kind not in CORNERS and kind != "vertex")
     if unknown:
         known = ", ".join(CORNERS)
-        raise ValueError(f"cells of type {', '.join(unknown)} are not supported; those that are: {known}.")
+        raise ValueError(f"cells of type {', '.join(unknown)} are not supported. Supported types are {known}.")
 
 
 def imported(name: str, extra: str) -> Any:
@@ -134,7 +134,7 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _sets(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of named sets of cells, except those of full dimension, which are regions of the volume."""
+    """Makes patches of named sets of cells, except sets of full dimension: regions of the volume."""
     levels, patches = grid.levels, {}
     for name, members in grid.cell_sets.items():
         for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):

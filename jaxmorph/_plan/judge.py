@@ -21,7 +21,7 @@ class BoundaryQuality:
     - `off_plane`: of nodes from their symmetry plane.
     - `off_surface`: of sliding nodes from their surface.
     - `mismatch`: of the second node of a periodic pair from where the transform leads the first.
-    - `nodes`: the ids of the worst node by the name of the distance, for those that the plan has.
+    - `nodes`: the id of the worst node, by the name of the distance; only for distances of the plan.
     - `ended`: ids (k,) of sliding nodes that have come to the end of their surface.
     """
 

@@ -34,7 +34,7 @@ from .devices import Layout, over_points, pad_rows, rows_here
 class SurfacePart(eqx.Module):
     """Holds what every device has whole: the surface and the solve.
 
-    Its o own rows are the nodes that move, those that are fixed and those that are guided; b rows have images too. In a
+    Its o own rows are the moving, fixed and guided nodes; b rows have images too. In a
     plan of a piece of a mesh `nodes` holds numbers from n on for nodes that the piece does not have.
     """
 
@@ -191,7 +191,7 @@ class Plan(Module):
 
     @property
     def surface_points(self) -> Float[Array, "o d"]:
-        """Base coordinates of `surface_nodes`, those of other pieces included."""
+        """Base coordinates of `surface_nodes`, nodes of other pieces included."""
         if not self.is_piece:
             return self.points[self.surface.nodes]
         if self.images is None:
@@ -219,7 +219,7 @@ class Plan(Module):
 
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes the displacements of moving, fixed and guided nodes from those of the moving ones. Traced."""
+        """Computes the surface nodes' displacements from the moving nodes' displacements. Traced."""
         return kept(self, _of_surface(self, u))
 
     def __repr__(self) -> str:

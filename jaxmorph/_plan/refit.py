@@ -65,7 +65,7 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
 
 def with_boundary_of(plan: Plan, other: Plan) -> Plan:
-    """Returns a plan with the walls and transforms of another one of the same mesh and lists."""
+    """Returns a plan with the walls and transforms of another plan of its mesh and lists."""
     guide = other.surface.guide
     return plan if guide is None else _with(plan, guide.tracks, guide.pairings)
 

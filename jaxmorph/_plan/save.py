@@ -142,13 +142,13 @@ class _Writer:
             return {"class": self._name(type(value), where), "fields": described}
         kind = type(value).__name__
         raise ValueError(
-            f"{where} is a {kind}, which a file of plans cannot hold; `pickle` may do, among those you trust."
+            f"{where} is a {kind}, which a plan file cannot hold. `pickle` may serve, among people you trust."
         )
 
     def _array(self, value: Any, where: str) -> dict[str, Any]:
         array = np.ascontiguousarray(np.asarray(value)).reshape(np.shape(value))
         if array.dtype.kind not in "biufc" or array.dtype.type.__module__ != "numpy":
-            raise ValueError(f"{where} holds {array.dtype}; a file of plans holds booleans and ordinary numbers.")
+            raise ValueError(f"{where} holds {array.dtype}; a plan file holds booleans and ordinary numbers.")
         key = (array.dtype.str, array.shape, hashlib.blake2b(array.tobytes()).digest())
         place = self.places.setdefault(key, len(self.arrays))
         if place == len(self.arrays):

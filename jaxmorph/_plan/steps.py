@@ -44,7 +44,7 @@ def march(
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
     if mesh is not None and not rebuild:
         raise ValueError(
-            "`mesh` is for `rebuild=True`; without it the ids of the plan are kept. Leave one of them away."
+            "`mesh` needs `rebuild=True`. Without it the ids of the plan are kept. Pass rebuild=True, or remove `mesh`."
         )
     if rebuild and mesh is None and plan.method.needs_cells:
         name = type(plan.method).__name__

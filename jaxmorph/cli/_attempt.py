@@ -93,7 +93,7 @@ def explain(attempt: Attempt, choice: NamedMethod, bad: list[str], out: Output) 
 
 
 def _hint(choice: NamedMethod) -> str:
-    """Says what to try after a method."""
+    """Returns what to try after a method fails."""
     if choice.entry.name == "default":
         return f"{MORE}, or --method {' or '.join(CURES)}"
     default = "--method default"

@@ -35,7 +35,7 @@ class Stage:
 
 
 class Progress:
-    """Announces a stage that takes longer than `PATIENCE` on standard error: the seconds passed, and those left where known.
+    """Announces a stage that takes longer than `PATIENCE`: seconds passed, and left where known.
 
     Nothing is said when standard error is not a terminal, and nothing stays of it when the stage is over. `seconds` holds
     how long each stage took.

@@ -109,7 +109,7 @@ class FreeForm(AbstractLinearShape):
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Control points (*counts,) that may move: those that `continuity` does not hold."""
+        """Control points (*counts,) that may move: `continuity` does not hold them."""
         held = -1 if self.continuity is None else self.continuity
         free = np.ones(self.counts, bool)
         for axis, count in enumerate(self.counts):

@@ -14,7 +14,7 @@ NOISE = 1e-13
 
 @dataclasses.dataclass(frozen=True)
 class PGreedy(AbstractReduction):
-    """Picks points one after the other, each where the power function of those before is largest.
+    """Picks points one after the other, each where its predecessors' power function is largest.
 
     The choice is that of De Marchi, Schaback and Wendland (Advances in Computational Mathematics 23, 2005).
     It depends on the places alone, not on a motion. The function is Wendland's C2 of a radius as large as the points'

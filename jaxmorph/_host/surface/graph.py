@@ -181,7 +181,7 @@ def _spread(grid: np.ndarray, dimension: int) -> np.ndarray:
 
 
 def _among(wanted: np.ndarray, ids: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Finds those of the `wanted` points that are among the `ids`, as places in `wanted`, and their nodes."""
+    """Finds the `wanted` points that are among the `ids`: their places in `wanted`, and their nodes."""
     node = np.full(n, -1, dtype=np.int64)
     node[ids] = nodes
     place = np.flatnonzero(node[wanted] >= 0)
@@ -315,7 +315,7 @@ def _beyond_hull(graph: Delaunay, nodes: np.ndarray, targets: np.ndarray, flat: 
 
 
 def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> None:
-    """Refuses points truly outside of the hull with a `MeshError`; those on it within round-off pass."""
+    """Raises `MeshError` for points outside of the hull; points on it, within round-off, pass."""
     outside = beyond > 0
     if outside.any():
         worst_first = ids[outside][np.argsort(-beyond[outside], kind="stable")]

@@ -24,7 +24,7 @@ def at_once(key: Any, make: Callable[[], Any]) -> Any:
 
 
 def digest(values: np.ndarray) -> tuple[int, int]:
-    """Names an array by its length and a hash of its bytes: a key to keep by what was made of it."""
+    """Makes a cache key of an array: its length and a hash of its bytes."""
     return len(values), hash(values.tobytes())
 
 
@@ -71,7 +71,7 @@ def near_walls(
 
 
 def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
-    """Picks from each row of nodes (k, c) the `count` of least squared distance, nearest first, of equals the first one first."""
+    """Picks the `count` nearest nodes from each row (k, c), nearest first; ties go to the first."""
     order = np.argsort(squared, axis=1, kind="stable")
     nodes, squared = (np.take_along_axis(table, order, axis=1) for table in (nodes, squared))
     is_more = squared[:, 1:] > (1 + 2 * SAME) * squared[:, :-1]

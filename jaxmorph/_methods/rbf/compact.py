@@ -60,7 +60,7 @@ class CompactFactors(eqx.Module):
     is_certain: Bool[Array, ""]
 
     def near(self, x: Float[Array, " d"], surface: Float[Array, "b d"]) -> Bool[Array, " b"]:
-        """Marks the functions that reach a point. A function at the end of its reach does not count."""
+        """Marks the functions that reach a point. A point at the end of the reach does not count."""
         return self.has_function & (squared_distance(x[None], surface) < INSIDE * self.radius**2)
 
 
