@@ -327,7 +327,7 @@ def _at_rings(ids: WallIds, values: Float[Array, "b d"]) -> Float[Array, "r d"]:
 
 
 def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
-    """Assembles the normal equations of the first m sources, those that move.
+    """Assembles the normal equations of the first m sources, which move.
 
     They hold `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
     """
