@@ -24,7 +24,10 @@ class AbstractReduction(abc.ABC):
     """
 
     most_on_far_walls: ClassVar[int] = 0
-    """Most sources of a fixed wall farther from the moving walls than its length; 0 for no limit."""
+    """Most sources of fixed walls that are farther from the moving walls than they are long.
+
+    With 0 such walls are reduced as all fixed walls are.
+    """
 
     @abc.abstractmethod
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
