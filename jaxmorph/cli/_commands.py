@@ -11,7 +11,8 @@ from ._inspect import info, quality
 from ._modes import modes
 from ._output import Output
 from ._ranges import deform_ranges
-from ._requests import Deform, Demo, Info, Modes, Quality, Request, Sensitivity
+from . import _su2
+from ._requests import SU2, Deform, Demo, Info, Modes, Quality, Request, Sensitivity
 from ._sensitivity import sensitivity
 
 
@@ -30,6 +31,8 @@ def run(request: Request, out: Output) -> int:
             return modes(request, out)
         case Sensitivity():
             return sensitivity(request, out)
+        case SU2():
+            return _su2.run(request, out)
         case Quality():
             return quality(request, out)
         case Info(file):

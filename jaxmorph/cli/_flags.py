@@ -155,6 +155,21 @@ def _sensitivity(command: Parser) -> None:
     _speech(command)
 
 
+def _su2(command: Parser) -> None:
+    add = command.section()
+    what = "def moves the mesh as SU2_DEF does, dot projects sensitivities onto design variables as SU2_DOT does"
+    add("action", metavar="ACTION", choices=("def", "dot"), help=what)
+    add("file", metavar="CONFIG", type=Path, help="SU2's config file; the files it names are relative to its folder")
+    what = "dot: dJ/d(nodes) of the volume or of the wall (default: the file that the config names)"
+    add("--sensitivity", metavar="SENS", type=Path, help=what)
+    add("--output", "-o", metavar="OUT", type=_output, help="where to write (default as the config file says)")
+    add("--definition", action="store_true", help="the design variables of DEFINITION_DV in place of DV_KIND")
+    _method(command)
+    add = command.section("when cells are bad")
+    add("--allow-inverted", action="store_true", help="write OUT even when cells are inverted")
+    _speech(command)
+
+
 def _quality(command: Parser) -> None:
     add = command.section()
     add("file", metavar="FILE", type=Path, help=_MESH)
@@ -179,6 +194,7 @@ COMMANDS = {
     "deform": _deform,
     "modes": _modes,
     "sensitivity": _sensitivity,
+    "su2": _su2,
     "quality": _quality,
     "info": _info,
     "demo": _demo,

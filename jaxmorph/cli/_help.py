@@ -165,6 +165,26 @@ jaxmorph sensitivity --help-all
     + _SENSITIVITY_EXAMPLES
 )
 
+SU2 = """\
+Design variables, markers, steps and file names are those of the config file:
+DV_KIND, DV_PARAM, DV_VALUE, DV_MARKER, MARKER_SYM, DEFORM_NONLINEAR_ITER,
+FFD_*, MESH_FILENAME, MESH_OUT_FILENAME. Markers in neither list stay. Options
+of flow solvers are not looked at; a kind that is not taken is an error.
+
+def writes the mesh, and with it the boxes of the file with their control points
+moved; DV_KIND= FFD_SETTING writes the boxes of FFD_DEFINITION into it. dot
+writes GRAD_OBJFUNC_FILENAME: the derivatives at the mesh as it is, from the
+first file that is there of SOLUTION_ADJ_FILENAME, VOLUME_SENS_FILENAME and
+SURFACE_SENS_FILENAME.
+
+examples:
+  jaxmorph su2 def config.cfg
+  jaxmorph su2 dot config.cfg
+  jaxmorph su2 dot --definition config.cfg --sensitivity restart_adj_cd.csv
+
+exit status: 0; 1 when the motion inverts cells (the mesh is then not written
+unless --allow-inverted is given); 2 for bad input"""
+
 QUALITY = """\
 Skewness: 0 ideal, 1 degenerate. Aspect ratio: 1 ideal. Means are weighted by
 area or volume. With FILE2, the same mesh with other coordinates, cells count as
@@ -209,6 +229,12 @@ PAGES = {
        jaxmorph sensitivity --job FILE SENS OUT""",
         SENSITIVITY,
         SENSITIVITY_SHORT,
+    ),
+    "su2": Page(
+        "do what SU2_DEF and SU2_DOT do, from SU2's config file",
+        """def CONFIG [METHOD ...]
+       jaxmorph su2 dot CONFIG [--sensitivity SENS]""",
+        SU2,
     ),
     "quality": Page("quality of a mesh's cells", "FILE [FILE2] [GATE ...]", QUALITY),
     "info": Page("what a mesh file holds", "FILE", INFO),

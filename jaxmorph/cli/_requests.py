@@ -82,6 +82,19 @@ class Sensitivity:
 
 
 @dataclasses.dataclass(frozen=True)
+class SU2:
+    """Request of `jaxmorph su2`: `action` is `def` or `dot`."""
+
+    action: str
+    file: Path
+    sensitivity: Path | None
+    output: Path | None
+    method: Method
+    definition: bool
+    allow_inverted: bool
+
+
+@dataclasses.dataclass(frozen=True)
 class Quality:
     """Request of `jaxmorph quality`. `moved` is the file of the same mesh, moved."""
 
@@ -105,7 +118,7 @@ class Demo:
     output: Path
 
 
-Request = Deform | Modes | Sensitivity | Quality | Info | Demo
+Request = Deform | Modes | Sensitivity | SU2 | Quality | Info | Demo
 
 
 def request_of(arguments: argparse.Namespace) -> Request:
@@ -182,6 +195,15 @@ _REQUESTS = {
     "deform": _deform,
     "modes": _modes,
     "sensitivity": _sensitivity,
+    "su2": lambda arguments: SU2(
+        arguments.action,
+        arguments.file,
+        arguments.sensitivity,
+        arguments.output,
+        _method(arguments),
+        arguments.definition,
+        arguments.allow_inverted,
+    ),
     "quality": lambda arguments: Quality(arguments.file, arguments.moved, _gates(arguments)),
     "info": lambda arguments: Info(arguments.file),
     "demo": lambda arguments: Demo(arguments.case, arguments.output),

@@ -20,6 +20,8 @@ from ._fit import Fit as Fit
 from ._fit import fit as fit
 from ._fit import fit_cst as fit_cst
 from ._freeform import FreeForm as FreeForm
+from ._guard import MeshGuard as MeshGuard
+from ._guard import QualityRows as QualityRows
 from ._hexahedron import Hexahedron as Hexahedron
 from ._line import bend as bend
 from ._line import twist as twist

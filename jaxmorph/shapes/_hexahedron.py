@@ -129,8 +129,7 @@ def _slopes(t: Float[Array, " d"], corners: Float[Array, "..."]) -> Float[Array,
 @jax.jit
 def _places(x: Float[Array, "m d"], corners: Float[Array, "..."]) -> Float[Array, "m d"]:
     """Inverts the map by Newton's method from the middle of the box."""
-    scale = jnp.max(jnp.abs(corners - corners.reshape(-1, corners.shape[-1]).mean(axis=0)))
-    tolerance = 1e3 * jnp.finfo(x.dtype).eps * (scale + jnp.max(jnp.abs(corners)))
+    tolerance = 1e3 * jnp.finfo(x.dtype).eps * jnp.max(jnp.abs(corners))
 
     def one(position: Float[Array, " d"]) -> Float[Array, " d"]:
         def step(_, t):

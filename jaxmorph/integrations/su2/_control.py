@@ -93,7 +93,8 @@ def _moved(variable: Variable, values, control, fixed: Fixed, length: float) -> 
     numbers, kind = variable.numbers, variable.kind
     if kind.startswith("FFD_CONTROL_POINT"):
         direction = values if variable.size > 1 else values[0] * jnp.asarray(numbers[d:], values.dtype)
-        return jnp.asarray(_chosen(numbers[:d], counts, fixed), values.dtype)[..., None] * direction
+        chosen = jnp.asarray(_chosen(numbers[:d], counts, fixed), values.dtype)
+        return chosen[..., None] * jnp.broadcast_to(direction, control.shape)
     if kind.startswith(("FFD_CAMBER", "FFD_THICKNESS")):
         factors = np.zeros((*counts, d))
         at = tuple(int(value) for value in numbers[: d - 1])
