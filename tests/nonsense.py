@@ -29,6 +29,7 @@ BUILT = {
     ),
     *("jm.Inspection", "jm.LargestStep", "jm.Plan", "jm.QualityReport", "jm.SmoothQuality", "jm.Steps", "jm.Surface"),
     *("jm.SurfaceHalf", "jm.WallQuality", "jm.MeshError", "shapes.Fit", "shapes.Stations", "plot.SurfaceErrors"),
+    *("io.Box", "shapes.QualityRows"),
 }
 """Classes whose constructors the library alone calls."""
 
@@ -553,6 +554,8 @@ TABLE: dict[str, dict[str, Argument]] = {
     "io.check_output": {"path": path("a.vtu"), "mesh": mesh() - "empty"},
     "io.check_sensitivity_output": {"path": path("a.csv")},
     "io.global_nodes": {"mesh": instance(Lazy(lambda: decomposed().read(0)), jm.Mesh) + {"another": MESH}},
+    "io.boxes": {"mesh": mesh() - "empty"},
+    "io.with_boxes": {"mesh": mesh() - "empty", "new": Argument([], {"number": 3, "none": None, "class": dict})},
     "io.periodic": {"mesh": mesh() - "empty"},
     "io.symmetry": {"mesh": mesh() - "empty"},
     "io.read": {"path": path("a.vtu") - "folder"},
@@ -569,7 +572,7 @@ TABLE: dict[str, dict[str, Argument]] = {
         "moving": ids(MESH.patch("wall"), N) - "axis",
         "is_position": flag(True),
     },
-    "io.read_sensitivity": {"path": path("every.npz") - "ending folder", "mesh": mesh()},
+    "io.read_sensitivity": {"path": path("every.npz") - "ending folder", "mesh": mesh(), "moving": ids([0, 1], N) - "empty"},
     "io.read_surface": {"path": path("moves.dat") - "ending folder", "d": count(2, 2, beyond=4)},
     "io.write": {
         "path": path("a.vtu"),
@@ -725,6 +728,12 @@ TABLE: dict[str, dict[str, Argument]] = {
         "parameters": Argument(Lazy(lambda: BOX.neutral()), {"word": "a", "shape": np.zeros(3)}),
         "steps": count(2),
     },
+    "shapes.project": {
+        "shape": function(BOX),
+        "x": finite(X),
+        "parameters": Argument(Lazy(lambda: BOX.neutral()), {"word": "a"}),
+        "gradient": reals(X),
+    },
     "shapes.pullback": {
         "shape": function(BOX),
         "plan": a_plan(),
@@ -760,6 +769,35 @@ TABLE: dict[str, dict[str, Argument]] = {
         "changes": mapping({"a": 1.0}) - "empty contents",
     },
     "shapes.volume": {"x": reals(PLACES), "faces": ids([[0, 1, 2]], 27), "plane": finite(np.zeros(3)) - "none"},
+    "shapes.Hexahedron": {
+        "corners": finite([[0.0, 0], [1, 0], [1, 1], [0, 1]]),
+        "counts": Argument((3, 3), {"number": 3, "none": None, "small": (1, 3), "long": (3, 3, 3), "word": "a"}),
+        "degree": count(1, 1, beyond=3),
+        "continuity": count(0, 0, beyond=2),
+    },
+    "shapes.Hexahedron.coordinates": {"x": finite(X)},
+    "shapes.MeshGuard": {
+        "plan": a_plan(),
+        "mesh": mesh(),
+        "displacement": function(lambda y: U),
+        "min_jacobian_ratio": RATIO,
+        "sharpness": positive(50.0),
+    },
+    "shapes.MeshGuard.smallest": {"design": finite([0.1])},
+    "shapes.MeshGuard.value": {"design": finite([0.1])},
+    "shapes.MeshGuard.gradient": {"design": finite([0.1])},
+    "shapes.MeshGuard.quality_rows": {"design": finite([0.1]), "count": count(2, 1, beyond=10**6)},
+    "shapes.MeshGuard.constraint": {"count": count(2) - "none"},
+    "shapes.MeshGuard.guarded": {"objective": function(lambda y: (0.0, y))},
+    "shapes.History": {"path": Argument(FOLDER / "new.jsonl", {"none": None, "number": 3, "list": ["a"], "folder": FOLDER / "nowhere" / "a"})},
+    "shapes.History.add": {
+        "design": finite([0.1]),
+        "value": number(1.0) - "none list nan array",
+        "constraints": Argument({"a": 1.0}, {"word": "word", "number": 3, "contents": {"a": "word"}}),
+        "measures": Argument({"a": 1.0}, {"word": "word", "number": 3, "contents": {"a": "word"}}),
+    },
+    "shapes.History.column": {"name": word("a")},
+    "shapes.wall_normals": {"mesh": mesh(BRICKS), "*": word("floor")},
     "shapes.wall_faces": {"mesh": mesh(BRICKS), "patch": word("floor")},
     "shapes.wall_loop": {"mesh": mesh(), "patch": word("wall")},
     "plot.animate": {
@@ -883,6 +921,14 @@ def ranges() -> io.Ranges:
     return io.Ranges(FOLDER / "box.su2", 9)
 
 
+@functools.cache
+def a_history() -> shapes.History:
+    """A history of one iteration."""
+    history = shapes.History(FOLDER / "history.jsonl")
+    history.add([0.1], 1.0, measures={"a": 0.5})
+    return history
+
+
 OWNERS: dict[str, Callable[[], Any]] = {
     "io.Ranges": ranges,
     "io.Decomposed": decomposed,
@@ -893,6 +939,9 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "jm.QualityReport": report,
     "jm.SurfaceHalf": half,
     "shapes.FreeForm": lambda: BOX,
+    "shapes.Hexahedron": lambda: shapes.Hexahedron([[0.0, 0], [1, 0], [1, 1], [0, 1]], (3, 3)),
+    "shapes.History": a_history,
+    "shapes.MeshGuard": lambda: shapes.MeshGuard(plan(), MESH, lambda y: y[0] * U),
 }
 """What the methods of a class are called on."""
 

@@ -261,6 +261,9 @@ def _files(add: Add) -> None:
     what = "a file of displacements, times a number; may come several times"
     add("--mode", metavar=("FILE", "AMPLITUDE"), nargs=2, action=Part, help=what)
     add("--box", metavar="FILE", action=Part, help="a free-form deformation box, see below")
+    what = "bumps of Hicks and Henne on an airfoil's sides, see below"
+    add("--hicks-henne", metavar="FILE", action=Part, help=what)
+    add("--cst", metavar="FILE", action=Part, help="class and shape functions to add to its sides, see below")
     what = "its lattice for ParaView, before and after: FILE_before.vts, FILE_after.vts"
     add("--lattice", metavar="FILE.vts", type=Path, action=Part, help=what)
 

@@ -18,6 +18,8 @@ class Group:
     mode: list[tuple[str, float]] = dataclasses.field(default_factory=list)
     box: str | None = None
     lattice: pathlib.Path | None = None
+    hicks_henne: str | None = None
+    cst: str | None = None
     scale: list[float] | None = None
     twist: float | None = None
     bend: float | None = None
@@ -34,7 +36,7 @@ class Group:
         return ", ".join(self.patches)
 
 
-MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box")
+MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box", "hicks_henne", "cst")
 """The fields of a group that move something."""
 
 

@@ -52,13 +52,20 @@ points each way), and for each that moves a [[moved]] with at (its numbers, from
 0) and by (its displacement). It may have degree (of B-splines) and continuity
 (k holds the k + 1 outer layers). Nodes outside of it stay.
 
+Instead of low and high it may have corners, eight in the order of a cell (in 2-D
+four). Bumps of Hicks and Henne are such a file with upper and lower, lists of
+[centre, height], and width (3); class and shape functions (CST) have lists of
+weights and the ordinate of the edge, and exponents. Both are added across the
+chord, which is found in 2-D, or is given by nose, tail and up.
+
 A job is a TOML file with the names of the flags: file, output, fixed, ..., and
 a [[moving]] (patches, rotate, about, ...) for each motion; in it modes are
 [["FILE", AMPLITUDE], ...], a box a file or a table. Paths in it are relative to
 its folder. Flags beside --job win.
 
 Design variables are the numbers of the motions, in the units of the flags:
-displacement, mode[0], box[1,2,0], scale, twist, bend, rotate, translate[0].
+displacement, mode[0], box[1,2,0], hicks-henne.upper[0], cst.lower[1], scale,
+twist, bend, rotate, translate[0].
 --set gives them other values; a whole list is NAME=NUMBER,NUMBER. Where several
 motions have one of the name, begin with the motion's: flap.rotate=5. A job may
 have a table set.

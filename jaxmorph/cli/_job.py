@@ -21,8 +21,9 @@ SWITCHES = {"decomposed": True, "allow_inverted": True, "dry_run": False}
 """Names that are either true or false, and the value that has a flag."""
 
 FILES = ("file", "output")
-PATHS = (*FILES, "picture", "displacement", "displacement_from", "box", "lattice", "mode")
-"""Names whose values are paths, relative to the job's folder. A mode begins with a path; a box may be a table instead."""
+PATHS = (*FILES, "picture", "displacement", "displacement_from", "box", "hicks_henne", "cst", "lattice", "mode")
+TABLES = ("box", "hicks_henne", "cst")
+"""Names whose values are paths, relative to the job's folder. A mode begins with a path; what is in `TABLES` may be a table instead."""
 
 SEVERAL = (*LISTS, "patches", "scale", "translate", "about", "axis", "along")
 """Names whose values may be lists."""
@@ -127,7 +128,7 @@ def _flag(name: str) -> str:
 
 def _words(path: pathlib.Path, name: str, value: Any) -> list[str]:
     """Converts a value to words; a path becomes relative to the current folder."""
-    if name == "box" and isinstance(value, dict):
+    if name in TABLES and isinstance(value, dict):
         return [json.dumps(value)]
     values = value if isinstance(value, list) and name in SEVERAL else [value]
     kinds = (str, int) if name in TEXTS else (int, float)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import jax
 import numpy as np
 
 import jaxmorph as jm
@@ -110,7 +111,8 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
         with out.progress("pulling back"):
             given = np.asarray(jm.pullback(plan, np.zeros(wall.shape), given))
     out.say(f"reading  {file.name}: dJ/d(nodes) of the {kind}", sensitivity=str(file), kind=kind)
-    gradient = np.asarray(shapes.project(config.shape, wall, config.shape.neutral(), given), float)
+    project = jax.jit(lambda gradient: shapes.project(config.shape, wall, config.shape.neutral(), gradient))
+    gradient = np.asarray(project(given), float)
     out.say(f"\n{'dJ/d(value)':>16}")
     for k in np.argsort(-np.abs(gradient), kind="stable")[:LISTED]:
         out.say(f"{gradient[k]:>16.6g}  {config.names[k]}")

@@ -23,6 +23,7 @@ from ._freeform import FreeForm as FreeForm
 from ._guard import MeshGuard as MeshGuard
 from ._guard import QualityRows as QualityRows
 from ._hexahedron import Hexahedron as Hexahedron
+from ._history import History as History
 from ._line import bend as bend
 from ._line import twist as twist
 from ._measures import area as area

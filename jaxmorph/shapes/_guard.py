@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._advice.largest_step import Corners
-from .._host.package.arguments import between, checked, whole
+from .._host.package.arguments import between, checked, finite_array, whole
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
@@ -92,11 +92,11 @@ class MeshGuard(Module):
 
     def __call__(self, design: Any) -> Float[Array, ""]:
         """Computes the soft smallest ratio less the bound: a mesh with 0 or more keeps it. Traced."""
-        ratios, judged = self.ratios(design)
+        ratios, judged = self._ratios(design)
         least = -jax.scipy.special.logsumexp(-self.sharpness * ratios, b=judged.astype(ratios.dtype)) / self.sharpness
         return least - self.bound
 
-    def ratios(self, design: Any) -> tuple[Float[Array, " s"], Bool[Array, " s"]]:
+    def _ratios(self, design: Any) -> tuple[Float[Array, " s"], Bool[Array, " s"]]:
         """Computes the Jacobian at each corner of a cell over its initial value, and which corners count. Traced."""
         points = deform(self.plan, self.displacement(design))
         ratios = []
@@ -105,15 +105,15 @@ class MeshGuard(Module):
             ratios.append((sign[None] * measures.jacobians(kind, relative)[0] / scale).ravel())
         return jnp.concatenate(ratios), jnp.concatenate([judged.ravel() for judged in self.judged])
 
-    def smallest(self, design: Any) -> Float[Array, ""]:
-        """Computes the smallest ratio itself, which has kinks. Traced."""
-        ratios, judged = self.ratios(design)
-        return jnp.min(jnp.where(judged, ratios, jnp.inf))
-
     @checked
     def value(self, design: Numbers) -> float:
         """Computes the constraint at design variables (p,), for optimisers that call NumPy."""
         return float(_value(self, _flat(design)))
+
+    @checked
+    def smallest(self, design: Numbers) -> float:
+        """Computes the smallest ratio itself, which has kinks, at design variables (p,)."""
+        return float(_smallest(self, _flat(design)))
 
     @checked
     def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
@@ -160,7 +160,7 @@ class MeshGuard(Module):
         """
 
         def guard(design: Any) -> tuple[float, Any]:
-            if float(_smallest(self, _flat(design))) < self.bound:
+            if self.smallest(design) < self.bound:
                 return np.inf, np.zeros(np.shape(design))
             return objective(design)
 
@@ -176,11 +176,8 @@ class MeshGuard(Module):
         return np.concatenate(numbers)
 
 
-def _flat(design: Numbers) -> Float[Array, " p"]:
-    design = jnp.asarray(design, float)
-    if design.ndim != 1:
-        raise ValueError(f"`design` has shape {design.shape}; expected (p,): flatten trees by `jax.flatten_util`.")
-    return design
+def _flat(design: Any) -> Float[Array, " p"]:
+    return jnp.asarray(finite_array("design", design, (None,)), float)
 
 
 @compiled
@@ -190,7 +187,8 @@ def _value(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
 
 @compiled
 def _smallest(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
-    return guard.smallest(design)
+    ratios, judged = guard._ratios(design)
+    return jnp.min(jnp.where(judged, ratios, jnp.inf))
 
 
 @compiled
@@ -202,8 +200,8 @@ def _gradient(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, " p"
 def _rows(
     guard: MeshGuard, design: Float[Array, " p"], count: int
 ) -> tuple[Float[Array, " k"], Int[Array, " k"], Float[Array, "k p"]]:
-    ratios, judged = guard.ratios(design)
+    ratios, judged = guard._ratios(design)
     chosen = jax.lax.top_k(-jnp.where(judged, ratios, jnp.inf), count)[1]
     slopes = jax.jacfwd if len(design) <= count else jax.jacrev
-    matrix = slopes(lambda design: guard.ratios(design)[0][chosen])(design)
+    matrix = slopes(lambda design: guard._ratios(design)[0][chosen])(design)
     return ratios[chosen] - guard.bound, chosen, matrix

@@ -1,11 +1,13 @@
 """A config file and its mesh as a shape, its parameters, and the patches that move and stay."""
 
 import dataclasses
+import functools
 import os
 import pathlib
 import warnings
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
@@ -49,11 +51,11 @@ class Config:
         """Names of the design variables."""
         return self.shape.names
 
-    @property
+    @functools.cached_property
     def path(self) -> Float[np.ndarray, "k m d"]:
         """Total displacements of the moving nodes in equal steps, as `jm.march` takes them."""
         x = np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
-        u = np.asarray(self.shape(x, self.parameters)) - x
+        u = np.asarray(jax.jit(self.shape)(x, self.parameters)) - x
         return np.stack([u * (k + 1) / self.steps for k in range(self.steps)])
 
     @property
