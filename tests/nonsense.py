@@ -572,7 +572,11 @@ TABLE: dict[str, dict[str, Argument]] = {
         "moving": ids(MESH.patch("wall"), N) - "axis",
         "is_position": flag(True),
     },
-    "io.read_sensitivity": {"path": path("every.npz") - "ending folder", "mesh": mesh(), "moving": ids([0, 1], N) - "empty"},
+    "io.read_sensitivity": {
+        "path": path("every.npz") - "ending folder",
+        "mesh": mesh(),
+        "moving": ids([0, 1], N) - "empty",
+    },
     "io.read_surface": {"path": path("moves.dat") - "ending folder", "d": count(2, 2, beyond=4)},
     "io.write": {
         "path": path("a.vtu"),
@@ -789,7 +793,11 @@ TABLE: dict[str, dict[str, Argument]] = {
     "shapes.MeshGuard.quality_rows": {"design": finite([0.1]), "count": count(2, 1, beyond=10**6)},
     "shapes.MeshGuard.constraint": {"count": count(2) - "none"},
     "shapes.MeshGuard.guarded": {"objective": function(lambda y: (0.0, y))},
-    "shapes.History": {"path": Argument(FOLDER / "new.jsonl", {"none": None, "number": 3, "list": ["a"], "folder": FOLDER / "nowhere" / "a"})},
+    "shapes.History": {
+        "path": Argument(
+            FOLDER / "new.jsonl", {"none": None, "number": 3, "list": ["a"], "folder": FOLDER / "nowhere" / "a"}
+        )
+    },
     "shapes.History.add": {
         "design": finite([0.1]),
         "value": number(1.0) - "none list nan array",

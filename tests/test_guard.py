@@ -35,7 +35,7 @@ def test_the_constraint_is_below_the_smallest_ratio_and_its_derivatives_are_diff
     p = 0.004 * np.random.default_rng(0).normal(size=20)
     report = jm.quality(mesh, jm.deform(plan, motion(p)))
     smallest = float(report.jacobian_ratio.min())
-    np.testing.assert_allclose(guard.smallest(p), smallest, rtol=1e-12)
+    np.testing.assert_allclose(guard.smallest(p), smallest, rtol=1e-9)
     corners = 4 * len(mesh.cells["quad"])
     assert smallest - 0.2 - np.log(corners) / 80 <= guard.value(p) <= smallest - 0.2
     step = 1e-6 * np.random.default_rng(1).normal(size=20)
@@ -52,11 +52,11 @@ def test_rows_are_the_smallest_corners_and_their_slopes(airfoil, count):
     rows = guard.quality_rows(p, count)
     report = jm.quality(mesh, jm.deform(plan, motion(p)))
     assert (np.diff(rows.values) >= 0).all()
-    np.testing.assert_allclose(rows.values[0], report.jacobian_ratio.min() - 0.1, rtol=1e-12)
+    np.testing.assert_allclose(rows.values[0], report.jacobian_ratio.min() - 0.1, rtol=1e-9)
     assert rows.cells[0] == int(np.argmin(report.jacobian_ratio))
     below = np.flatnonzero(report.jacobian_ratio < rows.values[-1] + 0.1)
     assert set(below) <= set(rows.cells)
-    h = 1e-6
+    h = 1e-8
     for k in (0, 7, 19):
         step = h * np.eye(20)[k]
         first, other = (guard.quality_rows(p + s * step, count) for s in (1, -1))
@@ -71,9 +71,9 @@ def test_cells_in_3d_count_by_their_corners():
     moved = jm.deform(plan, np.tile([0, 0, 0.3], (9, 1)))
     np.testing.assert_allclose(guard.smallest([0.3]), jm.quality(mesh, moved).jacobian_ratio.min(), rtol=1e-9)
     assert guard.smallest([1.5]) < 0
-    assert guard.quality_rows([0.3], 64).values.shape == (64,)
-    with pytest.raises(ValueError, match="64 corners"):
-        guard.quality_rows([0.3], 65)
+    assert guard.quality_rows([0.3], 72).values.shape == (72,)  # eight corners and the centre of eight cells
+    with pytest.raises(ValueError, match="72 Jacobians"):
+        guard.quality_rows([0.3], 73)
 
 
 @pytest.mark.parametrize("count", [None, 20])
@@ -127,7 +127,7 @@ def test_what_is_no_history_is_told(tmp_path):
     assert file.read_text() == "nonsense\n"
     history = shapes.History(tmp_path / "b.jsonl")
     history.add([1.0], 1.0)
-    with pytest.raises(ValueError, match="2 variables; .* has 1"):
+    with pytest.raises(ValueError, match=r"2 variables; .* has 1"):
         history.add([1.0, 2.0], 1.0)
     with pytest.raises(ValueError, match="no iteration has `name` 'drag'"):
         history.column("drag")

@@ -31,9 +31,7 @@ lower	0	1.6e-01	2.5e-01	5.0e-01
 lower	1	6.6e-01	4.0e-01	5.0e-01
 upper	4	5.0e-01	7.0e-01	5.0e-01
 """
-ROWS = [
-    (i, j, k, 0.1 * i + 0.01 * j, i - j, k - 0.5) for i in range(3) for j in range(2) for k in range(2)
-]
+ROWS = [(i, j, k, 0.1 * i + 0.01 * j, i - j, k - 0.5) for i in range(3) for j in range(2) for k in range(2)]
 CONTROL = "\n".join("\t".join(map(str, row)) for row in ROWS)
 
 
@@ -54,7 +52,7 @@ def test_a_box_is_read_and_goes_back_with_its_control_points_moved(tmp_path, end
     np.testing.assert_array_equal(box.surface["upper"][1], [[0.5, 0.7]])
     io.write(tmp_path / "same.su2", mesh)
     assert (tmp_path / "same.su2").read_bytes() == text.encode()
-    moved = dataclasses.replace(box, control=box.control + [0.5, -0.25])
+    moved = dataclasses.replace(box, control=box.control + np.array([0.5, -0.25]))
     io.write(tmp_path / "out.su2", io.with_boxes(mesh.moved(mesh.points + 1), [moved]))
     again = io.read(tmp_path / "out.su2")
     np.testing.assert_array_equal(again.points, mesh.points + 1)
@@ -71,7 +69,9 @@ def test_a_box_ahead_of_the_points_leaves_them_in_their_place(tmp_path):
     box = BOX.format(control=CONTROL)
     mesh = io.read(written(tmp_path / "in.su2", PLAIN[: PLAIN.index("NELEM")] + box + PLAIN[PLAIN.index("NELEM") :]))
     (box,) = io.boxes(mesh)
-    io.write(tmp_path / "out.su2", io.with_boxes(mesh.moved(mesh.points * 2), [box, dataclasses.replace(box, name="B")]))
+    io.write(
+        tmp_path / "out.su2", io.with_boxes(mesh.moved(mesh.points * 2), [box, dataclasses.replace(box, name="B")])
+    )
     again = io.read(tmp_path / "out.su2")
     np.testing.assert_array_equal(again.points, mesh.points * 2)
     assert [each.name for each in io.boxes(again)] == ["MAIN_BOX", "B"]

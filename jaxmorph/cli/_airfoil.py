@@ -25,8 +25,10 @@ def bumps(flag: str, source: str, mesh: Mesh, patches: tuple[str, ...]) -> dict[
     return {flag: (chain, {side: rows[:, 1] for side, rows in given.items()})}
 
 
-def class_functions(flag: str, source: str, mesh: Mesh, patches: tuple[str, ...]) -> dict[str, tuple[shapes.Chain, Any]]:
-    """Makes the shape of `--cst`: weights and the ordinate of the edge, to be added, by side. Raises `ValueError` for anything else."""
+def class_functions(
+    flag: str, source: str, mesh: Mesh, patches: tuple[str, ...]
+) -> dict[str, tuple[shapes.Chain, Any]]:
+    """Makes the shape of `--cst`: weights and the ordinate of the edge by side. Raises `ValueError` for anything else."""
     table = _table(flag, source, ("exponents",))
     given = {side: _numbers(flag, table, side, (None,)) for side in SIDES if side in table}
     if any(len(weights) < 3 for weights in given.values()):

@@ -4,6 +4,7 @@ import jax
 
 from jaxmorph import _demo
 
+from . import _su2
 from ._compiled import keep_compiled
 from ._decomposed import deform_parts
 from ._deform import deform
@@ -11,7 +12,6 @@ from ._inspect import info, quality
 from ._modes import modes
 from ._output import Output
 from ._ranges import deform_ranges
-from . import _su2
 from ._requests import SU2, Deform, Demo, Info, Modes, Quality, Request, Sensitivity
 from ._sensitivity import sensitivity
 

@@ -23,7 +23,7 @@ SWITCHES = {"decomposed": True, "allow_inverted": True, "dry_run": False}
 FILES = ("file", "output")
 PATHS = (*FILES, "picture", "displacement", "displacement_from", "box", "hicks_henne", "cst", "lattice", "mode")
 TABLES = ("box", "hicks_henne", "cst")
-"""Names whose values are paths, relative to the job's folder. A mode begins with a path; what is in `TABLES` may be a table instead."""
+"""Names whose values are paths, relative to the job's folder. A mode begins with one; `TABLES` may be tables instead."""
 
 SEVERAL = (*LISTS, "patches", "scale", "translate", "about", "axis", "along")
 """Names whose values may be lists."""

@@ -20,7 +20,11 @@ from ._tables import compared, count, inverted_cells, numbers
 MAGIC = 535532
 """The first number of SU2's binary files."""
 
-SOURCES = {"SOLUTION_ADJ_FILENAME": "solution_adj", "VOLUME_SENS_FILENAME": "volume_sens", "SURFACE_SENS_FILENAME": "surface_sens"}
+SOURCES = {
+    "SOLUTION_ADJ_FILENAME": "solution_adj",
+    "VOLUME_SENS_FILENAME": "volume_sens",
+    "SURFACE_SENS_FILENAME": "surface_sens",
+}
 """Options that name a file of sensitivities, and SU2's own names; the first one that is there is read."""
 
 LISTED = 20
@@ -132,11 +136,15 @@ def _source(config: su2.Config) -> Path:
             if file.is_file():
                 return file
         tried.append(f"{option}= {name}")
-    raise ValueError(f"{config.options.path}: no file of sensitivities is there ({', '.join(tried)}): give --sensitivity.")
+    raise ValueError(
+        f"{config.options.path}: no file of sensitivities is there ({', '.join(tried)}): give --sensitivity."
+    )
 
 
 def _check_text(file: Path) -> None:
     with file.open("rb") as stream:
         head = stream.read(4)
     if len(head) == 4 and int.from_bytes(head, "little") == MAGIC:
-        raise ValueError(f"{file}: a binary file of SU2; RESTART_ASCII among OUTPUT_FILES= writes a table (.csv) of it.")
+        raise ValueError(
+            f"{file}: a binary file of SU2; RESTART_ASCII among OUTPUT_FILES= writes a table (.csv) of it."
+        )

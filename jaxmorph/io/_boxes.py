@@ -78,7 +78,7 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
 
     **Returns:** a `Mesh` with the points, cells and patches of `mesh`.
 
-    **Raises:** `ValueError` for a mesh that did not come from an SU2 file, two boxes of one name, and control points of another number.
+    **Raises:** `ValueError` for a mesh that did not come from an SU2 file, boxes of one name, and other control points.
     """
     source = source_of(mesh, NAME)
     if source is None:
@@ -110,11 +110,11 @@ def _extent(source: Source) -> tuple[int, int]:
     """Finds where the section of boxes begins and ends in the text; the end of the text twice where there is none."""
     text = source.content.text
     layout = Layout.in_text(source.path, text, blank_comments(text))
-    own = [keyword for keyword in layout.keywords if keyword.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
-    if not own:
+    section = [keyword for keyword in layout.keywords if keyword.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
+    if not section:
         return len(text), len(text)
-    first = own[0].section.start
-    return text.rfind(b"\n", 0, first - 1) + 1, own[-1].section.stop
+    first = section[0].section.start
+    return text.rfind(b"\n", 0, first - 1) + 1, section[-1].section.stop
 
 
 def _box(keywords: Sequence[Keyword], n: int, d: int) -> Box:
@@ -164,7 +164,12 @@ def _control(rows: Float[np.ndarray, "k 6"], shape: Hexahedron, at: Section) -> 
     if not len(rows):
         return np.asarray(shape.lattice())
     ids = rows[:, :3].astype(int)
-    if len(rows) != np.prod(counts) or (ids < 0).any() or (ids >= counts).any() or len(np.unique(ids, axis=0)) < len(ids):
+    if (
+        len(rows) != np.prod(counts)
+        or (ids < 0).any()
+        or (ids >= counts).any()
+        or len(np.unique(ids, axis=0)) < len(ids)
+    ):
         raise at.error(f"{len(rows)} control points are not those of a lattice of {' x '.join(map(str, counts))}.")
     control = np.empty((*counts, 3))
     control[tuple(ids.T)] = rows[:, 3:]
@@ -172,7 +177,7 @@ def _control(rows: Float[np.ndarray, "k 6"], shape: Hexahedron, at: Section) -> 
 
 
 def _surface(keyword: Keyword | None, n: int, d: int) -> Surface:
-    found: dict[str, list[list[float]]] = {}
+    lists: dict[str, list[list[float]]] = {}
     if keyword is None:
         return {}
     lines = [line.split() for line in keyword.section.text[keyword.section.start : keyword.section.stop].split(b"\n")]
@@ -186,8 +191,8 @@ def _surface(keyword: Keyword | None, n: int, d: int) -> Surface:
             values = []
         if len(values) != 4 or not 0 <= values[0] < n or values[0] != int(values[0]):
             raise keyword.section.error("a marker, a node and three coordinates in the box expected.", row)
-        found.setdefault(words[0].decode(errors="replace"), []).append(values)
-    tables = {marker: np.array(rows) for marker, rows in found.items()}
+        lists.setdefault(words[0].decode(errors="replace"), []).append(values)
+    tables = {marker: np.array(rows) for marker, rows in lists.items()}
     return {marker: (table[:, 0].astype(np.int64), table[:, 1 : 1 + d]) for marker, table in tables.items()}
 
 

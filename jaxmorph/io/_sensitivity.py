@@ -25,7 +25,7 @@ ENDINGS = (".csv", ".npz")
 def read_sensitivity(
     path: str | os.PathLike[str], mesh: Mesh, *, moving: Int[np.ndarray, " m"] | None = None
 ) -> Float[np.ndarray, "k d"]:
-    """Reads dJ/d(points) for every node of the mesh: what `pullback` takes. Or for the nodes of a wall, as `shapes.project` takes it.
+    """Reads dJ/d(points) for every node of the mesh: what `pullback` takes. Or for those of a wall, for `shapes.project`.
 
     The file is one of
 

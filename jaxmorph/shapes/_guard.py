@@ -41,8 +41,8 @@ class QualityRows:
 class MeshGuard(Module):
     """A constraint that keeps the mesh valid, for any optimiser: a soft smallest Jacobian ratio less a bound, not negative.
 
-    It is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells: never more than the smallest ratio, so a design
-    that it allows has no cell below the bound. It is less by log(count) / sharpness at most, where all corners are alike. Twice
+    It is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells, and centres of hexahedra. It is never more than
+    the smallest ratio: a design that it allows has no cell below the bound. It is less by log(count) / sharpness at most, where all corners are alike. Twice
     differentiable, along any motion of a plan.
 
         guard = shapes.MeshGuard(plan, mesh, lambda p: shapes.displacement(bumps, plan, p))
@@ -54,7 +54,7 @@ class MeshGuard(Module):
     - `mesh`: whose `points` are the plan's, with cells.
     - `displacement`: takes the design variables (p,) and returns `u` (m, d); traced.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells invert at 0.
-    - `sharpness`: positive, without unit, default 100. A larger one lets the constraint come closer to the bound, and bends it more.
+    - `sharpness`: positive, without unit, default 100. A larger one comes closer to the bound, and bends more.
 
     **Raises:** `ValueError` for numbers out of their range, and for a mesh that is not the plan's.
     """
@@ -129,15 +129,15 @@ class MeshGuard(Module):
         **Arguments:**
 
         - `design`: (p,).
-        - `count`: rows, at most as many as the cells have corners.
+        - `count`: rows, at most as many as the cells have Jacobians.
 
         **Returns:** `QualityRows`.
 
-        **Raises:** `ValueError` for more rows than corners.
+        **Raises:** `ValueError` for more rows than Jacobians.
         """
         total = sum(int(np.asarray(judged).sum()) for judged in self.judged)
         if not 1 <= whole("count", count) <= total:
-            raise ValueError(f"`count` is {count}; the cells have {total} corners.")
+            raise ValueError(f"`count` is {count}; the cells have {total} Jacobians.")
         values, chosen, matrix = _rows(self, _flat(design), int(count))
         return QualityRows(np.asarray(values, float), np.asarray(matrix, float), self._cell[np.asarray(chosen)])
 

@@ -37,7 +37,7 @@ class Hexahedron(AbstractLinearShape):
     - `corners`: (8, 3) in the order of a cell of the mesh (VTK's and SU2's), the first four around one face; (4, 2) in 2-D.
     - `counts`, `degree`, `continuity`: those of `FreeForm`.
 
-    **Raises:** `ValueError` for another number of corners, a box without volume or that is turned inside out, and as `FreeForm` does.
+    **Raises:** `ValueError` for another number of corners, a box without volume or turned inside out, and as `FreeForm` does.
     """
 
     corners: Float[Array, "..."]
@@ -149,8 +149,8 @@ def _places_jvp(primals, tangents):
     t = _places(x, corners)
 
     def one(t, x_dot):
-        found = jnp.all(t < OUTSIDE)
-        slopes = jnp.where(found, _slopes(jnp.where(found, t, 0.5), corners), jnp.eye(len(t), dtype=t.dtype))
-        return jnp.where(found, jnp.linalg.solve(slopes, x_dot - _at(t, corners_dot)), 0)
+        is_inside = jnp.all(t < OUTSIDE)
+        slopes = jnp.where(is_inside, _slopes(jnp.where(is_inside, t, 0.5), corners), jnp.eye(len(t), dtype=t.dtype))
+        return jnp.where(is_inside, jnp.linalg.solve(slopes, x_dot - _at(t, corners_dot)), 0)
 
     return t, jax.vmap(one)(t, x_dot)

@@ -74,12 +74,12 @@ class History:
 
         **Raises:** `ValueError` for a name that no iteration has.
         """
-        found = [({**row["constraints"], **row["measures"]}).get(name) for row in self.rows]
-        like = next((value for value in found if value is not None), None)
+        values = [({**row["constraints"], **row["measures"]}).get(name) for row in self.rows]
+        like = next((value for value in values if value is not None), None)
         if like is None:
             known = ", ".join(self.names) or "none"
             raise ValueError(f"no iteration has `name` {name!r}; there are: {known}.")
-        return np.array([np.full(np.shape(like), np.nan) if value is None else value for value in found], float)
+        return np.array([np.full(np.shape(like), np.nan) if value is None else value for value in values], float)
 
     @property
     def names(self) -> tuple[str, ...]:

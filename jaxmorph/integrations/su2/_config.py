@@ -149,12 +149,12 @@ def _values(options: Options, shape: DesignVariables, definition: bool) -> Float
 
 def _boxes(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
     options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
-    found = () if is_setting else io.boxes(mesh)
-    if found or "FFD_DEFINITION" not in options:
-        nested = [box.name for box in found if box.level or box.parents or box.children]
+    present = () if is_setting else io.boxes(mesh)
+    if present or "FFD_DEFINITION" not in options:
+        nested = [box.name for box in present if box.level or box.parents or box.children]
         if nested:
             raise ValueError(f"box {nested[0]} is nested in another one; boxes side by side are taken.")
-        return found
+        return present
     d = mesh.points.shape[1]
     blending = options.choice("FFD_BLENDING", "BEZIER", "BEZIER", "BSPLINE_UNIFORM")
     orders = options.numbers("FFD_BSPLINE_ORDER") if "FFD_BSPLINE_ORDER" in options else [2, 2, 2]
@@ -166,7 +166,9 @@ def _boxes(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool
     for (name, *words), each in zip(groups, degrees, strict=True):
         numbers = [options.number("FFD_DEFINITION", word) for word in words]
         if len(numbers) != 24:
-            raise options.error("FFD_DEFINITION", f"24 numbers for box {name}, eight corners, expected; found {len(numbers)}")
+            raise options.error(
+                "FFD_DEFINITION", f"24 numbers for box {name}, eight corners, expected; found {len(numbers)}"
+            )
         counts = [int(options.number("FFD_DEGREE", word)) + 1 for word in each[:d]]
         shape = shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)
         made.append(io.Box(name, shape, np.asarray(shape.lattice()), _surface(shape, mesh, moving)))
@@ -222,24 +224,28 @@ def _box_parts(
     moving: Sequence[str],
     boxes: Sequence[io.Box],
 ) -> list[BoxPart]:
-    own = [k for k, variable in enumerate(listed) if variable.box]
+    boxed = [k for k, variable in enumerate(listed) if variable.box]
     known = [box.name for box in boxes]
-    unknown = [listed[k].box for k in own if listed[k].box not in known]
+    unknown = [listed[k].box for k in boxed if listed[k].box not in known]
     if unknown:
-        there = f"it has {', '.join(known)}" if known else "it has none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
+        there = (
+            f"it has {', '.join(known)}"
+            if known
+            else "it has none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
+        )
         raise ValueError(f"there is no box {unknown[0]} in the mesh file; {there}.")
     nodes, points = mesh.patch(*moving), np.asarray(mesh.points, float)
     length = options.number("REF_LENGTH", options.text("REF_LENGTH", "1.0"))
-    faces = [ids for name in moving for ids in shapes.wall_faces(mesh, name)] if own else []
+    faces = [ids for name in moving for ids in shapes.wall_faces(mesh, name)] if boxed else []
     parts, taken = [], np.zeros(len(nodes), bool)
     for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
-        mine = [k for k in own if listed[k].box == box.name]
+        members = [k for k in boxed if listed[k].box == box.name]
         places = _places(box, nodes, moving)
-        if mine:
+        if members:
             fixed = planes(options, box.control, segments_of(points, faces))
-            rows = [row for k in mine for row in range(first[k], first[k] + listed[k].size)]
+            rows = [row for k in members for row in range(first[k], first[k] + listed[k].size)]
             free = np.where(taken[:, None], np.nan, places)
-            parts.append(box_part(box, [listed[k] for k in mine], rows, tuple(map(frozenset, fixed)), length, free))
+            parts.append(box_part(box, [listed[k] for k in members], rows, tuple(map(frozenset, fixed)), length, free))
         taken |= np.isfinite(places).all(axis=1)
     return parts[::-1]
 
@@ -248,6 +254,6 @@ def _places(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str]) ->
     places = np.full((len(nodes), len(box.shape.counts)), np.nan)
     for name in moving:
         ids, inside = box.surface.get(name, (np.zeros(0, int), np.zeros((0, places.shape[1]))))
-        own = np.isin(ids, nodes)
-        places[np.searchsorted(nodes, ids[own])] = inside[own]
+        moves = np.isin(ids, nodes)
+        places[np.searchsorted(nodes, ids[moves])] = inside[moves]
     return places

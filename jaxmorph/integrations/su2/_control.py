@@ -38,8 +38,8 @@ class BoxPart(AbstractPart):
         start = self.control.astype(values.dtype)
         control, row = start, 0
         for variable in self.variables:
-            own = values[row : row + variable.size]
-            control = control + _moved(variable, own, control, self.fixed, self.length)
+            part = values[row : row + variable.size]
+            control = control + _moved(variable, part, control, self.fixed, self.length)
             row += variable.size
         return control - start
 
@@ -74,7 +74,9 @@ def _check(variable: Variable, box: io.Box) -> None:
         count, least = counts[direction], -1 if kind.startswith("FFD_CONTROL_POINT") else 0
         if value != int(value) or not least <= value < count:
             name = "ijk"[direction]
-            raise ValueError(f"{kind} has {name} = {value:g}; box {box.name} has control points 0 to {count - 1} there.")
+            raise ValueError(
+                f"{kind} has {name} = {value:g}; box {box.name} has control points 0 to {count - 1} there."
+            )
 
 
 def _indices(variable: Variable) -> tuple[float, ...]:
@@ -98,7 +100,7 @@ def _moved(variable: Variable, values, control, fixed: Fixed, length: float) -> 
     if kind.startswith(("FFD_CAMBER", "FFD_THICKNESS")):
         factors = np.zeros((*counts, d))
         at = tuple(int(value) for value in numbers[: d - 1])
-        if d == 2 or not _is_held((*at, 0), fixed) and not _is_held((*at, 1), fixed):
+        if d == 2 or (not _is_held((*at, 0), fixed) and not _is_held((*at, 1), fixed)):
             factors[(*at, 0, d - 1)] = -1 if "THICKNESS" in kind else 1
             factors[(*at, 1, d - 1)] = 1
         return values[0] * jnp.asarray(factors, values.dtype)

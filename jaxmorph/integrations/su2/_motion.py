@@ -138,9 +138,9 @@ def simple_parts(
     """
     parts: list[AbstractPart] = []
     for side in (UPPER, LOWER, BOTH):
-        own = [k for k, each in enumerate(listed) if each.kind == "HICKS_HENNE" and _side(each) == side]
-        if own and normals is not None:
-            parts.append(_bumps([listed[k].numbers[1] for k in own], first[own], side, normals))
+        members = [k for k, each in enumerate(listed) if each.kind == "HICKS_HENNE" and _side(each) == side]
+        if members and normals is not None:
+            parts.append(_bumps([listed[k].numbers[1] for k in members], first[members], side, normals))
     for variable, row in zip(listed, first.tolist(), strict=True):
         numbers, rows = np.array(variable.numbers), (row,)
         if variable.kind == "TRANSLATION":
@@ -185,4 +185,6 @@ def check_alone(listed: Sequence[Variable]) -> None:
             raise ValueError(f"{kind} is taken alone; found {len(listed)} design variables.")
     boxed = {kind for kind in kinds if kind.startswith("FFD_")}
     if boxed and boxed != kinds:
-        raise ValueError(f"{', '.join(sorted(boxed))} beside {', '.join(sorted(kinds - boxed))}: SU2 moves by one sort.")
+        raise ValueError(
+            f"{', '.join(sorted(boxed))} beside {', '.join(sorted(kinds - boxed))}: SU2 moves by one sort."
+        )

@@ -48,7 +48,9 @@ def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d
         # start + s way = face[0] + edges^T w, for s in 0 to 1 and w in the triangle
         edges = face[1:] - face[0]
         matrix = np.concatenate([way[:, :, None], -np.broadcast_to(edges.T, (len(way), *edges.T.shape))], axis=2)
-        good = np.abs(np.linalg.det(matrix)) > 1e-14 * np.linalg.norm(edges, axis=1).prod() * np.linalg.norm(way, axis=1)
+        good = np.abs(np.linalg.det(matrix)) > 1e-14 * np.linalg.norm(edges, axis=1).prod() * np.linalg.norm(
+            way, axis=1
+        )
         solution = np.linalg.solve(matrix[good], (face[0] - start[good])[:, :, None])[:, :, 0]
         share, weights = solution[:, 0], solution[:, 1:]
         if ((share >= 0) & (share <= 1) & (weights >= 0).all(axis=1) & (weights.sum(axis=1) <= 1)).any():

@@ -17,7 +17,14 @@ NUMBERS = {
 
 COUNTS = {
     **{"TRANSLATION": 3, "ROTATION": 6, "SCALE": 0, "HICKS_HENNE": 2, "NACA_4DIGITS": 3, "SURFACE_FILE": 0},
-    **{"FFD_SETTING": 0, "FFD_CONTROL_POINT": 7, "FFD_CAMBER": 3, "FFD_TWIST": 8, "FFD_THICKNESS": 3, "FFD_ROTATION": 7},
+    **{
+        "FFD_SETTING": 0,
+        "FFD_CONTROL_POINT": 7,
+        "FFD_CAMBER": 3,
+        "FFD_TWIST": 8,
+        "FFD_THICKNESS": 3,
+        "FFD_ROTATION": 7,
+    },
     **{"FFD_CONTROL_POINT_2D": 5, "FFD_CAMBER_2D": 2, "FFD_THICKNESS_2D": 2},
     **{"ANGLE_OF_ATTACK": 1, "FFD_ANGLE_OF_ATTACK": 2},
 }
