@@ -60,7 +60,7 @@ def test_rows_are_the_smallest_corners_and_their_slopes(airfoil, count):
     for k in (0, 7, 19):
         step = h * np.eye(20)[k]
         first, other = (guard.quality_rows(p + s * step, count) for s in (1, -1))
-        np.testing.assert_allclose((first.values - other.values) / (2 * h), rows.matrix[:, k], rtol=1e-3, atol=1e-4)
+        np.testing.assert_allclose((first.values - other.values) / (2 * h), rows.matrix[:, k], rtol=1e-4, atol=1e-5)
 
 
 def test_cells_in_3d_count_by_their_corners():

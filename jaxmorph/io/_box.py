@@ -13,7 +13,7 @@ from jaxmorph._host.package.toml import read
 from jaxmorph.shapes import FreeForm, Hexahedron
 
 PLACES = ("low", "high"), ("corners",)
-"""What says where a box lies: two corners of one along the axes, or all of them."""
+"""Names that say where a box lies: two corners of one along the axes, or all of them."""
 
 NEEDED, OPTIONAL = ("points", "moved"), ("degree", "continuity")
 

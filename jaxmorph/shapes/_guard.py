@@ -42,8 +42,8 @@ class MeshGuard(Module):
     """A constraint that keeps the mesh valid, for any optimiser: a soft smallest Jacobian ratio less a bound, not negative.
 
     It is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells, and centres of hexahedra. It is never more than
-    the smallest ratio: a design that it allows has no cell below the bound. It is less by log(count) / sharpness at most, where all corners are alike. Twice
-    differentiable, along any motion of a plan.
+    the smallest ratio: a design that it allows has no cell below the bound. It is less by log(count) / sharpness at most, where
+    all corners are alike. It is twice differentiable, along any motion of a plan.
 
         guard = shapes.MeshGuard(plan, mesh, lambda p: shapes.displacement(bumps, plan, p))
         scipy.optimize.minimize(guard.guarded(drag), start, jac=True, method="SLSQP", constraints=guard.constraint())

@@ -75,12 +75,12 @@ class Hexahedron(AbstractLinearShape):
 
     @property
     def continuity(self) -> int | None:
-        """What holds the outer layers of control points, as in `FreeForm`."""
+        """Number of derivatives that hold the outer layers of control points, as in `FreeForm`."""
         return self.box.continuity
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Which control points `continuity` leaves free, (*counts,)."""
+        """True for control points that `continuity` leaves free, (*counts,)."""
         return self.box.free
 
     @property

@@ -13,7 +13,7 @@ from .._host.package.arguments import checked, finite_array
 from .._host.package.files import input_path, output_path
 
 FIELDS = ("design", "value", "constraints", "measures")
-"""What an iteration has in the file."""
+"""Fields of an iteration in the file."""
 
 
 class History:

@@ -24,7 +24,7 @@ from ._variables import LEFT, NOTHING, Variable, variables
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Config:
-    """What a config file asks for.
+    """A config file and its mesh: the shape that moves the wall, and the patches.
 
     - `mesh`: the mesh of `MESH_FILENAME`; `output` is the file of `MESH_OUT_FILENAME`.
     - `shape`, `parameters`: moves the nodes `mesh.patch(*moving)` by values (n,); at `shape.neutral()` nothing moves.

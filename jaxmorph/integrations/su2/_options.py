@@ -9,7 +9,7 @@ import numpy as np
 from jaxmorph._host.package.files import input_path
 
 SEPARATORS = re.compile(r"[\s()\[\]{}:,]+")
-"""What stands between the words of a value; a semicolon ends a group of them."""
+"""Separators between the words of a value; a semicolon ends a group of them."""
 
 
 class Options:

@@ -34,10 +34,10 @@ LEFT = ("ANGLE_OF_ATTACK", "FFD_ANGLE_OF_ATTACK")
 """Kinds that move no wall: they are the flow solver's."""
 
 NOTHING = ("NO_DEFORMATION", "FFD_SETTING")
-"""What `DV_KIND` says where nothing is to be deformed."""
+"""Words of `DV_KIND` where nothing is to be deformed."""
 
 DIRECTIONS = {"FFD_CONTROL_POINT": (4, 3), "FFD_CONTROL_POINT_2D": (3, 2)}
-"""Where the direction of a control point begins, and its length; the variable has as many values where it is zero."""
+"""Place and length of the direction among the parameters of a control point; the variable has as many values where it is zero."""
 
 
 @dataclasses.dataclass(frozen=True)
