@@ -49,6 +49,9 @@ import jaxmorph as jm
 from jaxmorph._advice.overshoot import overshoot
 
 MOST = 4.0
+CLOSE = 1.1
+"""Largest skewness over the best one of a row up to which a method is as good as the best."""
+
 NUMBERS = (
     *("inverted", "max_skewness", "mean_skewness", "min_jacobian", "angle", "min_height", "behind", "limit"),
     *("setup", "move", "gradient", "memory", "derivative"),
@@ -218,29 +221,39 @@ def of_peers(case: Case) -> list[dict]:
     return rows
 
 
-def first_places(rows: list[dict]) -> list[tuple[str, int, int, float, float, float, float]]:
-    """Adds up, for each method: rows without inverted cells, rows won by skewness, and medians over all rows."""
-    names = list(dict.fromkeys(each["method"] for each in rows))
-    best: dict[tuple, str] = {}
+def compared(rows: list[dict]) -> list[tuple[str, int, float, float, float, float, float, float]]:
+    """Compares methods over all rows by largest skewness, relative to the best of the row, which inverts no cell.
+
+    For each method: rows with inverted cells, the share of its rows within `CLOSE` of the best, its worst ratio to the best where
+    it inverts none, and medians of skewness, angle, limit and time.
+    """
+    best: dict[tuple, float] = {}
     for each in rows:
-        key = each["case"], each["motion"]
-        fine = [r for r in rows if (r["case"], r["motion"]) == key and r["inverted"] == 0]
-        if fine:
-            best[key] = min(fine, key=lambda r: r["max_skewness"])["method"]
+        if each["inverted"] == 0:
+            key = each["case"], each["motion"]
+            best[key] = min(best.get(key, np.inf), each["max_skewness"])
     summary = []
-    for name in names:
+    for name in dict.fromkeys(each["method"] for each in rows):
         own = [each for each in rows if each["method"] == name]
+        over = [ratio_to_best(each, best) for each in own if (each["case"], each["motion"]) in best]
         medians = [
             float(np.median([each[key] for each in own if each[key] is not None] or [np.nan]))
             for key in ("max_skewness", "angle", "limit", "move")
         ]
-        summary.append((name, sum(each["inverted"] == 0 for each in own), list(best.values()).count(name), *medians))
-    return sorted(summary, key=lambda line: (-line[1], line[3]))
+        share = sum(value <= CLOSE for value in over) / max(1, len(over))
+        worst = max((value for value in over if np.isfinite(value)), default=np.nan)
+        summary.append((name, sum(each["inverted"] != 0 for each in own), share, worst, *medians))
+    return sorted(summary, key=lambda line: (line[1], -line[2]))
+
+
+def ratio_to_best(row: dict, best: dict[tuple, float]) -> float:
+    """Divides a row's largest skewness by the best one of its motion; infinity where cells are inverted."""
+    return row["max_skewness"] / best[row["case"], row["motion"]] if row["inverted"] == 0 else np.inf
 
 
 def draw(rows: list[dict], file: pathlib.Path) -> None:
     """Draws methods against motions: the largest skewness over the smallest of the motion's, and where cells are inverted."""
-    names = [name for name, *_ in first_places(rows)]
+    names = [name for name, *_ in compared(rows)]
     motions = list(dict.fromkeys((each["case"], each["motion"]) for each in rows))
     skewness = np.full((len(names), len(motions)), np.nan)
     for each in rows:
@@ -304,9 +317,9 @@ def main() -> None:
     rows += [each for each in earlier if (each["case"], each["method"]) not in now]
     if asked.picture:
         draw(rows, asked.picture)
-    heads = "method", "rows without inverted cells", "rows won", "median skewness", "angle", "limit", "move (s)"
+    heads = ("method", "rows inverted", "within 10 %", "worst ratio", "median skewness", "angle", "limit", "move (s)")
     print(f"\n{len(rows)} rows\n\n| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
-    for name, *numbers in first_places(rows):
+    for name, *numbers in compared(rows):
         print(f"| {name} | " + " | ".join(f"{number:.3g}" for number in numbers) + " |")
 
 

@@ -246,15 +246,16 @@ def test_fixed_nodes_do_not_count_where_a_moving_one_is():
     np.testing.assert_array_equal(moved[upper], points[upper])
 
 
-def test_nodes_that_nearly_coincide_are_told():
+@pytest.mark.parametrize("method", [jm.CompactRBF(0.5), jm.RBF.classic()], ids=["compact", "classic"])
+def test_nodes_that_nearly_coincide_are_told(method):
     """A difference between them comes out large: told at 1e-6, not at 1e-2, where it does not exceed the motion by much."""
     points, lower, upper, border = slit(1e-6)
     with pytest.warns(
         UserWarning, match=f"{2 * len(lower)} surface nodes nearly coincide with others, the nearest two 1e-06 apart"
     ):
-        jm.prepare(points, np.r_[lower, upper], border, method=jm.CompactRBF(0.5))
+        jm.prepare(points, np.r_[lower, upper], border, method=method)
     points, lower, upper, border = slit(1e-2)
-    plan = jm.prepare(points, np.r_[lower, upper], border, method=jm.CompactRBF(0.5))
+    plan = jm.prepare(points, np.r_[lower, upper], border, method=method)
     u = np.zeros((2 * len(lower), 2))
     u[len(lower) :, 1] = 0.1
     assert np.abs(np.asarray(jm.deform(plan, u)) - points).max() < 1

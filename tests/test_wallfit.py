@@ -12,7 +12,7 @@ from cases import body, motion
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.surface.sharp import behind_tips
+from jaxmorph._host.surface.sharp import behind_tips, beside_tips, sharp_tips
 from jaxmorph._host.surface.skin import chords, edges, thinned
 
 
@@ -285,17 +285,36 @@ def test_a_source_stands_behind_a_sharp_tip():
     points, pairs = wedge(20)
     one = np.ones(len(pairs))
     for length, away in ((0.01, 0.125), (0.3, 0.375)):
-        ((tip, *sides),) = behind_tips(points, pairs, length * one, 0.0, one)
+        ((tip, *sides),) = behind_tips(sharp_tips(points, pairs), length * one, 0.0, one)
         assert (points[tip] == 0).all()
         np.testing.assert_allclose(np.linalg.norm(points[sides], axis=1), away)
         np.testing.assert_allclose(points[sides].sum(axis=0)[1], 0, atol=1e-15)
     for angle, closest, room in ((70, 0.0, 1.0), (20, 0.2, 1.0), (20, 0.0, 0.1)):
-        assert not len(behind_tips(*wedge(angle), 0.01 * one, closest, room * one))
+        assert not len(behind_tips(sharp_tips(*wedge(angle)), 0.01 * one, closest, room * one))
     cut = np.concatenate([points, points[:1]])  # the last node of the wall is not joined to its first
-    assert (
-        len(behind_tips(cut, np.stack([np.arange(len(points)), np.arange(1, len(cut))], axis=1), 0.01 * one, 0.0, one))
-        == 1
-    )
+    walls = sharp_tips(cut, np.stack([np.arange(len(points)), np.arange(1, len(cut))], axis=1))
+    assert len(behind_tips(walls, 0.01 * one, 0.0, one)) == 1
+
+
+def test_sources_stand_beside_a_sharp_tip():
+    """The first nodes at three distances on either side, where farthest points leave a hole; none beside a blunt tip."""
+    points, pairs = wedge(20, 2001)
+    distance = np.linalg.norm(points[beside_tips(sharp_tips(points, pairs), np.ones(len(pairs)))], axis=1)
+    np.testing.assert_allclose(np.sort(distance), np.repeat([0.002, 0.008, 0.032], 2), atol=5e-4)
+    assert not len(beside_tips(sharp_tips(*wedge(70)), np.ones(len(wedge(70)[0]))))
+
+
+@pytest.mark.slow
+def test_waves_on_a_finer_sharp_section():
+    """Of 200 wall nodes 90 are sources; without those beside the tip the cell there inverts, which classic RBF keeps at 0.68."""
+    mesh = cases.sharp_o_grid(around=200, layers=40, first_cell=1e-5)
+    base = np.asarray(mesh.points)[mesh.patch("airfoil")]
+    u = np.stack([0 * base[:, 0], 0.061 * np.sin(4 * np.pi * base[:, 0])], axis=1)
+    kept = [
+        judged(mesh, jm.deform(jm.prepare(mesh, "airfoil", "farfield", method=method), u))[1]
+        for method in (None, jm.RBF.classic())
+    ]
+    assert kept[0] > 0.85 * kept[1] > 0.5
 
 
 @pytest.mark.slow

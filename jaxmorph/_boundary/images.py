@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from .._kernels.values import as_jax
 from .periodic import Pairing
-from .symmetry import Plane, combinations, tolerance
+from .symmetry import Plane, facing, tolerance
 
 
 class Images(eqx.Module):
@@ -120,7 +120,6 @@ class Copies:
 
 def copies(
     planes: Sequence[Plane],
-    mirrored: Bool[np.ndarray, " p"],
     pairings: Sequence[Pairing],
     on_plane: Bool[np.ndarray, "o p"],
     moving: int,
@@ -128,11 +127,9 @@ def copies(
 ) -> Copies:
     """Finds the images of own rows at `points`, the first `moving` of them moving; `pairings` are of own rows.
 
-    The planes that are not `mirrored` make none, nor does a row whose image stands where another row does.
-
-    The nearest come first. A place has a number made of its root, of how often it is transformed, and in which planes mirrored.
+    Parallel planes make no images. Nor does a row whose image would stand where another row does. The nearest images come first.
     """
-    flags = combinations(np.stack([plane.normal for plane in planes]), mirrored) if planes else [()]
+    flags = list(itertools.product(*((False,) if has_other else (False, True) for has_other in facing(planes))))
     powers = [pairing.powers for pairing in pairings]
     elements = sorted(
         itertools.product(itertools.product(*powers), flags), key=lambda each: sum(map(abs, each[0]))
@@ -214,7 +211,6 @@ def _transform(planes: Sequence[Plane], pairings: Sequence[Pairing], powers, fla
 
 def images_of(
     planes: Sequence[Plane],
-    mirrored: Bool[np.ndarray, " p"],
     pairings: Sequence[Pairing],
     on_plane: Bool[np.ndarray, "n p"],
     nodes: np.ndarray,
@@ -225,7 +221,7 @@ def images_of(
     place = np.full(len(on_plane), -1, dtype=np.int32)
     place[nodes] = np.arange(len(nodes))
     rows = [pairing.renumbered(place) for pairing in pairings]
-    made = copies(planes, mirrored, rows, on_plane[nodes], moving, points[nodes])
+    made = copies(planes, rows, on_plane[nodes], moving, points[nodes])
     dimension = made.shifts.shape[1]
     normals = np.stack([plane.normal for plane in planes]) if planes else np.zeros((0, dimension))
     origins = np.stack([plane.origin for plane in planes]) if planes else np.zeros((0, dimension))

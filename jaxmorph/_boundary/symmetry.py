@@ -1,6 +1,5 @@
 """Symmetry planes: where they may stand, and which nodes lie on them."""
 
-import itertools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -207,7 +206,9 @@ def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
     """Marks the planes that have another one parallel to them."""
     if not planes:
         return np.zeros(0, dtype=bool)
-    return np.any(_parallel(np.stack([plane.normal for plane in planes])), axis=1)
+    normals = np.stack([plane.normal for plane in planes])
+    parallel = (np.abs(normals @ normals.T) > 0.5) & ~np.eye(len(normals), dtype=bool)
+    return parallel.any(axis=1)
 
 
 def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
@@ -217,19 +218,3 @@ def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool
         if has_other:
             on |= plane.holds(points)
     return on
-
-
-def combinations(normals: Float[np.ndarray, "p d"], mirrored: Bool[np.ndarray, " p"]) -> list[tuple[bool, ...]]:
-    """Lists in which `mirrored` planes an image is reflected, for all images: in one of two parallel planes at most.
-
-    Two mirrors face to face have images without end. The first of each stand nearest.
-    """
-    parallel = np.triu(_parallel(normals))
-    every = itertools.product((False, True), repeat=len(normals))
-    flags = [each for each in every if not (np.array(each) & ~mirrored).any()]
-    return [each for each in flags if not (parallel & np.outer(each, each)).any()]
-
-
-def _parallel(normals: Float[np.ndarray, "p d"]) -> Bool[np.ndarray, "p p"]:
-    """Marks the pairs of parallel planes."""
-    return np.logical_and(np.abs(normals @ normals.T) > 0.5, ~np.eye(len(normals), dtype=bool))

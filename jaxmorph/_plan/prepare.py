@@ -14,7 +14,7 @@ from .._boundary.boundary import Boundary, boundary, renumbered
 from .._boundary.images import Images, images_of
 from .._boundary.periodic import Periodic, check_pairings
 from .._boundary.slide import Slide
-from .._boundary.symmetry import Plane, check_planes, facing, on_facing
+from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
 from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax
@@ -86,8 +86,8 @@ def plan_of(named: Boundary, method: AbstractMethod | None) -> Plan:
 def between_planes(named: Boundary, method: AbstractMethod | None) -> Boundary:
     """Checks the planes. Returns the same with the nodes of parallel planes guided, but for methods that solve on cells.
 
-    The images in two parallel planes have no end. Those that a field has leave a step beside the plane, by which cells invert.
-    Guided nodes are data: the field ends at them.
+    Two parallel mirrors have images without end, and a field that has some of them leaves a step beside the plane, by which
+    cells invert. So these planes make no images: the field without them guides the nodes, which then are data of the field.
     """
     if named.planes:
         check_planes(named.planes, named.points)
@@ -148,10 +148,7 @@ def _cells(named: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cells:
 
 
 def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray, "n p"] | None]:
-    """Returns the surface that a method sees, its images, and which points lie on which plane.
-
-    Parallel planes make no images where all of their nodes are on the surface.
-    """
+    """Returns the surface that a method sees, its images, and which points lie on which plane."""
     points, nodes, moving, faces = named.points, named.nodes, len(named.moving), named.surface_faces
     if not named.planes and not named.pairings:
         rows = np.arange(len(nodes))
@@ -162,8 +159,7 @@ def surface_of(named: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray
         on_plane[:, k] = plane.holds(points)
     listed = np.zeros(len(points), dtype=bool)
     listed[nodes] = True
-    mirrored = ~facing(named.planes) | (on_plane & ~listed[:, None]).any(axis=0)
-    images, copies = images_of(named.planes, mirrored, named.pairings, on_plane, nodes, moving, points)
+    images, copies = images_of(named.planes, named.pairings, on_plane, nodes, moving, points)
     everything = np.asarray(images.points(jnp.asarray(points[nodes])))
     faces = None if faces is None else {kind: copies.faces(corners) for kind, corners in faces.items()}
     ids = np.where(copies.kind == 0, nodes[copies.rows], -1)

@@ -8,7 +8,7 @@ from ..package.arguments import check_fields, whole
 from ..package.rounding import SAME, first_largest
 from .reduction import AbstractReduction, KDTree, check_separation, chosen_in_order, extreme_points, least_distance
 
-ENOUGH = {2: 96, 3: 400}
+ENOUGH = {2: 90, 3: 400}
 """Sources of `Filled` by dimension: a wall in 3-D has the square of what a curve has."""
 
 
@@ -58,7 +58,7 @@ class Filled(AbstractReduction):
     """Chooses the sources of a k-d tree with `extremes`, then the farthest points from them, until there are enough.
 
     The tree follows the density of the mesh: it is finer at edges. The farthest points leave no part of a wall without
-    sources. There are 96 sources in 2-D and 400 in 3-D, or as many as the tree alone gives.
+    sources. There are 90 sources in 2-D and 400 in 3-D, or as many as the tree alone gives.
 
     **Arguments:**
 

@@ -10,8 +10,8 @@ from ..package.rounding import nearest_of
 from .farthest import farthest
 from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
 
-SHARE = {2: 0.25, 3: 0.4}
-"""A circle far away gets 16 sources, a sphere about 50."""
+SHARE = {2: 0.25, 3: 0.5}
+"""A circle far away gets 16 sources, a sphere about 30."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Graded(AbstractReduction):
 
     **Arguments:**
 
-    - `share`: relative, above 0; 0.25 in 2-D and 0.4 in 3-D by default.
+    - `share`: relative, above 0; 0.25 in 2-D and 0.5 in 3-D by default.
     - `most`: sources at most, the most needed ones first; 512 by default.
     - `separation`: least distance between sources, relative to the diagonal of all points, from 0 to 1; 1e-3 by default.
 

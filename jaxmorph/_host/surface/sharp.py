@@ -1,5 +1,7 @@
 """Sharp edges of walls in 2-D, and places behind them: mirror images of the wall in its own tip."""
 
+import dataclasses
+
 import numpy as np
 
 from ..package.rounding import SAME, distinct
@@ -7,18 +9,40 @@ from ..package.rounding import SAME, distinct
 SHARP = np.cos(np.deg2rad(60))
 """Cosine of the angle between the two edges of a tip below which the wall is sharp there."""
 
+NEARBY = 0.002, 0.008, 0.032
+"""Distances of sources from a sharp tip, relative to the mean chord. Cells at the tip do not bear a field that is wavy there."""
+
 AWAY = 0.7
 """Least distance of such a place from all of the wall, relative to its distance from the tip."""
 
 
-def behind_tips(
-    points: np.ndarray, pairs: np.ndarray, length: np.ndarray, closest: float, room: np.ndarray
-) -> np.ndarray:
-    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side of it.
+@dataclasses.dataclass(frozen=True)
+class Tips:
+    """Sharp tips of the walls in 2-D, and the walls as chains of places: coincident nodes are one place.
 
-    The mirror image in the tip of the middle of both nodes lies behind the tip. It is `length` away or one edge, whichever is
-    more, no less than `closest`, and no more than `room`. These are given for each edge (e,) of the walls, `pairs` (e, 2).
+    - `rows` (p,): a row of the surface at each place; `points` (p, 2): where it is.
+    - `ends` (e, 2): the places of each edge; `beside` (p, 2): the places on either side of a place with `count` (p,) of 2.
+    - `tips` (t,): places at which the wall is sharp.
     """
+
+    rows: np.ndarray
+    points: np.ndarray
+    ends: np.ndarray
+    beside: np.ndarray
+    count: np.ndarray
+    tips: np.ndarray
+
+    def lengths(self, tip: int, lengths: np.ndarray) -> np.ndarray:
+        """Returns those of the `lengths` (e,), one for each edge, that the edges of a tip have."""
+        return lengths[(self.ends == tip).any(axis=1)]
+
+    def sides(self, tip: int, length: float) -> list[int]:
+        """Finds on each side of a tip the first place as far away as `length`."""
+        return [_walk(self.points, self.beside, self.count, tip, start, length) for start in self.beside[tip].tolist()]
+
+
+def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
+    """Finds the sharp tips of the walls with the edges `pairs` (e, 2)."""
     first, same = distinct(points[pairs.ravel()])
     rows, ends = pairs.ravel()[first], same.reshape(-1, 2)  # the two nodes of a closed edge are one place
     place = points[rows]
@@ -27,16 +51,35 @@ def behind_tips(
     beside = every[:, 1][np.minimum((np.cumsum(count) - count)[:, None] + np.arange(2), len(every) - 1)]
     arms = place[beside] - place[:, None]
     is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP * (1 + SAME) * np.linalg.norm(arms, axis=2).prod(axis=1)
-    tips = []
-    for tip in np.flatnonzero((count == 2) & is_sharp).tolist():
-        edge = np.flatnonzero((ends == tip).any(axis=1))
-        sides = [_walk(place, beside, count, tip, start, length[edge].min()) for start in beside[tip].tolist()]
+    return Tips(rows, place, ends, beside, count, np.flatnonzero((count == 2) & is_sharp))
+
+
+def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarray) -> np.ndarray:
+    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side of it.
+
+    The mirror image in the tip of the middle of both nodes lies behind the tip. It is `length` away or one edge, whichever is
+    more, no less than `closest`, and no more than `room`. These are given for each edge (e,) of the walls.
+    """
+    place, found = walls.points, []
+    for tip in walls.tips.tolist():
+        sides = walls.sides(tip, walls.lengths(tip, length).min())
         image = 2 * place[tip] - place[sides].mean(axis=0)
         step = np.linalg.norm(image - place[tip])
         is_free = np.linalg.norm(place - image, axis=1).min() > AWAY * (1 + SAME) * step
-        if closest * (1 + SAME) < step < room[edge].min() * (1 - SAME) and is_free:
-            tips.append([tip, *sides])
-    return rows[np.array(tips, dtype=np.int64).reshape(-1, 3)]
+        if closest * (1 + SAME) < step < walls.lengths(tip, room).min() * (1 - SAME) and is_free:
+            found.append([tip, *sides])
+    return walls.rows[np.array(found, dtype=np.int64).reshape(-1, 3)]
+
+
+def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
+    """Lists rows on either side of the sharp tips, at `NEARBY` of the chord of each edge (e,): closer as the tip is nearer."""
+    every = [
+        place
+        for tip in walls.tips.tolist()
+        for share in NEARBY
+        for place in walls.sides(tip, share * walls.lengths(tip, chord).min())
+    ]
+    return walls.rows[np.unique(np.array(every, dtype=np.int64))]
 
 
 def _walk(place: np.ndarray, beside: np.ndarray, count: np.ndarray, tip: int, node: int, length: float) -> int:

@@ -8,10 +8,9 @@ from jax import dtypes
 from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import KDTree
 
-from ..._host.package.errors import place_of, warn
+from ..._host.package.errors import warn
 from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close, roundoff
-from ..._host.surface.neighbours import nearly_coincident
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
 from ..base import AbstractMethod, Surface
@@ -20,16 +19,13 @@ from ..numbers import length_or_none
 from ..searched import SLACK, Searched, squared_distance
 from ..sparse import InterpolatedField, Reach
 from .basis import WendlandC2
-from .rbf import NOTICEABLE, NOTICEABLE_SINGLE, USELESS
+from .rbf import NOTICEABLE, NOTICEABLE_SINGLE, USELESS, warn_of_close
 
 NEIGHBOURS = 200
 """Nodes that the automatic radius reaches from half of the moving nodes."""
 
 INSIDE = 1 - 1e-6
 """Share of a squared radius at which a function is taken to end, where functions are counted: it is 1e-24 there."""
-
-NEAR = 1e-3
-"""Distance of two nodes, as a share of that to the next ones, below which `prepare` warns of them."""
 
 
 class CompactIds(eqx.Module):
@@ -166,14 +162,7 @@ class CompactRBF(AbstractMethod):
             if not error <= USELESS:
                 raise ValueError(message)
             warn(message)
-        first, second = nearly_coincident(nodes, float(factors.radius), NEAR)
-        if len(first):
-            apart = np.linalg.norm(nodes[first[0]] - nodes[second[0]])
-            warn(
-                f"{len(first)} surface nodes nearly coincide with others, the nearest two {apart:.3g} apart near "
-                f"({place_of(nodes[first[0]])}). Where such nodes move differently, CompactRBF moves nodes around them by "
-                f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect.",
-            )
+        warn_of_close(nodes, float(factors.radius), "CompactRBF")
 
 
 def _standing(nodes: Float[np.ndarray, "b d"], closest: float) -> Int[np.ndarray, " b"]:

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..._host.package.rounding import roundoff
 from ..._host.sources.farthest import Filled
-from ..._host.sources.reduction import KDTree
-from ..._host.surface.sharp import behind_tips
+from ..._host.sources.reduction import KDTree, drop_close
+from ..._host.surface.sharp import behind_tips, beside_tips, sharp_tips
 from ..._host.surface.skin import drawn_in, edges, has_free_sides, nearest_held, thicknesses, thinned
 from ..._kernels.values import as_jax, norm
 from ..base import AbstractMethod, Surface, check_kind
@@ -66,7 +67,8 @@ class FittedRBF(AbstractMethod):
     all but the walls' mean displacement, and affine motions of the whole.
 
     A thin plate spline turns abruptly behind a sharp trailing edge, within the first cell there. So in 2-D a sharp tip of a wall
-    has a fixed source behind it: its displacement is the wall's own, continued straight on. Tips of less than 60 degrees are sharp.
+    has a fixed source behind it: its displacement is the wall's own, continued straight on. Six moving ones stand beside it, at
+    0.002 to 0.032 of the chord: cells there are so small that a wavy field inverts them. Tips of less than 60 degrees are sharp.
 
     A free side is a side of the mesh that is neither moving, fixed nor a symmetry plane. A field that turns with the body
     would carry it out of its plane. A mesh with a free side gets the interpolation of many sources instead of the fit. So do
@@ -75,7 +77,7 @@ class FittedRBF(AbstractMethod):
     **Arguments:**
 
     - `rbf`: basis and sources. By default the moving sources are those of 16 leaves of a k-d tree, 32 if another boundary is
-      near, and then the nodes farthest from them: 96 in 2-D, 400 in 3-D.
+      near, and then the nodes farthest from them: 90 in 2-D, 400 in 3-D.
     - `ell`: the length that weighs strain, in the mesh's units. A large one keeps the wall's lines at right angles, a small one
       follows the skin. It is nowhere more than 0.05 of the distance to the nearest node that is held or of another wall.
       Default 0.17 of each wall's mean chord, half of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07
@@ -125,6 +127,9 @@ class FittedRBF(AbstractMethod):
         is_moving = sources < surface.moving
         return self._wall(surface, sources[is_moving], sources[~is_moving])
 
+    def _closest(self, surface: Surface) -> float:
+        return self.rbf.reduction.closest(surface.points[: surface.moving])
+
     @property
     def _denser(self) -> RBF:
         """The field for meshes with free sides and points alone: as many sources as an interpolation needs."""
@@ -142,34 +147,38 @@ class FittedRBF(AbstractMethod):
 
     def _wall(self, surface: Surface, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
         dimension = surface.points.shape[1]
+        pairs = edges(surface.points, surface.moving, surface.faces)
+        tips = np.zeros((0, 3))
+        if dimension == 2:
+            beside, tips = self._at_tips(surface, pairs)
+            moving = drop_close(surface.points, np.concatenate([moving, beside]), roundoff(surface.points))
         nodes = np.union1d(
             thinned(surface.points[: surface.moving], ROWS[dimension]), moving
         )  # regular: each source has its own row
-        pairs = edges(surface.points, surface.moving, surface.faces)
         pairs = pairs[thinned(surface.points[pairs].mean(axis=1), ROWS[dimension])]
         wall, ends, share = surface.walls
         label = wall[pairs[:, 0]]
         held = nearest_held(surface.points, surface.moving, wall, pairs)
         far, reach = drawn_in(surface.points, moving, fixed, surface.images)
-        tips = self._behind(surface)
         each_row = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
         lengths = default_lengths(surface.points, wall, surface.faces, ends, share)
         return WallIds(
             *as_jax([*(each.astype(np.int32) for each in each_row), *(each[label] for each in lengths), reach])
         )
 
-    def _behind(self, surface: Surface) -> np.ndarray:
-        """Finds sharp tips (g, 3) of the moving walls in 2-D, each with a node on either side."""
-        if surface.points.shape[1] == 3:
-            return np.zeros((0, 3))
+    def _at_tips(self, surface: Surface, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Finds sources (k,) beside sharp tips in 2-D, and sharp tips (g, 3), each with a node on either side.
+
+        `pairs` are all edges of the moving walls: a tip lies between two.
+        """
         wall, ends, share = surface.walls
-        pairs = edges(surface.points, surface.moving, surface.faces)  # all of them: a tip lies between two
         held = nearest_held(surface.points, surface.moving, wall, pairs)
         chord = (share * np.linalg.norm(np.subtract(*surface.points[ends.T]), axis=1))[wall[pairs[:, 0]]]
-        apart = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
-        room = np.where(held == pairs[:, 0], chord, np.minimum(chord, apart))
-        closest = self.rbf.reduction.closest(surface.points[: surface.moving])
-        return behind_tips(surface.points, pairs, BEHIND * room, closest, BEYOND_TIP * room)
+        distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
+        room = np.where(held == pairs[:, 0], chord, np.minimum(chord, distance))
+        walls = sharp_tips(surface.points, pairs)
+        behind = behind_tips(walls, BEHIND * room, self._closest(surface), BEYOND_TIP * room)
+        return beside_tips(walls, chord), behind
 
     def matched(self, ids):
         return self.sources(ids) if not len(ids.edges) else np.asarray(ids.fixed)

@@ -18,10 +18,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._host.linear.ordering import far_to_near
 from ..._host.package.arguments import between, checked, shown
-from ..._host.package.errors import warn
+from ..._host.package.errors import place_of, warn
 from ..._host.package.rounding import roundoff
 from ..._host.sources.graded import Graded
 from ..._host.sources.reduction import AbstractReduction, AllPoints, KDTree, drop_close
+from ..._host.surface.neighbours import nearly_coincident
 from ..._kernels.compile import compiled
 from ..._kernels.values import largest
 from ..base import AbstractField, AbstractMethod, Surface, check_kind
@@ -51,6 +52,10 @@ SUSPICIOUS = 0.1
 
 USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
 """Changes of displacements by rounding, relative to them, that are an error, and that are warned of (solved in float32)."""
+
+
+NEAR = 1e-3
+"""Distance of two sources, relative to those around them, below which a difference of their displacements is told."""
 
 
 class RBF(AbstractMethod):
@@ -227,6 +232,8 @@ class RBF(AbstractMethod):
 
     def check(self, ids, factors: "RBFFactors", u):
         dtype = factors.lu.dtype
+        sources, scale, centre = map(np.asarray, (factors.sources, factors.scale, factors.centre))
+        warn_of_close(sources / scale + centre, np.inf, type(self).__name__)
         values = np.asarray(u, dtype)[self.sources(ids)]
         if factors.cardinals is not None:
             return _check_convergence(self, factors, factors.cardinals, values)
@@ -484,3 +491,15 @@ class RBFField(AbstractField):
         terms = polynomial(x.T, self.rbf.degree).T
         tail = sum((self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)), start=jnp.zeros_like(x))
         return (kernel_sum(self._phi, self.sources, self.beta, x) + tail).T
+
+
+def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -> None:
+    """Warns of nodes that nearly coincide: an interpolation carries their difference over the distance to the next nodes."""
+    first, second = nearly_coincident(nodes, radius, NEAR)
+    if len(first):
+        distance = np.linalg.norm(nodes[first[0]] - nodes[second[0]])
+        warn(
+            f"{len(first)} surface nodes nearly coincide with others, the nearest two {distance:.3g} apart near "
+            f"({place_of(nodes[first[0]])}). Where such nodes move differently, {method} moves nodes around them by "
+            f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect.",
+        )
