@@ -47,7 +47,7 @@ class History:
 
     def _row(self, number: int, line: bytes) -> dict[str, Any]:
         try:
-            row = json.loads(line)
+            row: Any = json.loads(line)
         except (ValueError, RecursionError):
             row = None
         good = isinstance(row, dict) and set(row) == set(FIELDS) and isinstance(row["design"], list)

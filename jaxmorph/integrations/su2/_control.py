@@ -54,7 +54,7 @@ def box_part(
     for variable in variables:
         _check(variable, box)
     inside = np.isfinite(places).all(axis=1)
-    operator = box.shape.box.at(jnp.asarray(np.where(inside[:, None], places, 0.5)))
+    operator = box.shape.box.at(jnp.asarray(np.where(np.asarray(inside)[:, None], places, 0.5)))
     control = jnp.asarray(box.control)
     return BoxPart(tuple(rows), tuple(variables), fixed, length, control, operator, jnp.asarray(inside))
 
