@@ -27,7 +27,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 
 BUILT = words("""
-jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
+io.Box shapes.QualityRows jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
 jm.LargestStep jm.MeshError jm.Plan jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf
 jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.Stations
 """)
@@ -61,6 +61,7 @@ FOLDER = pathlib.Path(tempfile.mkdtemp(prefix="jaxmorph-nonsense-"))
 (FOLDER / "moves.dat").write_text("".join(f"{node} 0.0 0.0\n" for node in WALL))
 np.savez(FOLDER / "moves.npz", displacement=U, ids=WALL)
 np.savez(FOLDER / "every.npz", sensitivity=POINTS)
+SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 BOX = shapes.FreeForm([-1.0, -1.0], 3 * np.eye(2), (3, 3))
 
 
@@ -82,6 +83,14 @@ def decomposed() -> io.Decomposed:
     return io.Decomposed(FOLDER / "case")
 
 
+@Lazy
+def history() -> shapes.History:
+    """A history of one iteration."""
+    new = shapes.History(FOLDER / "history.jsonl")
+    new.add([0.1], 1.0, measures={"a": 0.5})
+    return new
+
+
 OWNERS: dict[str, Callable[[], Any]] = {
     "io.Decomposed": decomposed,
     "jm.FaceQuality": Lazy(lambda: jm.face_quality(BRICKS, PLACES)),
@@ -90,6 +99,9 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "jm.QualityReport": report,
     "jm.SurfaceHalf": Lazy(lambda: jm.prepare_surface(MESH, "wall", "far", method=jm.InverseDistance())),
     "shapes.FreeForm": lambda: BOX,
+    "shapes.Hexahedron": lambda: shapes.Hexahedron(SQUARE, (3, 3)),
+    "shapes.History": history,
+    "shapes.MeshGuard": Lazy(lambda: shapes.MeshGuard(plan(), MESH, lambda y: y[0] * U)),
 }
 """What the methods of a class are called on."""
 
@@ -143,6 +155,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "io.read_displacement": {"path": FOLDER / "moves.npz"},
     "io.read_sensitivity": {"path": FOLDER / "every.npz"},
     "io.read_surface": {"path": FOLDER / "moves.dat"},
+    "io.with_boxes": {"new": ()},
     "io.write_gradient": {"path": FOLDER / "a.csv", "parameters": {"a": 1.0}, "gradient": {"a": 1.0}},
     "io.write_lattice": {"points": np.zeros((2, 2, 2))},
     "io.write_pvd": {"path": FOLDER / "a.pvd", "files": ("a.vtu",), "times": (0.0,)},
@@ -153,8 +166,15 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.FreeForm.linked": {"free": np.ones((3, 3), bool), "mirror": 0},
     "shapes.FreeForm.raise_if_torn": {"control": np.zeros((3, 3, 2))},
     "shapes.Function": {"function": lambda x, p: x, "rest": {}},
+    "shapes.Hexahedron": {"corners": SQUARE, "counts": (3, 3), "degree": 1, "continuity": 0},
     "shapes.HicksHenne": {"centres": np.array([0.3, 0.5])},
+    "shapes.History": {"path": FOLDER / "new.jsonl"},
+    "shapes.History.add": {"design": np.array([0.1]), "value": 1.0, "constraints": {"a": 1.0}, "measures": {"a": 1.0}},
+    "shapes.History.column": {"name": "a"},
     "shapes.Linked": {"matrix": np.ones((18, 1))},
+    **each("shapes.MeshGuard.smallest shapes.MeshGuard.value shapes.MeshGuard.gradient", {"design": np.array([0.1])}),
+    "shapes.MeshGuard.guarded": {"objective": lambda y: (0.0, y)},
+    "shapes.MeshGuard.quality_rows": {"design": np.array([0.1]), "count": 2},
     "shapes.Modes": {"fields": np.zeros((1, 4, 2))},
     "shapes.NACA4": {"camber": 0.02, "place": 0.4, "thickness": 0.12},
     "shapes.OnRows": {"rows": np.array([0, 1])},
@@ -166,6 +186,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.bend": {"along": np.array([1.0, 0.0])},
     "shapes.fit": {"targets": X, "max_steps": 2},
     "shapes.names": {"parameters": {"a": 1.0}},
+    "shapes.project": {"gradient": X},
     "shapes.scale": {"factors": np.array([1.0, 2.0])},
     "shapes.thickness": {"stations": Lazy(lambda: shapes.Stations.on(X, LOOP, [[0.5, 0.0]], [0.0, 1.0]))},
     "shapes.trailing_edge_angle": {"upper": np.array([3, 2]), "lower": np.array([1, 2])},
@@ -174,6 +195,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.varied": {"parameters": {"a": 1.0}, "changes": {"a": 1.0}},
     "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
     "shapes.wall_faces": {"mesh": BRICKS, "patch": "floor"},
+    "shapes.wall_normals": {"mesh": BRICKS, "*": "floor"},
     "plot.animate": {
         "path": FOLDER / "a.gif",
         "draw": lambda x: plot.mesh(MESH, x),

@@ -142,7 +142,10 @@ WRONG = {
     "nothing to turn": (["--translate", "1", "0", "0", "--axis", "1", "0", "0"], "--axis without --rotate or --bend"),
     "no mode": (["--mode", "none.csv", "1"], "none.csv: No such file"),
     "bad mode": (["--mode", "none.csv", "nan"], "--mode none.csv needs an amplitude"),
-    "no box": (["--box", '{"low": [0, 0, 0]}'], "--box: low, high, points and a list moved expected, found low"),
+    "no box": (
+        ["--box", '{"low": [0, 0, 0]}'],
+        "--box: low and high or corners, points and a list moved expected, found low",
+    ),
     "flat box": (
         ["--box", '{"low": [0, 0, 0], "high": [1, 1, 0], "points": [2, 2, 2], "moved": []}'],
         "--box: low must be below high",

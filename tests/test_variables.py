@@ -253,3 +253,50 @@ def test_a_change_that_is_none(here, capsys):
     assert "'twist' is not NAME=NUMBER" in capsys.readouterr().err
     assert main(["sensitivity", "ring.su2", "volume.npz", "x.csv", "--set", "a=1"]) == 2
     assert "--set without --job" in capsys.readouterr().err
+
+
+def test_a_surface_sensitivity_goes_on_to_a_job_without_the_volume(ring, tmp_path, capsys):
+    """A bump on the upper side, a class function on the lower one, and a box that leans, from the wall's own sensitivities."""
+    write_ring(tmp_path / "ring.su2")
+    box = (
+        "{corners = [[-2, -2], [2, -2.5], [2.5, 2], [-2, 2]], points = [2, 2], moved = [{at = [1, 1], by = [0.1, 0]}]}"
+    )
+    chord = "nose = [-1.0, 0.0], tail = [1.0, 0.0]"
+    (tmp_path / "job.toml").write_text(
+        'file = "ring.su2"\noutput = "out.su2"\nfixed = ["far"]\nmethod = "rbf"\n[[moving]]\npatches = ["wall"]\n'
+        f"box = {box}\nhicks_henne = {{upper = [[0.3, 0.02], [0.7, 0.01]], {chord}}}\n"
+        f"cst = {{lower = [0.01, 0.02, 0.0], {chord}}}\n"
+    )
+    assert main(["deform", "--job", str(tmp_path / "job.toml")]) == 0
+    x = np.asarray(ring.points)[:24]
+    up = shapes.wall_normals(ring, "wall")[:, 1] >= 0
+    line = shapes.Chord([-1.0, 0], [1.0, 0])
+    leaning = shapes.Hexahedron([[-2, -2], [2, -2.5], [2.5, 2], [-2, 2]], (2, 2))
+    bumps = shapes.Part(shapes.HicksHenne([0.3, 0.7], chord=line), up)
+    weights = shapes.Part(shapes.CST(1, chord=line), ~up)
+    corner = np.zeros((2, 2, 2))
+    corner[1, 1, 0] = 1.0
+
+    def wall(by, heights, lower):
+        return weights(bumps(leaning(x, by * corner), heights), lower)
+
+    given = 0.1, np.array([0.02, 0.01]), np.array([0.01, 0.02, 0.0])
+    np.testing.assert_allclose(io.read(tmp_path / "out.su2").points[:24], wall(*given), atol=1e-14)
+    sens = np.random.default_rng(0).normal(size=(24, 2))
+    io.write_sensitivity(tmp_path / "wall.csv", np.arange(24), sens)
+    words = ["sensitivity", "--job", str(tmp_path / "job.toml"), str(tmp_path / "wall.csv"), str(tmp_path / "d.json")]
+    assert main(words) == 0
+    table = json.loads((tmp_path / "d.json").read_text())
+    for name, place in (("box[1,1,0]", (0, None)), ("hicks-henne.upper[1]", (1, 1)), ("cst.lower[0]", (2, 0))):
+        values = []
+        for h in (1e-6, -1e-6):
+            moved = list(given)
+            moved[place[0]] = given[place[0]] + h * (
+                1.0 if place[1] is None else np.eye(3)[place[1]][: len(given[place[0]])]
+            )
+            values.append(np.vdot(sens, wall(*moved)))
+        found = next(row["dJ_dvalue"] for key, row in table.items() if key.endswith(name))
+        np.testing.assert_allclose(found, (values[0] - values[1]) / 2e-6, rtol=1e-6)
+    io.write_sensitivity(tmp_path / "part.csv", np.arange(20), sens[:20])
+    assert main([*words[:3], str(tmp_path / "part.csv"), words[4]]) == 2
+    assert "4 of the 24 moving nodes are missing (first 20)" in capsys.readouterr().err

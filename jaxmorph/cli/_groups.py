@@ -107,6 +107,10 @@ class Group:
         default=(),
     )
     box: str | None = _in_group("a free-form deformation box, see below", metavar="FILE", type=table)
+    hicks_henne: str | None = _in_group(
+        "bumps of Hicks and Henne on an airfoil's sides, see below", metavar="FILE", type=table
+    )
+    cst: str | None = _in_group("class and shape functions to add to its sides, see below", metavar="FILE", type=table)
     lattice: Path | None = _in_group(
         "write the lattice of the box for ParaView: FILE_before.vts, FILE_after.vts", metavar="FILE.vts", type=Path
     )
@@ -131,5 +135,5 @@ class Group:
         return ", ".join(self.patches)
 
 
-MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box")
+MOTIONS = ("rotate", "translate", "scale", "bend", "twist", "mode", "displacement", "box", "hicks_henne", "cst")
 """The fields of a group that move something."""

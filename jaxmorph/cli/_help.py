@@ -59,7 +59,13 @@ A box is a TOML file: low and high (two corners), points (number of control
 points in each direction), and a [[moved]] for each control point that moves:
 at (its indices, from 0) and by (its displacement). Optional are degree (of
 B-splines) and continuity (k keeps the k + 1 outer layers in place). Nodes
-outside of the box stay.
+outside of the box stay. Corners (eight in the order of a cell, in 2-D four) may
+stand in place of low and high.
+
+--hicks-henne is such a file with upper and lower, lists of [centre, height],
+and width (3). --cst has upper and lower, lists of weights and the ordinate of
+the edge, and exponents. Both are added across the chord: nose, tail and up, in
+2-D found where they are missing.
 
 A job is a TOML file with the flags by name: file, output, fixed, ..., and a
 [[moving]] (patches, rotate, about, ...) for each motion. There mode is
@@ -67,10 +73,10 @@ A job is a TOML file with the flags by name: file, output, fixed, ..., and a
 the folder of the job. Flags on the command line win.
 
 --set changes design variables, the numbers of the motions in the units of the
-flags: displacement, mode[0], box[1,2,0], scale, twist, bend, rotate,
-translate[0]. NAME=NUMBER,NUMBER changes a whole list. If several motions have
-a variable of the name, put the motion's name first: flap.rotate=5. In a job,
-set is a table.
+flags: displacement, mode[0], box[1,2,0], hicks-henne.upper[0], cst.lower[1],
+scale, twist, bend, rotate, translate[0]. NAME=NUMBER,NUMBER changes a whole
+list. If several motions have a variable of the name, put the motion's name
+first: flap.rotate=5. In a job, set is a table.
 
 examples:
   pitch nose-up about the quarter chord, in three steps:
@@ -174,6 +180,26 @@ jaxmorph sensitivity --help-all
     + _SENSITIVITY_EXAMPLES
 )
 
+SU2 = """\
+Design variables, markers, steps and file names are those of the config file:
+DV_KIND, DV_PARAM, DV_VALUE, DV_MARKER, MARKER_SYM, DEFORM_NONLINEAR_ITER,
+FFD_*, MESH_FILENAME, MESH_OUT_FILENAME. Markers in neither list stay. Options
+of flow solvers are not looked at; a kind that is not taken is an error.
+
+def writes the mesh, and with it the boxes of the file with their control points
+moved; DV_KIND= FFD_SETTING writes the boxes of FFD_DEFINITION into it. dot
+writes GRAD_OBJFUNC_FILENAME: the derivatives at the mesh as it is, from the
+first file that is there of SOLUTION_ADJ_FILENAME, VOLUME_SENS_FILENAME and
+SURFACE_SENS_FILENAME.
+
+examples:
+  jaxmorph su2 def config.cfg
+  jaxmorph su2 dot config.cfg
+  jaxmorph su2 dot --definition config.cfg --sensitivity restart_adj_cd.csv
+
+exit status: 0; 1 when the motion inverts cells (the mesh is then not written
+unless --allow-inverted is given); 2 for bad input"""
+
 QUALITY = """\
 Skewness: 0 ideal, 1 degenerate. Aspect ratio: 1 ideal. Means are weighted by
 area or volume. FILE2 is the mesh of FILE with other coordinates: inverted cells
@@ -218,6 +244,12 @@ PAGES = {
        jaxmorph sensitivity --job FILE SENS OUT""",
         _with_methods(SENSITIVITY),
         SENSITIVITY_SHORT,
+    ),
+    "su2": Page(
+        "do what SU2_DEF and SU2_DOT do, from SU2's config file",
+        """def CONFIG [METHOD ...]
+       jaxmorph su2 dot CONFIG [--sensitivity SENS]""",
+        _with_methods(SU2),
     ),
     "quality": Page("measure the quality of a mesh's cells", "FILE [FILE2] [GATE ...]", QUALITY),
     "info": Page("show what a mesh file holds", "FILE", INFO),

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from jaxmorph import Mesh, io, shapes
 
+from ._airfoil import bumps, class_functions
 from ._groups import MOTIONS, Group
 from ._parser import flag_of
 from ._requests import Deform
@@ -31,7 +32,7 @@ class Motion:
 
     shape: shapes.Chain
     parameters: dict[str, dict[str, Any]]
-    boxes: tuple[tuple[Path, shapes.FreeForm, tuple[str, str]], ...] = ()
+    boxes: tuple[tuple[Path, shapes.FreeForm | shapes.Hexahedron, tuple[str, str]], ...] = ()
 
     def path(self, surface: Points, steps: int) -> Float[np.ndarray, "k m d"]:
         """Computes the total displacement at the end of each of `steps` equal steps."""
@@ -86,13 +87,14 @@ def _key(group: Group, others: Mapping[str, Any]) -> str:
 def _parts(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
     surface, d = np.asarray(mesh.points)[nodes], mesh.points.shape[1]
     if not group.mode and all(getattr(group, name) is None for name in MOTIONS if name != "mode"):
-        raise ValueError(f"no motion: give one of {', '.join(f'--{name}' for name in MOTIONS)}.")
+        raise ValueError(f"no motion: give one of {', '.join(map(flag_of, MOTIONS))}.")
     _check_used(group)
     about = _vector("--about", group.about, d)
     return {
         **_displacement(group, mesh, nodes),
         **_modes(group, mesh, nodes),
         **_box(group, d),
+        **_airfoil(group, mesh),
         **_scale(group, about),
         **_twist(group, surface, about),
         **_bend(group, surface, about),
@@ -111,6 +113,15 @@ def _box(group: Group, d: int) -> Parts:
         except (json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"--box: not a table in JSON ({error}).") from None
     return {"box": io.read_box(given, d)}
+
+
+def _airfoil(group: Group, mesh: Mesh) -> Parts:
+    parts: Parts = {}
+    if group.hicks_henne is not None:
+        parts |= bumps("hicks-henne", group.hicks_henne, mesh, tuple(group.patches))
+    if group.cst is not None:
+        parts |= class_functions("cst", group.cst, mesh, tuple(group.patches))
+    return parts
 
 
 def _scale(group: Group, about: np.ndarray) -> Parts:

@@ -164,6 +164,32 @@ class Sensitivity:
 
 
 @dataclasses.dataclass(frozen=True)
+class SU2:
+    """Request of `jaxmorph su2`: `action` is `def` or `dot`."""
+
+    run: ClassVar = "_su2.run"
+
+    action: str = positional(
+        "def moves the mesh as SU2_DEF does, dot projects sensitivities onto design variables as SU2_DOT does",
+        "ACTION",
+        choices=("def", "dot"),
+    )
+    file: Path = positional("SU2's config file; the files it names are relative to its folder", "CONFIG", type=Path)
+    sensitivity: Path | None = flag(
+        "dot: dJ/d(nodes) of the volume or of the wall (default: the file that the config names)",
+        metavar="SENS",
+        type=Path,
+    )
+    output: Path | None = flag(
+        "where to write (default as the config file says)", "--output", "-o", metavar="OUT", type=_output
+    )
+    definition: bool = switch("the design variables of DEFINITION_DV in place of DV_KIND")
+    method: Method = part(Method)
+    allow_inverted: bool = switch("write OUT even when cells are inverted", section="when cells are bad")
+    speech: Speech = part(Speech)
+
+
+@dataclasses.dataclass(frozen=True)
 class Quality:
     """Request of `jaxmorph quality`. `moved` is the file of the same mesh, moved."""
 
@@ -202,12 +228,13 @@ class Demo:
     )
 
 
-Request = Deform | Modes | Sensitivity | Quality | Info | Demo
+Request = Deform | Modes | Sensitivity | SU2 | Quality | Info | Demo
 
 COMMANDS: dict[str, Fields] = {
     "deform": Deform,
     "modes": Modes,
     "sensitivity": Sensitivity,
+    "su2": SU2,
     "quality": Quality,
     "info": Info,
     "demo": Demo,

@@ -1,6 +1,7 @@
 """`jaxmorph sensitivity`: dJ/d(points of the volume) to dJ/d(moving nodes) or to a job's design variables."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import numpy as np
@@ -32,7 +33,9 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
     moving = patches.nodes
     moves = None if job is None else motion(job, mesh, moving)
     with out.progress(f"reading {request.sensitivity.name}"):
-        given = io.read_sensitivity(request.sensitivity, mesh)
+        given = io.read_sensitivity(request.sensitivity, mesh, moving=moving)
+    if len(given) < len(mesh.points):
+        return _of_surface(request, np.asarray(mesh.points, float), moving, moves, given, out)
     with out.progress("preparing"):
         choice = patches.method((job or request).method)
         plan = patches.plan(choice)
@@ -72,6 +75,21 @@ def _to_nodes(request: Sensitivity, plan: jm.Plan, given: np.ndarray, out: Outpu
         io.write_sensitivity(request.output, moving, slope)
 
 
+def _of_surface(
+    request: Sensitivity, points: np.ndarray, moving: np.ndarray, moves: Motion | None, given: np.ndarray, out: Output
+) -> int:
+    """Takes sensitivities of the moving nodes alone to design variables: the volume has no part in it."""
+    if moves is None:
+        raise ValueError(
+            f"{request.sensitivity}: {len(given)} of {len(points)} nodes, the moving ones: it is dJ/d(moving nodes) already. "
+            "--job FILE takes it on to design variables."
+        )
+    out.say(f"{title(request.file)}: {count(len(given), 'moving node')}, sensitivities of the surface")
+    _write(request, moves, shapes.project(moves.shape, points[moving], moves.parameters, given), out)
+    out.say(f"wrote {request.output} ({out.seconds:.1f} s)", output=str(request.output))
+    return 0
+
+
 def _to_variables(
     request: Sensitivity, plan: jm.Plan, moves: Motion, steps: int, given: np.ndarray, out: Output
 ) -> None:
@@ -79,6 +97,10 @@ def _to_variables(
         wall = np.asarray(plan.moving_points, float)
         plans = plan if steps == 1 else jm.march(plan, moves.path(wall, steps))[0]
         gradient = shapes.pullback(moves.shape, plans, moves.parameters, given)
+    _write(request, moves, gradient, out)
+
+
+def _write(request: Sensitivity, moves: Motion, gradient: Any, out: Output) -> None:
     names = shapes.names(moves.parameters)
     values, slopes = (
         np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(tree)]) for tree in (moves.parameters, gradient)

@@ -18,7 +18,8 @@ from ._summary import count
 def check_files(request: Deform, mesh: Mesh) -> None:
     """Raises `ValueError` for patches without nodes, and for files that are read or written beside the meshes."""
     for group in request.groups:
-        inputs = [group.displacement, group.displacement_from, *(file for file, _ in group.mode), group.box]
+        tables = [group.box, group.hicks_henne, group.cst]
+        inputs = [group.displacement, group.displacement_from, *(file for file, _ in group.mode), *tables]
         for file in filter(None, inputs):
             if request.output.resolve() == Path(file).resolve():
                 raise ValueError(f"{request.output}: the displacements are read from this file; write to another one.")

@@ -1,6 +1,9 @@
 """Meshes from files and into files: everything but the coordinates as it was."""
 
 from ._box import read_box as read_box
+from ._boxes import Box as Box
+from ._boxes import boxes as boxes
+from ._boxes import with_boxes as with_boxes
 from ._displacement import read_displacement as read_displacement
 from ._gradient import check_gradient_output as check_gradient_output
 from ._gradient import write_gradient as write_gradient

@@ -22,8 +22,10 @@ ENDINGS = (".csv", ".npz")
 
 
 @checked
-def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarray, "n d"]:
-    """Reads dJ/d(points) for every node of the mesh: what `pullback` takes.
+def read_sensitivity(
+    path: str | os.PathLike[str], mesh: Mesh, *, moving: Int[np.ndarray, " m"] | None = None
+) -> Float[np.ndarray, "k d"]:
+    """Reads dJ/d(points) for every node of the mesh: what `pullback` takes. Or for those of a wall, for `shapes.project`.
 
     The file is one of
 
@@ -39,8 +41,10 @@ def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarr
 
     - `path`: the file.
     - `mesh`: the mesh of whose nodes it speaks.
+    - `moving`: ids (m,) of the moving nodes. With them a file may have fewer nodes than the mesh, if it has these: it is then the
+      sensitivity of the surface itself, such as SU2's `surface_sens.csv`.
 
-    **Returns:** sensitivities (n, d), in the unit of J over that of the points.
+    **Returns:** sensitivities (n, d), in the unit of J over that of the points; those (m, d) of `moving` from a surface's file.
 
     **Raises:** `ValueError` for nodes that are missing, foreign or there twice, and for values that are not finite.
     """
@@ -57,6 +61,14 @@ def read_sensitivity(path: str | os.PathLike[str], mesh: Mesh) -> Float[np.ndarr
     foreign = np.setdiff1d(ids, np.arange(n))
     if foreign.size:
         raise ValueError(f"{path}: {foreign.size} node ids are not of the mesh (0 to {n - 1}), first {foreign[0]}.")
+    if moving is not None and len(ids) < n and len(np.unique(ids)) == len(ids):
+        moving = rows_of("moving", moving, n)
+        lacking = np.setdiff1d(moving, ids)
+        if lacking.size:
+            fault = f"{lacking.size} of the {len(moving)} moving nodes are missing (first {lacking[0]})"
+            raise ValueError(f"{path}: {fault}; a surface's file has all of them, a volume's all {n} nodes.")
+        order = np.argsort(ids)
+        return values[order[np.searchsorted(ids[order], moving)]]
     missing = np.setdiff1d(np.arange(n), ids)
     if missing.size or len(ids) != n:
         fault = f"{missing.size} of {n} nodes are missing (first {missing[0]})" if missing.size else "nodes come twice"

@@ -30,7 +30,7 @@ ROWS = 1 << 16
 
 
 @dataclasses.dataclass(frozen=True)
-class _Keyword:
+class Keyword:
     """Holds a line `NAME= value`, and the lines up to the next keyword."""
 
     name: str
@@ -46,7 +46,7 @@ class _Keyword:
 
 
 @dataclasses.dataclass(frozen=True)
-class _SU2Content:
+class SU2Content:
     """Keeps the text of a file, and where its coordinates are."""
 
     text: bytes
@@ -71,7 +71,7 @@ def read(path: pathlib.Path) -> Mesh:
     return mesh_of(path, text, zones[0])
 
 
-def by_zones(path: pathlib.Path, text: bytes) -> list[list[_Keyword]]:
+def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
     """Finds the keywords of each zone of a text: those behind its `IZONE=`, and those before all zones."""
     keywords = list(_keywords(path, blank_comments(text)))
     cuts = [number for number, keyword in enumerate(keywords) if keyword.name == "IZONE"]
@@ -89,7 +89,7 @@ def by_zones(path: pathlib.Path, text: bytes) -> list[list[_Keyword]]:
     return parts
 
 
-def mesh_of(path: pathlib.Path, text: bytes, keywords: list[_Keyword]) -> Mesh:
+def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Mesh:
     """Reads the points, cells and markers of a zone, or of a file without zones."""
     dimension = _only(path, keywords, "NDIME")
     if (d := dimension.number()) not in (2, 3):
@@ -97,7 +97,7 @@ def mesh_of(path: pathlib.Path, text: bytes, keywords: list[_Keyword]) -> Mesh:
     rows = _only(path, keywords, "NPOIN")
     points = np.concatenate(list(_points(rows, d)))
     cells = _joined(_elements(_only(path, keywords, "NELEM"), len(points)))
-    content = _SU2Content(text, rows.section.start, rows.section.stop, points.shape)
+    content = SU2Content(text, rows.section.start, rows.section.stop, points.shape)
     return Mesh(points, cells, _markers(path, keywords, len(points)), source=Source(path, NAME, content))
 
 
@@ -121,7 +121,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
         if source is None:
             file.writelines(_new_text(mesh))
             return
-        content: _SU2Content = source.content
+        content: SU2Content = source.content
         if points.shape != content.shape:
             raise ValueError(f"the mesh has points of shape {points.shape}; {source.path} has {content.shape}.")
         file.writelines(with_points(content.text, content.start, content.stop, points))
@@ -133,7 +133,7 @@ def with_points(text: bytes, start: int, stop: int, points: np.ndarray) -> Itera
     return replace(text, slice(start, stop), points, lambda counts: counts >= d)
 
 
-def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:
+def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
     lines = []
     at = text.find(b"=")
     while at >= 0:
@@ -146,10 +146,10 @@ def _keywords(path: pathlib.Path, text: bytes) -> Iterator[_Keyword]:
         at = text.find(b"=", end)
     for number, (name, value, _, end) in enumerate(lines, start=1):
         stop = lines[number][2] if number < len(lines) else len(text)
-        yield _Keyword(name, value, Section(path, text, end, stop))
+        yield Keyword(name, value, Section(path, text, end, stop))
 
 
-def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:
+def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
     named = [keyword for keyword in keywords if keyword.name == name]
     if not named:
         raise ValueError(f"{path}: no {name}= in this file; it is not an SU2 mesh, or it is cut short.")
@@ -158,7 +158,7 @@ def _only(path: pathlib.Path, keywords: list[_Keyword], name: str) -> _Keyword:
     return named[0]
 
 
-def _points(keyword: _Keyword, d: int) -> Iterator[np.ndarray]:
+def _points(keyword: Keyword, d: int) -> Iterator[np.ndarray]:
     n, section = keyword.number(least=1), keyword.section
     row, width = 0, 0
     for block in section.blocks(np.float64):
@@ -184,7 +184,7 @@ def _points(keyword: _Keyword, d: int) -> Iterator[np.ndarray]:
     _check_count(keyword, n, row, "points")
 
 
-def _elements(keyword: _Keyword, n: int) -> Iterator[dict[str, np.ndarray]]:
+def _elements(keyword: Keyword, n: int) -> Iterator[dict[str, np.ndarray]]:
     for tables in _tables(keyword, keyword.section, n, "elements"):
         if 1 in tables:
             raise keyword.section.error("NELEM= holds elements of type 1 (a single node); these are no cells.")
@@ -199,7 +199,7 @@ def _joined(tables: Iterable[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]
     return {kind: np.concatenate(parts.pop(kind)) for kind in list(parts)}
 
 
-def _markers(path: pathlib.Path, keywords: list[_Keyword], n: int) -> dict[str, np.ndarray]:
+def _markers(path: pathlib.Path, keywords: list[Keyword], n: int) -> dict[str, np.ndarray]:
     patches: dict[str, list[np.ndarray]] = {}
     tags = [number for number, keyword in enumerate(keywords) if keyword.name == "MARKER_TAG"]
     for at in tags:
@@ -217,7 +217,7 @@ def _markers(path: pathlib.Path, keywords: list[_Keyword], n: int) -> dict[str, 
     return {name: np.concatenate([*nodes, np.zeros(0, np.int64)]) for name, nodes in patches.items()}
 
 
-def _tables(keyword: _Keyword, section: Section, n: int, what: str) -> Iterator[dict[int, np.ndarray]]:
+def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[dict[int, np.ndarray]]:
     """Yields corners (k, corners) by SU2's number of the type, in order of first appearance."""
     row, extra = 0, None
     for block in section.blocks(np.int64):
@@ -260,7 +260,7 @@ def _numbers(count: int) -> str:
     return f"{count} {'number' if count == 1 else 'numbers'}"
 
 
-def _check_count(keyword: _Keyword, stated: int, count: int, what: str) -> None:
+def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
     if count != stated:
         raise keyword.section.error(f"{keyword.name}= {stated}, but {count} rows of {what} follow.")
 

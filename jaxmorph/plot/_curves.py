@@ -11,6 +11,7 @@ import jaxmorph as jm
 from jaxmorph._host.package.arguments import checked, finite_array
 from jaxmorph._plan.prepare import boundary_of, plan_of
 from jaxmorph._quality.report import MEASURES
+from jaxmorph.shapes import History
 
 from ._plane import Axes, given_or_new
 from ._sources import of_plan, radial_basis_functions
@@ -113,20 +114,25 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
 
 
 @checked
-def convergence(errors: Mapping[str, SurfaceErrors], *, ax: Axes | None = None) -> Axes:
-    """Draws the error on the surface against the number of sources, for families of reductions by name: `{"k-d tree": ...}`.
+def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | None = None) -> Axes:
+    """Draws how an optimisation went on, or the error on the surface against the number of sources.
+
+    Of a `History` the objective over its first value is drawn against the iterations, with its constraints and measures.
+    Errors are those of families of reductions by name: `{"k-d tree": ...}`.
 
     The largest error is a line, the mean is dashed, both on logarithmic scales.
 
     **Arguments:**
 
-    - `errors`: what `surface_errors` returned, by the names for the legend.
+    - `errors`: a `shapes.History`; or what `surface_errors` returned, by the names for the legend.
     - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes `ax`, or new ones.
 
     **Raises:** `ValueError` where there is nothing to draw.
     """
+    if isinstance(errors, History):
+        return _iterations(errors, ax)
     if not errors:
         raise ValueError("`errors` is empty: give at least one, such as {'k-d tree': plot.surface_errors(...)}.")
     ax = given_or_new(ax)
@@ -142,6 +148,25 @@ def convergence(errors: Mapping[str, SurfaceErrors], *, ax: Axes | None = None) 
     ax.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))  # whole decades: a tick at each
     ax.set_xlabel("sources")
     ax.set_ylabel("error on the surface /\nlargest displacement")
+    ax.grid(color="#dddddd")
+    ax.set_axisbelow(True)
+    ax.legend()
+    return ax
+
+
+def _iterations(history: History, ax: Axes | None) -> Axes:
+    if not len(history):
+        raise ValueError(f"`errors`: {history.path} has no iteration yet.")
+    ax, steps, values = given_or_new(ax), np.arange(len(history)), history.values
+    first = values[0] if np.isfinite(values[0]) and values[0] else 1.0
+    ax.plot(steps, values / first, "o-", color=ORANGE, label="objective over the first" if first != 1 else "objective")
+    for name in history.names:
+        column = history.column(name)
+        if column.ndim == 1:
+            ax.plot(steps, column, ".-", label=name)
+        else:  # of several the one nearest to its bound
+            ax.plot(steps, column.min(axis=1), ".-", label=f"smallest of {name}")
+    ax.set_xlabel("iteration")
     ax.grid(color="#dddddd")
     ax.set_axisbelow(True)
     ax.legend()

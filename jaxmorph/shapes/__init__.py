@@ -14,11 +14,16 @@ from ._curves import HicksHenne as HicksHenne
 from ._curves import Modes as Modes
 from ._displacement import displacement as displacement
 from ._displacement import path as path
+from ._displacement import project as project
 from ._displacement import pullback as pullback
 from ._fit import Fit as Fit
 from ._fit import fit as fit
 from ._fit import fit_cst as fit_cst
 from ._freeform import FreeForm as FreeForm
+from ._guard import MeshGuard as MeshGuard
+from ._guard import QualityRows as QualityRows
+from ._hexahedron import Hexahedron as Hexahedron
+from ._history import History as History
 from ._line import bend as bend
 from ._line import twist as twist
 from ._measures import area as area
@@ -33,6 +38,7 @@ from ._measures import wall_loop as wall_loop
 from ._naca import NACA4 as NACA4
 from ._names import names as names
 from ._names import varied as varied
+from ._normals import wall_normals as wall_normals
 from ._rigid import rotate as rotate
 from ._rigid import scale as scale
 from ._rigid import translate as translate

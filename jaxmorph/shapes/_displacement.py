@@ -97,6 +97,31 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
     return transpose(jax.vjp(lambda total: replay(plans, total), total)[1](cotangent)[0])[0]
 
 
+@checked
+def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) -> PyTree:
+    """Takes dJ/d(positions) of a wall to dJ/d(parameters) of the shape that moved it: no mesh is needed.
+
+    It is for sensitivities that are the wall's own, as `jm.pullback` or a solver's surface file gives them.
+
+    **Arguments:**
+
+    - `shape`: a shape, or a function of positions and parameters.
+    - `x`: undeformed positions (m, d) of the wall.
+    - `parameters`: those that the wall was moved by.
+    - `gradient`: dJ/d(positions) (m, d) of the moved wall.
+
+    **Returns:** dJ/d(parameters), of the structure of `parameters`.
+
+    **Raises:** `ValueError` for another number of rows, and as `displacement` does.
+    """
+    x = positions(x)
+    check_parameters(parameters)
+    if np.shape(gradient) != x.shape:
+        raise ValueError(f"`gradient` has shape {np.shape(gradient)}; the wall has positions {x.shape}.")
+    parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), parameters)
+    return jax.vjp(lambda parameters: moves(shape, x, parameters), parameters)[1](jnp.asarray(gradient, x.dtype))[0]
+
+
 def neutral(shape: AnyShape) -> PyTree:
     """Returns the parameters of a shape that move nothing.
 

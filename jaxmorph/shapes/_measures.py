@@ -57,19 +57,21 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
 
 @checked
 def wall_faces(mesh: Mesh, patch: str) -> list[Int[np.ndarray, "k corners"]]:
-    """Lists the faces of a wall in 3-D, triangles and quads, as the mesh's cells order them.
+    """Lists the faces of a wall, triangles and quads in 3-D, segments in 2-D, as the mesh's cells order them.
 
     **Arguments:**
 
-    - `mesh`: a `Mesh` in 3-D.
+    - `mesh`: a `Mesh`.
     - `patch`: the name of the wall's patch.
 
-    **Returns:** node ids, one array (k, 3) or (k, 4) for each type.
+    **Returns:** node ids, one array (k, 2), (k, 3) or (k, 4) for each type.
 
     **Raises:** `ValueError` for a patch without faces.
     """
     faces = boundary_faces(_cells(mesh), len(mesh.points), mesh.patch(patch))
-    faces.pop("line", None)
+    if mesh.points.shape[1] == 3:
+        faces.pop("line", None)
+    faces = {kind: ids for kind, ids in faces.items() if len(ids)}
     if not faces:
         raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
     return list(faces.values())

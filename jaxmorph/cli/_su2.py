@@ -1,0 +1,156 @@
+"""`jaxmorph su2 def` and `jaxmorph su2 dot`: what SU2_DEF and SU2_DOT do, from SU2's own config file."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import jaxmorph as jm
+from jaxmorph import io, shapes
+from jaxmorph._kernels.compile import quickly_compiled
+from jaxmorph.integrations import su2
+
+from ._deform import SMALL
+from ._judged import Judged
+from ._method import NamedMethod, named_method
+from ._output import Output, title
+from ._requests import SU2
+from ._summary import Summary, count
+from ._tables import faults, table
+
+MAGIC = 535532
+"""The first number of SU2's binary files."""
+
+SOURCES = {
+    "SOLUTION_ADJ_FILENAME": "solution_adj",
+    "VOLUME_SENS_FILENAME": "volume_sens",
+    "SURFACE_SENS_FILENAME": "surface_sens",
+}
+"""Options that name a file of sensitivities, and SU2's own names; the first one that is there is read."""
+
+LISTED = 20
+"""Design variables on the terminal, at most."""
+
+
+def run(request: SU2, out: Output) -> int:
+    """Reads the config file, and moves its mesh or projects its sensitivities. Returns the exit status."""
+    if request.action == "def" and request.sensitivity is not None:
+        raise ValueError("--sensitivity is for su2 dot; su2 def moves the mesh.")
+    with out.progress(f"reading {title(request.file)}"):
+        config = su2.read_config(request.file, definition=request.definition)
+    mesh, nodes = config.mesh, config.mesh.patch(*config.moving)
+    n, d = mesh.points.shape
+    out.say(f"{mesh.source.path.name}: {n} points in {d}-D", points=n)
+    kinds = {name.partition("[")[0]: 0 for name in config.names}
+    for name in config.names:
+        kinds[name.partition("[")[0]] += 1
+    listed = ", ".join(f"{number} {kind}" for kind, number in kinds.items()) or "none: nothing is deformed"
+    out.say(f"values   {listed}", variables=dict(zip(config.names, config.parameters.tolist(), strict=True)))
+    out.say(f"moving   {', '.join(config.moving)}: {count(len(nodes), 'node')}", moving=list(config.moving))
+    with quickly_compiled(n * config.steps <= SMALL):
+        return _deform(request, config, out) if request.action == "def" else _project(request, config, out)
+
+
+def _deform(request: SU2, config: su2.Config, out: Output) -> int:
+    mesh, output = config.mesh, request.output or config.output
+    io.check_output(output, mesh)
+    points = np.asarray(mesh.points)
+    status = 0
+    if config.names:
+        choice = _method(request, config)
+        out.say(f"method   {choice.name}, {count(config.steps, 'step')}", method=choice.name, steps=config.steps)
+        out.say(f"fixed    {', '.join(config.fixed) or 'no patch'}", fixed=list(config.fixed))
+        if config.symmetry:
+            out.say(f"symmetry {', '.join(config.symmetry)}", symmetry=list(config.symmetry))
+        largest = float(np.linalg.norm(config.path[-1], axis=1).max(initial=0))
+        out.say(f"largest  {largest:.6g}", largest=largest)
+        with out.progress("preparing"):
+            base = mesh.moved(points.astype(choice.dtype, copy=False))
+            plan = jm.prepare(base, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
+        with out.progress(f"deforming in {count(config.steps, 'step')}"):
+            points = np.asarray(jm.march(plan, config.path.astype(choice.dtype))[1], float)
+        status = _judge(request, mesh, points, output, out)
+    if status and not request.allow_inverted:
+        return status
+    moved = mesh.moved(points)
+    if config.boxes:
+        moved = io.with_boxes(moved, config.moved_boxes)
+        out.say(f"boxes    {', '.join(box.name for box in config.boxes)}", boxes=[box.name for box in config.boxes])
+    with out.progress(f"writing {output.name}"):
+        io.write(output, moved)
+    out.say(f"wrote {output} ({out.seconds:.1f} s)", output=str(output))
+    return status
+
+
+def _method(request: SU2, config: su2.Config) -> NamedMethod:
+    points, moving = np.asarray(config.mesh.points), config.mesh.patch(*config.moving)
+    fixed = config.mesh.patch(*config.fixed) if config.fixed else np.zeros(0, dtype=int)
+    return named_method(request.method, points[moving], points[np.setdiff1d(fixed, moving)])
+
+
+def _judge(request: SU2, mesh: jm.Mesh, points: np.ndarray, output: Path, out: Output) -> int:
+    with out.progress("judging the cells"):
+        undeformed = Judged(mesh, mesh.points)
+        before, after = Summary.from_judged(undeformed, {}), Summary.from_judged(Judged(mesh, points, undeformed), {})
+    out.say(f"\n{table(before, after)}\n", before=before.facts, after=after.facts)
+    bad = faults(before, after)
+    if bad:
+        out.complain(bad[0])
+        if not request.allow_inverted:
+            out.complain(f"{output} is not written; --allow-inverted writes it all the same.")
+    return 1 if bad else 0
+
+
+def _project(request: SU2, config: su2.Config, out: Output) -> int:
+    mesh, nodes = config.mesh, config.mesh.patch(*config.moving)
+    without = [name for name in config.names if name.startswith(("NACA_4DIGITS", "SURFACE_FILE"))]
+    if without or not config.names:
+        what = without[0] if without else "no design variable"
+        raise ValueError(f"{request.file}: {what} has no derivative: the wall does not depend on DV_VALUE.")
+    name = config.options.text("GRAD_OBJFUNC_FILENAME", "of_grad.dat")
+    output = request.output or config.options.beside(name if Path(name).suffix else f"{name}.dat")
+    file = request.sensitivity or _source(config)
+    with out.progress(f"reading {file.name}"):
+        _check_text(file)
+        given = io.read_sensitivity(file, mesh, moving=nodes)
+    wall, kind = np.asarray(mesh.points, float)[nodes], "surface"
+    if len(given) == len(mesh.points):
+        kind, choice = "volume", _method(request, config)
+        with out.progress("preparing"):
+            plan = jm.prepare(mesh, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
+        with out.progress("pulling back"):
+            given = np.asarray(jm.pullback(plan, np.zeros(wall.shape), given))
+    out.say(f"reading  {file.name}: dJ/d(nodes) of the {kind}", sensitivity=str(file), kind=kind)
+    project = jax.jit(lambda gradient: shapes.project(config.shape, wall, config.shape.neutral(), gradient))
+    gradient = np.asarray(project(given), float)
+    out.say(f"\n{'dJ/d(value)':>16}")
+    for k in np.argsort(-np.abs(gradient), kind="stable")[:LISTED]:
+        out.say(f"{gradient[k]:>16.6g}  {config.names[k]}")
+    out.say(gradient=dict(zip(config.names, gradient.tolist(), strict=True)))
+    su2.write_gradient(output, gradient, config.options.text("OBJECTIVE_FUNCTION", "DRAG").split(",")[0].strip("() "))
+    out.say(f"\nwrote {output} ({out.seconds:.1f} s)", output=str(output))
+    return 0
+
+
+def _source(config: su2.Config) -> Path:
+    """Finds the file of sensitivities that the config file names."""
+    tried = []
+    for option, default in SOURCES.items():
+        name = config.options.text(option, default)
+        for ending in ("", ".csv", ".dat"):
+            file = config.options.beside(name + ending)
+            if file.is_file():
+                return file
+        tried.append(f"{option}= {name}")
+    raise ValueError(
+        f"{config.options.path}: no file of sensitivities is there ({', '.join(tried)}): give --sensitivity."
+    )
+
+
+def _check_text(file: Path) -> None:
+    with file.open("rb") as stream:
+        head = stream.read(4)
+    if len(head) == 4 and int.from_bytes(head, "little") == MAGIC:
+        raise ValueError(
+            f"{file}: a binary file of SU2; RESTART_ASCII among OUTPUT_FILES= writes a table (.csv) of it."
+        )

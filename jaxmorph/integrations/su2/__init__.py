@@ -1,0 +1,6 @@
+"""SU2's config files: the shape that SU2_DEF moves a wall by, its design variables and its patches."""
+
+from ._config import Config as Config
+from ._config import read_config as read_config
+from ._gradient import write_gradient as write_gradient
+from ._motion import DesignVariables as DesignVariables

@@ -1,0 +1,259 @@
+"""A config file and its mesh as a shape, its parameters, and the patches that move and stay."""
+
+import dataclasses
+import functools
+import os
+import pathlib
+import warnings
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxmorph import Mesh, io, shapes
+from jaxmorph._host.package.arguments import checked
+
+from ._control import BoxPart, box_part
+from ._motion import SIDED, AbstractPart, DesignVariables, Displacement, check_alone, simple_parts
+from ._options import Options, read_options
+from ._planes import planes, segments_of
+from ._variables import LEFT, NOTHING, Variable, variables
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Config:
+    """A config file and its mesh: the shape that moves the wall, and the patches.
+
+    - `mesh`: the mesh of `MESH_FILENAME`; `output` is the file of `MESH_OUT_FILENAME`.
+    - `shape`, `parameters`: moves the nodes `mesh.patch(*moving)` by values (n,); at `shape.neutral()` nothing moves.
+    - `moving`, `symmetry`, `fixed`: names of patches, `DV_MARKER`, `MARKER_SYM`, and all others.
+    - `steps`: of `DEFORM_NONLINEAR_ITER`.
+    - `boxes`: free-form boxes of the mesh, or of `FFD_DEFINITION` where `DV_KIND` is `FFD_SETTING` or the mesh has none.
+    - `names`: of the design variables, as `shapes.names` has them for other shapes.
+    - `options`: the options as text, by name.
+    """
+
+    mesh: Mesh
+    output: pathlib.Path
+    shape: DesignVariables
+    parameters: Float[np.ndarray, " n"]
+    moving: tuple[str, ...]
+    symmetry: tuple[str, ...]
+    fixed: tuple[str, ...]
+    steps: int
+    boxes: tuple[io.Box, ...]
+    options: Options
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the design variables."""
+        return self.shape.names
+
+    @functools.cached_property
+    def path(self) -> Float[np.ndarray, "k m d"]:
+        """Total displacements of the moving nodes in equal steps, as `jm.march` takes them."""
+        x = np.asarray(self.mesh.points)[self.mesh.patch(*self.moving)]
+        u = np.asarray(jax.jit(self.shape)(x, self.parameters)) - x
+        return np.stack([u * (k + 1) / self.steps for k in range(self.steps)])
+
+    @property
+    def moved_boxes(self) -> tuple[io.Box, ...]:
+        """The boxes with the control points where the parameters put them."""
+        changes = {id(part.control): part for part in self.shape.parts if isinstance(part, BoxPart)}
+        moved = {box.name: box for box in self.boxes}
+        values = jnp.asarray(self.parameters) * self.shape.scales
+        for part in changes.values():
+            name = part.variables[0].box
+            change = np.asarray(part.change(values[np.array(part.rows, int)]))
+            moved[name] = dataclasses.replace(moved[name], control=moved[name].control + change)
+        return tuple(moved.values())
+
+
+@checked
+def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Config:
+    """Reads a config file of SU2, and the mesh that it names.
+
+        config = su2.read_config("inv_NACA0012.cfg")
+        plan = jm.prepare(config.mesh, config.moving, config.fixed, symmetry=config.symmetry)
+        u = shapes.displacement(config.shape, plan, config.parameters)
+
+    **Arguments:**
+
+    - `path`: the config file; names of files in it are relative to its folder.
+    - `definition`: True takes the design variables of `DEFINITION_DV`, with its scales, at the values of `DV_VALUE_NEW` (else all
+      at rest). Default: those of `DV_KIND`.
+
+    **Returns:** a `Config`.
+
+    **Raises:** `ValueError` for kinds, words and numbers that are not taken, each with its option.
+    """
+    options = read_options(pathlib.Path(path))
+    listed, markers = variables(options, definition)
+    file = _mesh_file(options)
+    mesh = io.read(file)
+    is_setting = any(variable.kind == "FFD_SETTING" for variable in listed)
+    moving = mesh.patch_names(*markers)
+    moves = [variable for variable in listed if variable.kind not in (*NOTHING, *LEFT)]
+    if (moves or is_setting) and not moving:
+        raise ValueError(f"{options.path}: DV_MARKER= names no marker of {file.name}: nothing would move.")
+    try:
+        check_alone(listed)
+        boxes = _boxes(options, mesh, moving, is_setting)
+        shape = _shape(options, listed, mesh, moving, boxes)
+    except ValueError as error:
+        raise ValueError(f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}") from None
+    symmetry = tuple(name for name in mesh.patch_names(*options.words("MARKER_SYM")) if name not in moving)
+    steps = int(options.number("DEFORM_NONLINEAR_ITER", options.text("DEFORM_NONLINEAR_ITER", "1")))
+    if steps < 1:
+        raise options.error("DEFORM_NONLINEAR_ITER", f"1 or more expected, found {steps}")
+    for variable in listed:
+        if variable.kind in LEFT:
+            warnings.warn(f"{variable.kind} is left alone: it is the flow solver's, no wall moves by it.", stacklevel=3)
+    return Config(
+        mesh,
+        _with_ending(options.beside(options.text("MESH_OUT_FILENAME", "mesh_out.su2")), file.suffix),
+        shape,
+        _values(options, shape, definition),
+        moving,
+        symmetry,
+        tuple(name for name in mesh.patches if name not in (*moving, *symmetry)),
+        steps,
+        boxes,
+        options,
+    )
+
+
+def _mesh_file(options: Options) -> pathlib.Path:
+    file = options.beside(options.text("MESH_FILENAME", "mesh.su2"))
+    return file if file.exists() or file.suffix else file.with_suffix(".su2")
+
+
+def _with_ending(file: pathlib.Path, ending: str) -> pathlib.Path:
+    return file if file.suffix else file.with_name(f"{file.name}{ending}")
+
+
+def _values(options: Options, shape: DesignVariables, definition: bool) -> Float[np.ndarray, " n"]:
+    """Reads the value of each design variable; all are at rest where the file has none."""
+    name, rest = "DV_VALUE_NEW" if definition else "DV_VALUE", np.asarray(shape.rest)
+    values = options.numbers(name) if name in options else []
+    if definition and len(values) != len(rest):
+        return rest
+    if not len(rest):
+        return rest
+    if len(values) != len(rest):
+        raise options.error(name, f"{len(values)} values for {len(rest)} of the design variables")
+    return np.array(values)
+
+
+def _boxes(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
+    options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
+    present = () if is_setting else io.boxes(mesh)
+    if present or "FFD_DEFINITION" not in options:
+        nested = [box.name for box in present if box.level or box.parents or box.children]
+        if nested:
+            raise ValueError(f"box {nested[0]} is nested in another one; boxes side by side are taken.")
+        return present
+    d = mesh.points.shape[1]
+    blending = options.choice("FFD_BLENDING", "BEZIER", "BEZIER", "BSPLINE_UNIFORM")
+    orders = options.numbers("FFD_BSPLINE_ORDER") if "FFD_BSPLINE_ORDER" in options else [2, 2, 2]
+    degree = [int(order) - 1 for order in orders[:d]] if blending == "BSPLINE_UNIFORM" else None
+    degrees, groups = options.groups("FFD_DEGREE"), options.groups("FFD_DEFINITION")
+    if len(degrees) != len(groups):
+        raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
+    made = []
+    for (name, *words), each in zip(groups, degrees, strict=True):
+        numbers = [options.number("FFD_DEFINITION", word) for word in words]
+        if len(numbers) != 24:
+            raise options.error(
+                "FFD_DEFINITION", f"24 numbers for box {name}, eight corners, expected; found {len(numbers)}"
+            )
+        counts = [int(options.number("FFD_DEGREE", word)) + 1 for word in each[:d]]
+        shape = shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)
+        made.append(io.Box(name, shape, np.asarray(shape.lattice()), _surface(shape, mesh, moving)))
+    return tuple(made)
+
+
+def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dict:
+    """Finds the nodes of each marker that lie in a box, and their coordinates there."""
+    surface = {}
+    for name in moving:
+        nodes = mesh.patch(name)
+        places = np.asarray(shape.coordinates(np.asarray(mesh.points)[nodes]))
+        inside = np.asarray(shape.box.holds(jnp.asarray(places)))
+        surface[name] = nodes[inside], np.clip(places[inside], 0, 1)
+    return surface
+
+
+def _shape(
+    options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str], boxes: Sequence[io.Box]
+) -> DesignVariables:
+    listed = [variable for variable in listed if variable.kind not in NOTHING]
+    sizes = [variable.size for variable in listed]
+    first = np.cumsum([0, *sizes])[:-1].astype(int)
+    relaxed = options.number("OPT_RELAX_FACTOR", options.text("OPT_RELAX_FACTOR", "1"))
+    # SU2 relaxes amplitudes, not the vectors of control points without a direction
+    scales = [each.scale * (relaxed if each.size == 1 else 1) for each in listed]
+    rest = [1.0 / scale if each.kind == "SCALE" else 0.0 for each, scale in zip(listed, scales, strict=True)]
+    names = [
+        f"{each.kind}[{k}]" + (f"[{part}]" if each.size > 1 else "")
+        for k, each in enumerate(listed)
+        for part in range(each.size)
+    ]
+    parts: list[AbstractPart] = []
+    if listed:
+        nodes = mesh.patch(*moving)
+        is_sided = any(variable.kind in SIDED for variable in listed)
+        normals = shapes.wall_normals(mesh, *moving) if is_sided else None
+        parts += simple_parts(listed, first, mesh.points.shape[1], normals)
+        if listed[0].kind == "SURFACE_FILE":
+            u = io.read_displacement(options.beside(options.text("DV_FILENAME", "surface_positions.dat")), mesh, nodes)
+            parts.append(Displacement((0,), jnp.asarray(u)))
+        parts += _box_parts(options, listed, first, mesh, moving, boxes)
+    return DesignVariables(
+        tuple(names), tuple(parts), jnp.asarray(np.repeat(scales, sizes)), jnp.asarray(np.repeat(rest, sizes))
+    )
+
+
+def _box_parts(
+    options: Options,
+    listed: Sequence[Variable],
+    first: Int[np.ndarray, " v"],
+    mesh: Mesh,
+    moving: Sequence[str],
+    boxes: Sequence[io.Box],
+) -> list[BoxPart]:
+    boxed = [k for k, variable in enumerate(listed) if variable.box]
+    known = [box.name for box in boxes]
+    unknown = [listed[k].box for k in boxed if listed[k].box not in known]
+    if unknown:
+        there = (
+            f"it has {', '.join(known)}"
+            if known
+            else "it has none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
+        )
+        raise ValueError(f"there is no box {unknown[0]} in the mesh file; {there}.")
+    nodes, points = mesh.patch(*moving), np.asarray(mesh.points, float)
+    length = options.number("REF_LENGTH", options.text("REF_LENGTH", "1.0"))
+    faces = [ids for name in moving for ids in shapes.wall_faces(mesh, name)] if boxed else []
+    parts, taken = [], np.zeros(len(nodes), bool)
+    for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
+        members = [k for k in boxed if listed[k].box == box.name]
+        places = _places(box, nodes, moving)
+        if members:
+            fixed = planes(options, box.control, segments_of(points, faces))
+            rows = [row for k in members for row in range(first[k], first[k] + listed[k].size)]
+            free = np.where(taken[:, None], np.nan, places)
+            parts.append(box_part(box, [listed[k] for k in members], rows, tuple(map(frozenset, fixed)), length, free))
+        taken |= np.isfinite(places).all(axis=1)
+    return parts[::-1]
+
+
+def _places(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
+    places = np.full((len(nodes), len(box.shape.counts)), np.nan)
+    for name in moving:
+        ids, inside = box.surface.get(name, (np.zeros(0, int), np.zeros((0, places.shape[1]))))
+        moves = np.isin(ids, nodes)
+        places[np.searchsorted(nodes, ids[moves])] = inside[moves]
+    return places

@@ -1,0 +1,115 @@
+"""Design variables as a config file lists them."""
+
+import dataclasses
+import difflib
+
+from ._options import Options, split
+
+NUMBERS = {
+    **{1: "TRANSLATION", 2: "ROTATION", 3: "SCALE", 10: "FFD_SETTING", 11: "FFD_CONTROL_POINT", 12: "FFD_NACELLE"},
+    **{13: "FFD_GULL", 14: "FFD_CAMBER", 15: "FFD_TWIST", 16: "FFD_THICKNESS", 18: "FFD_ROTATION"},
+    **{19: "FFD_CONTROL_POINT_2D", 20: "FFD_CAMBER_2D", 21: "FFD_THICKNESS_2D", 22: "FFD_TWIST_2D"},
+    **{23: "FFD_CONTROL_SURFACE", 24: "FFD_ANGLE_OF_ATTACK", 30: "HICKS_HENNE", 31: "PARABOLIC", 32: "NACA_4DIGITS"},
+    **{33: "AIRFOIL", 34: "CST", 35: "SURFACE_BUMP", 36: "SURFACE_FILE", 50: "TRANSLATE_GRID", 51: "ROTATE_GRID"},
+    **{52: "SCALE_GRID", 101: "ANGLE_OF_ATTACK"},
+}
+"""Kinds of design variables by the numbers that `DEFINITION_DV` has for them."""
+
+COUNTS = {
+    **{"TRANSLATION": 3, "ROTATION": 6, "SCALE": 0, "HICKS_HENNE": 2, "NACA_4DIGITS": 3, "SURFACE_FILE": 0},
+    **{
+        "FFD_SETTING": 0,
+        "FFD_CONTROL_POINT": 7,
+        "FFD_CAMBER": 3,
+        "FFD_TWIST": 8,
+        "FFD_THICKNESS": 3,
+        "FFD_ROTATION": 7,
+    },
+    **{"FFD_CONTROL_POINT_2D": 5, "FFD_CAMBER_2D": 2, "FFD_THICKNESS_2D": 2},
+    **{"ANGLE_OF_ATTACK": 1, "FFD_ANGLE_OF_ATTACK": 2},
+}
+"""Kinds that are taken, and how many parameters each has; the tag of a box is one of them."""
+
+LEFT = ("ANGLE_OF_ATTACK", "FFD_ANGLE_OF_ATTACK")
+"""Kinds that move no wall: they are the flow solver's."""
+
+NOTHING = ("NO_DEFORMATION", "FFD_SETTING")
+"""Words of `DV_KIND` where nothing is to be deformed."""
+
+DIRECTIONS = {"FFD_CONTROL_POINT": (4, 3), "FFD_CONTROL_POINT_2D": (3, 2)}
+"""Place and length of the direction among the parameters of a control point; the variable has as many values where it is zero."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Variable:
+    """A design variable: its kind, the tag of its box, its parameters, the number of its values, and a factor of these."""
+
+    kind: str
+    box: str
+    numbers: tuple[float, ...]
+    size: int = 1
+    scale: float = 1.0
+
+
+def variables(options: Options, definition: bool) -> tuple[list[Variable], list[str]]:
+    """Lists the design variables, and the markers that they move. `definition` is for those of `DEFINITION_DV`.
+
+    Raises `ValueError` for kinds that are not taken, each by its name, and for wrong numbers of parameters.
+    """
+    if definition:
+        return _definition(options)
+    kinds, groups = options.words("DV_KIND"), options.groups("DV_PARAM")
+    if not kinds:
+        raise ValueError(f"{options.path}: DV_KIND= is missing: it says what kind of design variables there are.")
+    _check_kinds(options, "DV_KIND", kinds)
+    if not any(COUNTS.get(kind) for kind in kinds):
+        groups = [[]] * len(kinds)
+    if len(groups) != len(kinds):
+        raise options.error("DV_PARAM", f"{len(groups)} groups of parameters for {len(kinds)} of DV_KIND")
+    listed = [_variable(options, "DV_PARAM", *each) for each in zip(kinds, groups, strict=True)]
+    return listed, options.words("DV_MARKER")
+
+
+def _definition(options: Options) -> tuple[list[Variable], list[str]]:
+    name, listed, markers = "DEFINITION_DV", [], []
+    for text in options.text(name).split(";"):
+        if not split(text):
+            continue
+        head, *rest = [split(part) for part in text.split("|")]
+        if not 1 <= len(head) <= 2 or len(rest) not in (1, 2):
+            raise options.error(name, f"( kind, scale | markers | parameters ) expected, found {text.strip()[:60]!r}")
+        kind = NUMBERS.get(int(head[0]), head[0]) if head[0].isdecimal() else head[0]
+        _check_kinds(options, name, [kind])
+        scale = options.number(name, head[1]) if len(head) == 2 else 1.0
+        listed.append(_variable(options, name, kind, rest[1] if len(rest) == 2 else [], scale))
+        markers.append(rest[0])
+    if not listed:
+        raise ValueError(f"{options.path}: DEFINITION_DV= is missing.")
+    if any(each != markers[0] for each in markers):
+        other = next(each for each in markers if each != markers[0])
+        raise options.error(name, f"variables of different markers, {' '.join(markers[0])} and {' '.join(other)}")
+    return listed, markers[0]
+
+
+def _check_kinds(options: Options, name: str, kinds: list[str]) -> None:
+    wrong = [kind for kind in dict.fromkeys(kinds) if kind not in COUNTS and kind != "NO_DEFORMATION"]
+    if wrong:
+        near = difflib.get_close_matches(wrong[0], COUNTS, n=1)
+        hint = f" (did you mean {near[0]}?)" if near and wrong[0] not in NUMBERS.values() else ""
+        raise options.error(name, f"{', '.join(wrong)} is not taken{hint}; {', '.join(COUNTS)} are")
+
+
+def _variable(options: Options, name: str, kind: str, words: list[str], scale: float = 1.0) -> Variable:
+    box, count = "", COUNTS.get(kind, 0)
+    if kind in (*NOTHING, "SCALE", "SURFACE_FILE"):
+        return Variable(kind, "", (), scale=scale)
+    if kind in LEFT:
+        return Variable(kind, "", (), scale=scale)
+    if len(words) != count:
+        raise options.error(name, f"{kind} has {count} parameters, found {len(words)}: {' '.join(words)}")
+    if kind.startswith("FFD_"):
+        box, *words = words
+    numbers = tuple(options.number(name, word) for word in words)
+    first, length = DIRECTIONS.get(kind, (0, 0))
+    is_free = length > 0 and not any(numbers[first - 1 : first - 1 + length])
+    return Variable(kind, box, numbers, length if is_free else 1, scale)

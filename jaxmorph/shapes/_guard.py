@@ -1,0 +1,207 @@
+"""A guard for optimisers: the smallest Jacobian ratio of a moved mesh as a smooth constraint, and the cells that bind."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._advice.largest_step import Corners
+from .._host.package.arguments import between, checked, finite_array, whole
+from .._kernels.compile import compiled
+from .._kernels.module import Module
+from .._mesh.mesh import Mesh
+from .._plan.plan import Plan, deform
+from .._quality import measures
+from .._quality.quality import places
+from .._quality.vector import corners
+from ._arguments import Numbers
+
+
+@dataclasses.dataclass(frozen=True)
+class QualityRows:
+    """The smallest corner Jacobians of a moved mesh, over their initial values, with their derivatives.
+
+    - `values` (k,): the ratios less the bound, ascending; negative ones break it.
+    - `matrix` (k, p): their derivatives by the design variables, a row each. To first order a step `s` gives
+      `values + matrix @ s`.
+    - `cells` (k,): the cells, in the order of `quality`.
+    """
+
+    values: Float[np.ndarray, " k"]
+    matrix: Float[np.ndarray, "k p"]
+    cells: Int[np.ndarray, " k"]
+
+
+class MeshGuard(Module):
+    """A constraint that keeps the mesh valid, for any optimiser: a soft smallest Jacobian ratio less a bound, not negative.
+
+    It is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells, and centres of hexahedra. It is never more than
+    the smallest ratio: a design that it allows has no cell below the bound. It is less by log(count) / sharpness at most, where
+    all corners are alike. It is twice differentiable, along any motion of a plan.
+
+        guard = shapes.MeshGuard(plan, mesh, lambda p: shapes.displacement(bumps, plan, p))
+        scipy.optimize.minimize(guard.guarded(drag), start, jac=True, method="SLSQP", constraints=guard.constraint())
+
+    **Arguments:**
+
+    - `plan`: what `prepare` returned.
+    - `mesh`: whose `points` are the plan's, with cells.
+    - `displacement`: takes the design variables (p,) and returns `u` (m, d); traced.
+    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells invert at 0.
+    - `sharpness`: positive, without unit, default 100. A larger one comes closer to the bound, and bends more.
+
+    **Raises:** `ValueError` for numbers out of their range, and for a mesh that is not the plan's.
+    """
+
+    plan: Plan
+    displacement: Callable[[Any], Float[Array, "m d"]]
+    ids: tuple[Int[Array, "k c"], ...]
+    signs: tuple[Float[Array, " k"], ...]
+    scales: tuple[Float[Array, "s k"], ...]
+    judged: tuple[Bool[Array, "s k"], ...]
+    kinds: tuple[str, ...] = eqx.field(static=True)
+    bound: float = eqx.field(static=True)
+    sharpness: float = eqx.field(static=True)
+
+    @checked
+    def __init__(
+        self,
+        plan: Plan,
+        mesh: Mesh,
+        displacement: Callable[[Any], Any],
+        *,
+        min_jacobian_ratio: float = 0.1,
+        sharpness: float = 100.0,
+    ):
+        between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
+        between("sharpness", sharpness, 0)
+        places(mesh, plan.points)
+        parts = Corners(mesh, plan.points.dtype, 1.0).parts
+        self.plan, self.displacement = plan, displacement
+        self.kinds = tuple(kind for kind, *_ in parts)
+        self.ids, self.signs = (tuple(jnp.asarray(part[k]) for part in parts) for k in (1, 2))
+        self.judged = tuple(jnp.asarray(part[3]) for part in parts)
+        self.scales = tuple(jnp.asarray(np.where(part[3], part[4], 1)) for part in parts)
+        self.bound, self.sharpness = float(min_jacobian_ratio), float(sharpness)
+
+    def __call__(self, design: Any) -> Float[Array, ""]:
+        """Computes the soft smallest ratio less the bound: a mesh with 0 or more keeps it. Traced."""
+        ratios, judged = self._ratios(design)
+        least = -jax.scipy.special.logsumexp(-self.sharpness * ratios, b=judged.astype(ratios.dtype)) / self.sharpness
+        return least - self.bound
+
+    def _ratios(self, design: Any) -> tuple[Float[Array, " s"], Bool[Array, " s"]]:
+        """Computes the Jacobian at each corner of a cell over its initial value, and which corners count. Traced."""
+        points = deform(self.plan, self.displacement(design))
+        ratios = []
+        for kind, ids, sign, scale in zip(self.kinds, self.ids, self.signs, self.scales, strict=True):
+            relative, _ = measures.relative_corners(corners(points, ids))
+            ratios.append((sign[None] * measures.jacobians(kind, relative)[0] / scale).ravel())
+        return jnp.concatenate(ratios), jnp.concatenate([judged.ravel() for judged in self.judged])
+
+    @checked
+    def value(self, design: Numbers) -> float:
+        """Computes the constraint at design variables (p,), for optimisers that call NumPy."""
+        return float(_value(self, _flat(design)))
+
+    @checked
+    def smallest(self, design: Numbers) -> float:
+        """Computes the smallest ratio itself, which has kinks, at design variables (p,)."""
+        return float(_smallest(self, _flat(design)))
+
+    @checked
+    def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
+        """Computes the derivative of the constraint by each design variable (p,), for optimisers that call NumPy."""
+        return np.asarray(_gradient(self, _flat(design)), float)
+
+    @checked
+    def quality_rows(self, design: Numbers, count: int) -> QualityRows:
+        """Finds the corners that bind: the smallest ratios and their derivatives by the design variables as one matrix.
+
+        A gradient that would lower them is projected off their rows; a linear program steps so that none breaks the bound.
+
+        **Arguments:**
+
+        - `design`: (p,).
+        - `count`: rows, at most as many as the cells have Jacobians.
+
+        **Returns:** `QualityRows`.
+
+        **Raises:** `ValueError` for more rows than Jacobians.
+        """
+        total = sum(int(np.asarray(judged).sum()) for judged in self.judged)
+        if not 1 <= whole("count", count) <= total:
+            raise ValueError(f"`count` is {count}; the cells have {total} Jacobians.")
+        values, chosen, matrix = _rows(self, _flat(design), int(count))
+        return QualityRows(np.asarray(values, float), np.asarray(matrix, float), self._cell[np.asarray(chosen)])
+
+    def constraint(self, count: int | None = None) -> dict[str, Any]:
+        """Makes the constraint of `scipy.optimize.minimize` with its derivative: the soft one, or the `count` smallest corners."""
+        if count is None:
+            return {"type": "ineq", "fun": self.value, "jac": self.gradient}
+        rows = functools.lru_cache(1)(lambda design: self.quality_rows(np.frombuffer(design), count))
+        as_bytes = lambda design: np.asarray(design, float).tobytes()  # noqa: E731
+        return {
+            "type": "ineq",
+            "fun": lambda design: rows(as_bytes(design)).values,
+            "jac": lambda design: rows(as_bytes(design)).matrix,
+        }
+
+    def guarded(self, objective: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        """Makes an objective that is infinite, and runs no flow, where a cell is below the bound: line searches then step back.
+
+        The objective takes design variables (p,), and returns its value and its derivative (p,).
+        """
+
+        def guard(design: Any) -> tuple[float, Any]:
+            if self.smallest(design) < self.bound:
+                return np.inf, np.zeros(np.shape(design))
+            return objective(design)
+
+        return guard
+
+    @property
+    def _cell(self) -> Int[np.ndarray, " s"]:
+        """The cell of each corner."""
+        numbers, first = [], 0
+        for judged in self.judged:
+            numbers.append(np.broadcast_to(first + np.arange(judged.shape[1]), judged.shape).ravel())
+            first += judged.shape[1]
+        return np.concatenate(numbers)
+
+
+def _flat(design: Any) -> Float[Array, " p"]:
+    return jnp.asarray(finite_array("design", design, (None,)), float)
+
+
+@compiled
+def _value(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
+    return guard(design)
+
+
+@compiled
+def _smallest(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, ""]:
+    ratios, judged = guard._ratios(design)
+    return jnp.min(jnp.where(judged, ratios, jnp.inf))
+
+
+@compiled
+def _gradient(guard: MeshGuard, design: Float[Array, " p"]) -> Float[Array, " p"]:
+    return jax.grad(guard)(design)
+
+
+@compiled
+def _rows(
+    guard: MeshGuard, design: Float[Array, " p"], count: int
+) -> tuple[Float[Array, " k"], Int[Array, " k"], Float[Array, "k p"]]:
+    ratios, judged = guard._ratios(design)
+    chosen = jax.lax.top_k(-jnp.where(judged, ratios, jnp.inf), count)[1]
+    slopes = jax.jacfwd if len(design) <= count else jax.jacrev
+    matrix = slopes(lambda design: guard._ratios(design)[0][chosen])(design)
+    return ratios[chosen] - guard.bound, chosen, matrix

@@ -1,0 +1,156 @@
+"""Free-form deformation in a box of any shape: eight corners in 3-D, four in 2-D."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._host.package.arguments import checked
+from .._kernels.values import is_known
+from ._arguments import Numbers, check_finite, positions
+from ._freeform import FreeForm
+from ._lattice import LatticeOperator
+from ._shape import AbstractLinearShape
+
+STEPS = 30
+"""Steps of Newton's method; a place in a box that is no parallelepiped takes about six."""
+
+OUTSIDE = 2.0
+"""Coordinate of a position whose place in the box is not found: it lies far from the box."""
+
+ORDER = {2: [(0, 0), (1, 0), (1, 1), (0, 1)]}
+ORDER[3] = [(*corner, k) for k in (0, 1) for corner in ORDER[2]]  # pyright: ignore[reportArgumentType]
+"""Place in the lattice of each corner, in VTK's order: around one face, then around the opposite one."""
+
+
+class Hexahedron(AbstractLinearShape):
+    """A box of control points between corners that may stand anywhere; a quadrilateral in 2-D. It is `FreeForm` in a bent box.
+
+    A place in the box is that of a multilinear map of the unit cube. Positions inside move by the controls' displacements weighted
+    with B-splines of their coordinates in the cube, positions outside stay. The parameters are the displacements (*counts, d).
+    A box whose edges are parallel gives what `FreeForm` gives.
+
+    **Arguments:**
+
+    - `corners`: (8, 3) in the order of a cell of the mesh (VTK's and SU2's), the first four around one face; (4, 2) in 2-D.
+    - `counts`, `degree`, `continuity`: those of `FreeForm`.
+
+    **Raises:** `ValueError` for another number of corners, a box without volume or turned inside out, and as `FreeForm` does.
+    """
+
+    corners: Float[Array, "..."]
+    box: FreeForm
+
+    @checked
+    def __init__(
+        self,
+        corners: Numbers,
+        counts: Sequence[int],
+        *,
+        degree: int | Sequence[int | None] | None = None,
+        continuity: int | None = None,
+    ):
+        given = jnp.asarray(corners, float)
+        check_finite(corners=given)
+        if given.shape not in ((4, 2), (8, 3)):
+            raise ValueError(f"`corners` has shape {given.shape}; expected (8, 3), or (4, 2) in 2-D.")
+        d = given.shape[1]
+        places = np.array(ORDER[d])
+        self.corners = jnp.zeros((*(2,) * d, d), given.dtype).at[tuple(places.T)].set(given)
+        self.box = FreeForm(np.zeros(d), np.eye(d), counts, degree=degree, continuity=continuity)
+        if is_known(self.corners):
+            sizes = np.asarray(jax.vmap(lambda t: jnp.linalg.det(_slopes(t, self.corners)))(jnp.asarray(places, float)))
+            scale = np.linalg.norm(np.ptp(np.asarray(given), axis=0)) ** d
+            if not ((sizes > 1e-12 * scale).all() or (sizes < -1e-12 * scale).all()):
+                raise ValueError(
+                    "the box is flat or turned inside out: list the corners around one face, then around the opposite one."
+                )
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Numbers of control points along each direction."""
+        return self.box.counts
+
+    @property
+    def continuity(self) -> int | None:
+        """Number of derivatives that hold the outer layers of control points, as in `FreeForm`."""
+        return self.box.continuity
+
+    @property
+    def free(self) -> Bool[np.ndarray, "..."]:
+        """True for control points that `continuity` leaves free, (*counts,)."""
+        return self.box.free
+
+    @property
+    def given_corners(self) -> Float[np.ndarray, "c d"]:
+        """The corners in the order in which they were given."""
+        return np.asarray(self.corners)[tuple(np.array(ORDER[len(self.counts)]).T)]
+
+    def neutral(self) -> Float[Array, "..."]:
+        """Makes the control displacements that move nothing: zeros (*counts, d)."""
+        return self.box.neutral()
+
+    def at(self, x: Numbers) -> LatticeOperator:
+        """Finds the places of positions (m, d) in the box and computes their weights once."""
+        return self.box.at(self.coordinates(x))
+
+    @checked
+    def coordinates(self, x: Numbers) -> Float[Array, "m d"]:
+        """Computes coordinates in the box, each from 0 to 1 inside; those of positions far outside are 2. Traced.
+
+        **Raises:** `ValueError` for positions in another dimension.
+        """
+        x = positions(x)
+        if x.shape[1] != len(self.counts):
+            raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
+        return _places(x, self.corners.astype(x.dtype))
+
+    def lattice(self, control: Numbers | None = None) -> Float[Array, "..."]:
+        """Computes the positions (*counts, d) of the control points, displaced where `control` is given."""
+        t = self.box.lattice()
+        points = jax.vmap(lambda place: _at(place, self.corners))(t.reshape(-1, t.shape[-1])).reshape(t.shape)
+        return points if control is None else points + jnp.asarray(control)
+
+
+def _at(t: Float[Array, " d"], corners: Float[Array, "..."]) -> Float[Array, " d"]:
+    """Computes the position of one place."""
+    for share in t:
+        corners = (1 - share) * corners[0] + share * corners[1]
+    return corners
+
+
+def _slopes(t: Float[Array, " d"], corners: Float[Array, "..."]) -> Float[Array, "d d"]:
+    return jax.jacfwd(_at)(t, corners)
+
+
+@jax.custom_jvp
+@jax.jit
+def _places(x: Float[Array, "m d"], corners: Float[Array, "..."]) -> Float[Array, "m d"]:
+    """Inverts the map by Newton's method from the middle of the box."""
+    tolerance = 1e3 * jnp.finfo(x.dtype).eps * jnp.max(jnp.abs(corners))
+
+    def one(position: Float[Array, " d"]) -> Float[Array, " d"]:
+        def step(_, t):
+            change = jnp.linalg.solve(_slopes(t, corners), position - _at(t, corners))
+            return jnp.clip(t + jnp.clip(change, -1, 1), -1, 2)
+
+        t = jax.lax.fori_loop(0, STEPS, step, jnp.full_like(position, 0.5))
+        return jnp.where(jnp.max(jnp.abs(_at(t, corners) - position)) <= tolerance, t, OUTSIDE)
+
+    return jax.vmap(one)(x)
+
+
+@_places.defjvp
+def _places_jvp(primals, tangents):
+    # the place is defined by at(t, corners) = x; the rule contains the place itself, so that derivatives of all orders follow
+    (x, corners), (x_dot, corners_dot) = primals, tangents
+    t = _places(x, corners)
+
+    def one(t, x_dot):
+        is_inside = jnp.all(t < OUTSIDE)
+        slopes = jnp.where(is_inside, _slopes(jnp.where(is_inside, t, 0.5), corners), jnp.eye(len(t), dtype=t.dtype))
+        return jnp.where(is_inside, jnp.linalg.solve(slopes, x_dot - _at(t, corners_dot)), 0)
+
+    return t, jax.vmap(one)(t, x_dot)

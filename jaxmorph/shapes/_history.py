@@ -1,0 +1,135 @@
+"""The iterations of an optimisation in a small file, which goes on after a kill."""
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .._host.package.arguments import checked, finite_array
+from .._host.package.files import input_path, output_path
+
+FIELDS = ("design", "value", "constraints", "measures")
+"""Fields of an iteration in the file."""
+
+
+class History:
+    """Iterations of an optimisation: a line of JSON each, on the disk as soon as it is added.
+
+        history = shapes.History("wing.jsonl")
+        start = history.designs[-1] if len(history) else np.zeros(20)
+        history.add(design, drag, constraints={"lift": lift}, measures={"jacobian_ratio": guard.smallest(design)})
+
+    A file that is there is read first, so that a run that was ended goes on from its last iteration. A last line that is cut off is
+    left out. `plot.convergence(history)` draws it.
+
+    **Arguments:**
+
+    - `path`: the file; its folder must exist.
+
+    **Raises:** `ValueError` for a file that holds anything else, with its line.
+    """
+
+    @checked
+    def __init__(self, path: str | os.PathLike[str]):
+        self.path = output_path(path)
+        self.rows: list[dict[str, Any]] = []
+        self._end = 0
+        if not self.path.exists():
+            return
+        content = input_path(self.path).read_bytes()
+        self._end = content.rfind(b"\n") + 1
+        for number, line in enumerate(content[: self._end].splitlines(), start=1):
+            self.rows.append(self._row(number, line))
+
+    def _row(self, number: int, line: bytes) -> dict[str, Any]:
+        try:
+            row: Any = json.loads(line)
+        except (ValueError, RecursionError):
+            row = None
+        good = isinstance(row, dict) and set(row) == set(FIELDS) and isinstance(row["design"], list)
+        if not good or (self.rows and len(row["design"]) != len(self.rows[0]["design"])):
+            raise ValueError(f"{self.path}, line {number}: no iteration of one optimisation; found {line[:60]!r}.")
+        return row
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def designs(self) -> Float[np.ndarray, "k p"]:
+        """The design variables of each iteration."""
+        return np.array([row["design"] for row in self.rows], float).reshape(len(self), -1)
+
+    @property
+    def values(self) -> Float[np.ndarray, " k"]:
+        """The objective of each iteration; NaN where it was not finite."""
+        return np.array([row["value"] for row in self.rows], float)
+
+    @checked
+    def column(self, name: str) -> Float[np.ndarray, "k *n"]:
+        """Collects one constraint or measure over the iterations; NaN where an iteration lacks it.
+
+        **Raises:** `ValueError` for a name that no iteration has.
+        """
+        values = [({**row["constraints"], **row["measures"]}).get(name) for row in self.rows]
+        like = next((value for value in values if value is not None), None)
+        if like is None:
+            known = ", ".join(self.names) or "none"
+            raise ValueError(f"no iteration has `name` {name!r}; there are: {known}.")
+        return np.array([np.full(np.shape(like), np.nan) if value is None else value for value in values], float)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of constraints and measures, in the order in which they came."""
+        return tuple(dict.fromkeys(name for row in self.rows for name in (*row["constraints"], *row["measures"])))
+
+    @checked
+    def add(
+        self,
+        design: Any,
+        value: Any,
+        *,
+        constraints: Mapping[str, Any] | None = None,
+        measures: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Adds an iteration, and writes it to the disk.
+
+        **Arguments:**
+
+        - `design`: design variables (p,).
+        - `value`: the objective; what is not finite is kept as none.
+        - `constraints`, `measures`: numbers or lists of numbers by name.
+
+        **Raises:** `ValueError` for another number of design variables, and for what is no number.
+        """
+        given = finite_array("design", design, (None,))
+        if self.rows and len(given) != len(self.rows[0]["design"]):
+            raise ValueError(f"`design` has {len(given)} variables; {self.path} has {len(self.rows[0]['design'])}.")
+        row = {
+            "design": given.astype(float).tolist(),
+            "value": _numbers("value", value),
+            "constraints": {name: _numbers(name, each) for name, each in (constraints or {}).items()},
+            "measures": {name: _numbers(name, each) for name, each in (measures or {}).items()},
+        }
+        with self.path.open("r+b" if self.path.exists() else "xb") as file:
+            file.truncate(self._end)  # a line that was cut off
+            file.seek(self._end)
+            file.write((json.dumps(row, allow_nan=False) + "\n").encode())
+            file.flush()
+            os.fsync(file.fileno())
+            self._end = file.tell()
+        self.rows.append(row)
+
+
+def _numbers(name: str, value: Any) -> Any:
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise ValueError(f"`{name}` is {str(value)[:40]!r}; a number, or a list of numbers, expected.") from None
+    if array.ndim > 1:
+        raise ValueError(f"`{name}` has shape {array.shape}; a number, or a list of numbers, expected.")
+    plain = [number if math.isfinite(number) else None for number in array.ravel().tolist()]
+    return plain if array.ndim else plain[0]

@@ -1,0 +1,135 @@
+"""The guard of an optimisation: a smooth constraint on cells, the rows of those that bind, and the history of iterations."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from meshes import bricks
+
+import jaxmorph as jm
+from jaxmorph import cases, plot, shapes
+
+
+@pytest.fixture(scope="module")
+def airfoil():
+    """A NACA0015, ten bumps on each side, and the area within it."""
+    mesh = cases.naca0015(points=800)
+    plan = jm.prepare(mesh, "airfoil", "farfield", method=jm.RBF.classic())
+    wall = np.asarray(mesh.points)[plan.moving]
+    upper = shapes.wall_normals(mesh, "airfoil")[:, 1] > 0
+    bump = shapes.HicksHenne(np.linspace(0.05, 0.95, 10))
+    sides = [jax.jacfwd(shapes.Part(bump, kept).at(wall))(jnp.zeros(10)) for kept in (upper, ~upper)]
+    weights = jnp.concatenate(sides, axis=2)
+    ring = np.searchsorted(plan.moving, shapes.wall_loop(mesh, "airfoil"))
+    motion = lambda p: weights @ p  # noqa: E731
+    area = jax.jit(jax.value_and_grad(lambda p: shapes.area(wall + motion(p), ring)))
+    return mesh, plan, motion, area
+
+
+def test_the_constraint_is_below_the_smallest_ratio_and_its_derivatives_are_differences(airfoil):
+    mesh, plan, motion, _ = airfoil
+    guard = shapes.MeshGuard(plan, mesh, motion, min_jacobian_ratio=0.2, sharpness=80.0)
+    p = 0.004 * np.random.default_rng(0).normal(size=20)
+    report = jm.quality(mesh, jm.deform(plan, motion(p)))
+    smallest = float(report.jacobian_ratio.min())
+    np.testing.assert_allclose(guard.smallest(p), smallest, rtol=1e-9)
+    corners = 4 * len(mesh.cells["quad"])
+    assert smallest - 0.2 - np.log(corners) / 80 <= guard.value(p) <= smallest - 0.2
+    step = 1e-6 * np.random.default_rng(1).normal(size=20)
+    difference = guard.value(p + step) - guard.value(p - step)
+    np.testing.assert_allclose(2 * guard.gradient(p) @ step, difference, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(guard.value(p), float(jax.jit(guard)(p)), rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [7, 30])
+def test_rows_are_the_smallest_corners_and_their_slopes(airfoil, count):
+    mesh, plan, motion, _ = airfoil
+    guard = shapes.MeshGuard(plan, mesh, motion)
+    p = 0.004 * np.random.default_rng(0).normal(size=20)
+    rows = guard.quality_rows(p, count)
+    report = jm.quality(mesh, jm.deform(plan, motion(p)))
+    assert (np.diff(rows.values) >= 0).all()
+    np.testing.assert_allclose(rows.values[0], report.jacobian_ratio.min() - 0.1, rtol=1e-9)
+    assert rows.cells[0] == int(np.argmin(report.jacobian_ratio))
+    below = np.flatnonzero(report.jacobian_ratio < rows.values[-1] + 0.1)
+    assert set(below) <= set(rows.cells)
+    h = 1e-6
+    for k in (0, 7, 19):
+        step = h * np.eye(20)[k]
+        first, other = (guard.quality_rows(p + s * step, count) for s in (1, -1))
+        np.testing.assert_allclose((first.values - other.values) / (2 * h), rows.matrix[:, k], rtol=1e-3, atol=1e-3)
+
+
+def test_cells_in_3d_count_by_their_corners():
+    mesh = bricks(2)
+    far = np.flatnonzero(np.asarray(mesh.points)[:, 2] == 1)
+    plan = jm.prepare(mesh.points, mesh.patch("floor"), far, method=jm.RBF.classic())
+    guard = shapes.MeshGuard(plan, mesh, lambda p: jnp.zeros((len(plan.moving), 3)).at[:, 2].set(p[0]))
+    moved = jm.deform(plan, np.tile([0, 0, 0.3], (9, 1)))
+    np.testing.assert_allclose(guard.smallest([0.3]), jm.quality(mesh, moved).jacobian_ratio.min(), rtol=1e-9)
+    assert guard.smallest([1.5]) < 0
+    assert guard.quality_rows([0.3], 72).values.shape == (72,)  # eight corners and the centre of eight cells
+    with pytest.raises(ValueError, match="72 Jacobians"):
+        guard.quality_rows([0.3], 73)
+
+
+@pytest.mark.parametrize("count", [None, 20])
+def test_an_optimiser_thins_an_airfoil_and_no_flow_sees_a_broken_mesh(airfoil, count):
+    mesh, plan, motion, area = airfoil
+    guard, designs = shapes.MeshGuard(plan, mesh, motion), []
+
+    def objective(p):
+        designs.append(np.array(p))
+        value, slope = area(p)
+        return float(value), np.asarray(slope)
+
+    settings = {"jac": True, "method": "SLSQP", "bounds": [(-0.04, 0.04)] * 20, "options": {"maxiter": 12}}
+    scipy.optimize.minimize(objective, np.zeros(20), **settings)
+    assert min(guard.smallest(p) for p in designs) < 0  # without a guard cells invert at once
+    designs.clear()
+    result = scipy.optimize.minimize(
+        guard.guarded(objective), np.zeros(20), constraints=guard.constraint(count), **settings
+    )
+    assert min(guard.smallest(p) for p in designs) >= 0.1
+    assert result.fun < 0.75 * area(np.zeros(20))[0]
+    assert guard.smallest(result.x) >= 0.1 - 1e-6
+
+
+def test_a_history_goes_on_after_a_kill(tmp_path):
+    file = tmp_path / "wing.jsonl"
+    history = shapes.History(file)
+    assert len(history) == 0
+    history.add([0.0, 1.0], 2.0, constraints={"lift": 0.5, "thickness": [0.1, 0.2]}, measures={"ratio": 0.9})
+    history.add(np.array([0.5, 1.5]), np.float64(1.5), constraints={"lift": 0.4}, measures={"ratio": np.nan})
+    with file.open("a") as stream:
+        stream.write('{"design": [0.1, 0')  # what a kill leaves
+    again = shapes.History(file)
+    np.testing.assert_array_equal(again.designs, [[0, 1], [0.5, 1.5]])
+    np.testing.assert_array_equal(again.values, [2.0, 1.5])
+    np.testing.assert_array_equal(again.column("lift"), [0.5, 0.4])
+    np.testing.assert_array_equal(again.column("thickness"), [[0.1, 0.2], [np.nan, np.nan]])
+    np.testing.assert_array_equal(again.column("ratio"), [0.9, np.nan])
+    again.add([1.0, 2.0], np.inf)
+    assert [json.loads(line)["value"] for line in file.read_text().splitlines()] == [2.0, 1.5, None]
+    assert len(shapes.History(file)) == 3
+    labels = plot.convergence(again).get_legend_handles_labels()[1]
+    assert labels == ["objective over the first", "lift", "smallest of thickness", "ratio"]
+
+
+def test_what_is_no_history_is_told(tmp_path):
+    file = tmp_path / "a.jsonl"
+    file.write_text("nonsense\n")
+    with pytest.raises(ValueError, match=r"a\.jsonl, line 1: no iteration"):
+        shapes.History(file)
+    assert file.read_text() == "nonsense\n"
+    history = shapes.History(tmp_path / "b.jsonl")
+    history.add([1.0], 1.0)
+    with pytest.raises(ValueError, match=r"2 variables; .* has 1"):
+        history.add([1.0, 2.0], 1.0)
+    with pytest.raises(ValueError, match="no iteration has `name` 'drag'"):
+        history.column("drag")
+    with pytest.raises(ValueError, match="no iteration yet"):
+        plot.convergence(shapes.History(tmp_path / "c.jsonl"))

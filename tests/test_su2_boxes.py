@@ -1,0 +1,128 @@
+"""SU2's free-form boxes in its mesh files: read, changed, written back."""
+
+import dataclasses
+import pathlib
+
+import numpy as np
+import pytest
+from test_su2 import PLAIN
+
+from jaxmorph import io, shapes
+from jaxmorph.cli import main
+
+BOX = """FFD_NBOX= 1
+FFD_NLEVEL= 1
+FFD_TAG= MAIN_BOX
+FFD_LEVEL= 0
+FFD_DEGREE_I= 2
+FFD_DEGREE_J= 1
+FFD_BLENDING= BEZIER
+FFD_PARENTS= 0
+FFD_CHILDREN= 0
+FFD_CORNER_POINTS= 4
+-0.5	-0.5
+2.5	-0.5
+2.5	1.5
+-0.5	1.25
+FFD_CONTROL_POINTS= 12
+{control}
+FFD_SURFACE_POINTS= 3
+lower	0	1.6e-01	2.5e-01	5.0e-01
+lower	1	6.6e-01	4.0e-01	5.0e-01
+upper	4	5.0e-01	7.0e-01	5.0e-01
+"""
+ROWS = [(i, j, k, 0.1 * i + 0.01 * j, i - j, k - 0.5) for i in range(3) for j in range(2) for k in range(2)]
+CONTROL = "\n".join("\t".join(map(str, row)) for row in ROWS)
+
+
+def written(path: pathlib.Path, text: str) -> pathlib.Path:
+    path.write_bytes(text.encode())
+    return path
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_box_is_read_and_goes_back_with_its_control_points_moved(tmp_path, end):
+    text = (PLAIN + BOX.format(control=CONTROL)).replace("\n", end)
+    mesh = io.read(written(tmp_path / "in.su2", text))
+    (box,) = io.boxes(mesh)
+    assert (box.name, box.shape.counts, box.shape.box.degrees) == ("MAIN_BOX", (3, 2), (2, 1))
+    np.testing.assert_array_equal(box.shape.given_corners, [[-0.5, -0.5], [2.5, -0.5], [2.5, 1.5], [-0.5, 1.25]])
+    np.testing.assert_allclose(box.control[2, 1], [0.21, 1.0], atol=1e-15)
+    assert box.surface["lower"][0].tolist() == [0, 1]
+    np.testing.assert_array_equal(box.surface["upper"][1], [[0.5, 0.7]])
+    io.write(tmp_path / "same.su2", mesh)
+    assert (tmp_path / "same.su2").read_bytes() == text.encode()
+    moved = dataclasses.replace(box, control=box.control + np.array([0.5, -0.25]))
+    io.write(tmp_path / "out.su2", io.with_boxes(mesh.moved(mesh.points + 1), [moved]))
+    again = io.read(tmp_path / "out.su2")
+    np.testing.assert_array_equal(again.points, mesh.points + 1)
+    (after,) = io.boxes(again)
+    np.testing.assert_array_equal(after.control, moved.control)
+    assert all(np.array_equal(a, b) for key in box.surface
+               for a, b in zip(after.surface[key], box.surface[key], strict=True))  # fmt: skip
+    assert (tmp_path / "out.su2").read_bytes().count(b"\r\n") == (text.count("\n") if end == "\r\n" else 0)
+    io.write(tmp_path / "none.su2", io.with_boxes(mesh, []))
+    assert (tmp_path / "none.su2").read_bytes() == PLAIN.replace("\n", end).encode()
+
+
+def test_a_box_ahead_of_the_points_leaves_them_in_their_place(tmp_path):
+    box = BOX.format(control=CONTROL)
+    mesh = io.read(written(tmp_path / "in.su2", PLAIN[: PLAIN.index("NELEM")] + box + PLAIN[PLAIN.index("NELEM") :]))
+    (box,) = io.boxes(mesh)
+    io.write(
+        tmp_path / "out.su2", io.with_boxes(mesh.moved(mesh.points * 2), [box, dataclasses.replace(box, name="B")])
+    )
+    again = io.read(tmp_path / "out.su2")
+    np.testing.assert_array_equal(again.points, mesh.points * 2)
+    assert [each.name for each in io.boxes(again)] == ["MAIN_BOX", "B"]
+
+
+def test_splines_and_boxes_in_3d(tmp_path):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1.2, 1], [0, 1, 1.0]])
+    cube = "NDIME= 3\nNELEM= 1\n12 0 1 2 3 4 5 6 7\nNPOIN= 8\n" + "".join(
+        "{} {} {}\n".format(*point) for point in corners
+    )
+    mesh = io.read(written(tmp_path / "in.su2", cube + "NMARK= 0\n"))
+    shape = shapes.Hexahedron(corners, (4, 3, 2), degree=(2, 1, 1))
+    control = np.random.default_rng(0).normal(size=(4, 3, 2, 3))
+    io.write(tmp_path / "out.su2", io.with_boxes(mesh, [io.Box("WING", shape, control)]))
+    (box,) = io.boxes(io.read(tmp_path / "out.su2"))
+    assert box.shape.box.degrees == (2, 1, 1)
+    np.testing.assert_array_equal(box.control, control)
+    np.testing.assert_array_equal(box.shape.given_corners, corners)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("FFD_CORNER_POINTS= 4", "FFD_CORNER_POINTS= 3", "as many rows"),
+        ("2.5	1.5\n", "", "as many rows"),
+        ("FFD_DEGREE_I= 2\n", "", "no FFD_DEGREE_I"),
+        ("lower	0	", "lower	9	", "a node and three coordinates"),
+        ("0	0	1	", "0	0	0	", "not those of a lattice"),
+        ("2.5	1.5", "2.5	-0.5", "flat or turned"),
+    ],
+)
+def test_a_damaged_box_is_told_with_file_and_line(tmp_path, old, new, says):
+    text = BOX.format(control=CONTROL)
+    assert old in text
+    mesh = io.read(written(tmp_path / "in.su2", PLAIN + text.replace(old, new)))
+    with pytest.raises(ValueError, match=rf"in\.su2, line \d+: .*{says}"):
+        io.boxes(mesh)
+
+
+def test_boxes_of_other_meshes(tmp_path):
+    mesh = io.read(written(tmp_path / "in.su2", PLAIN))
+    assert io.boxes(mesh) == ()
+    (box,) = io.boxes(io.read(written(tmp_path / "box.su2", PLAIN + BOX.format(control=CONTROL))))
+    with pytest.raises(ValueError, match="not read from an SU2 file"):
+        io.with_boxes(dataclasses.replace(mesh, source=None), [box])
+    with pytest.raises(ValueError, match="name of another"):
+        io.with_boxes(mesh, [box, box])
+    with pytest.raises(ValueError, match=r"\(3, 2, 2\)"):
+        io.with_boxes(mesh, [dataclasses.replace(box, control=box.control[:2])])
+
+
+def test_info_shows_boxes(tmp_path, capsys):
+    assert main(["info", str(written(tmp_path / "box.su2", PLAIN + BOX.format(control=CONTROL)))]) == 0
+    assert "MAIN_BOX  degrees 2 x 1," in capsys.readouterr().out

@@ -1,0 +1,431 @@
+"""SU2's config files: what each kind of design variable moves, by SU2's own formulas, and both commands."""
+
+import itertools
+import json
+import math
+import pathlib
+
+import numpy as np
+import pytest
+from meshes import bricks
+
+import jaxmorph as jm
+from jaxmorph import cases, io, shapes
+from jaxmorph.cli import main
+from jaxmorph.integrations import su2
+
+CORNERS = [[-0.1, -0.2], [1.1, -0.25], [1.2, 0.25], [-0.15, 0.2]]
+FFD = "FFD_DEFINITION= (MAIN, {}, 0,0,0, 0,0,0, 0,0,0, 0,0,0)\nFFD_DEGREE= (3,{},0)\n"
+TABLE = FFD.format(", ".join(f"{x}, {y}, 0.0" for x, y in CORNERS), 1)
+SOLID = np.array([[-0.1, -0.1, -0.2], [1.2, -0.1, -0.2], [1.1, 0.6, -0.2], [-0.1, 0.6, -0.2],
+                  [-0.1, -0.1, 0.3], [1.2, -0.1, 0.3], [1.1, 0.6, 0.4], [-0.1, 0.6, 0.3]])  # fmt: skip
+WHOLE = SOLID * [1, 2, 1]
+"""A box that holds the whole of the floor; that of `SOLID` ends within it."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("su2")
+    io.write(folder / "airfoil.su2", cases.naca0015(points=800))
+    brick = bricks(4)
+    x = np.asarray(brick.points)
+    top = np.flatnonzero(x[:, 2] == 1)
+    sides = np.setdiff1d(np.flatnonzero((x[:, :2] % 1 == 0).any(axis=1) & (x[:, 2] > 0)), [])
+    io.write(folder / "brick.su2", jm.Mesh(x, brick.cells, {**brick.patches, "top": top, "sides": sides}))
+    return folder
+
+
+def config(folder, kind, param, value, more="", mesh="airfoil", marker="airfoil"):
+    """Reads a config file of these design variables."""
+    text = f"MESH_FILENAME= {mesh}.su2\nDV_KIND= {kind}\nDV_PARAM= {param}\nDV_VALUE= {value}\nDV_MARKER= ( {marker} )\n{more}"
+    (folder / "case.cfg").write_text(text)
+    return su2.read_config(folder / "case.cfg")
+
+
+def moved(case):
+    """Returns the wall before and after."""
+    x = np.asarray(case.mesh.points)[case.mesh.patch(*case.moving)]
+    return x, np.asarray(case.shape(x, case.parameters))
+
+
+def heights(mesh):
+    """Normals' ordinates of the airfoil's nodes as SU2 sums them: half of each edge beside a node, away from the body."""
+    loop = shapes.wall_loop(mesh, "airfoil")
+    x = np.asarray(mesh.points)
+    rise = {}
+    for k, node in enumerate(loop):
+        before, after = x[loop[k - 1]], x[loop[(k + 1) % len(loop)]]
+        rise[node] = 0.5 * (before[0] - x[node][0]) + 0.5 * (x[node][0] - after[0])
+    return np.array([rise[node] for node in mesh.patch("airfoil")])
+
+
+def test_bumps_of_hicks_and_henne(folder):
+    case = config(folder, "HICKS_HENNE, HICKS_HENNE, HICKS_HENNE", "(1, 0.3); (0, 0.6); (1, 0.3)", "0.01, 0.02, 0.005")
+    x, after = moved(case)
+    expected, up = x.copy(), heights(case.mesh)
+    for side, place, value in ((1, 0.3, 0.01), (0, 0.6, 0.02), (1, 0.3, 0.005)):
+        for row, (t, _) in enumerate(x):
+            t = max(0.0, t)
+            bump = math.sin(math.pi * t ** (math.log10(0.5) / math.log10(place))) ** 3 if t > 1e-15 else 0.0
+            expected[row, 1] += (
+                value * bump if side and up[row] > 0 else -value * bump if not side and up[row] < 0 else 0
+            )
+    np.testing.assert_allclose(after, expected, atol=1e-15)
+    assert np.abs(after - x)[:, 1].max() > 0.014
+    assert case.names == ("HICKS_HENNE[0]", "HICKS_HENNE[1]", "HICKS_HENNE[2]")
+
+
+def turned(points, a, b, degrees):
+    """SU2's rotation about the line from a to b: the general matrix, by cosine and sine."""
+    axis = (b - a) / np.linalg.norm(b - a)
+    cosine, sine = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    matrix = cosine * np.eye(3) + sine * cross + (1 - cosine) * np.outer(axis, axis)
+    return (points - a) @ matrix.T + a
+
+
+def test_rigid_kinds_add_what_each_does_to_the_wall_as_it_was(folder):
+    param = "(0.1, 0.2, 0.3); (0.25, 0.1, 0, 0.5, 0.3, 1); (1.0)"
+    case = config(folder, "TRANSLATION, ROTATION, SCALE", param, "0.5, 12, 1.1", mesh="brick", marker="floor")
+    x, after = moved(case)
+    spin = turned(x, np.array([0.25, 0.1, 0]), np.array([0.5, 0.3, 1]), 12) - x
+    np.testing.assert_allclose(after, x + 0.5 * np.array([0.1, 0.2, 0.3]) + spin + 0.1 * x, atol=1e-14)
+    np.testing.assert_array_equal(case.shape(x, case.shape.neutral()), x)
+    assert (case.fixed, case.steps) == (("top", "sides"), 1)
+    flat = config(folder, "ROTATION", "(0.25, 0.1, 0, 0.25, 0.1, 1)", "12")
+    x, after = moved(flat)
+    solid = np.column_stack([x, np.zeros(len(x))])
+    np.testing.assert_allclose(
+        after, turned(solid, np.array([0.25, 0.1, 0]), np.array([0.25, 0.1, 1]), 12)[:, :2], atol=1e-14
+    )
+
+
+def test_the_four_digits_of_naca(folder):
+    case = config(folder, "NACA_4DIGITS", "(2, 4, 12)", "1.0")
+    (x, after), up = moved(case), heights(case.mesh)
+    t = x[:, 0]
+    mean = np.where(t < 0.4, 0.02 / 0.16 * (0.8 * t - t**2), 0.02 / 0.36 * (0.2 + 0.8 * t - t**2))
+    half = 0.6 * (0.2969 * np.sqrt(np.maximum(t, 0)) - 0.126 * t - 0.3516 * t**2 + 0.2843 * t**3 - 0.1036 * t**4)
+    np.testing.assert_array_equal(after[:, 0], t)
+    side = up != 0
+    np.testing.assert_allclose(after[side, 1], (mean + np.sign(up) * half)[side], atol=1e-15)
+
+
+def box_of_su2(case, listed, length=1.0, fixed=((), (), ())):
+    """Moves control points as SU2 does, in its loops over boxes that are always 3-D; returns them before and after."""
+    flat = len(CORNERS[0]) == case.mesh.points.shape[1]
+    (box,) = case.boxes
+    counts = (*box.shape.counts, 2) if flat else box.shape.counts
+    corners = [(*c, z) for z in (-0.5, 0.5) for c in CORNERS] if flat else box.shape.given_corners
+    start = np.zeros((*counts, 3))
+    for place in np.ndindex(counts):
+        u, v, w = (k / (n - 1) for k, n in zip(place, counts, strict=True))
+        around = [(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v]
+        shares = [a * b for b in (1 - w, w) for a in around]
+        start[place] = sum(share * np.array(corner) for share, corner in zip(shares, corners, strict=True))
+    control = start.copy()
+    for kind, numbers, values in listed:
+        if kind in ("FFD_CONTROL_POINT_2D", "FFD_CONTROL_POINT"):
+            d = 2 if flat else 3
+            way = np.zeros(3)
+            way[:d] = np.array(numbers[d:]) * values[0] if len(values) == 1 else values
+            index = [*numbers[:d], *([-1] if flat else [])]
+            if any(k in planes for k, planes in zip(index, fixed, strict=True)):
+                continue
+            every = [a for a in range(d) if index[a] == -1]
+            for place in np.ndindex(counts):
+                named = all(i in (-1, k) for i, k in zip(index, place, strict=True))
+                stays = not flat and len(every) == 1 and place[every[0]] in fixed[every[0]]
+                control[place] += way if named and not stays else 0
+        elif kind in ("FFD_CAMBER_2D", "FFD_THICKNESS_2D"):
+            control[numbers[0], 0, :, 1] += -values[0] if "THICK" in kind else values[0]
+            control[numbers[0], 1, :, 1] += values[0]
+        elif kind in ("FFD_CAMBER", "FFD_THICKNESS"):
+            i, j = numbers
+            if i in fixed[0] or j in fixed[1] or {0, 1} & set(fixed[2]):
+                continue
+            control[i, j, 0, 2] += -values[0] if "THICK" in kind else values[0]
+            control[i, j, 1, 2] += values[0]
+        elif kind == "FFD_ROTATION":
+            control = turned(control, np.array(numbers[:3]), np.array(numbers[3:]), values[0])
+        elif kind == "FFD_TWIST":
+            j, a, b = numbers[0], np.array(numbers[1:4]), np.array(numbers[4:7])
+            share = (control[0, j, 0, 1] - a[1]) / (b[1] - a[1])
+            if j in fixed[1] or not 0 <= share <= 1:
+                continue
+            about = a + share * (b - a)
+            spun = turned(control[:, j], about, about + np.array([0, 1, 0]), np.rad2deg(math.atan(values[0] / length)))
+            for i, k in itertools.product(range(counts[0]), range(counts[2])):
+                if i not in fixed[0] and k not in fixed[2]:
+                    control[i, j, k] = spun[i, k]
+    return start, control
+
+
+def evaluated(control, t):
+    """Places at coordinates t of a box with these control points: Bernstein polynomials."""
+    out = np.zeros((len(t), 3))
+    for place in np.ndindex(control.shape[:3]):
+        weight = np.ones(len(t))
+        for a, (k, n) in enumerate(zip(place, control.shape[:3], strict=True)):
+            weight *= math.comb(n - 1, k) * t[:, a] ** k * (1 - t[:, a]) ** (n - 1 - k)
+        out += weight[:, None] * control[place]
+    return out
+
+
+def check_box(case, listed, **options):
+    (x, after), (box,) = moved(case), case.boxes
+    start, control = box_of_su2(case, listed, **options)
+    marker = case.moving[0]
+    nodes, places = box.surface[marker]
+    t = np.column_stack([places, np.full((len(nodes), 3 - places.shape[1]), 0.5)])
+    d = x.shape[1]
+    np.testing.assert_allclose(evaluated(start, t)[:, :d], case.mesh.points[nodes], atol=1e-13)
+    expected = x.copy()
+    expected[np.searchsorted(case.mesh.patch(marker), nodes)] = evaluated(control, t)[:, :d]
+    np.testing.assert_allclose(after, expected, atol=1e-13)
+    assert np.abs(after - x).max() > 1e-3
+    (written,) = case.moved_boxes
+    np.testing.assert_allclose(written.control, control[..., :3] if d == 3 else control[:, :, 0, :2], atol=1e-13)
+
+
+def test_boxes_in_2d(folder):
+    listed = [
+        ("FFD_CONTROL_POINT_2D", [1, 1, 0.5, 2.0], [0.01]),
+        ("FFD_CONTROL_POINT_2D", [2, -1, 0, 0], [0.01, 0.02]),
+        ("FFD_CONTROL_POINT_2D", [-1, 0, 0, 1], [-0.01]),
+        ("FFD_CAMBER_2D", [1], [0.03]),
+        ("FFD_THICKNESS_2D", [2], [0.02]),
+        ("FFD_ROTATION", [0.25, 0, 0, 0.25, 0, 1], [4]),
+    ]
+    param = "; ".join(f"(MAIN, {', '.join(map(str, numbers))})" for _, numbers, _ in listed)
+    value = ", ".join(str(each) for _, _, values in listed for each in values)
+    case = config(folder, ", ".join(kind for kind, _, _ in listed), param, value, TABLE)
+    assert len(case.boxes[0].surface["airfoil"][0]) == len(case.mesh.patch("airfoil"))
+    check_box(case, listed)
+
+
+def solid(corners, *, degrees="(3, 2, 1)", more=""):
+    return f"FFD_DEFINITION= (BOX, {', '.join(map(str, corners.ravel()))})\nFFD_DEGREE= {degrees}\n{more}"
+
+
+LISTED = [
+    ("FFD_CONTROL_POINT", [1, 1, 1, 0.5, 2.0, 1.0], [0.01]),
+    ("FFD_CONTROL_POINT", [2, -1, 0, 0, 0, 0], [0.01, 0.02, 0.03]),
+    ("FFD_CONTROL_POINT", [-1, 0, -1, 0, 1, 0], [-0.01]),
+    ("FFD_CAMBER", [1, 0], [0.03]),
+    ("FFD_THICKNESS", [2, 1], [0.02]),
+    ("FFD_TWIST", [1, 0.3, -1, 0, 0.4, 2, 0.1], [0.2]),
+    ("FFD_ROTATION", [0.25, 0, 0, 0.25, 1, 0.5], [4]),
+]
+
+
+@pytest.mark.parametrize("continuity", ["NO_DERIVATIVE", "2ND_DERIVATIVE", "USER_INPUT", None])
+def test_boxes_in_3d(folder, continuity):
+    """A box that ends within the wall holds the planes of control points behind that face; one around it holds none."""
+    more = f"FFD_CONTINUITY= {continuity}\nFFD_FIX_I= (0, 9)\nFFD_FIX_J= (2)\nFFD_FIX_K= (9)\nREF_LENGTH= 2.0\n"
+    fixed = {"NO_DERIVATIVE": ((), (2,), ()), "2ND_DERIVATIVE": ((), (2, 1, 0), ()), "USER_INPUT": ((0,), (2,), ())}
+    text = solid(SOLID if continuity else WHOLE, more=more if continuity else "REF_LENGTH= 2.0\n")
+    param = "; ".join(f"(BOX, {', '.join(map(str, numbers))})" for _, numbers, _ in LISTED)
+    value = ", ".join(str(each) for _, _, values in LISTED for each in values)
+    kinds = ", ".join(kind for kind, _, _ in LISTED)
+    case = config(folder, kinds, param, value, text, mesh="brick", marker="floor")
+    check_box(case, LISTED, length=2.0, fixed=fixed.get(continuity, ((), (), ())))
+
+
+def test_positions_from_a_file(folder):
+    mesh = io.read(folder / "airfoil.su2")
+    nodes, rng = mesh.patch("airfoil"), np.random.default_rng(0)
+    target = np.asarray(mesh.points)[nodes] + 0.01 * rng.normal(size=(len(nodes), 2))
+    rows = [f"{node}\t{x!r}\t{y!r}" for node, (x, y) in zip(nodes.tolist(), target.tolist(), strict=True)]
+    (folder / "wall.dat").write_text("\n".join(rows[::-1]) + "\n")
+    case = config(folder, "SURFACE_FILE", "( 1.0 )", "1.0", "DV_FILENAME= wall.dat\nDEFORM_NONLINEAR_ITER= 3\n")
+    x, after = moved(case)
+    np.testing.assert_allclose(after, target, atol=1e-16)
+    np.testing.assert_allclose(case.path[1], (target - x) * 2 / 3, atol=1e-16)
+
+
+def test_how_options_are_written(folder):
+    text = """% made by hand, DV_KIND= NONSENSE
+MESH_FILENAME=airfoil.su2   % the mesh
+MESH_OUT_FILENAME = moved
+MATH_PROBLEM= DIRECT
+DV_KIND= HICKS_HENNE, \\
+         HICKS_HENNE
+DV_PARAM= ( 1, 0.3 ); \\ % upper
+  ( 0, 0.6 )
+DV_VALUE= 0.01, 0.02
+DV_MARKER= ( airfoil )
+OPT_RELAX_FACTOR= 2.0
+DEFINITION_DV= ( 30, 0.5 | airfoil | 1, 0.3 ); ( HICKS_HENNE, 1.0 | airfoil | 0, 0.6 ); ( 1, 1.0 | airfoil | 0, 1, 0 )
+"""
+    (folder / "written.cfg").write_text(text)
+    case = su2.read_config(folder / "written.cfg")
+    assert case.output == folder / "moved.su2"
+    assert case.parameters.tolist() == [0.01, 0.02]
+    x, after = moved(case)
+    _, plain = moved(config(folder, "HICKS_HENNE, HICKS_HENNE", "(1, 0.3); (0, 0.6)", "0.02, 0.04"))
+    np.testing.assert_allclose(after, plain, atol=1e-16)
+    defined = su2.read_config(folder / "written.cfg", definition=True)
+    assert defined.names == ("HICKS_HENNE[0]", "HICKS_HENNE[1]", "TRANSLATION[2]")
+    assert not defined.parameters.any()
+    up = np.array([0, 0.2])
+    np.testing.assert_allclose(defined.shape(x, [0.02, 0.02, 0.1]), plain + up, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"kind": "HICKS_HENN"}, "HICKS_HENN is not taken .did you mean HICKS_HENNE"),
+        ({"kind": "SURFACE_BUMP"}, "SURFACE_BUMP is not taken; .*TRANSLATION"),
+        ({"kind": "FFD_TWIST_2D"}, "FFD_TWIST_2D is not taken"),
+        ({"param": "(1, 0.3, 4)"}, "HICKS_HENNE has 2 parameters, found 3"),
+        ({"param": "(1, 0.3); (0, 0.2)"}, "2 groups of parameters for 1 of DV_KIND"),
+        ({"param": "(1, wide)"}, "DV_PARAM= a number expected, found 'wide'"),
+        ({"param": "(4, 0.3)"}, "HICKS_HENNE has the side 4"),
+        ({"value": "0.1, 0.2"}, "2 values for 1"),
+        ({"value": "0.1, nan"}, "a number expected"),
+        ({"marker": "wing"}, "no patch .*wing"),
+        ({"marker": ""}, "DV_MARKER= names no marker"),
+        ({"more": "DV_VALUE= 1\n"}, "DV_VALUE= comes a second time"),
+        ({"more": "DEFORM_NONLINEAR_ITER= 0\n"}, "1 or more"),
+        ({"more": "nonsense\n"}, "line 6: an option NAME= value expected"),
+        ({"kind": "NACA_4DIGITS, TRANSLATION", "param": "(2,4,12); (1,0,0)", "value": "1, 1"}, "taken alone"),
+        ({"kind": "ROTATION", "param": "(0,0,0,1,0,1)"}, "both ends have the same x and y"),
+        ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)"}, "no box MAIN in the mesh file; it has none"),
+        ({"kind": "FFD_CAMBER_2D", "param": "(TAIL, 1)", "more": TABLE}, "no box TAIL.*it has MAIN"),
+        ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 7)", "more": TABLE}, "i = 7; box MAIN has control points 0 to 3"),
+        ({"kind": "FFD_CAMBER", "param": "(MAIN, 1, 0)", "more": TABLE}, "FFD_CAMBER in a mesh in 2-D"),
+        ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)", "more": TABLE + "FFD_CONTINUITY= C1\n"}, "C1 is not taken"),
+        ({"kind": "FFD_CAMBER_2D", "param": "(MAIN, 1)", "more": TABLE + "FFD_COORD_SYSTEM= POLAR\n"}, "POLAR is not"),
+        (
+            {"kind": "FFD_CAMBER_2D, SCALE", "param": "(MAIN, 1); (1)", "value": "1, 1", "more": TABLE},
+            "SU2 moves by one",
+        ),
+    ],
+)
+def test_what_is_not_taken_is_told_by_its_name(folder, change, says):
+    given = {"kind": "HICKS_HENNE", "param": "(1, 0.3)", "value": "0.01"} | change
+    with pytest.raises(ValueError, match=rf"case\.cfg.*{says}|{says}"):
+        config(folder, **given)
+
+
+def test_the_angle_of_attack_is_told_and_left_alone(folder):
+    with pytest.warns(UserWarning, match="ANGLE_OF_ATTACK is left alone"):
+        case = config(folder, "HICKS_HENNE, ANGLE_OF_ATTACK", "(1, 0.3); (1.0)", "0.0, 2.0")
+    x, after = moved(case)
+    np.testing.assert_array_equal(x, after)
+    assert case.names == ("HICKS_HENNE[0]", "ANGLE_OF_ATTACK[1]")
+
+
+def test_a_gradient_by_boxes_is_its_differences(folder):
+    param = "; ".join(f"(BOX, {', '.join(map(str, numbers))})" for _, numbers, _ in LISTED)
+    kinds, value = ", ".join(kind for kind, _, _ in LISTED), ", ".join("0" for _, _, values in LISTED for _ in values)
+    case = config(folder, kinds, param, value, solid(WHOLE), mesh="brick", marker="floor")
+    x, rng = moved(case)[0], np.random.default_rng(0)
+    weights = rng.normal(size=x.shape)
+    gradient = shapes.project(case.shape, x, case.parameters, weights)
+    for k in range(len(gradient)):
+        step = 1e-6 * np.eye(len(gradient))[k]
+        difference = np.vdot(weights, case.shape(x, step) - case.shape(x, -step)) / 2e-6
+        np.testing.assert_allclose(gradient[k], difference, rtol=1e-6, atol=1e-9)
+
+
+def test_both_commands_on_boxes_that_the_mesh_keeps(folder, tmp_path, capsys):
+    """FFD_SETTING puts a box into the mesh, two deformations go on from each other, and dot is their derivative."""
+    mesh = io.read(folder / "airfoil.su2")
+    io.write(tmp_path / "airfoil.su2", mesh)
+    base = "DV_MARKER= ( airfoil )\nMESH_FILENAME= {}\nMESH_OUT_FILENAME= {}\n"
+    kinds = "DV_KIND= FFD_CONTROL_POINT_2D, FFD_CAMBER_2D\nDV_PARAM= (MAIN, 1, 1, 0, 1); (MAIN, 2)\nDV_VALUE= {}\n"
+    setting = base.format("airfoil.su2", "set.su2") + "DV_KIND= FFD_SETTING\nDV_PARAM= ( 1.0 )\nDV_VALUE= 0.0\n" + TABLE
+    (tmp_path / "a.cfg").write_text(setting)
+    (tmp_path / "b.cfg").write_text(base.format("set.su2", "one.su2") + kinds.format("0.02, 0.01"))
+    (tmp_path / "c.cfg").write_text(base.format("one.su2", "two.su2") + kinds.format("0.01, -0.02"))
+    for name in "abc":
+        assert main(["su2", "def", str(tmp_path / f"{name}.cfg"), "--method", "rbf"]) == 0
+    start, end = io.read(tmp_path / "set.su2"), io.read(tmp_path / "two.su2")
+    np.testing.assert_array_equal(start.points, mesh.points)
+    (before,), (after,) = io.boxes(start), io.boxes(end)
+    np.testing.assert_allclose(after.control - before.control, change(4, 2, 0.03, -0.01), atol=1e-15)
+    nodes, places = before.surface["airfoil"]
+    weights = before.shape.box.at(places)
+    wall = np.asarray(mesh.points)[nodes] + np.asarray(weights(after.control - before.control))
+    np.testing.assert_allclose(end.points[nodes], wall, atol=1e-14)
+    far = mesh.patch("farfield")
+    np.testing.assert_array_equal(end.points[far], mesh.points[far])
+    capsys.readouterr()
+    sens = np.random.default_rng(0).normal(size=(len(nodes), 2))
+    rows = [f"{n}, 0, 0, {a!r}, {b!r}, 0" for n, (a, b) in zip(nodes.tolist(), sens.tolist(), strict=True)]
+    (tmp_path / "surface_sens.csv").write_text(
+        '"PointID", "x", "y", "Sensitivity_x", "Sensitivity_y", "Surface_Sensitivity"\n' + "\n".join(rows) + "\n"
+    )
+    assert main(["su2", "dot", str(tmp_path / "c.cfg"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    first, *lines = (tmp_path / "of_grad.dat").read_text().splitlines()
+    assert (first.split(), facts["kind"]) == (["DRAG", "gradient"], "surface")
+    expected = [np.vdot(sens, weights(change(4, 2, *way))) for way in np.eye(2)]
+    np.testing.assert_allclose([float(line) for line in lines], expected, rtol=1e-12)
+    np.testing.assert_allclose(list(facts["gradient"].values()), expected, rtol=1e-12)
+
+
+def change(p, q, at, camber):
+    """Displacements of a lattice p x q by a control point and a camber."""
+    control = np.zeros((p, q, 2))
+    control[1, 1, 1] += at
+    control[2, :, 1] += camber
+    return control
+
+
+def test_dot_takes_the_volume_through_the_mesh(folder, tmp_path, capsys):
+    mesh = io.read(folder / "airfoil.su2")
+    io.write(tmp_path / "airfoil.su2", mesh)
+    text = (
+        "MESH_FILENAME= airfoil.su2\nDV_KIND= HICKS_HENNE, TRANSLATION\nDV_PARAM= (1, 0.4); (0.6, 0.8, 0)\nDV_VALUE= 0.01, 0\n"
+        "DV_MARKER= airfoil\nOBJECTIVE_FUNCTION= LIFT\nGRAD_OBJFUNC_FILENAME= lift_grad.dat\n"
+        "SOLUTION_ADJ_FILENAME= solution_adj.dat\n"
+    )
+    (tmp_path / "case.cfg").write_text(text)
+    weights = np.random.default_rng(0).normal(size=mesh.points.shape)
+    np.savez(tmp_path / "sens.npz", sensitivity=weights)
+    words = ["su2", "dot", str(tmp_path / "case.cfg"), "--method", "rbf"]
+    assert main(words) == 2
+    assert "no file of sensitivities is there (SOLUTION_ADJ_FILENAME= solution_adj.dat" in capsys.readouterr().err
+    (tmp_path / "solution_adj.dat").write_bytes((535532).to_bytes(4, "little") + bytes(16))
+    assert main(words) == 2
+    assert "RESTART_ASCII" in capsys.readouterr().err
+    assert main([*words, "--sensitivity", str(tmp_path / "sens.npz")]) == 0
+    case = su2.read_config(tmp_path / "case.cfg")
+    plan = jm.prepare(case.mesh, case.moving, case.fixed, method=jm.RBF.classic())
+    wall = np.asarray(case.mesh.points)[plan.moving]
+    values = [
+        np.vdot(weights, jm.deform(plan, case.shape(wall, h * way) - wall))
+        for way in np.eye(2) for h in (1e-5, -1e-5)
+    ]  # fmt: skip
+    first, *lines = (tmp_path / "lift_grad.dat").read_text().splitlines()
+    assert first == "LIFT gradient "
+    differences = [(values[0] - values[1]) / 2e-5, (values[2] - values[3]) / 2e-5]
+    np.testing.assert_allclose([float(line) for line in lines], differences, rtol=1e-6)
+
+
+def test_def_does_not_write_a_broken_mesh(folder, tmp_path, capsys):
+    io.write(tmp_path / "airfoil.su2", io.read(folder / "airfoil.su2"))
+    text = "MESH_FILENAME= airfoil.su2\nDV_KIND= SCALE\nDV_PARAM= (1)\nDV_VALUE= -1\nDV_MARKER= airfoil\nMARKER_SYM= NONE\n"
+    (tmp_path / "case.cfg").write_text(text)
+    words = ["su2", "def", str(tmp_path / "case.cfg"), "--method", "rbf"]
+    assert main(words) == 1
+    assert "inverted" in capsys.readouterr().err
+    assert not (tmp_path / "mesh_out.su2").exists()
+
+
+@pytest.mark.skipif(
+    not (pathlib.Path(__file__).parents[2] / "shared" / "cases" / "naca0012-euler").is_dir(), reason="no shared cases"
+)
+def test_su2s_own_airfoil_and_its_bump(tmp_path):
+    """SU2's own file of positions moves its own mesh."""
+    folder = pathlib.Path(__file__).parents[2] / "shared" / "cases" / "naca0012-euler"
+    (tmp_path / "case.cfg").write_text(
+        f"MESH_FILENAME= {folder / 'naca0012_inv.su2'}\nMESH_OUT_FILENAME= {tmp_path / 'out.su2'}\nDV_KIND= SURFACE_FILE\n"
+        f"DV_PARAM= ( 1.0 )\nDV_VALUE= 1.0\nDV_MARKER= ( airfoil )\nDV_FILENAME= {folder / 'surface_bump.dat'}\n"
+    )
+    assert main(["su2", "def", str(tmp_path / "case.cfg")]) == 0
+    ids, target = io.read_surface(folder / "surface_bump.dat", 2)
+    np.testing.assert_allclose(io.read(tmp_path / "out.su2").points[ids], target, atol=1e-14)
