@@ -27,7 +27,8 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 
 BUILT = words("""
-io.Box shapes.QualityRows jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
+io.Box shapes.QualityRows
+jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
 jm.LargestStep jm.MeshError jm.Plan jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf
 jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.Stations
 """)

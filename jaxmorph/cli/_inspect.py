@@ -58,16 +58,16 @@ def info(request: Info, out: Output) -> int:
         out.say(f"  {name:<{width}}  {number:>9} nodes  {kinds.get(name, '')}".rstrip())
     if mesh.groups:
         out.say("groups", groups={name: list(names) for name, names in mesh.groups.items()})
+    for name, names in mesh.groups.items():
+        text = f"  {name}: {', '.join(names)}"
+        out.say(textwrap.fill(text, 80, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
     boxes = io.boxes(mesh)
+    degrees = {box.name: [count - 1 for count in box.shape.counts] for box in boxes}
     if boxes:
-        degrees = {box.name: [count - 1 for count in box.shape.counts] for box in boxes}
         out.say("boxes", boxes=degrees)
     for box in boxes:
         nodes = sum(len(ids) for ids, _ in box.surface.values())
         out.say(f"  {box.name}  degrees {' x '.join(map(str, degrees[box.name]))}, {nodes:>9} nodes")
-    for name, names in mesh.groups.items():
-        text = f"  {name}: {', '.join(names)}"
-        out.say(textwrap.fill(text, 80, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
     return 0
 
 
