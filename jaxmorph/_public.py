@@ -1,4 +1,4 @@
-"""The public names of jaxmorph, by room, but those that need an optimiser."""
+"""The public names of jaxmorph, by room, without names that need an optimiser."""
 
 from . import shapes as shapes
 from ._advice.choose import Choice as Choice

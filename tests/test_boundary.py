@@ -67,7 +67,7 @@ REFUSED = {
     ),
     "fixed and sliding": (
         on_box("hole", ("left", "right"), sliding=("left", "top")),
-        r"the patch 'left' is named in `sliding` and in `fixed`, and would not slide: name it in one of both",
+        r"the patch 'left' is named in `sliding` and in `fixed`, and would not slide. Remove one of the two",
     ),
     "in a plane and sliding": (
         on_box("hole", "right", sliding="left", symmetry="left"),

@@ -135,7 +135,7 @@ def test_surfaces_that_do_not_fit(tmp_path):
     (tmp_path / "f.npz").write_bytes(b"text")
     (tmp_path / "g.ply").write_bytes(b"ply")
     for name, message in (
-        ("b.npz", "have not the same connectivity"),
+        ("b.npz", "differ in connectivity"),
         ("c.obj", "a face names a point that is not among the 3"),
         ("d.obj", "a vertex holds something that is not a number"),
         ("e.stl", "not a surface, or a damaged one"),

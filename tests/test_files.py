@@ -166,7 +166,7 @@ def test_a_name_is_a_path_with_one_of_the_endings(tmp_path):
 
 
 def test_a_name_that_ends_as_a_folder_is_no_file(tmp_path):
-    with pytest.raises(ValueError, match=r"a\.su2/: ends as a folder does; it is a file that is written"):
+    with pytest.raises(ValueError, match=r"a\.su2/: ends as a folder does, but a file is written"):
         io.write(f"{tmp_path}/a.su2/", small())
     assert not list(tmp_path.iterdir())
 

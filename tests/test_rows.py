@@ -105,6 +105,7 @@ def test_points_alone_are_interpolated():
     assert float(report.min_jacobian_ratio) > 0.8
 
 
+@pytest.mark.slow
 def test_too_few_sources_are_told_with_a_number_that_is_enough(rows):
     case = named(rows, "extruded circle, 3 over 1")
     u = case.motions["lobes 6"](case.base, 1.0)

@@ -130,7 +130,7 @@ def test_what_cannot_be_saved_says_where(tmp_path):
 
     plan = planned(jm.DelaunayGraph())
     bad = eqx.tree_at(lambda plan: plan.method, plan, jm.RBF(Callable(np.exp), degree=None))
-    with pytest.raises(ValueError, match=r"plan.method.basis.phi is a ufunc, which a file of plans cannot hold"):
+    with pytest.raises(ValueError, match=r"plan.method.basis.phi is a ufunc, which a plan file cannot hold"):
         jm.save(tmp_path / "a", bad)
     WendlandC2 = type("WendlandC2", (jm.ThinPlateSpline,), {})
     with pytest.raises(ValueError, match=r"plan.method.basis is of a class WendlandC2 that is not jaxmorph's"):

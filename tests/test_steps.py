@@ -188,7 +188,7 @@ def test_rebuilt_steps_with_the_mesh_are_those_of_prepare(method):
     if method.needs_cells:
         with pytest.raises(ValueError, match=r"march\(plan, path, rebuild=True, mesh=mesh\)"):
             jm.march(plan, path, rebuild=True)
-    with pytest.raises(ValueError, match=r"`mesh` is for `rebuild=True`"):
+    with pytest.raises(ValueError, match=r"`mesh` needs `rebuild=True`"):
         jm.march(plan, path, mesh=mesh)
     with pytest.raises(ValueError, match=r"`mesh` has points"):
         jm.march(plan, path, mesh=cases.bodies({}, spacing=1.0))

@@ -127,12 +127,12 @@ def choose(
     **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for no `leaves`, and for `methods` that are
     no methods by name. Also what `prepare` raises where it refuses every candidate.
     """
-    named = find_boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
-    named.warn_of_free_faces()
-    motions = _checked_motions(motions, (len(named.moving), mesh.points.shape[1]))
+    boundary = find_boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
+    boundary.warn_of_free_faces()
+    motions = _checked_motions(motions, (len(boundary.moving), mesh.points.shape[1]))
     _check_tries(leaves, tolerance, methods)
-    leaves = _resolving(leaves, named.points[named.moving], motions)
-    known = named.alone() if len(named.guided) else named
+    leaves = _resolving(leaves, boundary.points[boundary.moving], motions)
+    known = boundary.alone() if len(boundary.guided) else boundary
     surface, images, _ = surface_of(known)
     columns = _columns(motions, len(known.nodes), images)
     rows, plans, refused = [], [], None
@@ -141,7 +141,7 @@ def choose(
         try:
             coarse, facts = _candidate(surface, columns, count, with_radius)
             row |= facts
-            plan = tried(named, SurfaceReconstruction(FittedRBF(coarse) if is_fit else coarse, NearWall()))
+            plan = tried(boundary, SurfaceReconstruction(FittedRBF(coarse) if is_fit else coarse, NearWall()))
         except ValueError as error:  # sources that determine no field
             plan = error
         refused = plan if isinstance(plan, Exception) else refused
@@ -150,7 +150,7 @@ def choose(
         name = "fitted" if is_fit else "Wendland C2" if with_radius else "thin plate"
         rows.append({"method": name} | row | {"fit": is_fit} | judged(mesh, plan, motions))
         plans.append(plan if isinstance(plan, Plan) else None)
-    for row, plan in others(mesh, named, methods, motions):
+    for row, plan in others(mesh, boundary, methods, motions):
         rows.append(row)
         plans.append(plan)
     if all(plan is None for plan in plans):
@@ -176,8 +176,8 @@ def _checked_motions(motions: Any, expected: tuple[int, int]) -> np.ndarray:
 def _check_tries(leaves: Sequence[int], tolerance: float, methods: Mapping[str, AbstractMethod] | None) -> None:
     if not len(leaves):
         raise ValueError("`leaves` is empty: name at least one number of leaves to try.")
-    for each in leaves:
-        whole("leaves", each)
+    for count in leaves:
+        whole("leaves", count)
     between("tolerance", tolerance, 0, ends="[)")
     for name, method in (methods or {}).items():
         if not isinstance(name, str):
@@ -192,7 +192,7 @@ def _tries(leaves: Sequence[int]) -> list[tuple[bool, int, bool]]:
 
 
 def _resolving(leaves: Sequence[int], points: np.ndarray, motions: np.ndarray) -> Sequence[int]:
-    """Adds the leaves in 3-D whose sources resolve all motions, where none of those to try does."""
+    """Adds a number of leaves in 3-D whose sources resolve all motions, if no number does yet."""
     if points.shape[1] == 2:
         return leaves
     enough = max(leaves_enough(points, motion) or 0 for motion in motions)

@@ -33,7 +33,7 @@ class Crossings:
         return len(self.nodes)
 
     def __str__(self) -> str:
-        """Says in two sentences how many there are, between which patches, and where; empty without any."""
+        """Describes the crossings in two sentences: how many, between which patches, and where."""
         if not len(self):
             return ""
         pairs = dict.fromkeys(tuple(sorted(pair)) for pair in self.patches)
@@ -61,7 +61,7 @@ def crossings(mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings |
 
 
 def crossings_of(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
-    """Finds the same for boundary faces that `simplices` has cut."""
+    """Finds the crossings of boundary faces that `simplices` has cut."""
     faces, ids = cut
     points = np.asarray(mesh.points, dtype=float)
     before = points[nodes]

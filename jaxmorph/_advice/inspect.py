@@ -164,14 +164,17 @@ class Inspection:
         )
 
     def renumbered(self, ids: np.ndarray) -> "Inspection":
-        """Returns the same inspection for a larger mesh, in which node k is node `ids[k]`."""
+        """Renumbers the inspection for a larger mesh, in which node k is node `ids[k]`."""
         ids = np.asarray(ids)
         node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
-        kept = {"put_back": ids[self.put_back], "ended": ids[self.ended]}
-        return dataclasses.replace(self, offset_node=node, contradictions=pairs, **kept)
+        renumbered = {"put_back": ids[self.put_back], "ended": ids[self.ended]}
+        return dataclasses.replace(self, offset_node=node, contradictions=pairs, **renumbered)
 
     def with_faces(self, mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray, moving: int) -> "Inspection":
-        """Returns the same with what needs faces: the mesh's `nodes` (o,) move by `vectors` (o, d), the first `moving` given."""
+        """Adds what needs faces to the inspection.
+
+        The mesh's `nodes` (o,) move by `vectors` (o, d); the caller gave the first `moving` vectors.
+        """
         cut, left, node, touches = simplices(mesh, nodes), None, None, self.touches
         crossed = None if cut is None else crossings_of(cut, mesh, nodes, vectors)
         if cut is not None and self.rests.any():
@@ -188,7 +191,7 @@ class Inspection:
         return dataclasses.replace(self, crossings=crossed, gap_left=left, gap_node=node, torn=torn, touches=touches)
 
     def __str__(self) -> str:
-        """Tells what no method moves well, then what another method may do better."""
+        """Lists what no method moves well, then what another method may do better."""
         return "\n".join((*self.warnings, *self.advice)) or "nothing to warn of."
 
 
@@ -264,16 +267,16 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
     anywhere, behind = overshoot(plan, np.asarray(u, dtype=float))
-    given = np.asarray(u, dtype=float)
-    changed = np.linalg.norm(vectors[: plan.n_moving] - given, axis=1)
-    back = np.flatnonzero(changed > PUT_BACK * np.linalg.norm(given, axis=1).max())
+    displacement = np.asarray(u, dtype=float)
+    changed = np.linalg.norm(vectors[: plan.n_moving] - displacement, axis=1)
+    back = np.flatnonzero(changed > PUT_BACK * np.linalg.norm(displacement, axis=1).max())
     places = points[nodes] + vectors
     rows = ended(plan, places)
     base, rows_of_sources = (
         points[nodes[: plan.n_moving]],
         np.flatnonzero(np.isin(nodes[: plan.n_moving], plan.sources)),
     )
-    too_few = missed(base, given, rows_of_sources) if points.shape[1] == 3 and len(rows_of_sources) else 0.0
+    too_few = missed(base, displacement, rows_of_sources) if points.shape[1] == 3 and len(rows_of_sources) else 0.0
     return Inspection(
         offset=float(offset[worst]),
         offset_node=int(nodes[worst]),
@@ -288,12 +291,12 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
         put_back_by=float(changed.max()) if len(back) else 0.0,
         ended=nodes[rows],
         ended_at=places[rows],
-        largest=float(np.linalg.norm(given, axis=1).max()),
+        largest=float(np.linalg.norm(displacement, axis=1).max()),
         reach=plan.reach,
         rests=rests,
         touches=rests,
         missed=too_few,
-        leaves=leaves_enough(base, given) if too_few > UNRESOLVED else None,
+        leaves=leaves_enough(base, displacement) if too_few > UNRESOLVED else None,
     )
 
 
@@ -305,5 +308,5 @@ def _slope(points: np.ndarray, u: np.ndarray) -> float:
     terms = np.column_stack([np.ones(len(points)), points - points.mean(axis=0)])
     first, second = pairs.T
     rest = u - terms @ np.linalg.lstsq(terms, u, rcond=None)[0]
-    apart, length = (np.linalg.norm(each[second] - each[first], axis=1) for each in (rest, points))
-    return float(np.quantile(apart / length, 0.98))
+    distance, length = (np.linalg.norm(positions[second] - positions[first], axis=1) for positions in (rest, points))
+    return float(np.quantile(distance / length, 0.98))

@@ -76,11 +76,11 @@ def largest_step(
 
 
 def _nonlinear(plan: Plan) -> str:
-    """Says what makes a plan's displacements not linear."""
+    """Names what makes a plan's displacements not linear."""
     method = plan.method
     if method.linear:
         return "nodes slide along curved walls"
-    while parts := [each for each in vars(method).values() if isinstance(each, AbstractMethod) and not each.linear]:
+    while parts := [part for part in vars(method).values() if isinstance(part, AbstractMethod) and not part.linear]:
         method = parts[0]
     return f"{type(method).__name__} is not"
 
@@ -109,13 +109,13 @@ class Corners:
         return best, worst
 
     def hold(self, points: Float[Array, "n d"]) -> Bool[Array, ""]:
-        """Tells whether every cell is above its bound; traced."""
-        held = jnp.array(True)
+        """Checks whether every cell is above its bound; traced."""
+        is_above = jnp.array(True)
         for kind, ids, sign, judged, bound in self.parts:
             relative, _ = measures.relative_corners(corners(points, ids))
             jacobians = sign[None] * measures.jacobians(kind, relative)[0]
-            held &= jnp.all(jnp.where(judged, jacobians > bound[None], True))
-        return held
+            is_above &= jnp.all(jnp.where(judged, jacobians > bound[None], True))
+        return is_above
 
 
 def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray) -> np.ndarray:

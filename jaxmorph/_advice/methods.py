@@ -94,9 +94,9 @@ METHODS = (
           sources="all", title="compact RBF"),
 )
 # fmt: on
-"""Methods in the order in which `choose` tries them; ones that are not linear in `u` come after those that are."""
+"""Methods in the order in which `choose` tries them. Methods that are linear in `u` come first."""
 
 
 def entry(name: str) -> Entry:
     """Finds the entry of a name that is in the list."""
-    return next(each for each in METHODS if each.name == name)
+    return next(entry for entry in METHODS if entry.name == name)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from .._plan.plan import Plan, deform
 
 RESTS = 1e-3
-"""Displacements below this share of the largest one are those of a part that rests."""
+"""Share of the largest displacement below which a part of the surface rests."""
 
 
 def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Tells whether the sources of a field resolve a displacement of the wall, and how many would."""
+"""Checks whether a field's sources resolve a displacement of the wall, and finds how many would."""
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator

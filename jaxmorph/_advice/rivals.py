@@ -48,31 +48,34 @@ class Extent:
         return float(KDTree(self.moving).query(self.fixed)[0].min()) if len(self.fixed) else 20 * self.size
 
 
-def too_large(method: AbstractMethod, named: Boundary) -> str | None:
-    """Says why a mesh is too large for a method to be tried by default; None where it is not."""
-    n, d = named.points.shape
+def too_large(method: AbstractMethod, boundary: Boundary) -> str | None:
+    """Returns why a mesh is too large to try a method by default; None if it is small enough."""
+    n, d = boundary.points.shape
     if method.needs_cells and n > MOST_POINTS[d]:
         return f"{n} points; a solve on the cells is tried up to {MOST_POINTS[d]}"
-    if isinstance(method, InverseDistance) and n * len(named.nodes) > MOST_PAIRS:
-        return f"{n} points times {len(named.nodes)} nodes of the surface; tried up to {MOST_PAIRS} pairs"
+    if isinstance(method, InverseDistance) and n * len(boundary.nodes) > MOST_PAIRS:
+        return f"{n} points times {len(boundary.nodes)} nodes of the surface; tried up to {MOST_PAIRS} pairs"
     return None
 
 
-def tried(named: Boundary, method: AbstractMethod | None) -> Plan | Exception:
+def tried(boundary: Boundary, method: AbstractMethod | None) -> Plan | Exception:
     """Prepares a plan, or returns what `prepare` raised."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a condition that the table tells
         try:
-            return plan_of(named, method)
+            return plan_of(boundary, method)
         except (ValueError, ImportError) as error:  # ImportError: a solver for large 3-D meshes is not installed
             return error
 
 
 def others(
-    mesh: Mesh, named: Boundary, methods: Mapping[str, AbstractMethod] | None, motions: np.ndarray
+    mesh: Mesh, boundary: Boundary, methods: Mapping[str, AbstractMethod] | None, motions: np.ndarray
 ) -> list[tuple[dict[str, Any], Plan | None]]:
-    """Tries the named methods, or those of the list: a row of the table and a plan each, None where there is none."""
-    wall = Extent(named.points[named.moving], named.points[named.fixed])
+    """Tries the named methods, by default all of the list.
+
+    It yields a row of the table and a plan for each method, None if the method has no plan.
+    """
+    wall = Extent(boundary.points[boundary.moving], boundary.points[boundary.fixed])
     makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}
     if methods is not None:
         makers = {name: lambda method=method: method for name, method in methods.items()}
@@ -81,8 +84,8 @@ def others(
         row = {"method": name, "leaves": None, "sources": None, "radius": None, "fit": False, "error": None}
         try:
             method = make()
-            reason = too_large(method, named) if methods is None else None
-            plan = ValueError(f"skipped: {reason}") if reason else tried(named, method)
+            reason = too_large(method, boundary) if methods is None else None
+            plan = ValueError(f"skipped: {reason}") if reason else tried(boundary, method)
         except ValueError as error:  # lengths that make no method
             plan = error
         if isinstance(plan, Plan):

@@ -22,7 +22,10 @@ def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) ->
 
 
 def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
-    """Tells which pairs (k, 2) of `count` rows have a face in common, or faces that share a node, among `faces` (f, corners)."""
+    """Marks the pairs (k, 2) of `count` rows that lie on one face, or on faces that share a node.
+
+    `faces` are (f, corners).
+    """
     corners = np.repeat(np.arange(len(faces)), faces.shape[1])
     holds = sparse.csr_matrix(
         (np.ones(faces.size, dtype=np.int64), (faces.ravel(), corners)), shape=(count, len(faces))
@@ -32,11 +35,11 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
 
 
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
-    """Says what tears each kind of pairs (k,), and what to try.
+    """Describes what tears each kind of pairs (k,), and what to try.
 
     One node of a pair rests, or both move. A resting node's boundary touches the other node's there, or lies across a gap.
     """
-    slides, gap, both = (int(each.sum()) for each in (touches, rests & ~touches, ~rests))
+    slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
     at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "
     texts = (
         f"{at}If a boundary slides along the moving one, name it in `sliding` (--sliding) in place of `fixed`, or make it a "

@@ -1,4 +1,4 @@
-"""A line search for optimistix that no cell of the mesh pays for."""
+"""A line search for optimistix that never inverts a cell."""
 
 from collections.abc import Callable
 from typing import Any
@@ -71,7 +71,7 @@ class ValidSteps(Module, optx.AbstractSearch):
         self.share, self.slope, self.decrease = share, slope, decrease
 
     def holds(self, y: PyTree) -> Bool[Array, ""]:
-        """Tells whether the mesh of these variables keeps its bound."""
+        """Checks whether every cell of the mesh of these variables keeps its bound."""
         return self.corners.hold(deform(self.plan, self.displacement(y)))
 
     def guarded(self, objective: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
@@ -92,7 +92,7 @@ class ValidSteps(Module, optx.AbstractSearch):
         self, first_step: Any, y: Any, y_eval: Any, f_info: Any, f_eval_info: Any, state: Any
     ) -> tuple[Any, Any, Any, Any]:
         """Accepts the variables that were tried, or gives a shorter step."""
-        before, after = (deform(self.plan, self.displacement(each)) for each in (y, y_eval))
+        before, after = (deform(self.plan, self.displacement(variables)) for variables in (y, y_eval))
         corners, dtype = self.corners, before.dtype
 
         def share(before: Any, after: Any) -> Any:

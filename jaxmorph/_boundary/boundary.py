@@ -69,7 +69,7 @@ class Boundary:
     def with_faces_of(
         self, mesh: Mesh, outer: OuterFaces | None = None, free: np.ndarray | Sequence[int] = ()
     ) -> "Boundary":
-        """Returns the same with the faces and cells of its mesh, and those of the faces, `outer` ones, that no list names."""
+        """Adds the faces and cells of the mesh, and the `outer` faces that no list names."""
         outer = outer_faces(mesh) if outer is None else outer
         if outer is None:
             return self
@@ -86,7 +86,7 @@ class Boundary:
             warn(f"{self.left} Name them in `fixed`, `moving`, `symmetry` or `free`.")
 
     def part(self, nodes: np.ndarray) -> "Boundary":
-        """Returns the same of the mesh's nodes `nodes` alone, ascending ids that hold the whole surface."""
+        """Restricts the boundary to some `nodes` of the mesh: ascending ids with the whole surface."""
         moving, fixed, guided = (np.searchsorted(nodes, ids) for ids in (self.moving, self.fixed, self.guided))
         faces, surface = self.surface_faces, np.concatenate([moving, fixed, guided])
         faces = None if faces is None else {kind: surface[rows] for kind, rows in faces.items()}
@@ -96,7 +96,7 @@ class Boundary:
         return Boundary(self.points[nodes], *lists, faces, self.left, self.is_open, cells)
 
     def alone(self) -> "Boundary":
-        """Returns the same with the surface's nodes as the only points, of which the guided ones are in no list."""
+        """Restricts the boundary to the surface's nodes; the guided nodes are then in no list."""
         known = len(self.moving) + len(self.fixed)
         rows, place = np.arange(known), _rows(self.nodes, len(self.points))
         faces = self.surface_faces
@@ -111,7 +111,7 @@ class Boundary:
 def renumbered(
     pairings: Sequence[Pairing], tracks: Sequence[Track], place: np.ndarray
 ) -> tuple[tuple[Pairing, ...], tuple[Track, ...]]:
-    """Returns pairs and tracks with node k called `place[k]`."""
+    """Renumbers pairs and tracks: node k becomes `place[k]`."""
     return tuple(each.renumbered(place) for each in pairings), tuple(each.renumbered(place) for each in tracks)
 
 
@@ -150,22 +150,22 @@ def find_boundary(
         outer = outer_faces(patches)
     pairings = _pairings(periodic, points, patches)
     lists = {"fixed": fixed, "moving": moving}
-    tracks, held = _tracks(sliding, points, patches, planes, lists, None if outer is None else outer.corners)
-    if np.isin(held, moving).any():
-        corner = held[np.isin(held, moving)]
+    tracks, corners = _tracks(sliding, points, patches, planes, lists, None if outer is None else outer.corners)
+    if np.isin(corners, moving).any():
+        corner = corners[np.isin(corners, moving)]
         raise MeshError(
             f"{len(corner)} moving nodes are corners of sliding patches and cannot move, the first is node {{node}} at "
             f"({place_of(points[corner[0]])}). Leave them out of `moving`, or slide along fewer patches.",
             corner,
         )
     is_free = np.isin(np.arange(len(points)), fixed, invert=True)
-    check_repeated(tracks, held, pairings, points, is_free)
-    fixed = np.append(fixed, held[~np.isin(held, fixed)])
+    check_repeated(tracks, corners, pairings, points, is_free)
+    fixed = np.append(fixed, corners[~np.isin(corners, fixed)])
     tracks = tuple(Track(track.rows[~np.isin(track.rows, fixed)], track.walls) for track in tracks)
     tracks = tuple(track for track in tracks if len(track.rows))
     lists = moving, fixed, _guided(pairings, tracks, moving, fixed, points), planes, pairings, tracks
-    named = Boundary(points, *lists, None, None, None)
-    return named if patches is None else named.with_faces_of(patches, outer, free)
+    boundary = Boundary(points, *lists, None, None, None)
+    return boundary if patches is None else boundary.with_faces_of(patches, outer, free)
 
 
 def checked_points(points: Any) -> np.ndarray:
@@ -280,14 +280,14 @@ def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
 def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pairing, ...]:
     """Finds the pairs of nodes of periodic patches."""
     several = [periodic] if isinstance(periodic, Periodic) else periodic
-    if not isinstance(several, Sequence) or not all(isinstance(each, Periodic) for each in several):
+    if not isinstance(several, Sequence) or not all(isinstance(pair, Periodic) for pair in several):
         raise ValueError(
             f"`periodic` must be pairs such as jm.Periodic('lower', 'upper', translation=(0, 1)), not {periodic!r}."
         )
     pairings = []
-    for each in several:
-        first, second = (np.unique(_nodes(side, "periodic", mesh, len(points))) for side in (each.patch, each.partner))
-        pairings.append(paired(each, first, second, points))
+    for pair in several:
+        first, second = (np.unique(_nodes(side, "periodic", mesh, len(points))) for side in (pair.patch, pair.partner))
+        pairings.append(paired(pair, first, second, points))
     return merged(pairings, float(np.ptp(points, axis=0).max()))
 
 
@@ -319,7 +319,7 @@ def _tracks(
     lists: Mapping[str, np.ndarray],
     faces: Mapping[str, np.ndarray] | None,
 ) -> tuple[tuple[Track, ...], np.ndarray]:
-    """Groups the sliding nodes by the walls that keep them; returns those that are held between these, too."""
+    """Groups the sliding nodes by their walls; returns the nodes held between walls, too."""
     walls = _walls(sliding, points, mesh, lists, faces)
     return tracks_of(walls, planes if walls else (), points)
 
@@ -333,32 +333,35 @@ def _walls(
 ) -> list[tuple[AbstractWall, np.ndarray]]:
     """Makes the walls of sliding patches, each with its nodes. Raises `ValueError` for a patch that is in a list as a whole."""
     walls, patches = [], []
-    for each in slides(sliding):
-        nodes = np.unique(_nodes(each.patch, "sliding", mesh, len(points)))
+    for slide in slides(sliding):
+        nodes = np.unique(_nodes(slide.patch, "sliding", mesh, len(points)))
         for name, listed in lists.items():
             if len(nodes) and np.isin(nodes, listed).all():
                 place = place_of(points[nodes[0]])
                 raise MeshError(
-                    f"all {len(nodes)} nodes of {each.name} are in `{name}`, first node {{node}} at ({place}): it would not slide. "
-                    "Leave them out of one of both.",
+                    f"all {len(nodes)} nodes of {slide.name} are in `{name}`, first node {{node}} at ({place}): "
+                    "it would not slide. Remove them from one of the two.",
                     nodes,
                 )
         if any(np.array_equal(nodes, other) for other in patches):
-            raise ValueError(f"{each.name} is given twice: its nodes slide along one surface. Leave one of both out.")
+            raise ValueError(f"{slide.name} is given twice. Its nodes slide along one surface. Remove one of the two.")
         patches.append(nodes)
-        walls += walls_of_patch(each, nodes, points, faces, lists.get("moving", ()))
+        walls += walls_of_patch(slide, nodes, points, faces, lists.get("moving", ()))
     return walls
 
 
 def slides(sliding: Any) -> tuple[Slide, ...]:
-    """Returns one slide or several, names as those along their own faces. Raises `ValueError` for anything else."""
+    """Returns a list of slides; a name becomes a slide along the patch's own faces.
+
+    Raises `ValueError` for anything else.
+    """
     if isinstance(sliding, type):
         raise ValueError(f"`sliding` is the class {sliding.__name__}: call it, sliding=jm.Slide('shroud').")
     several = [sliding] if isinstance(sliding, Slide | str) else sliding
     if not isinstance(several, Sequence | set | frozenset):
         raise ValueError(f"`sliding` must be a Slide or several, jm.Slide('shroud'), not {several!r}.")
-    several = [Slide(each) if isinstance(each, str) else each for each in several if each is not None]
-    if not all(isinstance(each, Slide) for each in several):
+    several = [Slide(slide) if isinstance(slide, str) else slide for slide in several if slide is not None]
+    if not all(isinstance(slide, Slide) for slide in several):
         raise ValueError(
             f"`sliding` must be slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), not {sliding!r}."
         )
@@ -367,12 +370,12 @@ def slides(sliding: Any) -> tuple[Slide, ...]:
 
 def _check_named_once(sliding: Any, **lists: Any) -> None:
     """Raises `ValueError` for a patch that slides and is in another list, where its nodes do not."""
-    for each in slides(sliding):
+    for slide in slides(sliding):
         for name, values in lists.items():
-            both = set(_names(each.patch) or ()) & set(_names(values) or ())
+            both = set(_names(slide.patch) or ()) & set(_names(values) or ())
             if both:
                 raise ValueError(
-                    f"the patch {min(both)!r} is named in `sliding` and in `{name}`, and would not slide: name it in one of both."
+                    f"the patch {min(both)!r} is named in `sliding` and in `{name}`, and would not slide. Remove one of the two."
                 )
 
 

@@ -30,7 +30,7 @@ class AbstractWall(Module):
 
     @property
     def is_flat(self) -> bool:
-        """Tells whether one step leads to the wall, linear in the point."""
+        """Checks whether one step leads to the wall, linear in the point."""
         return False
 
     def distance(self, x: Float[Array, "k d"]) -> Float[Array, " k"]:
@@ -38,19 +38,19 @@ class AbstractWall(Module):
         return jnp.abs(self.height(x)[0])
 
     def at(self, points: Float[Array, "n d"]) -> "AbstractWall":
-        """Returns the wall of other base points: the same for a surface that was given."""
+        """Returns the wall of other base points; a surface that a caller gave stays as it is."""
         return self
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "AbstractWall":
-        """Returns the same with node k called `place[k]`."""
+        """Renumbers the wall: node k becomes `place[k]`."""
         return self
 
     def has_end(self, x: Float[np.ndarray, "k d"]) -> Bool[np.ndarray, " k"]:
-        """Tells, on the host, which points are at or beyond an end of the wall; none where it goes on for ever."""
+        """Marks, on the host, the points at or beyond an end of the wall; none without an end."""
         return np.zeros(len(x), dtype=bool)
 
     def is_apex(self, x: Float[np.ndarray, "k d"]) -> Bool[np.ndarray, " k"]:
-        """Tells, on the host, which points of the wall have no normal: the apex of a cone."""
+        """Marks, on the host, the points of the wall that have no normal: the apex of a cone."""
         return np.zeros(len(x), dtype=bool)
 
 
@@ -129,7 +129,7 @@ class Round(AbstractWall):
         radius = norm(outward)
         outward = outward / jnp.where(radius > 0, radius, 1)[:, None]
         if self.spline is None or self.knots is None:
-            a, b, c = (jnp.asarray(each, x.dtype) for each in self.line)
+            a, b, c = (jnp.asarray(coefficient, x.dtype) for coefficient in self.line)
             above, a, b = (
                 a * along + b * radius - c,
                 jnp.broadcast_to(a, radius.shape),
@@ -213,7 +213,7 @@ class Faceted(AbstractWall):
         distances = jnp.sum((places - x[None]) ** 2, axis=1)
         chosen = jnp.argmin(jax.lax.stop_gradient(distances))
         place, normal = places[chosen], _normal(corners[chosen])
-        # at a node, where faces meet, the tangent is that of the smoothed normal: the mean of those on all sides
+        # At a node, where faces meet, the tangent is normal to the mean of the faces' normals.
         node, smooth = vertices[vertex], normals[vertex]
         size = jnp.max(jnp.sum((corners[:, 1] - corners[:, 0]) ** 2, axis=1))
         is_node = squared[vertex] <= 1e-20 * size
@@ -277,7 +277,7 @@ def _off_edges(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def inside(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Tells which points (k, 2) lie within closed lines of edges (r, 2, 2), or on them."""
+    """Marks the points (k, 2) within or on closed lines of edges (r, 2, 2)."""
     crossed = np.zeros(len(x), dtype=bool)
     for (a, b), (c, d) in ends:
         between = (b > x[:, 1]) != (d > x[:, 1])
@@ -297,7 +297,7 @@ class Track(eqx.Module):
 
     @property
     def is_linear(self) -> bool:
-        """Tells whether displacements along the track are linear in those that are given."""
+        """Checks whether displacements along the track are linear in the displacements given."""
         return all(wall.is_flat for wall in self.walls)
 
     def normals(self, points: Float[Array, "n d"]) -> Float[Array, "k w d"]:
@@ -312,13 +312,15 @@ class Track(eqx.Module):
 
     def along(self, points: Float[Array, "n d"], u: Float[Array, "n d"]) -> Float[Array, "n d"]:
         """Changes displacements so that the rows stay as near to the walls as they are. Traced."""
-        start, given = points[self.rows], u[self.rows]
+        start, displacement = points[self.rows], u[self.rows]
         if self.is_linear:
             normals = [jnp.asarray(wall.height(start[:1])[1][0]) for wall in self.walls]
-            kept = given - _least(normals, [jnp.matmul(given, normal, precision="highest") for normal in normals])
+            tangential = displacement - _least(
+                normals, [jnp.matmul(displacement, normal, precision="highest") for normal in normals]
+            )
         else:
-            kept = self.project(start + given) - self.project(start)
-        return u.at[self.rows].set(kept)
+            tangential = self.project(start + displacement) - self.project(start)
+        return u.at[self.rows].set(tangential)
 
     def project(self, x: Float[Array, "k d"]) -> Float[Array, "k d"]:
         """Moves points to the walls."""
@@ -338,7 +340,7 @@ class Track(eqx.Module):
         return Track(self.rows, tuple(wall.at(points) for wall in self.walls))
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Track":
-        """Returns the same with node k called `place[k]`."""
+        """Renumbers the track: node k becomes `place[k]`."""
         return Track(place[np.asarray(self.rows)], tuple(wall.renumbered(place) for wall in self.walls))
 
 

@@ -7,16 +7,20 @@ from scipy.spatial import Delaunay, QhullError
 from .closest import inside
 
 CONTINUES = 0.5
-"""Least cosine between a hole's new faces and those around it: 60 degrees. The rim of a dome, or a tube's end, is no hole."""
+"""Least cosine between a hole's new faces and the faces around it: 60 degrees.
+
+The rim of a dome, or a tube's end, is no hole.
+"""
 
 
 def filled(
     faces: Int[np.ndarray, "e d"], vertices: Float[np.ndarray, "v d"], moves: Bool[np.ndarray, " v"]
 ) -> Int[np.ndarray, "f d"]:
-    """Adds faces between the vertices around each hole whose rim moves; the others stay open. A triangle's order is kept.
+    """Adds faces between the vertices around each hole whose rim moves; other holes stay open.
 
-    New faces go on in the direction of those around them. In 2-D a line joins two ends that move. In 3-D the faces are those of a
-    Delaunay triangulation in the rim's mean plane.
+    New faces continue the direction of the faces around them. In 2-D a line joins two ends that
+    move. In 3-D a Delaunay triangulation in the rim's mean plane makes the faces. The given faces
+    come first, in their order.
     """
     if faces.shape[1] == 2:
         return np.concatenate([faces, _joined(faces, vertices, moves)]).astype(faces.dtype)
@@ -50,7 +54,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _goes_on(loop: np.ndarray, faces: np.ndarray, vertices: np.ndarray) -> bool:
-    """Tells whether faces across a loop would look where those beside it do."""
+    """Checks whether faces across a loop would have the direction of the faces beside it."""
     beside = vertices[faces[np.isin(faces, loop).sum(axis=1) > 1]]
     normals = np.cross(beside[:, 1] - beside[:, 0], beside[:, 2] - beside[:, 0])
     across = _area(vertices[loop])

@@ -34,7 +34,7 @@ class Images(eqx.Module):
     pairings: tuple[Pairing, ...]
 
     def at(self, pairings: Sequence[Pairing]) -> "Images":
-        """Returns the same with the shifts of other pairings, which differ in their translations alone. Traced."""
+        """Takes the shifts from `pairings` that differ only in their translations. Traced."""
         shifts, moved = self.shifts, []
         for p, (old, new) in enumerate(zip(self.pairings, pairings, strict=True)):
             shift = jnp.asarray(new.shift, shifts.dtype)
@@ -100,7 +100,7 @@ class Copies:
 
     @property
     def first(self) -> np.ndarray:
-        """For each extended row the first one (b,) that is the same row or its periodic partner."""
+        """The first extended row (b,) that repeats each extended row or its periodic partner."""
         _, first, inverse = np.unique(self.roots[self.rows], return_index=True, return_inverse=True)
         return first[inverse]
 
@@ -134,16 +134,18 @@ def copies(
     elements = sorted(
         itertools.product(itertools.product(*powers), flags), key=lambda each: sum(map(abs, each[0]))
     )  # stable: as they come among those as near
-    matrices, shifts = map(np.stack, zip(*(_transform(planes, pairings, *each) for each in elements), strict=True))
+    matrices, shifts = map(
+        np.stack, zip(*(_transform(planes, pairings, *element) for element in elements), strict=True)
+    )
     places, roots = _numbered(elements, pairings, on_plane)
     if pairings:
         places = _joined(places, np.einsum("tij,oj->toi", matrices, points.astype(float)) + shifts[:, None], points)
     rows, kind = _once(places, moving)
-    lying = [np.union1d(side, each.alone) for each in pairings for side in (each.first, each.second)]
+    lying = [np.union1d(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
     sides = np.zeros((len(points), len(lying)), dtype=bool)
     for column, rows_there in zip(sides.T, lying, strict=True):
         column[rows_there] = True
-    taken = np.array([each for each, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
+    taken = np.array([exponents for exponents, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
     return Copies(places, roots, rows, kind, int((rows < moving).sum()), matrices, shifts, taken, sides)
 
 
@@ -151,14 +153,15 @@ def _numbered(
     elements: Sequence[tuple], pairings: Sequence[Pairing], on_plane: Bool[np.ndarray, "o p"]
 ) -> tuple[Int[np.ndarray, "t o"], Int[np.ndarray, " o"]]:
     """Numbers the place of each row's image by each transform; finds the row for which each row stands."""
-    # A place is one integer of mixed radix: a bit for each mirror plane, then a digit for the periodic power of each pairing,
-    # then the root row. Rows on a plane, on an axis, and second sides count as what they repeat: equal integers, one place.
+    # Each image position is one integer of mixed radix: a bit for each mirror plane, then a digit
+    # for the periodic power of each pairing, then the source row. Rows on a plane, on an axis, and
+    # on second sides have the integer of the row that they repeat: equal integers, one position.
     count, size = on_plane.shape
     roots, radix = np.arange(count), 1 << size
     places = np.array([[np.array(flag, dtype=np.int64) @ (1 << np.arange(size))] for _, flag in elements])
     places = places & ~(on_plane @ (1 << np.arange(size)))[None]
     for p, pairing in enumerate(pairings):
-        power = np.array([each[p] for each, _ in elements])[:, None]
+        power = np.array([exponents[p] for exponents, _ in elements])[:, None]
         ahead = np.zeros(count, dtype=np.int64)
         ahead[pairing.second] = 1
         span = pairing.turn or 2 * pairing.copies + 2
@@ -189,7 +192,7 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
 
 
 def _once(places: Int[np.ndarray, "t o"], moving: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lists row and transform of each place once: moving ones, then the others, own rows before their images."""
+    """Lists row and transform of each place once: moving rows first, own rows before their images."""
     count = places.shape[1]
     first = np.sort(np.unique(places, return_index=True)[1])
     kind, rows = np.divmod(first, count)

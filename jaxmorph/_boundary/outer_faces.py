@@ -1,4 +1,4 @@
-"""The boundary faces of a mesh, and those of them that no list names."""
+"""The boundary faces of a mesh, and the boundary faces that no list names."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -34,7 +34,10 @@ class OuterFaces:
         return cls(corners, ids)
 
     def count(self, chosen: Mapping[str, np.ndarray] | None = None) -> int:
-        """Counts the file's faces, or those of them that have a part that is `chosen` by a mask for each type."""
+        """Counts the file's faces, or only the faces of which a part is `chosen`.
+
+        `chosen` has a mask for each type.
+        """
         ids = [each if chosen is None else each[chosen[kind]] for kind, each in self.ids.items()]
         return len(np.unique(np.concatenate(ids))) if ids else 0
 
@@ -64,7 +67,10 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
 
 def outer_faces(mesh: Mesh) -> OuterFaces | None:
-    """Finds the boundary faces of a mesh, without those between it and other parts; None where cells do not fill its dimension."""
+    """Finds the boundary faces of a mesh, without the faces between it and other parts.
+
+    It returns None if the cells do not fill the mesh's dimension.
+    """
     points = np.asarray(mesh.points)
     cells = {kind: np.asarray(each) for kind, each in topology.solid(mesh.cells, points.shape[1]).items()}
     if not cells:
@@ -95,11 +101,11 @@ def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | No
 
 @dataclasses.dataclass(frozen=True)
 class FreeFaces:
-    """Tells which boundary faces are neither moving, fixed nor on a symmetry plane, nor declared to be free.
+    """Boundary faces that are neither moving, fixed, on a symmetry plane, nor declared free.
 
-    - `count`, `total`: how many they are, and how many boundary faces there are.
-    - `patches`: how many of them lie in each patch, by name; none for a patch without.
-    - `unnamed`: how many of them lie in no patch.
+    - `count`, `total`: the number of these faces, and of all boundary faces.
+    - `patches`: the number of these faces in each patch, by name; no entry for a patch without.
+    - `unnamed`: the number of these faces that lie in no patch.
     """
 
     count: int
@@ -111,7 +117,7 @@ class FreeFaces:
         return self.count > 0
 
     def __str__(self) -> str:
-        """Says in a sentence how many there are and where."""
+        """Counts the faces by patch, in one sentence."""
         where = ", ".join(f"{name!r} ({number})" for name, number in self.patches.items())
         where = where and f", in {'patch' if len(self.patches) == 1 else 'patches'} {where}"
         where += f", {self.unnamed} of them in no patch" if self.unnamed else ""

@@ -1,4 +1,4 @@
-"""Periodic boundaries: which node of one patch is which of its partner, found and checked by the transform between them."""
+"""Pairs the nodes of two periodic patches and checks the pairs."""
 
 import contextlib
 import dataclasses
@@ -27,7 +27,8 @@ class Periodic:
     """Joins two patches of which the second repeats the first: passages of a cascade, sectors of a wheel, ends of a duct.
 
     The surface is repeated by the transform before a method sees it, so the field knows its neighbours. What is left is made
-    equal by averaging each pair of nodes. Both patches move: they keep no shape but that of each other.
+    equal by averaging each pair of nodes. Both patches move: they may change shape, but stay copies
+    of each other.
 
     Without any of `translation`, `rotation`, `about` and `axis` the transform is the translation between the middles of the
     patches. If they do not match, it is a rotation about an axis of coordinates (the origin in 2-D).
@@ -73,13 +74,13 @@ class Periodic:
     def name(self) -> str:
         """Names both patches for a message."""
         names = [
-            repr(each) if isinstance(each, str) else f"of {len(each)} nodes" for each in (self.patch, self.partner)
+            repr(side) if isinstance(side, str) else f"of {len(side)} nodes" for side in (self.patch, self.partner)
         ]
         return f"the periodic patches {names[0]} and {names[1]}"
 
     @property
     def is_rotation(self) -> bool:
-        """Tells whether the transform is a rotation."""
+        """Checks whether the transform is a rotation."""
         return not (self.rotation is None and self.about is None and self.axis is None)
 
 
@@ -87,7 +88,7 @@ class Pairing(eqx.Module):
     """Holds pairs of nodes, and the transform x -> `matrix` x + `shift` that leads from `first` to `second`.
 
     - `first`, `second` (q,): ids of nodes, or rows of them.
-    - `alone` (s,): those that the transform leaves where they are, on the axis of a rotation.
+    - `alone` (s,): nodes on the axis of a rotation, which the transform does not move.
     - `keeps` (d, d): projection on the vectors that the transform does not turn.
     - `turn`: how many sectors make a whole turn, 0 where the transform never comes back.
     - `copies`: as `Periodic` has it.
@@ -134,20 +135,20 @@ class Pairing(eqx.Module):
         )
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
-        """Returns the same with node k called `place[k]`; pairs of which a node has none (-1) are left out."""
+        """Renumbers the pairs: node k becomes `place[k]`. Pairs with a node of place -1 are dropped."""
         first, second, alone = (place[np.asarray(nodes)] for nodes in (self.first, self.second, self.alone))
-        kept = (first >= 0) & (second >= 0)
-        numbers = first[kept], second[kept], alone[alone >= 0]
+        is_complete = (first >= 0) & (second >= 0)
+        numbers = first[is_complete], second[is_complete], alone[alone >= 0]
         return eqx.tree_at(lambda pairing: (pairing.first, pairing.second, pairing.alone), self, numbers)
 
     def at(self, points: Float[Array, "n d"]) -> "Pairing":
         """Returns the pairs of other base points: a translation is theirs, a rotation stays. Traced."""
         if self.is_rotation:
             return self
-        apart = points[self.second] - points[self.first]
-        mean = jnp.mean(apart, axis=0)
+        difference = points[self.second] - points[self.first]
+        mean = jnp.mean(difference, axis=0)
         # the value of most pairs, where round-off has no part, with the derivative of the mean
-        shift = mean + jax.lax.stop_gradient(jnp.median(apart, axis=0) - mean)
+        shift = mean + jax.lax.stop_gradient(jnp.median(difference, axis=0) - mean)
         shift = jnp.where(jnp.abs(shift) < ALONG_AXIS * jnp.max(jnp.abs(shift)), 0, shift)
         return eqx.tree_at(lambda pairing: pairing.shift, self, shift)
 
@@ -209,9 +210,9 @@ def _paired(
     distance, nearest = map(np.asarray, tree.query(images))
     spacing = np.ptp(exact, axis=0).max() if len(second) < 2 else np.asarray(tree.query(exact[second], k=2)[0])[:, 1]
     allowed = np.maximum(MISMATCH * np.broadcast_to(spacing, len(second))[nearest], 2 * tolerance(points))
-    apart = np.flatnonzero(distance > allowed)
-    if apart.size or len(np.unique(nearest)) < len(second):
-        _refuse(periodic, (first, second), (distance, apart, nearest), points)
+    unmatched = np.flatnonzero(distance > allowed)
+    if unmatched.size or len(np.unique(nearest)) < len(second):
+        _refuse(periodic, (first, second), (distance, unmatched, nearest), points)
     same = first == second[nearest]
     whole = 2 * np.pi / abs(angle) if angle else 0
     turn = round(whole) if abs(whole - round(whole)) < 1e-6 * whole else 0
@@ -231,7 +232,7 @@ def _keeps(periodic: Periodic, dimension: int) -> np.ndarray:
 
 
 def _refuse(periodic: Periodic, nodes: tuple, matches: tuple, points: np.ndarray) -> None:
-    """Raises: names the worst node of those without a partner."""
+    """Raises `ValueError`, with the worst node without a partner."""
     first, second = nodes
     distance, apart, nearest = matches
     if not apart.size:
@@ -316,7 +317,7 @@ def _is_same_transform(one: Pairing, other: Pairing, size: float) -> bool:
 
 
 def _union(one: Pairing, other: Pairing) -> Pairing:
-    both = [np.stack([each.first, each.second], axis=1) for each in (one, other)]
+    both = [np.stack([pairing.first, pairing.second], axis=1) for pairing in (one, other)]
     first, second = np.unique(np.concatenate(both), axis=0).T
     alone, copies = np.unique(np.concatenate([one.alone, other.alone])), max(one.copies, other.copies)
     return Pairing(first, second, alone, one.matrix, one.shift, one.keeps, one.turn, copies, one.is_rotation)

@@ -152,10 +152,10 @@ def check_repeated(
         off[track.rows] = np.swapaxes(normals, 1, 2) @ normals
     for pairing in pairings:
         first, second, matrix = map(np.asarray, (pairing.first, pairing.second, pairing.matrix))
-        apart = np.linalg.norm(matrix @ off[first] @ matrix.T - off[second], axis=(1, 2))
-        wrong = np.flatnonzero((apart > np.sqrt(2 - 2 * SMOOTH**2)) & free[first] & free[second])
+        mismatch = np.linalg.norm(matrix @ off[first] @ matrix.T - off[second], axis=(1, 2))
+        wrong = np.flatnonzero((mismatch > np.sqrt(2 - 2 * SMOOTH**2)) & free[first] & free[second])
         if wrong.size:
-            worst_first = wrong[np.argsort(-apart[wrong], kind="stable")]
+            worst_first = wrong[np.argsort(-mismatch[wrong], kind="stable")]
             node, partner = (int(side[worst_first[0]]) for side in (first, second))
             raise MeshError(
                 f"{len(wrong)} periodic pairs slide along walls that do not repeat each other, the worst is node {{node}} at "
@@ -272,7 +272,7 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> list
     """Makes the walls, each with its nodes, of faces, rows of `nodes`: one, or one for each part between sharp edges."""
     if (flat := _flat(nodes, points, elements)) is not None:
         return [(flat, nodes)]
-    first, *others = (points[nodes][each] for each in elements.T)
+    first, *others = (points[nodes][column] for column in elements.T)
     edges = [other - first for other in others]
     normals = edges[0][:, ::-1] * [1, -1] if len(edges) == 1 else np.cross(edges[0], edges[1])
     lengths = np.linalg.norm(normals, axis=1)

@@ -77,13 +77,13 @@ class Plane(Module):
         return Plane(normal, origin)
 
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
-        """Tells whether both are one plane, to the tolerance within which nodes lie on it."""
+        """Checks whether two planes are one, to the tolerance within which nodes lie on a plane."""
         if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
             return False
         return abs(float(self.height(other.origin[None])[0])) <= tolerance(points)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """Tells which points lie on the plane: booleans (n,)."""
+        """Marks the points on the plane: booleans (n,)."""
         return np.abs(self.height(points)) <= tolerance(points)
 
     def height(self, points: np.ndarray) -> np.ndarray:
@@ -100,20 +100,21 @@ def planes_through(
 ) -> tuple[Plane, ...]:
     """Finds the planes in which a patch lies, front and back for example, by boundary faces (e, corners) of the mesh.
 
-    The plane with most of the nodes comes first, then that with most of those that are left. Raises what `Plane.through` does
-    where a few planes do not hold all nodes, or others would as well.
+    The plane with most of the nodes comes first, then the plane with most of the remaining nodes.
+    It raises what `Plane.through` raises if a few planes do not hold all nodes, or if other planes
+    would hold them as well.
     """
     try:
         return (Plane.through(points, nodes),)
     except MeshError as error:
-        held = np.zeros(len(points), dtype=bool)
-        held[nodes] = True
-        sides = [np.asarray(corners)[held[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
+        remaining = np.zeros(len(points), dtype=bool)
+        remaining[nodes] = True
+        sides = [np.asarray(corners)[remaining[corners].all(axis=1)][:, : points.shape[1]] for corners in faces]
         planes: list[Plane] = []
         first: list[Plane] = []
-        while held.any():
-            candidates = _candidates(points.astype(float), sides, held) if len(planes) < MOST else []
-            counts = np.array([held[plane.holds(points)].sum() for plane in candidates], dtype=int)
+        while remaining.any():
+            candidates = _candidates(points.astype(float), sides, remaining) if len(planes) < MOST else []
+            counts = np.array([remaining[plane.holds(points)].sum() for plane in candidates], dtype=int)
             if not len(counts) or counts.max() < points.shape[1]:
                 raise error from None
             best = [candidates[k] for k in np.flatnonzero(counts == counts.max())]
@@ -121,7 +122,7 @@ def planes_through(
             chosen = best[0].holds(points)
             on = nodes[chosen[nodes]]
             planes.append(Plane.through(points, on))
-            held[on] = False
+            remaining[on] = False
             sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
         if not all(any(plane.equals(other, points) for other in planes) for plane in first):
             raise error from None  # one cell wide and high: nodes do not tell which sides are meant
@@ -203,7 +204,7 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
 
 
 def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
-    """Marks the planes that have another one parallel to them."""
+    """Marks the planes that are parallel to another plane."""
     if not planes:
         return np.zeros(0, dtype=bool)
     normals = np.stack([plane.normal for plane in planes])
@@ -212,7 +213,7 @@ def facing(planes: Sequence[Plane]) -> Bool[np.ndarray, " p"]:
 
 
 def on_facing(planes: Sequence[Plane], points: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
-    """Marks the points on planes that have another one parallel to them."""
+    """Marks the points on planes that are parallel to another plane."""
     on = np.zeros(len(points), dtype=bool)
     for plane, has_other in zip(planes, facing(planes), strict=True):
         if has_other:

@@ -36,7 +36,7 @@ HEIGHT = 1400
 """Height of a 3-D picture in pixels: more than are shown, so that lines are thin."""
 
 MARGIN = 1.04
-"""Height and width of a picture over those of what it shows."""
+"""Height and width of a picture, relative to the height and width of its content."""
 
 
 def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome: "Outcome", motion: Any) -> None:

@@ -329,7 +329,7 @@ def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:
-    """Lists the nodes of patches, and of faces that only one cell has, but for those of one wall or periodic side."""
+    """Lists the nodes of patches and outer faces, except the nodes of one wall or periodic side."""
     cells = _cells(mesh)
     behind, _ = neighbours(cells)
     walls = [np.isin(np.arange(len(mesh.points)), nodes) for nodes in ways]

@@ -23,7 +23,7 @@ class Ways(eqx.Module):
     normals: Float[Array, "n q d"]
 
     def at(self, start: Float[Array, "n d"]) -> "Ways":
-        """Returns the same for nodes that start elsewhere. Traced."""
+        """Computes the ways of nodes that start elsewhere. Traced."""
         n, d = start.shape
         normals = jnp.zeros((n, d - 1, d), start.dtype)
         for track in self.tracks:
@@ -32,7 +32,7 @@ class Ways(eqx.Module):
 
     @property
     def is_linear(self) -> bool:
-        """Tells whether all walls are flat."""
+        """Checks whether all walls are flat."""
         return all(track.is_linear for track in self.tracks)
 
     @property

@@ -65,7 +65,7 @@ def compiled(function: Function) -> Function:
 
 
 def is_for_cpu() -> bool:
-    """Tells whether the program that is traced is that of a direct call with arrays on a CPU, and never runs elsewhere."""
+    """Checks whether JAX traces a direct call with arrays on a CPU, which never runs elsewhere."""
     return _is_for_cpu.get()
 
 

@@ -26,7 +26,7 @@ FEW_BLOCK, FEW_WARPS = 64, 1
 """`BLOCK` and `WARPS` of fewer points."""
 
 PROGRAMS, LEAST_SHARE = 2**17, 256
-"""Programs that keep a card busy to the end, and the least number of sources that one takes."""
+"""Number of programs that keep a card busy to the end, and least number of sources of a program."""
 
 TOGETHER = 4
 """Sources of one round of the kernel's loop."""
@@ -65,7 +65,7 @@ _is_in_kernel = contextvars.ContextVar("_is_in_kernel", default=False)
 
 
 def is_in_kernel() -> bool:
-    """Tells whether what is traced is the body of a kernel, where the GPU's own instructions can be had."""
+    """Checks whether JAX traces the body of a kernel, which may use the GPU's own instructions."""
     return _is_in_kernel.get()
 
 
@@ -79,7 +79,7 @@ def _in_kernel() -> Iterator[None]:
 
 
 def has_kernels() -> bool:
-    """Tells whether JAX's default device is a GPU of NVIDIA for which Pallas compiles."""
+    """Checks whether JAX's default device is a GPU of NVIDIA for which Pallas compiles."""
     if jax.default_backend() != "gpu":
         return False
     major = re.match(r"(\d+)\.\d+$", str(getattr(jax.devices()[0], "compute_capability", "")))  # of AMD: gfx90a
@@ -87,7 +87,7 @@ def has_kernels() -> bool:
 
 
 def is_elementwise(phi: Callable, dtype: Any) -> bool:
-    """Tells whether a function of one array has nothing but operations that a kernel may have."""
+    """Checks whether a function of one array uses only operations that a kernel may use."""
     try:
         with _in_kernel():
             closed = jax.make_jaxpr(phi)(jax.ShapeDtypeStruct((BLOCK,), dtype))

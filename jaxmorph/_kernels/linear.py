@@ -1,4 +1,4 @@
-"""Operations of JAX that are linear in their first argument, and whose transposes are operations of the same kind."""
+"""JAX operations that are linear in their first argument; their transposes are such operations too."""
 
 import functools
 import inspect

@@ -25,7 +25,7 @@ _INFINITY = 0x7FF0000000000000
 _SIGN = 0x8000000000000000
 
 _TWO_52 = 0x4330000000000000
-"""The bits of 2^52; with an integer below 2^52 in the mantissa, those of 2^52 + that integer."""
+"""The bits of 2^52. With an integer k below 2^52 in the mantissa, they become the bits of 2^52 + k."""
 
 _HALF_LOG_2 = (0.3465735901845619, 9.541074646352939e-11)
 """In two parts: the first ends in 21 zero bits, so that its product with an exponent is exact."""

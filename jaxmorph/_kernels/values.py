@@ -42,13 +42,13 @@ def array(values: Any) -> Any:
 
 
 def on_host(*values: Any) -> bool:
-    """Tells whether values are best computed by NumPy: they can be read, and lie in the host's memory."""
+    """Checks whether NumPy can compute with values: they are readable, and in the host's memory."""
     arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))
     return is_readable(values) and all(device.platform == "cpu" for leaf in arrays for device in leaf.devices())
 
 
 def is_readable(*values: Any) -> bool:
-    """Tells whether this process can read values: nothing is traced, or lies in other processes."""
+    """Checks whether this process can read values: none is traced, or in another process."""
     arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))
     return is_known(values) and all(leaf.sharding.is_fully_addressable for leaf in arrays)
 
@@ -65,7 +65,7 @@ def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
 
 
 def largest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
-    """Takes the largest value along an axis; its derivative is that of the largest, or the mean of those of equal ones."""
+    """Takes the largest value along an axis; its derivative is the mean over equal largest values."""
     return np.max(values, axis=axis) if namespace(values) is np else _largest(values, axis)
 
 
@@ -103,5 +103,5 @@ def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array,
 
 
 def is_known(*values: Any) -> bool:
-    """Tells whether values can be read: nothing in them is traced."""
+    """Checks whether values can be read: nothing in them is traced."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))

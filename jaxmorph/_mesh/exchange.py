@@ -77,7 +77,7 @@ def _refuse_unknown(kinds) -> None:
     unknown = dict.fromkeys(kind for kind in kinds if kind not in CORNERS and kind != "vertex")
     if unknown:
         known = ", ".join(CORNERS)
-        raise ValueError(f"cells of type {', '.join(unknown)} are not supported; those that are: {known}.")
+        raise ValueError(f"cells of type {', '.join(unknown)} are not supported. Supported types are {known}.")
 
 
 def imported(name: str, extra: str) -> Any:
@@ -134,7 +134,7 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _sets(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of named sets of cells, except those of full dimension, which are regions of the volume."""
+    """Makes patches of named sets of cells, except sets of full dimension: regions of the volume."""
     levels, patches = grid.levels, {}
     for name, members in grid.cell_sets.items():
         for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):
@@ -189,5 +189,5 @@ def _rank(name: str) -> int:
 
 
 def _are_whole(values: Any) -> bool:
-    """Tells whether there is one whole number each, as a float too, with NaN nowhere."""
+    """Checks whether values are one whole number a cell, ints or floats, without NaN."""
     return np.ndim(values) == 1 and bool((values == np.floor(values)).all())

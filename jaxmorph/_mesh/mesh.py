@@ -125,7 +125,7 @@ class Mesh(Module):
 
     @property
     def cell_ids(self) -> np.ndarray:
-        """The file's number (k,) of each cell, in the order of `cells`; pieces of one polyhedron have the same."""
+        """The file's number (k,) of each cell, as in `cells`; pieces of a polyhedron share a number."""
         ids = getattr(self.source, "cell_ids", None)
         return np.arange(sum(len(corners) for corners in self.cells.values())) if ids is None else ids
 
@@ -139,7 +139,7 @@ class Mesh(Module):
 
     @property
     def cell_counts(self) -> dict[str, int]:
-        """The number of cells of each type as the file has them, with `polyhedron` or `polygon` for those that are cut."""
+        """The number of cells of each type in the file; cut cells count as `polyhedron` or `polygon`."""
         counts = {kind: len(corners) for kind, corners in self.cells.items()}
         if self.polyhedra is not None:
             cut = np.isin(self.cell_ids, self.polyhedra.cut)
@@ -150,7 +150,7 @@ class Mesh(Module):
 
     @checked
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
-        """Returns the same mesh with other coordinates `points` (n, d); this one stays as it is.
+        """Makes a mesh of other coordinates `points` (n, d) with these cells and patches.
 
         **Raises:** `ValueError` when the shape of `points` differs.
         """

@@ -179,7 +179,7 @@ class AbstractRows(eqx.Module):
 
     @abc.abstractmethod
     def with_table_of(self, old: Any) -> "AbstractRows":
-        """Takes over the table of rows with the same ids, with the weights of these. Traced."""
+        """Takes over the table of rows with equal ids, with the weights of these rows. Traced."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -155,7 +155,7 @@ def without_tables(placed: PyTree) -> PyTree:
 
 
 def with_tables_of(old: PyTree, placed: PyTree) -> PyTree:
-    """Gives the operators in `placed` the tables of the `old` ones, which have the same ids. Traced."""
+    """Gives the operators in `placed` the tables of the `old` operators, which have equal ids. Traced."""
     return _map_rows_of(lambda rows, before: rows.with_table_of(before), placed, old)
 
 

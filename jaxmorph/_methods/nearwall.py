@@ -152,7 +152,7 @@ class Extent(eqx.Module):
 
 
 def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
-    """Computes the width of the layer over each surface node, the same for all of one wall: `width`, if it is given."""
+    """Computes the layer's width over each surface node, one width a wall; `width`, if it is set."""
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))

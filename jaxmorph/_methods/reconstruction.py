@@ -131,7 +131,7 @@ class SumField(AbstractField):
 
 
 def sees_free_sides(method: AbstractMethod) -> bool:
-    """Tells whether a method is a `FittedRBF` or has one, whose field depends on `Surface.is_open`."""
+    """Checks whether a method is or has a `FittedRBF`, whose field depends on `Surface.is_open`."""
 
     def is_fitted(each: object) -> bool:
         return isinstance(each, FittedRBF)

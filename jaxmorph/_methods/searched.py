@@ -19,7 +19,10 @@ class Searched(eqx.Module):
     def certain(
         self, radius: Float[Array, ""], surface: Float[Array, "b d"], points: Float[Array, "n d"]
     ) -> Bool[Array, ""]:
-        """Tells whether the search surely found all nodes within a radius, since none has come nearer by more than the rest."""
+        """Checks whether the search surely found all nodes within a radius.
+
+        The search reached `distance` on the old base, and nodes may have come nearer since.
+        """
         shifts = surface - self.surface, points - self.points[: len(points)]  # images, which follow, are of the surface
         mean = shifts[0].mean(axis=0)
         shifts = [jnp.sqrt(jnp.sum((shift - mean[None]) ** 2, axis=1).max(initial=0)) for shift in shifts]

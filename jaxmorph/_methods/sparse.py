@@ -31,7 +31,7 @@ class Table(eqx.Module):
 
 
 class Interpolation(AbstractRows):
-    """Interpolates points' displacements as weighted sums of those of surface nodes: rows of a sparse operator.
+    """Interpolates points' displacements from surface nodes: weighted sums by a sparse operator.
 
     For one point, `nodes` and `weights` are (k,); for many (n, k), with a table of the transpose. Where `reached` is
     given and False, the row, or the entry, is empty for good, whatever the coordinates.

@@ -27,11 +27,11 @@ class Layout:
     def over(devices: Sequence[Any], count: int) -> "Layout":
         if len(devices) == 0:
             raise ValueError("`devices` is empty: pass jax.devices(), or some of them.")
-        strange = [each for each in devices if not isinstance(each, jax.Device)]
+        strange = [device for device in devices if not isinstance(device, jax.Device)]
         if strange:
             raise ValueError(f"`devices` holds {shown(strange[0])}, which is no device of JAX: pass jax.devices().")
         if len(set(devices)) < len(devices):
-            twice = next(each for each in devices if list(devices).count(each) > 1)
+            twice = next(device for device in devices if list(devices).count(device) > 1)
             raise ValueError(f"`devices` has {twice} more than once, among {len(devices)}: pass each device once.")
         return Layout(Mesh(np.array(devices), (AXIS,)), count)
 

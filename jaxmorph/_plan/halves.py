@@ -226,7 +226,10 @@ def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) 
 
 
 def has_open_side(boundary: Boundary) -> bool:
-    """Tells by points alone whether a flat side of the mesh is neither moving, fixed nor a symmetry plane."""
+    """Checks, by points alone, whether a flat side of the mesh is free.
+
+    A free side is neither moving, fixed nor a symmetry plane.
+    """
     surface = surface_of(dataclasses.replace(boundary, pairings=()))[0]
     return has_free_sides(surface.points, surface.rows(len(boundary.points)) == len(surface.points), boundary.points)
 

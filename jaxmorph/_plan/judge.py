@@ -21,7 +21,7 @@ class BoundaryQuality:
     - `off_plane`: of nodes from their symmetry plane.
     - `off_surface`: of sliding nodes from their surface.
     - `mismatch`: of the second node of a periodic pair from where the transform leads the first.
-    - `nodes`: the ids of the worst node by the name of the distance, for those that the plan has.
+    - `nodes`: the id of the worst node, by the name of the distance; only for distances of the plan.
     - `ended`: ids (k,) of sliding nodes that have come to the end of their surface.
     """
 
@@ -32,13 +32,13 @@ class BoundaryQuality:
     ended: Int[np.ndarray, " k"]
 
     def renumbered(self, ids: np.ndarray) -> "BoundaryQuality":
-        """Returns the same for a larger mesh, in which node k is node `ids[k]`."""
+        """Renumbers the nodes for a larger mesh, in which node k is node `ids[k]`."""
         ids = np.asarray(ids)
         nodes = {name: int(ids[node]) for name, node in self.nodes.items()}
         return dataclasses.replace(self, nodes=nodes, ended=ids[self.ended])
 
     def __str__(self) -> str:
-        """Says in one line what the plan has of these."""
+        """Prints the distances that the plan has, in one line."""
         words = {
             "off_plane": "nodes of symmetry planes at most {:.2g} off",
             "off_surface": "sliding nodes at most {:.2g} off their surface",
@@ -79,7 +79,7 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
         off["mismatch"].append((surface[pairing.first], pairing.misses(points[surface].astype(float))))
     largest, worst = dict.fromkeys(off, 0.0), {}
     for name, parts in off.items():
-        nodes = np.concatenate([np.zeros(0, int), *(each for each, _ in parts)])
+        nodes = np.concatenate([np.zeros(0, int), *(ids for ids, _ in parts)])
         if len(nodes):
             distances = np.concatenate([each for _, each in parts])
             row = int(np.argmax(distances))
@@ -90,7 +90,7 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
 def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]:
     """Lists the surface's own rows that `places` has at or beyond an end of the surface on which they slide.
 
-    Those that were there at the base do not count, nor do those between two walls.
+    Rows that were at an end in the base mesh do not count, nor do rows between two walls.
     """
     guide = plan.surface.guide
     base, rows = np.asarray(plan.surface_points), [np.zeros(0, dtype=int)]
@@ -102,7 +102,7 @@ def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]
 
 
 def ends(nodes: np.ndarray, points: np.ndarray) -> str:
-    """Says in two sentences how many nodes come to the end of their surface; empty without any."""
+    """Counts the nodes at the end of their surface, in two sentences; empty without such nodes."""
     if not len(nodes):
         return ""
     return (

@@ -1,4 +1,4 @@
-"""The classes that a file may name: this package's own, and those that a caller adds."""
+"""The classes that a file may name: this package's own classes, and classes that a caller adds."""
 
 import dataclasses
 import enum

@@ -34,7 +34,7 @@ from .devices import Layout, over_points, pad_rows, rows_here
 class SurfacePart(eqx.Module):
     """Holds what every device has whole: the surface and the solve.
 
-    Its o own rows are the nodes that move, those that are fixed and those that are guided; b rows have images too. In a
+    Its o own rows are the moving, fixed and guided nodes; b rows have images too. In a
     plan of a piece of a mesh `nodes` holds numbers from n on for nodes that the piece does not have.
     """
 
@@ -67,10 +67,13 @@ class Guide(Module):
     rows: Int[Array, " r"]
 
     def __call__(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-        """Computes the displacements of all own rows from those of the moving and fixed ones."""
+        """Computes the displacements of all own rows from the displacements of listed rows.
+
+        The listed rows are the moving and the fixed rows.
+        """
         plan, known = self.plan, len(self.plan.surface.nodes)
-        given = vectors[:known] if plan.images is None else plan.images.kept(vectors[:known])
-        u = self._on_walls(jnp.concatenate([given, jnp.zeros_like(vectors[known:])]))
+        displacement = vectors[:known] if plan.images is None else plan.images.kept(vectors[:known])
+        u = self._on_walls(jnp.concatenate([displacement, jnp.zeros_like(vectors[known:])]))
         moved = deform_surface(plan, u[:known]) - plan.points
         u = self._alike(jnp.concatenate([u[:known], moved[known:]]))
         return self._alike(self._on_walls(u)) if self.tracks else u
@@ -95,7 +98,10 @@ class Guide(Module):
 
 
 class VolumePart(eqx.Module):
-    """Holds what is laid over devices: each leaf has one row per point of the mesh, but for tables of transposes."""
+    """Per-point arrays, split over devices.
+
+    Every leaf has one row per mesh point, except the transpose tables.
+    """
 
     points: Float[Array, "n d"]
     on_plane: Bool[Array, "n p"] | None
@@ -125,7 +131,7 @@ class Plan(Module):
 
     @property
     def points(self) -> Float[Array, "n d"]:
-        """Base coordinates: those that a zero displacement gives back."""
+        """Base coordinates: the points that a zero displacement gives back."""
         return self.volume.points if self.layout is None else self.volume.points[: self.layout.count]
 
     @property
@@ -135,17 +141,23 @@ class Plan(Module):
 
     @property
     def fixed(self) -> Int[Array, " f"]:
-        """Node ids of the fixed nodes, those that also move left out."""
+        """Node ids of the fixed nodes, without nodes that also move."""
         return self.surface.nodes[self.n_moving : len(self.surface.nodes) - self.n_guided]
 
     @property
     def guided(self) -> Int[Array, " g"]:
-        """Node ids of those that follow along a boundary: of sliding and periodic patches, and of parallel symmetry planes."""
+        """Node ids of the nodes that follow along a boundary.
+
+        They are on sliding patches, periodic patches or parallel symmetry planes.
+        """
         return self.surface.nodes[len(self.surface.nodes) - self.n_guided :]
 
     @property
     def is_linear(self) -> bool:
-        """Tells whether `deform` is linear in `u`: the method is, and no nodes slide along curved walls."""
+        """Checks whether `deform` is linear in `u`.
+
+        The method must be linear, and no nodes may slide along curved walls.
+        """
         guide = self.surface.guide
         along = guide is None or (guide.plan.is_linear and all(track.is_linear for track in guide.tracks))
         return self.method.linear and along
@@ -179,7 +191,7 @@ class Plan(Module):
 
     @property
     def surface_points(self) -> Float[Array, "o d"]:
-        """Base coordinates of `surface_nodes`, those of other pieces included."""
+        """Base coordinates of `surface_nodes`, nodes of other pieces included."""
         if not self.is_piece:
             return self.points[self.surface.nodes]
         if self.images is None:
@@ -189,7 +201,7 @@ class Plan(Module):
 
     @property
     def moving_points(self) -> Float[Array, "m d"]:
-        """Base coordinates of `moving`, in a piece those of nodes of other pieces too."""
+        """Base coordinates of `moving`; in a piece, nodes of other pieces included."""
         return self.surface_points[: self.n_moving]
 
     def check_surface(self, call: str) -> None:
@@ -207,7 +219,7 @@ class Plan(Module):
 
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes the displacements of moving, fixed and guided nodes from those of the moving ones. Traced."""
+        """Computes the surface nodes' displacements from the moving nodes' displacements. Traced."""
         return kept(self, _of_surface(self, u))
 
     def __repr__(self) -> str:
@@ -363,7 +375,10 @@ def _of_surface(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 
 def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n d"]:
-    """Moves the mesh as `deform` does, with displacements for the fixed nodes too, whose rows follow those of the moving ones."""
+    """Moves the mesh as `deform` does, with displacements for the fixed nodes too.
+
+    Rows of the moving nodes come first, then rows of the fixed nodes.
+    """
     surface, vectors = plan.surface, kept(plan, vectors)
     u = vectors if surface.images is None else surface.images.vectors(vectors)
     field = plan.method.field(surface.ids, surface.factors, surface.points, u)

@@ -64,7 +64,7 @@ def prepare(
     and sliding ones that do not lie on their surface.
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
-    if all(isinstance(each, tuple) and not each for each in (fixed, symmetry, sliding, free)):
+    if all(isinstance(argument, tuple) and not argument for argument in (fixed, symmetry, sliding, free)):
         fixed, symmetry = by_kinds(mesh, moving, periodic)
     return plan_of(find_boundary(mesh, moving, fixed, symmetry, free, periodic, sliding), method)
 
@@ -88,7 +88,7 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
 
 
 def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundary:
-    """Checks the planes. Returns the same with the nodes of parallel planes guided, but for methods that solve on cells.
+    """Checks the planes, and guides the nodes of parallel planes, except for methods on cells.
 
     Two parallel mirrors have images without end, and a field that has some of them leaves a step beside the plane, by which
     cells invert. So these planes make no images: the field without them guides the nodes, which then are data of the field.
@@ -133,7 +133,7 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
 def laid_out(
     plan: Plan, shared: SurfacePart, points: Array, on_plane: Bool[np.ndarray, "n p"] | None, volume_ids: PyTree
 ) -> Plan:
-    """Makes the plan of other points from one of the same surface: its factors stay."""
+    """Makes the plan of other points with an equal surface from a plan: its factors stay."""
     flags = None if on_plane is None else as_jax(on_plane)
     volume = VolumePart(points, flags, volume_ids, _placed(plan.method, shared, points, volume_ids))
     return _with_tables(Plan(plan.method, shared, volume, plan.n_moving, plan.n_guided, is_piece=True))

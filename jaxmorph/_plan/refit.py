@@ -65,7 +65,7 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
 
 def with_boundary_of(plan: Plan, other: Plan) -> Plan:
-    """Returns a plan with the walls and transforms of another one of the same mesh and lists."""
+    """Returns a plan with the walls and transforms of another plan of its mesh and lists."""
     guide = other.surface.guide
     return plan if guide is None else _with(plan, guide.tracks, guide.pairings)
 
@@ -105,7 +105,7 @@ def _check_boundary(plan: Plan, points: np.ndarray) -> None:
     here, exact = points[nodes], points[nodes].astype(float)
     for track in guide.tracks:
         rows = np.asarray(track.rows)
-        size = np.ptp(np.concatenate([here[np.asarray(each.rows)] for each in guide.tracks]), axis=0).max()
+        size = np.ptp(np.concatenate([here[np.asarray(track.rows)] for track in guide.tracks]), axis=0).max()
         for wall in track.walls:
             off = np.asarray(wall.distance(jax.numpy.asarray(here[rows])))
             what = "nodes of sliding patches have left their surface"

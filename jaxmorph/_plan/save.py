@@ -137,18 +137,18 @@ class _Writer:
                 raise ValueError(
                     f"{where} is laid over devices: save the plan that `prepare` returned, and `shard` what is loaded."
                 )
-            fields = {each.name: getattr(value, each.name) for each in dataclasses.fields(value)}
+            fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
             described = {name: self.node(each, f"{where}.{name}") for name, each in fields.items()}
             return {"class": self._name(type(value), where), "fields": described}
         kind = type(value).__name__
         raise ValueError(
-            f"{where} is a {kind}, which a file of plans cannot hold; `pickle` may do, among those you trust."
+            f"{where} is a {kind}, which a plan file cannot hold. `pickle` may serve, among people you trust."
         )
 
     def _array(self, value: Any, where: str) -> dict[str, Any]:
         array = np.ascontiguousarray(np.asarray(value)).reshape(np.shape(value))
         if array.dtype.kind not in "biufc" or array.dtype.type.__module__ != "numpy":
-            raise ValueError(f"{where} holds {array.dtype}; a file of plans holds booleans and ordinary numbers.")
+            raise ValueError(f"{where} holds {array.dtype}; a plan file holds booleans and ordinary numbers.")
         key = (array.dtype.str, array.shape, hashlib.blake2b(array.tobytes()).digest())
         place = self.places.setdefault(key, len(self.arrays))
         if place == len(self.arrays):
@@ -205,7 +205,7 @@ class _Reader:
 
     def _object(self, name: str, fields: dict[str, Any]) -> Any:
         kind = self._class(name, object)
-        expected = {each.name for each in dataclasses.fields(kind)}
+        expected = {field.name for field in dataclasses.fields(kind)}
         if expected != fields.keys():
             raise _Refused(
                 f"{name} has the fields {', '.join(fields)} in the file, but {', '.join(sorted(expected))} here: it was written "

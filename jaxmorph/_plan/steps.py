@@ -44,7 +44,7 @@ def march(
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
     if mesh is not None and not rebuild:
         raise ValueError(
-            "`mesh` is for `rebuild=True`; without it the ids of the plan are kept. Leave one of them away."
+            "`mesh` needs `rebuild=True`. Without it the ids of the plan are kept. Pass rebuild=True, or remove `mesh`."
         )
     if rebuild and mesh is None and plan.method.needs_cells:
         name = type(plan.method).__name__
@@ -123,7 +123,7 @@ def _check_piece(plan: Plan, rebuild: bool) -> None:
 
 
 def _anew(plan: Plan, points, mesh: Mesh | None) -> Plan:
-    named = dataclasses.replace(boundary_of(plan), points=np.asarray(points))
+    boundary = dataclasses.replace(boundary_of(plan), points=np.asarray(points))
     if mesh is not None:
-        named = dataclasses.replace(named.with_faces_of(mesh), left=None)  # `prepare` has warned of these
-    return plan_of(named, plan.method)
+        boundary = dataclasses.replace(boundary.with_faces_of(mesh), left=None)  # `prepare` has warned of these
+    return plan_of(boundary, plan.method)

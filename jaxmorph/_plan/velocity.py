@@ -1,4 +1,4 @@
-"""Velocities of the mesh from those of its surface."""
+"""Velocities of the mesh from velocities of its surface."""
 
 import jax
 import jax.numpy as jnp

@@ -44,7 +44,7 @@ IDEAL = {
 
 
 class Target(NamedTuple):
-    """Holds inverse target matrices W^-1, row by row, and which samples count: those with a sign beyond round-off."""
+    """Inverse target matrices W^-1, row by row, and the samples that count: a sign beyond round-off."""
 
     inverse: tuple[tuple[Scalar, ...], ...]
     determinant: Scalar

@@ -243,7 +243,7 @@ class QualityReport(Module):
 
     @property
     def counted(self) -> Bool[np.ndarray, " k"]:
-        """Cells that count (a mask on the host), those of the highest dimension; boundary elements do not."""
+        """Cells that count (a mask on the host): cells of the highest dimension, no boundary elements."""
         top = {kind for kind, _ in self._top()}
         return np.concatenate([np.full(count, kind in top) for kind, count in self.types])
 

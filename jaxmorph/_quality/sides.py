@@ -17,7 +17,7 @@ BLOCK = 1 << 14
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Group:
-    """Holds faces of the same number of corners: edges have two.
+    """Faces with equal numbers of corners: edges have two.
 
     - `corners`: node ids (c, f), in the sense in which the owner sees the face from outside.
     - `owner`, `behind`: the cells (f,) beside the face; `behind` is -1 where there is none.
@@ -117,7 +117,7 @@ def _standard(mesh: Mesh, highest: int) -> Sides:
 
 
 def _paired(mesh: Mesh, columns: list[np.ndarray], owner: Int[np.ndarray, " t"]) -> Group:
-    """Makes one shared face of two that are the same one seen from both sides."""
+    """Joins two outer faces with equal nodes to one shared face."""
     partner = twins(sorted_columns(columns, len(columns))).astype(np.int32)
     first = np.flatnonzero(partner > np.arange(len(partner), dtype=np.int32)).astype(np.int32)
     second = partner[first]
@@ -132,7 +132,10 @@ def _paired(mesh: Mesh, columns: list[np.ndarray], owner: Int[np.ndarray, " t"])
 
 
 def _is_reversed(a: list[np.ndarray], b: list[np.ndarray]) -> Bool[np.ndarray, " f"]:
-    """Tells which faces run round the same corners in the opposite sense; `a` and `b` are their corners by column."""
+    """Marks the pairs of faces that run round equal corners in opposite senses.
+
+    `a` and `b` are the faces' corners by column.
+    """
     is_reversed = np.zeros(len(a[0]), dtype=bool)
     for start in range(len(b)):
         same = a[0] == b[start]

@@ -48,7 +48,7 @@ class WallQuality(Module):
         return largest(self.height, axis=-1)
 
     def __str__(self) -> str:
-        """Says both measures in one line, on the host."""
+        """Prints both measures in one line, on the host."""
         angle, height = f"{float(self.mean_angle):.3g} (mean), {float(self.max_angle):.3g} (max)", self.height
         return (
             f"{len(self.nodes)} wall nodes: first grid line {angle} degrees off its own angle to the wall; "

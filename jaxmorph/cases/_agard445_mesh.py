@@ -21,7 +21,7 @@ DISTANCE_SAMPLES = 200
 
 
 class Sizes(NamedTuple):
-    """Edge lengths in metres: `wall` times those on the wing, growing by `growth` per metre of distance to it."""
+    """Edge lengths in metres: `wall` scales the wing's, `growth` adds length per metre of distance."""
 
     wall: float
     growth: float

@@ -159,7 +159,7 @@ def _wake_strip(inner: np.ndarray, counts: Counts) -> np.ndarray:
 
 
 def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
-    """Makes the mesh of the C's nodes alone, those of the upper wake and of the edge being those of the lower."""
+    """Makes the mesh of the C's nodes alone: upper wake and edge have the nodes of the lower wake."""
     places = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
     places[0, -counts.wake - 1 :] = places[0, counts.wake :: -1]
     kept, ids = np.unique(places, return_inverse=True)
@@ -175,7 +175,7 @@ def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
 
 
 def _assemble(rays: np.ndarray, strip: np.ndarray, counts: Counts) -> jm.Mesh:
-    """Makes the mesh of the C's nodes (normal + 1, rays, 2) and of those between the two wakes."""
+    """Makes the mesh of the C's nodes (normal + 1, rays, 2) and of the nodes between the wakes."""
     ids = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
     between = ids.size + np.arange(strip.shape[0] * strip.shape[1]).reshape(strip.shape[:2])
     lower, upper = ids[0, counts.wake :: -1], ids[0, -counts.wake - 1 :]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one command; the arguments are those of the process unless given.
+    """Runs one command; by default with the arguments of the process.
 
     Returns the exit status: 0, 1 when a cell is inverted or a quality gate fails, 2 for bad input, after one line that says what
     is wrong with it, 130 when interrupted. Calculations are in float64: JAX's x64 mode is switched on. `SystemExit` (2) is

@@ -75,7 +75,7 @@ class Attempt:
 
 
 def explain(attempt: Attempt, choice: NamedMethod, bad: list[str], out: Output) -> None:
-    """Tells what is wrong, and which other flags cure it, if an attempt with them does."""
+    """Prints what is wrong, and other flags that cure it, if an attempt with them succeeds."""
     request = attempt.request
     for sentence in bad[:-1]:
         out.complain(sentence)
@@ -93,7 +93,7 @@ def explain(attempt: Attempt, choice: NamedMethod, bad: list[str], out: Output) 
 
 
 def _hint(choice: NamedMethod) -> str:
-    """Says what to try after a method."""
+    """Returns what to try after a method fails."""
     if choice.entry.name == "default":
         return f"{MORE}, or --method {' or '.join(CURES)}"
     default = "--method default"
@@ -129,7 +129,7 @@ def _trials(asked: Method, steps: int, sources: int, most: int, with_cells: bool
 
 
 def _works(attempt: Attempt, method: Method, steps: int) -> bool:
-    """Tells whether another method leaves the mesh good. False if it refuses."""
+    """Checks whether another method leaves the mesh good. False if it refuses."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

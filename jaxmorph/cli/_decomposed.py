@@ -1,4 +1,4 @@
-"""`jaxmorph deform --decomposed`: an OpenFOAM case part by part, in one process or in those of an MPI run."""
+"""`jaxmorph deform --decomposed`: an OpenFOAM case part by part, in one process or an MPI run."""
 
 import os
 from typing import Any
@@ -81,14 +81,14 @@ def _print_summary(parts: list[tuple[Summary, Summary]], out: Output) -> list[st
 
 
 def _complain(request: Deform, bad: list[str], out: Output) -> None:
-    """Says the faults of all parts, with what to try."""
+    """Prints the faults of all parts, and what to try."""
     hint = MORE if request.method.method == "default" else "--method default"
     for k, sentence in enumerate(bad):
         out.complain(f"{sentence} Try {hint}." if k + 1 == len(bad) else sentence)
 
 
 def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
-    """Says the warnings that the silent processes of an MPI run have kept, once each."""
+    """Prints the warnings of the silent processes of an MPI run, each warning once."""
     spoken = out.facts.get("warnings", [])
     for warning in dict.fromkeys(each for some in ranks.gather(spoken) or () for each in some):
         if warning not in spoken:
@@ -130,7 +130,7 @@ def _check_flags(request: Deform) -> None:
     """Raises `ValueError` for flags that need the whole mesh."""
     if request.picture is not None or request.chunk is not None:
         flag = "--picture" if request.picture is not None else "--chunk"
-        raise ValueError(f"{flag} is not for --decomposed, which never has the whole mesh: remove it.")
+        raise ValueError(f"{flag} and --decomposed cannot be combined. Remove one of the two.")
 
 
 def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray, str]:

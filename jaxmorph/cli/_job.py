@@ -181,7 +181,7 @@ def text_of(request: Deform, folder: Path) -> str:
 
 
 def _values(request: Any) -> Iterator[tuple[str, Any]]:
-    """Yields the values of flags by name, those of parts too."""
+    """Yields the values of flags by name, flags of parts included."""
     for field in dataclasses.fields(request):
         value = getattr(request, field.name)
         if "part" in field.metadata:

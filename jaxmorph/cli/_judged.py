@@ -1,4 +1,4 @@
-"""A mesh on some points, judged as those judge it who solve on its format."""
+"""A mesh on some points, judged by the rules of the solvers that read its format."""
 
 import dataclasses
 import functools
@@ -67,7 +67,7 @@ class Judged:
 
     @functools.cached_property
     def counted(self) -> np.ndarray:
-        """Ids of the cells that count: those of the highest dimension."""
+        """Ids of the cells that count: the cells of the highest dimension."""
         return np.flatnonzero(self.report.counted)
 
     @functools.cached_property

@@ -148,7 +148,7 @@ class Patches:
 
 
 def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
-    """Looks up the patches that the names mean. A pattern for fixed patches leaves out those that move or slide.
+    """Looks up the patches that the names mean. A pattern never fixes a moving or sliding patch.
 
     Symmetry patches and periodic pairs of the file are taken where no name says otherwise.
 

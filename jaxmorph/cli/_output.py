@@ -23,7 +23,7 @@ class Stage:
         self.began, self.share = time.monotonic(), 0.0
 
     def done(self, share: float) -> None:
-        """Tells how much of the stage is done, of 1."""
+        """Sets the share of the stage that is done, from 0 to 1."""
         self.share = share
 
     def __str__(self) -> str:
@@ -35,7 +35,7 @@ class Stage:
 
 
 class Progress:
-    """Announces a stage that takes longer than `PATIENCE` on standard error: the seconds passed, and those left where known.
+    """Announces a stage that takes longer than `PATIENCE`: seconds passed, and left where known.
 
     Nothing is said when standard error is not a terminal, and nothing stays of it when the stage is over. `seconds` holds
     how long each stage took.

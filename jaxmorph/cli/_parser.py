@@ -48,7 +48,7 @@ def several(fields: Fields) -> Any:
 
 
 def flags_of(fields: Fields) -> Iterator[tuple[dataclasses.Field, Fields]]:
-    """Yields all fields that are flags, each with its dataclass; those of parts in their place."""
+    """Yields all fields that are flags, each with its dataclass; fields of parts in their place."""
     for field in dataclasses.fields(fields):
         inner = field.metadata.get("part") or field.metadata.get("several")
         if inner:
@@ -70,7 +70,7 @@ def made(fields: type[T], values: argparse.Namespace) -> T:
 
 
 class Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong with the arguments, and what was perhaps meant.
+    """Describes in one line what is wrong with the arguments, and guesses what was meant.
 
     A short page of help leaves out all flags that are not for every day. `flags` are the long flags of this command.
     """

@@ -82,7 +82,7 @@ class Gates:
 
     @property
     def limits(self) -> dict[str, float]:
-        """Limits by the names of their flags: those of the preset, and of flags, which win."""
+        """Limits by the names of their flags: the preset's limits, replaced by limits of flags."""
         flags = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "preset"}
         limits = PRESETS.get(self.preset or "", {}) | {
             name: limit for name, limit in flags.items() if limit is not None

@@ -1,4 +1,4 @@
-"""Options of IDWarp: those that choose a method, and those that nothing corresponds to."""
+"""Options of IDWarp: options that choose a method, and options without a counterpart."""
 
 import warnings
 from collections.abc import Mapping

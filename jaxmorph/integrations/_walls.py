@@ -62,7 +62,7 @@ class Walls:
         return nodes[is_on] if is_on.mean() >= PART else nodes[:0]
 
     def half(self, moving: np.ndarray, method: jm.AbstractMethod | None, known: Mapping[str, Any]) -> jm.SurfaceHalf:
-        """Prepares the surface: nodes of other patches are fixed, but those in symmetry planes, periodic and overset ones."""
+        """Prepares the surface. Other patches are fixed, except symmetry, periodic and overset patches."""
         periodic = io.periodic(self.mesh)
         loose = {*self.flat, *self.free, *(str(name) for each in periodic for name in (each.patch, each.partner))}
         fixed = self.mesh.patch(*(name for name in self.mesh.patches if name not in loose))

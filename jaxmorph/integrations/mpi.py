@@ -87,7 +87,7 @@ class Piece:
         return np.array(together(self.comm, lambda: jm.velocity(self.plan, u, tangent)))
 
     def gathered(self, u: Real[ArrayLike, "k d"], name: str = "u") -> Float[np.ndarray, "m d"]:
-        """Gathers the displacements of all moving nodes from those that each process has; errors call them `name`."""
+        """Gathers all moving nodes' displacements from all processes; errors call them `name`."""
 
         def checked() -> np.ndarray:
             check(name, u, ROWS, Piece.deform)

@@ -7,7 +7,7 @@ from jaxmorph._host.cells.topology import boundary_faces
 
 
 def patch_faces(mesh: Mesh) -> dict[str, dict[str, np.ndarray]]:
-    """Finds the boundary faces of each patch, by type: those all of whose nodes are in the patch.
+    """Finds the boundary faces of each patch, by type: all nodes of the face are in the patch.
 
     A face that several patches could have (the one edge of an inlet between two walls of one patch) goes to the
     smallest of them. It raises `ValueError` for a patch with nodes that none of its faces holds: faces cannot say it.

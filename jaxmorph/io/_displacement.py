@@ -95,7 +95,7 @@ def _between(before: pathlib.Path, after: pathlib.Path, x: np.ndarray) -> np.nda
     old, new = read_shape(before), read_shape(after)
     if old.points.shape != new.points.shape or not np.array_equal(old.simplices, new.simplices):
         sizes = " and ".join(f"{len(each.points)} points, {len(each.simplices)} faces" for each in (old, new))
-        raise ValueError(f"{before} and {after} have not the same connectivity: {sizes}.")
+        raise ValueError(f"{before} and {after} differ in connectivity: {sizes}.")
     d = x.shape[1]
     if old.points.shape[1] < d or (old.simplices.shape[1] != d and d == 2):
         raise ValueError(f"{before}: a mesh in {d}-D takes {'lines of OBJ or NPZ' if d == 2 else 'a surface in 3-D'}.")

@@ -34,7 +34,7 @@ class Joined:
     is_flat: bool
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Places the points of the mesh as those of the file; one that has not moved stays as it was, in each of its copies."""
+        """Returns the file's points from the mesh's points; copies of an unmoved point stay as they were."""
         first = np.unique(self.node, return_index=True)[1]
         new = self.points.copy()
         d = points.shape[1]

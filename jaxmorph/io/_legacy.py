@@ -250,7 +250,7 @@ def _blocks(cells: _Cells, types: np.ndarray, n: int) -> tuple[list, np.ndarray]
 
 
 def _attribute(scanner: _Scanner, key: str, words: list[str], arrays: dict[str, np.ndarray], rows: int) -> None:
-    """Reads the arrays that one keyword brings; those of a lookup table are left out."""
+    """Reads the arrays of one keyword, without lookup tables."""
     if key == "FIELD":
         if rows < 0 and scanner.section:
             raise ValueError("a field of arrays, but neither POINT_DATA nor CELL_DATA before it")

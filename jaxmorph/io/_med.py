@@ -34,7 +34,7 @@ TYPES = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _MEDContent:
-    """Keeps the points of the file, and what tells that the file is still the same."""
+    """The points of the file, and marks by which a changed file is found."""
 
     points: np.ndarray
     stamp: tuple[int, int]
@@ -111,7 +111,7 @@ def _step(file: Any) -> tuple[str, Any]:
 
 
 def _points(step: Any) -> np.ndarray:
-    """Reads coordinates (n, d): the file has those of x, then of y, then of z."""
+    """Reads coordinates (n, d): the file has all x, then all y, then all z."""
     coordinates = step["NOE"]["COO"]
     return coordinates[()].reshape(-1, int(coordinates.attrs["NBR"])).T.astype(float)
 

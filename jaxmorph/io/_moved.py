@@ -40,7 +40,7 @@ def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: Q
         return
     before, after = np.asarray(mesh.points), np.asarray(moved.points)
     if before.shape != after.shape:
-        raise ValueError(f"`moved` has points of shape {after.shape}, `mesh` {before.shape}: not the same mesh, moved.")
+        raise ValueError(f"`moved` has points of shape {after.shape}, `mesh` {before.shape}. It must be `mesh`, moved.")
     write(path, moved, point_data={"displacement": after - before}, cell_data=cell_arrays(report))
 
 

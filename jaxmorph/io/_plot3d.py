@@ -169,7 +169,7 @@ def _binary_layout(data: bytes) -> FileLayout | None:
 
 
 def _are_records(data: bytes, kind: str, lengths: list[int]) -> bool:
-    """Tells whether Fortran's marks before and after records of these lengths are there."""
+    """Checks whether Fortran's marks stand before and after records of these lengths."""
     at = 0
     for length in filter(None, lengths):
         for place in (at, at + length + 4):

@@ -70,7 +70,7 @@ def read(path: str | os.PathLike[str]) -> Mesh:
 
 
 def _check_copies(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for two cells with the same nodes. Pieces of polyhedra and polygons do not count: some may coincide."""
+    """Raises `ValueError` for two cells with equal nodes. Pieces of polyhedra may coincide."""
     cut, first = None if mesh.polyhedra is None else np.isin(mesh.cell_ids, mesh.polyhedra.cut), 0
     for kind, corners in mesh.cells.items():
         corners = np.asarray(corners)
@@ -169,7 +169,7 @@ def checked_target(name: str | os.PathLike[str], source: object) -> Format:
 
 
 def _same_file(a: pathlib.Path, b: pathlib.Path) -> bool:
-    """Tells whether two paths lead to one file."""
+    """Checks whether two paths lead to one file."""
     try:
         return os.path.samefile(a, b)
     except OSError:

@@ -81,7 +81,7 @@ def animate(
     view = _view(drawn, draw, frames)
     pictures = [_picture(drawn, view), *(_picture(draw(points), view) for points in frames[1:])]
     if len({picture.shape for picture in pictures}) > 1:
-        raise ValueError("the pictures that `draw` makes differ in size: give each figure the same one.")
+        raise ValueError("the pictures that `draw` makes differ in size. Give all figures one size.")
     with complete(path) as partial:
         write(partial, pictures, rate)
     return path

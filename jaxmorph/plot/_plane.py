@@ -152,7 +152,10 @@ def given_or_new(ax: Axes | None) -> Axes:
 
 
 def _corners(mesh: jm.Mesh, points: Any) -> Float[np.ndarray, "k 4 2"]:
-    """Returns the corners of all cells in the order of `mesh.cells`; those of a triangle, or a line, repeated."""
+    """Returns the corners of all cells in the order of `mesh.cells`.
+
+    Corners of a triangle or a line are repeated.
+    """
     if mesh.points.shape[1] != 2:
         raise ValueError(
             f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."

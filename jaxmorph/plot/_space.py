@@ -17,7 +17,7 @@ VIEWER = -1.0, -2.5, 1.8
 """The direction towards the viewer: x to the right, y away, z up."""
 
 MARGIN = 1.15
-"""Height and width of a picture over those of what it shows."""
+"""Height and width of a picture, relative to the height and width of its content."""
 
 BAR = 0.16
 """Share of the width, at the right, that is kept for a colour bar."""
@@ -118,7 +118,7 @@ def cut(
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Returns the faces that bound the cells, or those with all nodes in a patch, for pyvista; `node` is the id of each point.
+    """Returns the outer faces, or the faces of a patch, for pyvista; `node` is the id of each point.
 
     VTK's own filter does it: pyvista has called it by several names. `ValueError` where there are none.
     """
@@ -221,7 +221,7 @@ def whole_view(
 
 
 def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
-    """Returns the same of the camera as it is."""
+    """Returns the view (10,) of the plotter's camera as it is now."""
     return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
 
 

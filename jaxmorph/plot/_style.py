@@ -22,7 +22,7 @@ DISPLACEMENT = "YlGnBu"
 
 
 def finite(points: Any) -> np.ndarray:
-    """Returns points as an array; raises `ValueError` for those that are not finite."""
+    """Returns points as an array; raises `ValueError` for points that are not finite."""
     array = np.asarray(points, dtype=float)
     if not np.isfinite(array).all():
         raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `points` are not finite.")

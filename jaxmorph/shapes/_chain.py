@@ -78,7 +78,7 @@ class Chain(AbstractShape):
 
 
 class OnRows(AbstractShape):
-    """Moves some rows of the positions by a shape, such as one patch of a wall; the others stay.
+    """Moves some rows of the positions by a shape, such as one patch of a wall; the rest stays.
 
     Unlike `Part`, it takes shapes that are not linear, and the shape meets its own rows alone.
 

@@ -14,7 +14,7 @@ from ._shape import AbstractLinearShape, AbstractOperator
 
 
 class ChildOperator(AbstractOperator):
-    """Computes displacements of points from those of a parent and of a child's control points."""
+    """Computes displacements of points from a parent and from a child's control points."""
 
     parent: AbstractOperator
     carrier: AbstractOperator

@@ -98,7 +98,7 @@ class Together(AbstractLinearShape):
 
 
 class MaskedOperator(AbstractOperator):
-    """Keeps the displacements of some positions, and sets those of the others to zero."""
+    """Keeps the displacements of some positions, and sets all other displacements to zero."""
 
     operator: AbstractOperator
     kept: Bool[Array, " m"]
@@ -108,7 +108,7 @@ class MaskedOperator(AbstractOperator):
 
 
 class Part(AbstractLinearShape):
-    """A linear shape on some of the positions, such as the upper side of an airfoil; the others stay.
+    """A linear shape on some of the positions, such as the upper side of an airfoil; the rest stays.
 
     **Arguments:**
 

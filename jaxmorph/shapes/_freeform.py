@@ -109,7 +109,7 @@ class FreeForm(AbstractLinearShape):
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Control points (*counts,) that may move: those that `continuity` does not hold."""
+        """Control points (*counts,) that may move: `continuity` does not hold them."""
         held = -1 if self.continuity is None else self.continuity
         free = np.ones(self.counts, bool)
         for axis, count in enumerate(self.counts):
@@ -143,7 +143,7 @@ class FreeForm(AbstractLinearShape):
         return (x - self.origin.astype(x.dtype)[None, :]) @ inverse
 
     def holds(self, t: Float[Array, "m d"]) -> Bool[Array, " m"]:
-        """Tells which coordinates lie in the box, its border and round-off included."""
+        """Marks the coordinates in the box, its border and round-off included."""
         beyond = slack(t.dtype)
         return jnp.all((t >= -beyond) & (t <= 1 + beyond), axis=1)
 

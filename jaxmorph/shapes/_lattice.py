@@ -40,14 +40,14 @@ class Rows(eqx.Module):
 
 
 class LatticeOperator(AbstractOperator):
-    """Computes displacements of points from those of the control points, which `free` may hold."""
+    """Computes displacements of points from the control points' displacements; `free` may hold some."""
 
     weights: Rows | Blocks
     free: Bool[Array, "..."] | None
     counts: tuple[int, ...] = eqx.field(static=True)
 
     def __call__(self, parameters: Numbers) -> Float[Array, "m d"]:
-        """Computes displacements (m, d) from those of the control points (*counts, d)."""
+        """Computes displacements (m, d) from the control points' displacements (*counts, d)."""
         control, d = jnp.asarray(parameters), len(self.counts)
         if control.shape != (*self.counts, d):
             raise ValueError(

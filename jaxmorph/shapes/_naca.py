@@ -21,7 +21,7 @@ HALVINGS = 56
 
 
 class NACA4(AbstractShape):
-    """Turns a NACA 4-digit airfoil into another one: exact for its own nodes, smooth for those near it.
+    """Turns one NACA 4-digit airfoil into another: exact for its own nodes, smooth for nodes nearby.
 
     The parameters are (camber, place, thickness) in chords: (0.04, 0.4, 0.12) is the NACA 4412. A node keeps its place on the mean
     line; its height above the mean line scales with the thickness.

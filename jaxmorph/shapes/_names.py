@@ -77,7 +77,7 @@ def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
 
 
 def _called(name: str, known: Iterable[str]) -> list[str]:
-    """Lists the name itself, or those that end so."""
+    """Lists the name itself, or all names that end with it."""
     known = list(known)
     return [name] if name in known else [each for each in known if each.endswith(f".{name}")]
 

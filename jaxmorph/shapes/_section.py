@@ -76,7 +76,7 @@ class Chord(Module):
 
 @checked
 def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None) -> Bool[np.ndarray, " m"]:
-    """Tells which nodes of an airfoil are on its upper side.
+    """Marks the nodes on the upper side of an airfoil.
 
     The wall is cut at nose and tail: a single node there is an upper one, and of a blunt tail each side has its corner. In 2-D
     without `wall`, the shortest way around through all nodes, along the chord and back, counts as the wall. In 3-D without
@@ -123,7 +123,9 @@ def _rows_of_loop(wall: Any, count: int) -> Int[np.ndarray, " k"]:
 def _by_faces(
     x: Float[np.ndarray, "m 3"], triangles: Int[np.ndarray, "k 3"], up: Float[np.ndarray, " 3"]
 ) -> Bool[np.ndarray, " m"]:
-    """Tells which nodes' faces look upwards: by the sum of their normals times their angles at the node; a tie is upper.
+    """Marks the nodes whose faces look upwards.
+
+    The normals of a node's faces are summed with the faces' angles at the node. A tie is upper.
 
     Faces that are inward, as those of a mesh's cells around the body, enclose a negative volume.
     """
@@ -139,7 +141,7 @@ def _by_faces(
 
 
 def _by_neighbours(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
-    """Tells which nodes are on or above the parabola closest to their neighbours along the chord."""
+    """Marks the nodes on or above the parabola closest to their neighbours along the chord."""
     t, height = places.T
     # in the angle along the chord, nodes are spread evenly where they crowd at nose and tail
     angle = np.arccos(np.clip(1 - 2 * t, -1, 1))

@@ -23,7 +23,7 @@ CORNER, SHARP = np.cos(np.deg2rad([45, 135]))
 
 
 def upper_of_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
-    """Tells which nodes of a loop are on the upper side.
+    """Marks the nodes on the upper side of a loop.
 
     A single node at the nose or the tail is an upper one. Of several there, as on a blunt tail, each side has its half.
     On a line none is.
@@ -53,7 +53,9 @@ def upper_of_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
 
 
 def upper_of_points(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
-    """Tells which nodes are on the upper side, by the shortest way around; nodes at one place are on one side.
+    """Marks the nodes on the upper side, by the shortest way around the airfoil.
+
+    Nodes at one place are on one side.
 
     - `places`: along the chord from 0 to 1 and across it, in chords.
     """

@@ -65,7 +65,7 @@ class Smoother(AbstractLinearShape):
     @staticmethod
     @checked
     def on(mesh: Mesh, patch: str, length: float, *, held: Any = ()) -> "Smoother":
-        """Makes the smoother of a mesh's patch; rows are those of `mesh.patch(patch)`.
+        """Makes the smoother of a mesh's patch; row i is node `mesh.patch(patch)[i]`.
 
         **Arguments:**
 

@@ -49,7 +49,7 @@ def neighbours(cells: dict[str, Any], xp: Any = np) -> tuple[Any, Any]:
 
 
 def _turns(nodes: Sequence[Any], ordered: Sequence[Any], xp: Any) -> Any:
-    """Tells in which of its two senses each face runs: whether its lowest node is followed by the lower neighbour."""
+    """Finds the sense of each face: whether the lower neighbour follows the lowest node."""
     if len(nodes) == 2:
         return nodes[0] < nodes[1]
     turns = xp.zeros(len(nodes[0]), dtype=bool)

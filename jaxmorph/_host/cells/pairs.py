@@ -1,4 +1,4 @@
-"""Pairing of equal faces: faces that have the same nodes, in whatever order. Also parts that hang together by pairs."""
+"""Pairs of equal faces: faces with equal nodes in any order. Also parts connected by pairs."""
 
 import functools
 from collections.abc import Sequence
@@ -57,7 +57,7 @@ def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndarray]]:
-    """Drops faces that are surely there twice: those whose first node has pairs of equal faces alone.
+    """Drops faces that surely come twice: faces whose first node has only pairs of equal faces.
 
     A mesh has few others, so what looks at the rest is fast. Each part has the nodes of its faces by column; there are n nodes.
     """
@@ -73,7 +73,10 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndar
 
 
 def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Marks (f,) the faces (f, c) whose nodes are those of one of `others` (k, e), each there once; -1 fills up."""
+    """Marks (f,) the faces (f, c) whose nodes are the nodes of one of the `others` (k, e).
+
+    No face of `others` comes twice; rows are filled up by -1.
+    """
     width = max(faces.shape[1], others.shape[1])
     both = np.full((len(faces) + len(others), width), -1, np.int64)
     both[: len(faces), : faces.shape[1]], both[len(faces) :, : others.shape[1]] = faces, others
@@ -124,6 +127,6 @@ def _scatter(order: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
-    """Numbers the part (count,) that each of `count` things is of, where `first` (e,) and `second` (e,) hang together."""
+    """Numbers the connected part (count,) of each node; `first` (e,) and `second` (e,) are connected."""
     graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
     return connected_components(graph, directed=False)[1]

@@ -80,7 +80,7 @@ def solid(cells: Mapping[str, Any], dimension: int) -> dict[str, Any]:
 
 
 def repeated_cells(corners: np.ndarray) -> np.ndarray:
-    """Finds the cells (k, corners) whose nodes are those of another cell, in any order: their places, ascending."""
+    """Finds the rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
     return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))
 
 

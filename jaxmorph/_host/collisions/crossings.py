@@ -5,7 +5,10 @@ import numpy as np
 from ..linear.products import cross
 
 AFTER, BEFORE = 1e-9, 1e-6
-"""Slack of a crossing after and before the motion, relative to the faces: what nearly touched before is no news."""
+"""Slack of a crossing after and before the motion, relative to the faces.
+
+Faces that nearly touched before are not reported.
+"""
 
 PARALLEL = 1e-9
 """Sine of the angle below which an edge lies along a face, and is not said to cross it."""
@@ -69,8 +72,8 @@ def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.nd
             first, second = first[near], second[near]
             near = (low[first, axis] <= high[second, axis]) & (low[second, axis] <= high[first, axis])
         first, second = first[near], second[near]
-    apart = first != second
-    return order[first[apart]], order[second[apart]]
+    differs = first != second
+    return order[first[differs]], order[second[differs]]
 
 
 def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
@@ -88,7 +91,10 @@ def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _meet(first: np.ndarray, second: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:
-    """Tells which pairs of faces (k, corners, d) meet in a point, and where; not counting those that lie in each other."""
+    """Finds the pairs of faces (k, corners, d) that meet in a point, and the point.
+
+    Faces that lie in one plane do not count.
+    """
     meets, where = np.zeros(len(first), bool), np.full((len(first), first.shape[2]), np.nan)
     if first.shape[2] == 2:
         left = np.arange(len(first))
@@ -107,7 +113,7 @@ def _meet(first: np.ndarray, second: np.ndarray, slack: float) -> tuple[np.ndarr
 
 
 def _aside(first: np.ndarray, second: np.ndarray, slack: float) -> np.ndarray:
-    """Tells for which pairs the second triangle lies on one side of the first one's plane."""
+    """Marks the pairs whose second triangle lies on one side of the first triangle's plane."""
     normal = np.cross(first[:, 1] - first[:, 0], first[:, 2] - first[:, 0])
     arms = second - first[:, :1]
     height = np.einsum("kcd,kd->kc", arms, normal)
@@ -116,7 +122,10 @@ def _aside(first: np.ndarray, second: np.ndarray, slack: float) -> np.ndarray:
 
 
 def _segment_meets_segment(start, end, other, slack):
-    """Tells whether segments from `start` to `end` (k, 2) meet `other` ones (k, 2, 2), and at which share of the way."""
+    """Checks whether segments from `start` to `end` (k, 2) meet the segments `other` (k, 2, 2).
+
+    It returns the share of the way to the meeting point too.
+    """
     along, across, arm = end - start, other[:, 1] - other[:, 0], other[:, 0] - start
     turn = cross(along.T, across.T)[0]
     is_turned = np.abs(turn) > PARALLEL * np.sqrt((along**2).sum(axis=1) * (across**2).sum(axis=1))
@@ -127,7 +136,10 @@ def _segment_meets_segment(start, end, other, slack):
 
 
 def _segment_meets_triangle(start, end, corners, slack):
-    """Tells whether segments from `start` to `end` (k, 3) meet triangles (k, 3, 3), and at which share of the way."""
+    """Checks whether segments from `start` to `end` (k, 3) meet triangles (k, 3, 3).
+
+    It returns the share of the way to the meeting point too.
+    """
     along, one, other = end - start, corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     arm, normal = start - corners[:, 0], np.cross(one, other)
     descent = -np.einsum("kd,kd->k", along, normal)

@@ -93,7 +93,10 @@ def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarr
 
 
 def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.ndarray:
-    """Solves by pivots on the diagonal, whose signs tell a positive matrix; to any other `damping` is added, one after another."""
+    """Solves by pivots on the diagonal, whose signs show whether the matrix is positive.
+
+    If it is not, the values of `damping` are added to the diagonal, one after another.
+    """
     for added in damping:
         factors = Factors(matrix + added * sparse.identity(matrix.shape[0]), is_ordered=True)
         if factors.is_positive:

@@ -1,4 +1,4 @@
-"""Orders for sparse approximate inverses: points from far apart to close, and for each the nearest of those before it."""
+"""Orders for sparse approximate inverses: points from far apart to close, with near predecessors."""
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -8,7 +8,7 @@ from ..sources.reduction import canonical_order
 
 
 def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Orders points (n, d) such that each is far from those before it, and finds `count` neighbours of all but the `first` ones.
+    """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
 
     Returns ids (n,), and places in that order (n - first, count). A row begins with the point's own place. The nearest of the
     places before it follow; where there are no more, its own stands again. The result depends on the set of points,
@@ -39,9 +39,9 @@ def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
     short = np.flatnonzero((distance < np.inf).sum(axis=1) < count)
     best, kept = _smallest(distance, nearest, count)
     if short.size:
-        apart = np.where(nearest[short] >= start, distance[short], np.inf)
+        distances = np.where(nearest[short] >= start, distance[short], np.inf)
         more, older = _query(points[:start], points[start + short], min(start, count))
-        both = np.concatenate([apart, more], axis=1), np.concatenate([nearest[short], older], axis=1)
+        both = np.concatenate([distances, more], axis=1), np.concatenate([nearest[short], older], axis=1)
         best[short], kept[short] = _smallest(*both, count)
     return np.where(best < np.inf, kept, place)
 

@@ -29,7 +29,7 @@ _lock = threading.Lock()
 
 
 def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = True) -> np.ndarray:
-    """Solves A x = right for the free unknowns; x is zero for the others.
+    """Solves A x = right for the free unknowns; x is zero for all other unknowns.
 
     **Arguments:**
 
@@ -219,7 +219,7 @@ def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _scaled(matrix: Any, scale: np.ndarray) -> Any:
-    """Multiplies rows and columns; blocks stay blocks, in the memory of the given ones."""
+    """Multiplies rows and columns; blocks stay blocks, and are changed in place."""
     if matrix.format != "bsr":
         return (sparse.diags(scale) @ matrix @ sparse.diags(scale)).tocsr()
     scale = scale.reshape(-1, matrix.blocksize[0])
@@ -230,13 +230,16 @@ def _scaled(matrix: Any, scale: np.ndarray) -> Any:
 
 
 def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Tells which nodes (n,) hang together, by pairs (e, 2), with one that is `known` (n,)."""
+    """Marks the nodes (n,) that pairs (e, 2) connect to a node that is `known` (n,)."""
     part = parts_of(pairs[:, 0], pairs[:, 1], len(known))
     return np.bincount(part, known)[part] > 0
 
 
 def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Finds for each point (n,) the one that stands for all at its place: one of `first` if there is any, itself if it is one."""
+    """Finds the point that represents all points at one place, for each point (n,).
+
+    A point of `first` represents itself, and all points at its place.
+    """
     order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
     index, inverse = distinct(points[order])
     stands = np.empty(len(points), dtype=np.int64)

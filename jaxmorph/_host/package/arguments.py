@@ -31,7 +31,10 @@ WORDS = {
     type: "a class",
 }
 KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "fiubcV"}
-"""Letters of NumPy for what arrays of an annotation may hold: whole numbers count as real ones, V is bfloat16 and its kin."""
+"""NumPy's letters for the numbers of an annotated array.
+
+Whole numbers count as real numbers. V is bfloat16 and its kin.
+"""
 
 
 def checked(function: Function) -> Function:
@@ -77,7 +80,7 @@ def check(name: str, value: Any, annotation: Any, callee: Callable) -> None:
 
 
 def shown(value: Any) -> str:
-    """Describes a value for a message: a class by its name, an array by its type and shape, anything else as it is written."""
+    """Describes a value for a message: a class by its name, an array by its type and shape."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     if np.ma.is_masked(value):
@@ -89,14 +92,17 @@ def shown(value: Any) -> str:
 
 
 def whole(name: str, value: Any, least: int = 1) -> int:
-    """Returns a whole number that is large enough. Raises `ValueError` for anything else."""
+    """Returns a whole number of at least `least`. Raises `ValueError` for anything else."""
     if not _fits(value, int) or value < least:
         raise ValueError(f"`{name}` must be a whole number of at least {least}, not {shown(value)}.")
     return int(value)
 
 
 def between(name: str, value: Any, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> None:
-    """Raises `ValueError` for a value that is no real number between two others; `ends` are those of the interval, as `"[)"`."""
+    """Raises `ValueError` for a value that is no real number in an interval.
+
+    `ends` are the brackets of the interval, such as `"[)"`.
+    """
     above = _fits(value, float) and (value > low or (ends[0] == "[" and value == low))
     if not (above and (value < high or (ends[1] == "]" and value == high))):
         raise ValueError(f"`{name}` must be a real number{_range(low, high, ends)}, not {shown(value)}.")
@@ -105,7 +111,7 @@ def between(name: str, value: Any, low: float | int = -np.inf, high: float | int
 def _range(low: float | int, high: float | int, ends: str) -> str:
     lower = "" if low == -np.inf else f"of {low:g} or more" if ends[0] == "[" else f"above {low:g}"
     upper = "finite" if high == np.inf else f"{'up to' if ends[1] == ']' else 'below'} {high:g}"
-    words = [each for each in (lower, upper) if each and not (each == "finite" and ends[1] == "]")]
+    words = [word for word in (lower, upper) if word and not (word == "finite" and ends[1] == "]")]
     return (" that is " if words == ["finite"] else " ") + " and ".join(words) if words else ""
 
 
@@ -118,7 +124,7 @@ def as_array(name: str, values: Any) -> np.ndarray:
 
 
 def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
-    """Returns ids as an array. Raises `ValueError` for what is no list of rows of an array of `count` rows."""
+    """Returns ids as an array. Raises `ValueError` unless they are a list of ids below `count`."""
     array = as_array(name, ids) if isinstance(ids, list | tuple | range) or _has_type(ids) else None
     if array is not None and array.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -132,9 +138,9 @@ def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
 
 
 def check_patch(name: str, patch: Any) -> None:
-    """Raises `ValueError` for what is neither the name of a patch, nor several, nor ids of nodes."""
+    """Raises `ValueError` unless the value is a patch name, several names, or ids of nodes."""
     is_names = isinstance(patch, str) or (
-        isinstance(patch, list | tuple) and all(isinstance(each, str) for each in patch)
+        isinstance(patch, list | tuple) and all(isinstance(name, str) for name in patch)
     )
     if not is_names:
         rows_of(name, patch, 2**62)
@@ -164,17 +170,20 @@ def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.
 
 
 def _says(annotation: Any) -> bool:
-    """Tells whether an annotation says anything about a value: trees and names of classes that come later do not."""
+    """Checks whether an annotation says anything about a value.
+
+    Annotations of trees, and names of classes that are defined later, say nothing.
+    """
     is_silent = annotation in (Any, inspect.Parameter.empty, object) or isinstance(annotation, str | typing.TypeVar)
     return not is_silent and getattr(annotation, "__name__", "") != "PyTree"
 
 
 @functools.cache
 def _members(annotation: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Lists the members of a union: arrays, and all else."""
+    """Lists the members of a union: array types first, then all other types."""
     is_union = typing.get_origin(annotation) in (typing.Union, types.UnionType)
     members = typing.get_args(annotation) if is_union else (annotation,)
-    return tuple(filter(_is_array, members)), tuple(each for each in members if not _is_array(each))
+    return tuple(filter(_is_array, members)), tuple(member for member in members if not _is_array(member))
 
 
 def _is_array(annotation: Any) -> bool:
@@ -187,11 +196,14 @@ def _fits(value: Any, annotation: Any) -> bool:
         return _fits_array(value, arrays[0])
     if arrays and isinstance(value, list | tuple) and _fits_array(value, arrays[0]):
         return True
-    return any(_fits_one(value, each, bool(arrays)) for each in others)
+    return any(_fits_one(value, member, bool(arrays)) for member in others)
 
 
 def _fits_array(value: Any, annotation: Any) -> bool:
-    """Tells whether a value is an array of the right kind, masked nowhere; its shape is for the function to check."""
+    """Checks whether a value is an array of the right kind, without masked numbers.
+
+    The function that takes the array checks its shape.
+    """
     try:
         array = value if _has_type(value) else np.asarray(value)
     except ValueError:
@@ -204,7 +216,7 @@ def _fits_array(value: Any, annotation: Any) -> bool:
 
 
 def _holds_traced(value: Any) -> bool:
-    """Tells whether a number in nested lists is traced by JAX."""
+    """Checks whether a number in nested lists is traced by JAX."""
     return any(map(_holds_traced, value)) if isinstance(value, list | tuple) else hasattr(value, "aval")
 
 
@@ -290,9 +302,11 @@ def _kind_of(annotation: Any) -> str:
 
 
 def _call(callee: Callable) -> str:
-    """Writes the call to make, with the names of the arguments that stand without theirs."""
+    """Writes an example call, with the names of the positional arguments."""
     parameters = inspect.signature(callee).parameters.values()
     words = [
-        each.name for each in parameters if each.name not in ("self", "cls") and each.kind is not each.KEYWORD_ONLY
+        parameter.name
+        for parameter in parameters
+        if parameter.name not in ("self", "cls") and parameter.kind is not parameter.KEYWORD_ONLY
     ]
     return f"{callee.__qualname__.removesuffix('.__init__')}({', '.join(words)})"

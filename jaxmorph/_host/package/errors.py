@@ -24,12 +24,12 @@ class MeshError(ValueError):
         return self.message.replace("{node}", str(self.nodes[0]))
 
     def renumbered(self, ids: np.ndarray) -> "MeshError":
-        """Returns the same error about a larger mesh, in which node k is node `ids[k]`."""
+        """Renumbers the error's nodes for a larger mesh, in which node k is node `ids[k]`."""
         return MeshError(self.message, np.asarray(ids)[self.nodes])
 
 
 INNER = {"jaxmorph", "jax", "equinox", "jaxtyping", "beartype", "contextlib", "functools"}
-"""Packages whose lines no user can mend."""
+"""Packages skipped when looking for the user's own line."""
 
 
 def warn(message: str) -> None:

@@ -30,10 +30,13 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
 
 
 def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Returns the name of a file to write as a path. Raises `ValueError` for one with a null byte, or that ends as a folder's."""
+    """Returns the name of a file to write as a path.
+
+    Raises `ValueError` for a name with a null byte, and for a name that ends as a folder's.
+    """
     name = os.fspath(path)
     if name.endswith((os.sep, os.altsep or os.sep)):
-        raise ValueError(f"{name}: ends as a folder does; it is a file that is written: leave the {name[-1]} out.")
+        raise ValueError(f"{name}: ends as a folder does, but a file is written. Remove the {name[-1]} at the end.")
     return _without_null(path)
 
 
@@ -73,7 +76,10 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.n
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Reads one array to the end of its member, where its checksum is compared: a damaged type reads less than there is."""
+    """Reads one array to the end of its member, where the checksum is compared.
+
+    With a damaged type, NumPy would read less than the member has.
+    """
     with archive.open(name) as member:
         array = np.lib.format.read_array(member, allow_pickle=False)
         if member.read(1):
@@ -82,7 +88,7 @@ def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
 
 
 def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """Returns one of the arrays of a file as floats; raises `ValueError` for one that holds no real numbers."""
+    """Returns an array of a file as floats; raises `ValueError` if it holds no real numbers."""
     if arrays[name].dtype.kind not in "fiu":
         raise ValueError(f"{path}: the array {name} holds {arrays[name].dtype}; real numbers expected.")
     return arrays[name].astype(float)
@@ -129,7 +135,7 @@ def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -
 
 @contextlib.contextmanager
 def named(path: pathlib.Path) -> Iterator[None]:
-    """Makes an error of the system name the file that was to be written, where it names the temporary one or none."""
+    """Makes a system error name the target file, if the error names the temporary file or none."""
     try:
         yield
     except (OSError, RuntimeError) as error:
@@ -146,7 +152,7 @@ def named(path: pathlib.Path) -> Iterator[None]:
 
 
 def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
-    """Creates the temporary file, with the permissions of the one that it replaces, or the temporary folder."""
+    """Creates the temporary folder, or a temporary file with the permissions of its target."""
     while True:
         token = f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
         partial = target.with_name(f".{_stem(target)}.{token}.partial{target.suffix}")
@@ -163,7 +169,7 @@ def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
 
 
 def _sweep(target: pathlib.Path) -> None:
-    """Removes what killed processes of this machine left behind for the same target."""
+    """Removes temporary files of a target that killed processes of this machine left behind."""
     name = re.compile(
         rf"\.{re.escape(_stem(target))}\.{_machine()}-(\d+)-[0-9a-f]{{8}}\.partial{re.escape(target.suffix)}"
     )
@@ -175,7 +181,7 @@ def _sweep(target: pathlib.Path) -> None:
 
 
 def _stem(target: pathlib.Path) -> str:
-    """Shortens the name of a target, so that its temporary names fit into the 255 bytes that a file system allows."""
+    """Shortens a target's name, so that its temporary names fit into a file system's 255 bytes."""
     room = 255 - len(os.fsencode(target.suffix)) - len(".-.partial") - 2 * 8 - 12
     return os.fsencode(target.stem)[: max(room, 0)].decode(errors="ignore")
 
@@ -193,7 +199,10 @@ def _is_alive(process: int) -> bool:
 
 
 def _machine() -> str:
-    """Names this machine in eight digits: process numbers mean nothing on another machine that shares the folder."""
+    """Names this machine in eight digits.
+
+    Another machine that shares the folder has process numbers of its own.
+    """
     return f"{zlib.crc32(socket.gethostname().encode()):08x}"
 
 

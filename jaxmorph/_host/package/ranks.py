@@ -1,4 +1,4 @@
-"""Work that the processes of a run do together; one process does it alone. MPI's communicators fit, as mpi4py has them."""
+"""Work that the processes of a run share; a single process does it alone. It takes mpi4py's ranks."""
 
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 @runtime_checkable
 class Ranks(Protocol):
-    """Lists what is used of a communicator: a process is one of `size`, number `rank`."""
+    """The used part of a communicator: a process is number `rank` of `size`."""
 
     @property
     def rank(self) -> int: ...
@@ -46,7 +46,7 @@ class Alone:
 
 
 def together(ranks: Ranks, function: Callable[[], T]) -> T:
-    """Calls a function in every process. Where it raises in one, all raise: none waits for the others for good."""
+    """Calls a function in every process. If one process raises, all raise: no process waits forever."""
     result, error = None, None
     try:
         result = function()
@@ -72,7 +72,7 @@ class Agreement:
         self.ids, self.values = np.zeros(0, np.int64), np.zeros((0, 0))
 
     def __call__(self, ids: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Returns the values (k, d) of ids (k,) that all have; every process calls it together, one without nodes too."""
+        """Returns the shared values (k, d) of ids (k,). All processes call it, also without nodes."""
         keeper = ids % self.ranks.size
         rows = [np.flatnonzero(keeper == rank) for rank in range(self.ranks.size)]
         asked = self.ranks.alltoall([(ids[each], values[each]) for each in rows])
@@ -86,7 +86,7 @@ class Agreement:
         return agreed
 
     def _keep(self, ids: np.ndarray, values: np.ndarray) -> None:
-        """Adds those that are not there."""
+        """Adds the ids that are new, with their values."""
         new = np.flatnonzero(~np.isin(ids, self.ids))
         if len(new):
             order = np.argsort(np.concatenate([self.ids, ids[new]]), kind="stable")

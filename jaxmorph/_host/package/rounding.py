@@ -20,7 +20,10 @@ def roundoff(points: np.ndarray) -> float:
 
 
 def ranked(values: np.ndarray, slack: float) -> np.ndarray:
-    """Ranks numbers from the least, which has rank 0; one that is no more than `slack` above the one before has its rank."""
+    """Ranks numbers from the least, which has rank 0.
+
+    A number at most `slack` above its predecessor has the predecessor's rank.
+    """
     order = np.argsort(values, kind="stable")
     rank = np.zeros(len(values), dtype=np.int64)
     rank[order[1:]] = np.cumsum(np.diff(values[order]) > slack)
@@ -28,7 +31,7 @@ def ranked(values: np.ndarray, slack: float) -> np.ndarray:
 
 
 def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the first point (k,) at each place, from place to place in canonical order, and the place (n,) of each point."""
+    """Finds the first point (k,) of each place, in canonical order, and each point's place (n,)."""
     slack = roundoff(points)
     rows = np.stack([ranked(column, slack) for column in points.T], axis=1)
     _, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -36,18 +39,21 @@ def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def first_largest(values: np.ndarray, slack: float | None = None) -> int:
-    """Finds the first number that is the largest, or less by no more than a slack: `SAME` times the largest by default."""
+    """Finds the first number within a slack of the largest; by default `SAME` times the largest."""
     top = values.max()
     return int((values >= top - (SAME * abs(top) if slack is None else slack)).argmax())
 
 
 def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds for each point the nearest of the `chosen` places, the first of equals, and returns its id out of `ids`."""
+    """Finds the id of the nearest `chosen` place for each point, out of `ids`; ties go to the first."""
     return ids[nearest_few(points, chosen, 1)[:, 0]]
 
 
 def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarray:
-    """Finds for each point the `count` nearest of the `chosen` places (k, count), nearest first, of equals the first one first."""
+    """Finds the `count` nearest of the `chosen` places (k, count) for each point, nearest first.
+
+    Of places that are equally near, the first comes first.
+    """
     tree, slack = KDTree(chosen), max(roundoff(points), roundoff(chosen))
     nearest, left = np.zeros((len(points), count), dtype=np.int64), np.arange(len(points))
     looked = min(count - 1 + TIES, len(chosen))

@@ -14,7 +14,7 @@ ENOUGH = {2: 84, 3: 400}
 
 @dataclasses.dataclass(frozen=True)
 class FarthestPoints(AbstractReduction):
-    """Chooses `count` points, each the farthest from those before.
+    """Chooses `count` points, each the farthest from its predecessors.
 
     The first is the farthest from the middle. No point of the surface is then farther from the nearest source than
     twice what the best choice of as many sources allows (Gonzalez, Theoretical Computer Science 38, 1985). That holds
@@ -94,7 +94,7 @@ def farthest(
     first: np.ndarray | None = None,
     reach: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Picks `count` points, each the farthest from those before, and returns their ids; it begins with the ids `first`.
+    """Picks the ids of `count` points, each the farthest from its predecessors; `first` come first.
 
     It ends early when no point is `closest` away. With `reach` (n,) each point's distance is relative to its own reach, and
     it ends when all points are within reach.

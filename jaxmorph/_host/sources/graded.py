@@ -65,7 +65,10 @@ class Graded(AbstractReduction):
 
 
 def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Measures each point's distance from the nearest of the others, but no less than that one's from its own nearest."""
+    """Measures each point's distance from the nearest of the `others`.
+
+    The distance is at least that nearest point's own distance from its nearest neighbour.
+    """
     if len(others) == 0:
         return np.full(len(points), float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
     tree = KDTree(others)

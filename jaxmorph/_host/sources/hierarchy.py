@@ -19,7 +19,7 @@ WIDTH = 8
 
 
 def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orders the nodes, each the farthest from those before it; finds for every node (b,) the nearest one before it.
+    """Orders the nodes: each is the farthest from its predecessors. Also finds the nearest predecessor.
 
     The nodes `earlier` stand before all others. Without any, the first is the one farthest from the middle; the node
     farthest from it then takes the place of its nearest. The mirror images of a node, those with its number in `images`
@@ -56,7 +56,7 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
 
 @dataclasses.dataclass(frozen=True)
 class Share(AbstractReduction):
-    """Chooses a fraction of the points, at least one, each the farthest from those before."""
+    """Chooses a fraction of the points, at least one, each the farthest from its predecessors."""
 
     fraction: float
 
@@ -113,7 +113,10 @@ def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.
 
 
 def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, apart: np.ndarray) -> None:
-    """Updates, in place, distance and nearest node of the nodes `near`: each has a `node` that far `apart` from it."""
+    """Updates, in place, distance and nearest node of the nodes `near`.
+
+    Node `near[k]` has the distance `apart[k]` from `node[k]`.
+    """
     closer = np.flatnonzero(apart < (1 - SAME) * distance[near])
     np.minimum.at(distance, near[closer], apart[closer])
     closer = closer[apart[closer] <= (1 + SAME) * distance[near[closer]]]
@@ -157,7 +160,7 @@ The first array (s, r, WIDTH) has positions in the list of entries, -1 where the
 
 
 def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Sweep]:
-    """Orders the equations of a triangular matrix for a forward substitution, and those of its transpose.
+    """Orders the equations of a triangular matrix, and of its transpose, for forward substitution.
 
     The `count` equations have ones on the diagonal and entries below it. Equations of one level do not depend on each
     other; a level needs only the levels before it.

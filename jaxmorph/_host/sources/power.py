@@ -14,7 +14,7 @@ NOISE = 1e-13
 
 @dataclasses.dataclass(frozen=True)
 class PGreedy(AbstractReduction):
-    """Picks points one after the other, each where the power function of those before is largest.
+    """Picks points one after the other, each where its predecessors' power function is largest.
 
     The choice is that of De Marchi, Schaback and Wendland (Advances in Computational Mathematics 23, 2005).
     It depends on the places alone, not on a motion. The function is Wendland's C2 of a radius as large as the points'
@@ -47,11 +47,11 @@ class PGreedy(AbstractReduction):
         node = first_largest(((points - points.mean(axis=0)) ** 2).sum(axis=1))
         while len(chosen) < count and power[node] > 1e-14:
             k = len(chosen)
-            apart = np.sqrt(((points - points[node]) ** 2).sum(axis=1))
-            xi = np.minimum(apart / radius, 1)
+            distance = np.sqrt(((points - points[node]) ** 2).sum(axis=1))
+            xi = np.minimum(distance / radius, 1)
             column = (1 - xi) ** 4 * (4 * xi + 1) - basis[:k, node] @ basis[:k]
             basis[k] = column / np.sqrt(power[node])
-            power = np.where(apart <= closest * (1 + SAME), 0, np.maximum(power - basis[k] ** 2, 0))
+            power = np.where(distance <= closest * (1 + SAME), 0, np.maximum(power - basis[k] ** 2, 0))
             chosen.append(node)
             node = first_largest(power, SAME * power.max() + NOISE)
         return np.array(chosen)

@@ -24,17 +24,23 @@ class AbstractReduction(abc.ABC):
     """
 
     most_on_far_walls: ClassVar[int] = 0
-    """Sources that fixed walls get at most which are farther from the moving ones than they are long; 0: they are as all others."""
+    """Most sources of fixed walls that are farther from the moving walls than they are long.
+
+    With 0 such walls are reduced as all fixed walls are.
+    """
 
     @abc.abstractmethod
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses as `__call__` does, given `others` (k, d): the fixed nodes, or the moving sources. Ignored by default."""
+        """Chooses as `__call__` does, with the `others` (k, d): the fixed nodes, or the moving sources.
+
+        The default ignores `others`.
+        """
         return self(points)
 
     def closest(self, points: np.ndarray) -> float:
-        """Returns the distance within which one of two sources is dropped, for these points: round-off by default."""
+        """Returns the distance within which one of two sources is dropped; round-off by default."""
         return roundoff(points)
 
 
@@ -141,7 +147,7 @@ class KDTree(AbstractReduction):
         return self.given(points, others)(points)
 
     def given(self, points: np.ndarray, others: np.ndarray) -> "KDTree":
-        """Returns the tree that is built beside the `others`: with `crowded` leaves where one of them is near."""
+        """Returns the tree to build beside the `others`, with `crowded` leaves if one of them is near."""
         if self.crowded is None or not len(points) or not len(others):
             return self
         near = (1 - SAME) * float(np.ptp(points, axis=0).max())
@@ -219,7 +225,7 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
 
 
 def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """Calls `choose` with the points in canonical order, and the ids that they have; returns ids of its choice, ascending."""
+    """Calls `choose` with the points in canonical order and their ids; returns sorted ids."""
     points = np.asarray(points, dtype=float)
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64)
@@ -228,7 +234,7 @@ def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray
 
 
 def check_separation(separation: float) -> None:
-    """Raises `ValueError` for a least distance between sources that is no share of the extent of the points."""
+    """Raises `ValueError` for a `separation` that is no share of the points' extent."""
     between("separation", separation, 0, 1, "[)")
 
 
@@ -240,7 +246,7 @@ def least_distance(points: np.ndarray, separation: float) -> float:
 
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
-    """Finds points on the faces of the bounding box: for each side the ones furthest apart within round-off of it."""
+    """Finds points on the bounding box: for each side, the points furthest apart on it."""
     extremes, slack = [], SAME * float(np.ptp(points, axis=0).max())
     for axis in range(points.shape[1]):
         for sign in (-1, 1):

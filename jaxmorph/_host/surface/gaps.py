@@ -6,7 +6,7 @@ from scipy.spatial import KDTree
 from .neighbours import searched_together
 
 CLOSEST = 12
-"""Faces of other walls, those with the nearest middles, that a node's distance is measured to."""
+"""Number of other walls' faces, with the nearest middles, to which a node's distance is measured."""
 
 
 def share_left(

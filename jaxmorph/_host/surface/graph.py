@@ -175,13 +175,13 @@ def morton_order(points: np.ndarray) -> np.ndarray:
 def _spread(grid: np.ndarray, dimension: int) -> np.ndarray:
     """Moves bit k of each number to place k times `dimension`: blocks of bits are halved until each holds one."""
     for half in (16, 8, 4, 2, 1):
-        kept = sum((2**half - 1) << place for place in range(0, 64, half * dimension)) % 2**64
-        grid = (grid | grid << np.uint64(half * (dimension - 1))) & np.uint64(kept)
+        bits = sum((2**half - 1) << place for place in range(0, 64, half * dimension)) % 2**64
+        grid = (grid | grid << np.uint64(half * (dimension - 1))) & np.uint64(bits)
     return grid
 
 
 def _among(wanted: np.ndarray, ids: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Finds those of the `wanted` points that are among the `ids`, as places in `wanted`, and their nodes."""
+    """Finds the `wanted` points that are among the `ids`: their places in `wanted`, and their nodes."""
     node = np.full(n, -1, dtype=np.int64)
     node[ids] = nodes
     place = np.flatnonzero(node[wanted] >= 0)
@@ -209,8 +209,8 @@ def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
     groups = KDTree(unit).query_pairs(closest, output_type="ndarray")
     keep = np.ones(len(unit), dtype=bool)
     keep[groups.max(axis=1) if len(groups) else []] = False
-    kept = np.flatnonzero(keep)
-    return kept[canonical_order(unit[kept])]
+    rows = np.flatnonzero(keep)
+    return rows[canonical_order(unit[rows])]
 
 
 def _snapped(nodes: np.ndarray) -> np.ndarray:
@@ -315,7 +315,7 @@ def _beyond_hull(graph: Delaunay, nodes: np.ndarray, targets: np.ndarray, flat: 
 
 
 def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> None:
-    """Refuses points truly outside of the hull with a `MeshError`; those on it within round-off pass."""
+    """Raises `MeshError` for points outside of the hull; points on it, within round-off, pass."""
     outside = beyond > 0
     if outside.any():
         worst_first = ids[outside][np.argsort(-beyond[outside], kind="stable")]

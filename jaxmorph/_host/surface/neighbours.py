@@ -19,12 +19,12 @@ Once = Callable[[Any, Callable[[], Any]], Any]
 
 
 def at_once(key: Any, make: Callable[[], Any]) -> Any:
-    """Makes a thing and keeps nothing."""
+    """Calls `make` without a cache."""
     return make()
 
 
 def digest(values: np.ndarray) -> tuple[int, int]:
-    """Names an array by its length and a hash of its bytes: a key to keep by what was made of it."""
+    """Makes a cache key of an array: its length and a hash of its bytes."""
     return len(values), hash(values.tobytes())
 
 
@@ -54,8 +54,8 @@ def near_walls(
     for start in range(0, len(near), 65536):
         part = slice(start, start + 65536)
         candidates = around[first[part]]
-        apart = [surface[candidates, axis] - points[near[part], axis, None] for axis in range(points.shape[1])]
-        rows[part, :count] = _closest(candidates, np.sum([a * a for a in apart], axis=0), count)
+        offsets = [surface[candidates, axis] - points[near[part], axis, None] for axis in range(points.shape[1])]
+        rows[part, :count] = _closest(candidates, np.sum([a * a for a in offsets], axis=0), count)
     rows[:, count] = rows[:, 0]
     is_nearest = np.ones(len(near), dtype=bool)
     for label in np.unique(wall[first]):
@@ -63,17 +63,17 @@ def near_walls(
         if others.size:
             far = 8 * (1 + SAME) * reach[wall == label].max()
             bounded = [(members, far) for members in searched_together(wall, others)]
-            apart, other = _nearest(surface, bounded, points[near[here]], once)
-            close = np.flatnonzero(apart < np.inf)
+            closest, other = _nearest(surface, bounded, points[near[here]], once)
+            close = np.flatnonzero(closest < np.inf)
             rows[here[close], count] = other[close]
-            is_nearest[here[close]] = distance[here[close]] <= apart[close]
+            is_nearest[here[close]] = distance[here[close]] <= closest[close]
     return near[is_nearest], rows[is_nearest]
 
 
 def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
-    """Picks from each row of nodes (k, c) the `count` of least squared distance, nearest first, of equals the first one first."""
+    """Picks the `count` nearest nodes from each row (k, c), nearest first; ties go to the first."""
     order = np.argsort(squared, axis=1, kind="stable")
-    nodes, squared = (np.take_along_axis(each, order, axis=1) for each in (nodes, squared))
+    nodes, squared = (np.take_along_axis(table, order, axis=1) for table in (nodes, squared))
     is_more = squared[:, 1:] > (1 + 2 * SAME) * squared[:, :-1]
     tied = np.flatnonzero(~is_more[:, :count].all(axis=1))
     rank = np.zeros((len(tied), nodes.shape[1]), dtype=np.int64)

@@ -33,11 +33,11 @@ class Tips:
     tips: np.ndarray
 
     def lengths(self, tip: int, lengths: np.ndarray) -> np.ndarray:
-        """Returns those of the `lengths` (e,), one for each edge, that the edges of a tip have."""
+        """Selects, from the `lengths` (e,) of the edges, the lengths of a tip's edges."""
         return lengths[(self.ends == tip).any(axis=1)]
 
     def sides(self, tip: int, length: float) -> list[int]:
-        """Finds on each side of a tip the first place as far away as `length`."""
+        """Finds the first place at the distance `length`, on each side of a tip."""
         return [_walk(self.points, self.beside, self.count, tip, start, length) for start in self.beside[tip].tolist()]
 
 

@@ -168,7 +168,7 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
 
 
 def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
-    """Tells whether a flat side of the surface's hull holds points that are not on the surface.
+    """Checks whether a flat side of the surface's hull holds points that are not on the surface.
 
     `surface` (b, d) has the images in symmetry planes; `is_free` (n,) says which of the `points` (n, d) are not on it.
     """
@@ -190,7 +190,10 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
 
 
 def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held: np.ndarray) -> bool:
-    """Tells whether boundary faces have corners that are not held (n,); not counting the two sides of a cut, which coincide."""
+    """Checks whether boundary faces have corners that are not held (n,).
+
+    The two sides of a cut do not count: they coincide.
+    """
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
     distance = np.full(len(middles), np.inf)

@@ -169,13 +169,13 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
 def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
     """Pairs the curve with the part that most of its sample find nearest on either side, among the nodes `around` each."""
     curve = label[members[0]]
-    apart = points[around] - sample[:, None]
-    distance = np.where(label[around] == curve, np.inf, np.linalg.norm(apart, axis=2))
+    offsets = points[around] - sample[:, None]
+    distance = np.where(label[around] == curve, np.inf, np.linalg.norm(offsets, axis=2))
     if not np.isfinite(distance).any():
         return []
-    across, pairs = _across(points[members], apart, distance), []
+    across, pairs = _across(points[members], offsets, distance), []
     for side in (-1, 1):
-        reachable = np.where(side * (apart @ across) > 0.5 * (1 + SAME) * distance, distance, np.inf)
+        reachable = np.where(side * (offsets @ across) > 0.5 * (1 + SAME) * distance, distance, np.inf)
         least = reachable.min(axis=1)
         closest = np.where(reachable <= (1 + SAME) * least[:, None], label[around], len(points)).min(axis=1)
         votes = np.bincount(closest[np.isfinite(least)], minlength=1)

@@ -90,7 +90,7 @@ def stiffness(
 
 
 def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"], Float[Array, " q"]]:
-    """Inverts in closed form; returns the determinants, too, and those that it divides by, of which none is 0."""
+    """Inverts in closed form; returns determinants too, and the nonzero divisors in their place."""
     rows = [matrix[:, k] for k in range(matrix.shape[1])]
     if len(rows) == 2:
         (a, b), (c, d) = (row.T for row in rows)

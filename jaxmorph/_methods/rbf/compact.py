@@ -60,7 +60,7 @@ class CompactFactors(eqx.Module):
     is_certain: Bool[Array, ""]
 
     def near(self, x: Float[Array, " d"], surface: Float[Array, "b d"]) -> Bool[Array, " b"]:
-        """Tells which functions reach a point. What is at the very end of its reach counts for nothing."""
+        """Marks the functions that reach a point. A point at the end of the reach does not count."""
         return self.has_function & (squared_distance(x[None], surface) < INSIDE * self.radius**2)
 
 

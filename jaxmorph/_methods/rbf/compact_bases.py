@@ -1,4 +1,4 @@
-"""Compactly supported bases beside `WendlandC2`: those of Wendland (1995) and the compact thin plate splines of Wu (1995).
+"""Compact bases beside `WendlandC2`: of Wendland (1995), and compact thin plate splines of Wu (1995).
 
 De Boer, van der Schoot and Bijl (Computers and Structures 85, 2007) compared them, with the global ones, on moving meshes.
 """

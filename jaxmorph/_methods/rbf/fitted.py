@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..._host.package.rounding import roundoff
+from ..._host.package.rounding import SAME, roundoff
 from ..._host.sources.farthest import Filled
 from ..._host.sources.reduction import KDTree, drop_close
 from ..._host.surface.sharp import behind_tips, beside_tips, sharp_tips
@@ -35,7 +35,7 @@ Both sides of a thin body may change in opposite senses.
 JOINT = 0.05
 """Largest `ell`, relative to the distance of the nearest node that is fixed or of another wall."""
 
-BEHIND, BEYOND_TIP = 0.01, 0.2
+BEHIND, BEYOND_TIP = 0.02, 0.2
 """Distance of the source behind a sharp tip, relative to the mean chord, or to that of the nearest held node if that is less.
 
 Its largest distance is `BEYOND_TIP`, relative to the same.
@@ -43,6 +43,12 @@ Its largest distance is `BEYOND_TIP`, relative to the same.
 
 SOURCES_ALONE = 64
 """Fewest leaves of the k-d tree if the field interpolates instead of being fitted."""
+
+AT_TIP = 0.03, 0.5
+"""Distance from a sharp tip, and `mu` there, both relative to the mean chord: the field follows the wall's slope at the tip.
+
+Cells at a sharp tip are small, and the wall's angle there changes with the thickness.
+"""
 
 ROWS = {2: 4096, 3: 2048}
 """Most nodes of the wall, and most edges, that enter the fit, by dimension."""
@@ -82,8 +88,8 @@ class FittedRBF(AbstractMethod):
       follows the skin. It is nowhere more than 0.05 of the distance to the nearest node that is held or of another wall.
       Default 0.17 of each wall's mean chord, half of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07
       of half of the wall's area over its span.
-    - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of each wall's mean chord, in 3-D
-      0.4.
+    - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of each wall's mean chord, and 0.5
+      within 0.03 chords of a sharp tip. In 3-D it is 0.4.
 
     Walls of more than 4,096 nodes or edges, in 3-D 2,048, are sampled.
 
@@ -144,9 +150,9 @@ class FittedRBF(AbstractMethod):
     def _wall(self, surface: Surface, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
         dimension = surface.points.shape[1]
         pairs = edges(surface.points, surface.moving, surface.faces)
-        tips = np.zeros((0, 3))
+        tips, sharp = np.zeros((0, 3)), np.zeros((0, dimension))
         if dimension == 2:
-            beside, tips = self._at_tips(surface, pairs)
+            beside, tips, sharp = self._at_tips(surface, pairs)
             moving = drop_close(surface.points, np.concatenate([moving, beside]), roundoff(surface.points))
         nodes = np.union1d(
             thinned(surface.points[: surface.moving], ROWS[dimension]), moving
@@ -157,15 +163,18 @@ class FittedRBF(AbstractMethod):
         held = nearest_held(surface.points, surface.moving, wall, pairs)
         far, reach = drawn_in(surface.points, moving, fixed, surface.images)
         each_row = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        lengths = default_lengths(surface.points, wall, surface.faces, ends, share)
-        return WallIds(
-            *as_jax([*(each.astype(np.int32) for each in each_row), *(each[label] for each in lengths), reach])
-        )
+        ell, mu = (length[label] for length in default_lengths(surface.points, wall, surface.faces, ends, share))
+        chord = share * np.linalg.norm(np.subtract(*surface.points[ends.T]), axis=1)
+        near, largest = AT_TIP
+        for tip in sharp:
+            distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - tip, axis=1)
+            mu = np.where(distance < near * chord[label] * (1 - SAME), largest * share[label], mu)
+        return WallIds(*as_jax([*(each.astype(np.int32) for each in each_row), ell, mu, reach]))
 
-    def _at_tips(self, surface: Surface, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Finds sources (k,) beside sharp tips in 2-D, and sharp tips (g, 3), each with a node on either side.
+    def _at_tips(self, surface: Surface, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Finds sources (k,) beside sharp tips in 2-D, sharp tips (g, 3) with a node on either side, and all tips' places (h, 2).
 
-        `pairs` are all edges of the moving walls: a tip lies between two.
+        `pairs` are all edges of the moving walls: a tip lies between two. A source stands behind the g tips.
         """
         wall, ends, share = surface.walls
         held = nearest_held(surface.points, surface.moving, wall, pairs)
@@ -174,7 +183,7 @@ class FittedRBF(AbstractMethod):
         room = np.where(held == pairs[:, 0], chord, np.minimum(chord, distance))
         walls = sharp_tips(surface.points, pairs)
         behind = behind_tips(walls, BEHIND * room, self._closest(surface), BEYOND_TIP * room)
-        return beside_tips(walls, chord), behind
+        return beside_tips(walls, chord), behind, walls.points[walls.tips]
 
     def control(self, ids):
         sources = np.concatenate([np.asarray(ids.moving), np.asarray(ids.fixed)])
@@ -318,7 +327,7 @@ def _at_rings(ids: WallIds, values: Float[Array, "b d"]) -> Float[Array, "r d"]:
 
 
 def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
-    """Assembles the normal equations of the first m sources, those that move.
+    """Assembles the normal equations of the first m sources, which move.
 
     They hold `follow` for each component, and 2 |dev sym G|^2 = G:G + G:G^T - 2/d (tr G)^2.
     """

@@ -35,7 +35,10 @@ class Radial(eqx.Module):
 
 
 def is_fused(phi: Radial, dtype: Any) -> bool:
-    """Tells whether a weighted sum is one operation: where a GPU may run it, and its kernel can have the function."""
+    """Checks whether a weighted sum can be one operation.
+
+    A GPU must be able to run it, and its kernel must be able to contain the function.
+    """
     if is_for_cpu() or not has_kernels() or dtype not in (jnp.float32, jnp.float64):
         return False
     return all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(phi)) and is_elementwise(phi, dtype)

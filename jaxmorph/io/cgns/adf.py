@@ -20,7 +20,7 @@ _HEADER_TAGS = {32: b"adf0", 64: b"adf1", 96: b"adf2", 102: b"adf3", 130: b"adf4
 
 
 def is_adf(path: pathlib.Path) -> bool:
-    """Tells whether a file begins as ADF does."""
+    """Checks whether a file begins as an ADF file."""
     with path.open("rb") as file:
         return file.read(TAG + len(MAGIC))[TAG:] == MAGIC
 
@@ -195,7 +195,7 @@ class _Reader:
         return [self.pointer(table[k - POINTER : k]) for k in range(ENTRY, len(table) + 1, ENTRY)]
 
     def _pieces(self, number: int, raw: bytes) -> list[tuple[int, int]]:
-        """Finds the bytes of a node's data: those of one chunk, or of as many as a table says."""
+        """Finds the bytes of a node's data: one chunk, or all chunks of a table."""
         if number < 2:
             return [self._part(self.pointer(raw), (b"data", b"dend"))] if number else []
         pieces = []

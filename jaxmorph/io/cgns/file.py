@@ -26,7 +26,7 @@ LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _CGNSContent:
-    """Keeps the way back to the nodes of the file, and what tells that the file is still the same."""
+    """The way back to the nodes of the file, and marks by which a changed file is found."""
 
     joined: Joined
     stamp: tuple[int, int]

@@ -57,7 +57,10 @@ class Content:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Connection:
-    """Holds a periodic interface: its nodes, those of its donor, and centre and angles of a rotation, zero for a translation."""
+    """A periodic interface: its nodes, its donor's nodes, and a rotation's centre and angles.
+
+    Centre and angles are zero for a translation.
+    """
 
     name: str
     nodes: np.ndarray

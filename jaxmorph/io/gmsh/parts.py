@@ -94,7 +94,7 @@ def _records(stream: Stream, count: int, width: int) -> Nodes:
 
 
 def _column(stream: Stream, start: int, count: int, step: int) -> np.ndarray:
-    """Returns ints that stand `step` apart, as they are: those of a text are floats."""
+    """Returns ints `step` apart unchanged; in a text file they are floats."""
     if stream.rows is not None:
         return stream.rows.values[start : start + count * step : step]
     return np.ndarray((count,), stream.form.dtype("i"), stream.data, start, (step,))

@@ -162,7 +162,7 @@ def runs(places: np.ndarray) -> Iterator[tuple[slice, int]]:
 
 
 def whole(values: np.ndarray) -> np.ndarray:
-    """Returns numbers as int64; raises `ValueError` for those that are not whole."""
+    """Returns numbers as int64; raises `ValueError` for numbers that are not whole."""
     if values.dtype.kind == "f" and not ((values == np.floor(values)) & (np.abs(values) < WHOLE)).all():
         raise ValueError("a number that is not whole where a tag or a count is expected")
     return values.astype(np.int64)

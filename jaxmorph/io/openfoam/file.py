@@ -19,7 +19,7 @@ _WORD = re.compile(r'"[^"\n]*"|[(){};]|[^\s(){};"]+|"')
 UNIFORM = 2 * 10**8
 """Bytes that a list of equal elements may take, besides ten times its file's size."""
 UNPACKED = 100
-"""Bytes that one of a packed file may become, besides `UNIFORM`."""
+"""Bytes that one byte of a packed file may become, besides `UNIFORM`."""
 DIGITS = 19
 """Digits that a number of elements may have."""
 PARENTHESES = bytes.maketrans(b"()", b"  ")
@@ -238,7 +238,7 @@ def _unpacked(path: pathlib.Path, raw: bytes) -> bytes:
 
 @dataclasses.dataclass(frozen=True)
 class Patch:
-    """An entry of `boundary`: its faces are those from `start`, `count` in number.
+    """An entry of `boundary`: `count` faces from `start` on.
 
     `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`. `refers` is the cyclic patch of which a
     `processorCyclic` one holds faces. Both are "" for a patch without. `part` is the processor on the other side, or -1.

@@ -6,7 +6,10 @@ from jaxmorph._mesh.faces import Faces
 
 
 class Front:
-    """Numbers nodes by their places in `front`, the case's ids of the nodes in front, which ascend. `back` are those behind."""
+    """Numbers nodes by their places in `front`, the case's ascending ids of the front nodes.
+
+    `back` are the ids of the nodes behind.
+    """
 
     front: np.ndarray
     back: np.ndarray
@@ -18,7 +21,7 @@ class Front:
         return nodes
 
     def ids(self, nodes: np.ndarray) -> np.ndarray:
-        """Returns the 2-D mesh's ids of those of `nodes` that are in the front, in their order."""
+        """Returns the 2-D mesh's ids of the `nodes` in the front, in their order."""
         at = np.minimum(np.searchsorted(self.front, nodes), len(self.front) - 1)
         return at[self.front[at] == nodes]
 

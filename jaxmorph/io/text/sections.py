@@ -129,7 +129,7 @@ def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def replace(
     text: bytes, part: slice, points: np.ndarray, is_row: Callable[[np.ndarray], np.ndarray], column: int = 0
 ) -> Iterator[bytes | memoryview]:
-    """Yields the text with the coordinates of `points` in place of those that a part of it holds, in pieces.
+    """Yields the text, in pieces, with its coordinates replaced by the `points`.
 
     `is_row` tells from the number of words on a line whether it holds a point; its coordinates begin with word
     `column`. A coordinate that has not changed keeps its digits; a changed one gets the shortest that read back bit for
@@ -178,7 +178,7 @@ def replace_numbers(text: bytes, part: slice, at: np.ndarray, values: np.ndarray
 
 
 def _changed(original: bytes, chunk: bytes, starts: np.ndarray, ends: np.ndarray, words: Any, new: np.ndarray) -> bytes:
-    """Puts `new` in place of those words of a chunk that stand between `starts` and `ends`, where it differs."""
+    """Replaces the words of a chunk between `starts` and `ends` by `new`, where they differ."""
     changed = np.flatnonzero(new != parse(chunk, np.float64)[words].astype(new.dtype))
     if not len(changed):
         return original
