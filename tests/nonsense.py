@@ -27,10 +27,9 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 
 BUILT = words("""
-io.Box shapes.QualityRows
-jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
+io.Box jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
 jm.LargestStep jm.MeshError jm.Plan jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf
-jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.Stations
+jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.QualityRows shapes.Stations
 """)
 """Classes whose constructors the library alone calls."""
 
@@ -82,6 +81,13 @@ def decomposed() -> io.Decomposed:
     cells = [foam.cell(foam.HEXAHEDRON, *row) for row in BRICKS.cells["hexahedron"].tolist()]
     foam.write_parts(FOLDER / "case", PLACES, cells, [("all", "wall", lambda face: True)], np.arange(8) // 4)
     return io.Decomposed(FOLDER / "case")
+
+
+@Lazy
+def zones() -> tuple[jm.Mesh, ...]:
+    """A file of one zone, as its meshes."""
+    io.write(FOLDER / "zone.su2", BRICKS)
+    return io.read_zones(FOLDER / "zone.su2")
 
 
 @Lazy
@@ -139,6 +145,7 @@ GOOD: dict[str, dict[str, Any]] = {
         **{"axis": np.array([0.0, 0.0, 1.0]), "origin": np.zeros(3), "profile": np.array([[0.0, 1.0], [1.0, 1.0]])}
     },
     "jm.Slide": {"patch": np.array([0]), "on": jm.Plane([0.0, 1.0], [0.0, 0.0])},
+    "jm.boundary_faces": {"*": "wall"},
     "jm.choose": {"fixed": FAR, "leaves": (4,), "methods": {}},
     "jm.estimate": {"fixed": FAR},
     "jm.load": {"path": FOLDER / "a.npz"},
@@ -159,6 +166,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "io.with_boxes": {"new": ()},
     "io.write_gradient": {"path": FOLDER / "a.csv", "parameters": {"a": 1.0}, "gradient": {"a": 1.0}},
     "io.write_lattice": {"points": np.zeros((2, 2, 2))},
+    "io.write_zones": {"path": FOLDER / "zones.su2", "meshes": zones},
     "io.write_pvd": {"path": FOLDER / "a.pvd", "files": ("a.vtu",), "times": (0.0,)},
     "io.write_sensitivity": {"path": FOLDER / "a.csv", "ids": np.arange(3), "values": np.zeros((3, 2))},
     "shapes.Chain": {"shapes": {"a": BOX}},
@@ -404,7 +412,7 @@ SENSE = {
     **each("jm.save.path jm.soft_maximum.axis jm.choose.leaves", "ending less list"),
     "jm.KDTree.with_sources.points": "short",
     "jm.Mesh.points": "nan infinite short",
-    "jm.Mesh.moved.points": "nan infinite",
+    **each("jm.Mesh.moved.points jm.Mesh.in_file_order.points", "nan infinite"),
     "jm.Periodic.patch": "word beyond huge below",
     "jm.Periodic.partner": "word beyond huge below",
     "jm.Plane.through.points": "short",
@@ -424,6 +432,11 @@ SENSE = {
     **each("jm.QualityReport.worst.k jm.FaceQuality.worst.k", "beyond"),
     **each("io.check_output.mesh io.periodic.mesh io.symmetry.mesh io.read_displacement.mesh io.write.mesh", "empty"),
     "continuity": "less",
+    **each("io.boxes.mesh io.with_boxes.mesh", "empty"),
+    "shapes.History.path": "ending",
+    "shapes.History.add.value": "none list nan array",
+    **each("shapes.History.add.constraints shapes.History.add.measures", "contents"),
+    "shapes.project.gradient": "nan infinite",
     "io.Decomposed.check_output.path": "ending",
     "io.Decomposed.writing.path": "ending folder",
     "io.read_displacement.moving": "axis",

@@ -5,6 +5,7 @@ import pathlib
 
 import numpy as np
 import pytest
+from meshes import unit_grid
 from test_su2 import PLAIN
 
 from jaxmorph import io, shapes
@@ -126,3 +127,24 @@ def test_boxes_of_other_meshes(tmp_path):
 def test_info_shows_boxes(tmp_path, capsys):
     assert main(["info", str(written(tmp_path / "box.su2", PLAIN + BOX.format(control=CONTROL)))]) == 0
     assert "MAIN_BOX  degrees 2 x 1," in capsys.readouterr().out
+
+
+def test_zones_have_boxes_of_their_own(tmp_path):
+    one = (tmp_path / "one.su2", tmp_path / "two.su2")
+    io.write(one[0], unit_grid(2))
+    text = one[0].read_text()
+    one[1].write_text(f"NZONE= 2\nIZONE= 1\n{text}IZONE= 2\n{text}")
+    corners = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
+    for k, other in ((0, 1), (1, 0)):
+        shape = shapes.Hexahedron(corners, (3, 2))
+        box = io.Box("BOX", shape, np.asarray(shape.lattice()))
+        mesh = io.with_boxes(io.read_zones(one[1])[k], [box])
+        assert [found.name for found in io.boxes(mesh)] == ["BOX"]
+        io.write(tmp_path / "out.su2", mesh)
+        zones = io.read_zones(tmp_path / "out.su2")
+        assert not io.boxes(zones[other])
+        np.testing.assert_array_equal(io.boxes(zones[k])[0].shape.given_corners, corners)
+        for zone in zones:
+            np.testing.assert_array_equal(zone.points, unit_grid(2).points)
+        io.write(tmp_path / "back.su2", io.with_boxes(zones[k], []))
+        assert (tmp_path / "back.su2").read_text() == one[1].read_text()

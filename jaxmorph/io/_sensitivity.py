@@ -50,6 +50,7 @@ def read_sensitivity(
     """
     path = input_path(path)
     n, d = mesh.points.shape
+    moving = None if moving is None else rows_of("moving", moving, n)
     if path.suffix.lower() == ".npz":
         ids, values = _arrays(path, n)
     elif is_foam_file(path):
@@ -62,7 +63,6 @@ def read_sensitivity(
     if foreign.size:
         raise ValueError(f"{path}: {foreign.size} node ids are not of the mesh (0 to {n - 1}), first {foreign[0]}.")
     if moving is not None and len(ids) < n and len(np.unique(ids)) == len(ids):
-        moving = rows_of("moving", moving, n)
         lacking = np.setdiff1d(moving, ids)
         if lacking.size:
             fault = f"{lacking.size} of the {len(moving)} moving nodes are missing (first {lacking[0]})"

@@ -135,16 +135,20 @@ class MeshGuard(Module):
 
         **Raises:** `ValueError` for more rows than Jacobians.
         """
+        values, chosen, matrix = _rows(self, _flat(design), self._checked_count(count))
+        return QualityRows(np.asarray(values, float), np.asarray(matrix, float), self._cell[np.asarray(chosen)])
+
+    def _checked_count(self, count: int) -> int:
         total = sum(int(np.asarray(judged).sum()) for judged in self.judged)
         if not 1 <= whole("count", count) <= total:
             raise ValueError(f"`count` is {count}; the cells have {total} Jacobians.")
-        values, chosen, matrix = _rows(self, _flat(design), int(count))
-        return QualityRows(np.asarray(values, float), np.asarray(matrix, float), self._cell[np.asarray(chosen)])
+        return int(count)
 
     def constraint(self, count: int | None = None) -> dict[str, Any]:
         """Makes the constraint of `scipy.optimize.minimize` with its derivative: the soft one, or the `count` smallest corners."""
         if count is None:
             return {"type": "ineq", "fun": self.value, "jac": self.gradient}
+        count = self._checked_count(count)
         rows = functools.lru_cache(1)(lambda design: self.quality_rows(np.frombuffer(design), count))
         as_bytes = lambda design: np.asarray(design, float).tobytes()  # noqa: E731
         return {
