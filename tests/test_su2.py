@@ -4,6 +4,7 @@ import pathlib
 
 import numpy as np
 import pytest
+from su2 import PLAIN
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -11,28 +12,6 @@ from jaxmorph.io.text import sections
 
 SHARED = pathlib.Path(__file__).parents[2] / "shared" / "cases"
 
-PLAIN = """NDIME= 2
-NELEM= 3
-9 0 1 4 3 0
-5 1 2 4 1
-5 2 5 4 2
-NPOIN= 6
-0.0 0.0 0
-1.5 0.25 1
-2e0 0.0 2
-0.0 1.0000000000000002 3
-1.0 1.0 4
-2.00 1.0E+00 5
-NMARK= 2
-MARKER_TAG= lower
-MARKER_ELEMS= 2
-3 0 1
-3 1 2
-MARKER_TAG= upper
-MARKER_ELEMS= 2
-3 3 4 0
-3 4 5 1
-"""
 POINTS = np.array([[0, 0], [1.5, 0.25], [2, 0], [0, 1.0000000000000002], [1, 1], [2, 1]])
 WORDS = ["0.0", "0.0", "1.5", "0.25", "2e0", "0.0", "0.0", "1.0000000000000002", "1.0", "1.0", "2.00", "1.0E+00"]
 

@@ -6,7 +6,7 @@ import pathlib
 import numpy as np
 import pytest
 from meshes import unit_grid
-from test_su2 import PLAIN
+from su2 import PLAIN
 
 from jaxmorph import io, shapes
 from jaxmorph.cli import main

@@ -1,0 +1,24 @@
+"""A mesh file of SU2 as people write it."""
+
+PLAIN = """NDIME= 2
+NELEM= 3
+9 0 1 4 3 0
+5 1 2 4 1
+5 2 5 4 2
+NPOIN= 6
+0.0 0.0 0
+1.5 0.25 1
+2e0 0.0 2
+0.0 1.0000000000000002 3
+1.0 1.0 4
+2.00 1.0E+00 5
+NMARK= 2
+MARKER_TAG= lower
+MARKER_ELEMS= 2
+3 0 1
+3 1 2
+MARKER_TAG= upper
+MARKER_ELEMS= 2
+3 3 4 0
+3 4 5 1
+"""
