@@ -22,7 +22,6 @@ KNOWN = {
     ("C-grid 0012, sharp", "bump"),
     ("C-grid 0006, sharp", "bump"),
     ("C-grid 0006, sharp", "nose droop"),
-    ("O-grid, sharp", "thickness"),
     ("triangles, sharp airfoil", "bump"),
     ("triangles, sharp airfoil", "nose droop"),
     ("extruded section, sharp", "bump"),
