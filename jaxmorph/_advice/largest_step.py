@@ -112,8 +112,7 @@ class Corners:
         """Checks whether every cell is above its bound; traced."""
         is_above = jnp.array(True)
         for kind, ids, sign, judged, bound in self.parts:
-            relative, _ = measures.relative_corners(corners(points, ids))
-            jacobians = sign[None] * measures.jacobians(kind, relative)[0]
+            jacobians = sign[None] * corner_jacobians(kind, points, ids)
             is_above &= jnp.all(jnp.where(judged, jacobians > bound[None], True))
         return is_above
 
@@ -121,12 +120,13 @@ class Corners:
 def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """Finds the coefficients (4, s, k), lowest first, of corner Jacobians over t from 0 to 1, from four values."""
     places = np.arange(4) / 3
-    samples = [_jacobians(kind, start + t * (end - start), ids) for t in places]
+    samples = [corner_jacobians(kind, start + t * (end - start), ids) for t in places]
     inverse = np.linalg.inv(np.vander(places, increasing=True))
     return np.tensordot(inverse, np.stack(samples).astype(float), axes=1)
 
 
-def _jacobians(kind: str, points: Float[np.ndarray, "n d"], ids: np.ndarray) -> Float[np.ndarray, "s k"]:
+def corner_jacobians(kind: str, points: Any, ids: Any) -> Any:
+    """Computes the Jacobians (s, k) at the corners of cells of one type, by arrays of NumPy or JAX, as they come."""
     relative, _ = measures.relative_corners(corners(points, ids))
     return measures.jacobians(kind, relative)[0]
 

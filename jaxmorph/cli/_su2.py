@@ -1,5 +1,6 @@
 """`jaxmorph su2 def` and `jaxmorph su2 dot`: what SU2_DEF and SU2_DOT do, from SU2's own config file."""
 
+import collections
 from pathlib import Path
 
 import jax
@@ -41,9 +42,7 @@ def run(request: SU2, out: Output) -> int:
     mesh, nodes = config.mesh, config.mesh.patch(*config.moving)
     n, d = mesh.points.shape
     out.say(f"{mesh.source.path.name}: {n} points in {d}-D", points=n)
-    kinds = {name.partition("[")[0]: 0 for name in config.names}
-    for name in config.names:
-        kinds[name.partition("[")[0]] += 1
+    kinds = collections.Counter(name.partition("[")[0] for name in config.names)
     listed = ", ".join(f"{number} {kind}" for kind, number in kinds.items()) or "none: nothing is deformed"
     out.say(f"values   {listed}", variables=dict(zip(config.names, config.parameters.tolist(), strict=True)))
     out.say(f"moving   {', '.join(config.moving)}: {count(len(nodes), 'node')}", moving=list(config.moving))

@@ -83,3 +83,30 @@ def source_of(mesh: Mesh, format_name: str) -> Source | None:
     source = mesh.source
     is_of_format = isinstance(source, Source) and source.format == format_name and source.content is not None
     return source if is_of_format else None
+
+
+def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
+    """Returns the source of a mesh for a format that takes back only its own meshes; raises `ValueError` for other ones."""
+    source = source_of(mesh, format_name)
+    if source is None:
+        raise ValueError(
+            f"{path}: only a mesh that was read from a {format_name} file can be written to one; write .vtu or .su2."
+        )
+    return source
+
+
+def stamp_of(path: pathlib.Path) -> tuple[int, int]:
+    """Returns marks by which a changed file is found: its size, and when it was last written."""
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
+
+
+def unchanged_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
+    """Returns what `own_source` does; raises `ValueError` also when the file has changed since it was read.
+
+    The source's `content` has the file's `stamp`.
+    """
+    source = own_source(path, mesh, format_name)
+    if stamp_of(source.path) != source.content.stamp:
+        raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
+    return source

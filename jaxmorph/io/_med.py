@@ -2,7 +2,6 @@
 
 import dataclasses
 import pathlib
-import shutil
 import urllib.parse
 from collections.abc import Iterator
 from typing import Any
@@ -12,10 +11,9 @@ import numpy as np
 from jaxmorph import Mesh
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, Source, source_of
+from ._format import Arrays, Source, own_source, stamp_of, unchanged_source
 from ._meshio import meshio, to_mesh
-from .cgns.file import stamp_of
-from .cgns.tree import opened
+from .cgns.tree import copy, opened
 
 NAME = "MED"
 WHAT = "a MED file"
@@ -74,22 +72,13 @@ def read(path: pathlib.Path) -> Mesh:
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
     """Raises `ValueError` for a mesh that was not read from a MED file, or when that file has changed."""
-    source = source_of(mesh, NAME)
-    if source is None:
-        raise ValueError(
-            f"{path}: only a mesh that was read from a MED file can be written to one; write .vtu or .su2."
-        )
-    if stamp_of(source.path) != source.content.stamp:
-        raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
+    unchanged_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
-    source = source_of(mesh, NAME)
-    assert source is not None
-    with opened(source.path, what=WHAT):
-        pass  # data of other files are refused before anything is opened for writing
-    shutil.copyfile(source.path, path)
+    source = own_source(path, mesh, NAME)
+    copy(source.path, path, WHAT)
     points = source.content.in_file(np.asarray(mesh.points))
     if np.array_equal(points, source.content.points):
         return

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxmorph import Mesh
 
-from ._format import Arrays, Source, source_of
+from ._format import Arrays, Source, own_source
 from ._joined import Joined, Zones, join
 from ._structured import SIDES, block_cells, block_ids, block_sides
 from .text.sections import chunks, parse, replace_words
@@ -79,16 +79,12 @@ def read(path: pathlib.Path) -> Mesh:
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
     """Raises `ValueError` for a mesh that was not read from a PLOT3D file."""
-    if source_of(mesh, NAME) is None:
-        raise ValueError(
-            f"{path}: only a mesh that was read from a PLOT3D file can be written to one; write .vtu or .su2."
-        )
+    own_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes the file the mesh was read from with new coordinates."""
-    source = source_of(mesh, NAME)
-    assert source is not None
+    source = own_source(path, mesh, NAME)
     content: _Content = source.content
     layout, data = content.layout, content.data
     points = content.joined.in_file(np.asarray(mesh.points))

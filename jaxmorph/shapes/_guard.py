@@ -11,15 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._advice.largest_step import Corners
+from .._advice.largest_step import Corners, corner_jacobians
 from .._host.package.arguments import between, checked, finite_array, whole
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan, deform
-from .._quality import measures
 from .._quality.quality import places
-from .._quality.vector import corners
 from ._arguments import Numbers
 
 
@@ -101,8 +99,7 @@ class MeshGuard(Module):
         points = deform(self.plan, self.displacement(design))
         ratios = []
         for kind, ids, sign, scale in zip(self.kinds, self.ids, self.signs, self.scales, strict=True):
-            relative, _ = measures.relative_corners(corners(points, ids))
-            ratios.append((sign[None] * measures.jacobians(kind, relative)[0] / scale).ravel())
+            ratios.append((sign[None] * corner_jacobians(kind, points, ids) / scale).ravel())
         return jnp.concatenate(ratios), jnp.concatenate([judged.ravel() for judged in self.judged])
 
     @checked

@@ -43,7 +43,7 @@ class Factors:
 
     @property
     def is_positive(self) -> bool:
-        """Whether the matrix is positive: pivots and eigenvalues have equal signs."""
+        """True for a positive matrix: pivots and eigenvalues have equal signs."""
         return self._factors is not None and bool((self._factors.U.diagonal() > 0).all())
 
     @property

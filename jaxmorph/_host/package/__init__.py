@@ -1,1 +1,1 @@
-"""What every room of the package uses: arguments, errors, files."""
+"""Arguments, errors and files: for every room of the package."""

@@ -38,7 +38,17 @@ class Tips:
 
     def sides(self, tip: int, length: float) -> list[int]:
         """Finds the first place at the distance `length`, on each side of a tip."""
-        return [_walk(self.points, self.beside, self.count, tip, start, length) for start in self.beside[tip].tolist()]
+        return [self._walk(tip, start, length) for start in self.beside[tip].tolist()]
+
+    def _walk(self, tip: int, place: int, length: float) -> int:
+        """Follows the wall from a tip to the first place that is as far away as `length`, or that is the last one."""
+        before = tip
+        while self.count[place] == 2 and np.linalg.norm(self.points[place] - self.points[tip]) < length * (1 - SAME):
+            ahead = int(self.beside[place, 0] if self.beside[place, 0] != before else self.beside[place, 1])
+            if ahead == tip:
+                break
+            before, place = place, ahead
+        return place
 
 
 def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
@@ -80,14 +90,3 @@ def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
         for place in walls.sides(tip, share * walls.lengths(tip, chord).min())
     ]
     return walls.rows[np.unique(np.array(every, dtype=np.int64))]
-
-
-def _walk(place: np.ndarray, beside: np.ndarray, count: np.ndarray, tip: int, node: int, length: float) -> int:
-    """Follows the wall from a tip to the first node that is as far away as `length`, or that is the last one."""
-    before = tip
-    while count[node] == 2 and np.linalg.norm(place[node] - place[tip]) < length * (1 - SAME):
-        ahead = int(beside[node, 0] if beside[node, 0] != before else beside[node, 1])
-        if ahead == tip:
-            break
-        before, node = node, ahead
-    return node

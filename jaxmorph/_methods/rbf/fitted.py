@@ -150,35 +150,36 @@ class FittedRBF(AbstractMethod):
     def _wall(self, surface: Surface, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
         dimension = surface.points.shape[1]
         pairs = edges(surface.points, surface.moving, surface.faces)
+        wall, ends, share = surface.walls
+        chord = share * np.linalg.norm(np.subtract(*surface.points[ends.T]), axis=1)
         tips, sharp = np.zeros((0, 3)), np.zeros((0, dimension))
         if dimension == 2:
-            beside, tips, sharp = self._at_tips(surface, pairs)
+            beside, tips, sharp = self._at_tips(surface, pairs, chord[wall[pairs[:, 0]]])
             moving = drop_close(surface.points, np.concatenate([moving, beside]), roundoff(surface.points))
         nodes = np.union1d(
             thinned(surface.points[: surface.moving], ROWS[dimension]), moving
         )  # regular: each source has its own row
         pairs = pairs[thinned(surface.points[pairs].mean(axis=1), ROWS[dimension])]
-        wall, ends, share = surface.walls
         label = wall[pairs[:, 0]]
         held = nearest_held(surface.points, surface.moving, wall, pairs)
         far, reach = drawn_in(surface.points, moving, fixed, surface.images)
         each_row = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
         ell, mu = (length[label] for length in default_lengths(surface.points, wall, surface.faces, ends, share))
-        chord = share * np.linalg.norm(np.subtract(*surface.points[ends.T]), axis=1)
         near, largest = AT_TIP
         for tip in sharp:
             distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - tip, axis=1)
             mu = np.where(distance < near * chord[label] * (1 - SAME), largest * share[label], mu)
         return WallIds(*as_jax([*(each.astype(np.int32) for each in each_row), ell, mu, reach]))
 
-    def _at_tips(self, surface: Surface, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _at_tips(
+        self, surface: Surface, pairs: np.ndarray, chord: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Finds sources (k,) beside sharp tips in 2-D, sharp tips (g, 3) with a node on either side, and all tips' places (h, 2).
 
-        `pairs` are all edges of the moving walls: a tip lies between two. A source stands behind the g tips.
+        `pairs` are all edges of the moving walls: a tip lies between two. `chord` (e,) is that of each edge's wall. A source
+        stands behind the g tips.
         """
-        wall, ends, share = surface.walls
-        held = nearest_held(surface.points, surface.moving, wall, pairs)
-        chord = (share * np.linalg.norm(np.subtract(*surface.points[ends.T]), axis=1))[wall[pairs[:, 0]]]
+        held = nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
         distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
         room = np.where(held == pairs[:, 0], chord, np.minimum(chord, distance))
         walls = sharp_tips(surface.points, pairs)

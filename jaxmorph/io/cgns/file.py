@@ -2,7 +2,6 @@
 
 import dataclasses
 import pathlib
-import shutil
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,11 @@ from jaxmorph._host.cells.topology import boundary_faces
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from .._format import Arrays, Source, source_of
+from .._format import Arrays, Source, own_source, stamp_of, unchanged_source
 from .._joined import Joined, Zones, join
 from .kinds import kinds_of, symmetry_of
 from .polyhedra import Block
-from .tree import opened
+from .tree import copy, opened
 from .zone import DIMENSION, TYPES, Connection, Content, Zone, children, data, word
 
 NAME = "CGNS"
@@ -54,23 +53,14 @@ def read(path: pathlib.Path) -> Mesh:
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
     """Raises `ValueError` for a mesh that was not read from a CGNS file, or when that file has changed."""
-    source = source_of(mesh, NAME)
-    if source is None:
-        raise ValueError(
-            f"{path}: only a mesh that was read from a CGNS file can be written to one; write .vtu or .su2."
-        )
-    if stamp_of(source.path) != source.content.stamp:
-        raise ValueError(f"{source.path} has changed since the mesh was read from it; read it again.")
+    unchanged_source(path, mesh, NAME)
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
-    source = source_of(mesh, NAME)
-    assert source is not None
+    source = own_source(path, mesh, NAME)
     content: _CGNSContent = source.content
-    with opened(source.path):
-        pass  # data of other files are refused before anything is opened for writing
-    shutil.copyfile(source.path, path)
+    copy(source.path, path)
     points = content.joined.in_file(np.asarray(mesh.points))
     if np.array_equal(points, content.joined.points):
         return
@@ -80,11 +70,6 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
             for axis, values in enumerate(zone.coordinates()):
                 if not np.array_equal(points[rows, axis], content.joined.points[rows, axis]):
                     values[...] = points[rows, axis].reshape(values.shape)
-
-
-def stamp_of(path: pathlib.Path) -> tuple[int, int]:
-    status = path.stat()
-    return status.st_size, status.st_mtime_ns
 
 
 def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:

@@ -8,16 +8,18 @@ except ImportError as error:
 
 import contextlib
 import pathlib
+import shutil
 from collections.abc import Iterator
 from typing import Any
 
 from . import adf
 
+WHAT = "a CGNS file in HDF5 or ADF"
 _FOREIGN = "{0}: {1} {2}. Only files that hold all of their data are read: `h5repack` or `cgnsconvert` make one."
 
 
 @contextlib.contextmanager
-def opened(path: pathlib.Path, writes: bool = False, what: str = "a CGNS file in HDF5 or ADF") -> Iterator[Any]:
+def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
     """Opens a file, and yields the root of its tree as h5py has it: groups with the attribute `label`, arrays as " data".
 
     `what` names the format in messages. A file to be read is refused with a `ValueError` where it is another one, damaged, or has
@@ -36,6 +38,13 @@ def opened(path: pathlib.Path, writes: bool = False, what: str = "a CGNS file in
             raise
         detail = " ".join(str(error).split())[:120]
         raise ValueError(f"{path}: not {what}, or a damaged one ({detail}).") from error
+
+
+def copy(source: pathlib.Path, target: pathlib.Path, what: str = WHAT) -> None:
+    """Copies a file to be written in place; data of other files are refused before anything is opened for writing."""
+    with opened(source, what=what):
+        pass
+    shutil.copyfile(source, target)
 
 
 def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
