@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import scipy.spatial
 from jaxtyping import ArrayLike, Integer, Real
 
 from .._host.package.arguments import checked, rows_of
+from .._host.package.cores import Tree
 from .._host.package.errors import MeshError
 from .._host.surface.gaps import share_left
 from .._host.surface.skin import edges
@@ -259,7 +259,7 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
         )
     vectors = np.asarray(plan.of_surface(u))
     is_fixed = np.isin(nodes, plan.fixed)
-    tree = scipy.spatial.KDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
+    tree = Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
     size = np.asarray(tree.query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
     pairs = torn_pairs(points[nodes], vectors, is_fixed)

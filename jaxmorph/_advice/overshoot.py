@@ -1,9 +1,9 @@
 """Overshoot: the motion of nodes off the surface, compared with that of the surface."""
 
 import numpy as np
-import scipy.spatial
 from jaxtyping import Float
 
+from .._host.package.cores import Tree
 from .._plan.plan import Plan, deform
 
 RESTS = 1e-3
@@ -31,8 +31,8 @@ def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
     inner, share = inner[is_near & (share > RESTS)], share[is_near & (share > RESTS)]
     if not inner.size:
         return largest, 0.0
-    nearest = np.asarray(scipy.spatial.KDTree(base).query(points[inner])[1])
-    towards = base[active[np.asarray(scipy.spatial.KDTree(base[active]).query(base)[1])]] - base
+    nearest = np.asarray(Tree(base).query(points[inner])[1])
+    towards = base[active[np.asarray(Tree(base[active]).query(base)[1])]] - base
     away = points[inner] - base[nearest]
     towards = towards[nearest]
     product, lengths = np.sum(away * towards, axis=1), (np.linalg.norm(away, axis=1), np.linalg.norm(towards, axis=1))

@@ -2,13 +2,14 @@
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import KDTree
+
+from .._host.package.cores import Tree
 
 
 def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:
     """Finds pairs of neighbouring rows whose displacements contradict each other, the worst first."""
     count = min(2 * points.shape[1], len(points) - 1)
-    distance, nearest = map(np.asarray, KDTree(points).query(points, k=count + 1))
+    distance, nearest = map(np.asarray, Tree(points).query(points, k=count + 1))
     first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()
     distance = distance[:, 1:].ravel()
     apart = np.linalg.norm((vectors[first] - vectors[second]), axis=1)

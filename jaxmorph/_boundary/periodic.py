@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.spatial import KDTree
 
 from .._host.package.arguments import between, check_patch, finite_array, whole
+from .._host.package.cores import Tree
 from .._host.package.errors import MeshError, place_of
 from .symmetry import Plane, tolerance
 
@@ -206,7 +206,7 @@ def _paired(
         raise ValueError(f"{periodic.name}: one of them has no nodes.")
     matrix, shift, angle = _transform(periodic, exact[first].mean(axis=0), exact[second].mean(axis=0))
     images = exact[first] @ matrix.T + shift
-    tree = KDTree(exact[second])
+    tree = Tree(exact[second])
     distance, nearest = map(np.asarray, tree.query(images))
     spacing = np.ptp(exact, axis=0).max() if len(second) < 2 else np.asarray(tree.query(exact[second], k=2)[0])[:, 1]
     allowed = np.maximum(MISMATCH * np.broadcast_to(spacing, len(second))[nearest], 2 * tolerance(points))

@@ -9,8 +9,8 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
-from scipy.spatial import KDTree
 
+from .._host.package.cores import Tree
 from .._host.package.rounding import SAME, nearest_of
 from .._host.sources.reduction import AbstractReduction, drop_close, drop_near
 from .._host.surface.skin import chords
@@ -128,7 +128,7 @@ class Surface:
         chosen = [rows[:0]]
         if not reduction.most_on_far_walls or self.faces is None or not len(rows):
             return chosen[0]
-        wall, distance = self.walls[0][rows], KDTree(others).query(self.points[rows])[0]
+        wall, distance = self.walls[0][rows], Tree(others).query(self.points[rows])[0]
         for label in np.unique(wall):
             members = np.flatnonzero(wall == label)
             corners = self.points[rows[members]]

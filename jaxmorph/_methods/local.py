@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.spatial import KDTree
 
+from .._host.package.cores import Tree
 from .._host.package.rounding import nearest_of
 from .._kernels.values import as_jax
 from .base import Control, Surface
@@ -50,7 +50,7 @@ class LocalCorrection(AbstractPlacing):
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
         distance = REACH * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points)).max()
-        apart = KDTree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
+        apart = Tree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
         reached, nearest = np.isfinite(apart), np.zeros(len(points), dtype=np.int64)
         nearest[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))
         row_of_point = surface.rows(len(points))

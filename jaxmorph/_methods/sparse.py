@@ -4,6 +4,7 @@ XLA transposes a gather into a scatter, which is many times slower on a CPU. A l
 transpose of the other, avoids that.
 """
 
+import weakref
 from typing import Any
 
 import equinox as eqx
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .._host.linear.transpose import tabulate
+from .._host.linear.transpose import WIDTH, tabulate
 from .._kernels.linear import linear_primitive
 from .._kernels.values import as_jax
 from .base import AbstractField, AbstractRows
@@ -33,8 +34,8 @@ class Table(eqx.Module):
 class Interpolation(AbstractRows):
     """Interpolates points' displacements from surface nodes: weighted sums by a sparse operator.
 
-    For one point, `nodes` and `weights` are (k,); for many (n, k), with a table of the transpose. Where `reached` is
-    given and False, the row, or the entry, is empty for good, whatever the coordinates.
+    For one point, `nodes` and `weights` are (k,); for many (n, k), where a table of the transpose may be added. Where `reached`
+    is given and False, the row, or the entry, is empty for good, whatever the coordinates.
     """
 
     nodes: Int[Array, "*n k"]
@@ -43,7 +44,13 @@ class Interpolation(AbstractRows):
     table: Table | None = None
 
     def with_table(self, count: int, parts: int) -> "Interpolation":
-        return _with_table(self, count, parts)
+        if self.table is not None:
+            return self
+        key = id(self.weights), count, parts
+        if key not in _made:
+            table = _table(self, count, parts)
+            _made[key] = table, weakref.ref(self.weights, lambda _: _made.pop(key, None))
+        return Interpolation(self.nodes, self.weights, self.reached, _made[key][0])
 
     def without_table(self) -> "Interpolation":
         return Interpolation(self.nodes, self.weights, self.reached)
@@ -54,6 +61,10 @@ class Interpolation(AbstractRows):
             gathered = jnp.where(table.entries < 0, 0, self.weights.ravel()[table.entries])
             table = Table(table.entries, table.owner, gathered)
         return Interpolation(self.nodes, self.weights, self.reached, table)
+
+
+_made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}
+"""Tables by the weights they are of, each as long as these are there: a plan does not change, so it has one set of tables."""
 
 
 class Reach(eqx.Module):
@@ -67,7 +78,7 @@ class Reach(eqx.Module):
         return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
 
 
-def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
+def _table(rows: Interpolation, count: int, parts: int) -> Table:
     nodes = np.asarray(rows.nodes)
     reached = np.ones(len(nodes), dtype=bool) if rows.reached is None else np.asarray(rows.reached)
     shares = zip(np.split(nodes, parts), np.split(reached, parts), strict=True)
@@ -77,8 +88,7 @@ def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
     owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
     weights = np.split(np.asarray(rows.weights), parts)
     gathered = [np.where(at < 0, 0, share.ravel()[at]) for at, share in zip(entries, weights, strict=True)]
-    table = Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
-    return Interpolation(rows.nodes, rows.weights, rows.reached, table)
+    return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
 
 
 def _rounded(rows: int) -> int:
@@ -104,28 +114,31 @@ class InterpolatedField(AbstractField):
         return sum((at.weights[k] * self.u[i] for k, i in enumerate(at.nodes)), start=jnp.zeros_like(x))
 
     def evaluate(self, points, ids):
-        if not isinstance(ids, Interpolation) or ids.table is None:
-            return super().evaluate(points, ids)
-        return weighted_sum(ids, self.u)
+        return weighted_sum(ids, self.u) if isinstance(ids, Interpolation) else super().evaluate(points, ids)
 
 
 def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Array, "n c"]:
-    """Applies the operator to values at the b surface nodes; `rows` must have a table."""
+    """Applies the operator to values at the b surface nodes. Its transpose takes the table of `rows`, or scatters without one."""
     table = rows.table
-    assert table is not None
+    if table is None:
+        none = jnp.zeros((0, WIDTH), jnp.int32)
+        table = Table(none, none[:, 0], jnp.zeros((0, WIDTH), rows.weights.dtype))
     ids = (rows.nodes, table.entries, table.owner)
     return _sum_p.bind(values, rows.weights, table.weights, *ids, turned=False, count=len(values))
 
 
 def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool, count: int):
     """Computes weights[i, k] values[nodes[i, k]], summed over k, for each row i; `turned`, the transpose, for each column j."""
-    # The transpose by a scatter would add each entry to its column one by one. Instead `tabulate` has sorted the entries by
+    # The transpose by a scatter adds each entry to its column one by one. With a table, `tabulate` has sorted the entries by
     # column, in rows of fixed width. Each row is summed by gathers. The rows of one column are neighbours, so that one sum
     # over sorted segments adds them. Empty places of the table have the weight 0.
     k = weights.shape[1]
     values = jax.lax.optimization_barrier(values)  # else what makes them is done again for each gather
     if not turned:
         return sum(weights[:, i, None] * _rows(values, nodes[:, i]) for i in range(k))
+    if not len(owner):
+        entries = (weights[..., None] * values[:, None]).reshape(-1, values.shape[1])
+        return jnp.zeros((count, values.shape[1]), entries.dtype).at[nodes.ravel()].add(entries)
     points = [jax.lax.div(entries[:, i], jnp.int32(k)) for i in range(entries.shape[1])]  # 0 where there is no entry
     rows = sum(sorted_weights[:, i, None] * _rows(values, at) for i, at in enumerate(points))
     return jax.ops.segment_sum(rows, owner, count, indices_are_sorted=True)

@@ -29,6 +29,7 @@ from .._methods.blocks import (
 )
 from .._methods.reconstruction import SurfaceReconstruction
 from .devices import Layout, over_points, pad_rows, rows_here
+from .transposes import transposable, with_transposes
 
 
 class SurfacePart(eqx.Module):
@@ -100,7 +101,7 @@ class Guide(Module):
 class VolumePart(eqx.Module):
     """Per-point arrays, split over devices.
 
-    Every leaf has one row per mesh point, except the transpose tables.
+    Every leaf has one row per mesh point, except tables of transposes.
     """
 
     points: Float[Array, "n d"]
@@ -339,7 +340,6 @@ def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
 
 
 @checked
-@compiled
 def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "n d"]:
     """Moves the mesh: row i of `u` displaces node `plan.moving[i]`, fixed nodes stay, all others follow.
 
@@ -357,6 +357,11 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
 
     **Raises:** `ValueError` when the shape of `u` is not (m, d).
     """
+    return _deform(transposable(plan, u), u)
+
+
+@compiled
+def _deform(plan: Plan, u: Any) -> Float[Array, "n d"]:
     return deform_surface(plan, _of_surface(plan, u))
 
 
@@ -425,7 +430,6 @@ def _moved(layout: Layout | None, is_placed: bool) -> Callable[[PyTree, VolumePa
 
 
 @checked
-@compiled
 def pullback(
     plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any], cotangent: Real[ArrayLike, "n d"] | Sequence[Any]
 ) -> Float[Array, "m d"]:
@@ -444,10 +448,15 @@ def pullback(
 
     **Raises:** `ValueError` when the shape of `u` is not (m, d) or that of `cotangent` not (n, d).
     """
+    return _pullback(with_transposes(plan), u, cotangent)
+
+
+@compiled
+def _pullback(plan: Plan, u: Any, cotangent: Any) -> Float[Array, "m d"]:
     cotangent = jnp.asarray(cotangent, plan.points.dtype)
     if cotangent.shape != plan.points.shape:
         raise ValueError(f"`cotangent` has shape {cotangent.shape}; this plan's points have {plan.points.shape}.")
-    _, transpose = jax.vjp(lambda u: deform(plan, u), jnp.asarray(u, plan.points.dtype))
+    _, transpose = jax.vjp(lambda u: _deform(plan, u), jnp.asarray(u, plan.points.dtype))
     return transpose(cotangent)[0]
 
 

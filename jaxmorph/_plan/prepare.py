@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +20,7 @@ from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod, Cells, Surface, check_kind
-from .._methods.blocks import place_points, with_tables
+from .._methods.blocks import place_points
 from .._methods.guiding import guiding
 from .._methods.reconstruction import SurfaceReconstruction
 from .plan import Guide, Plan, SurfacePart, VolumePart, refitted
@@ -125,7 +124,7 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
     )
     sizes = len(boundary.points), len(surface.points)
     with quickly_compiled(not method.needs_cells and all(size <= most for size, most in zip(sizes, FEW, strict=True))):
-        plan = _with_tables(refitted(plan, plan.points))
+        plan = refitted(plan, plan.points)
         method.check(plan.surface.ids, plan.surface.factors, _trial(plan))
     return plan
 
@@ -136,7 +135,7 @@ def laid_out(
     """Makes the plan of other points with an equal surface from a plan: its factors stay."""
     flags = None if on_plane is None else as_jax(on_plane)
     volume = VolumePart(points, flags, volume_ids, _placed(plan.method, shared, points, volume_ids))
-    return _with_tables(Plan(plan.method, shared, volume, plan.n_moving, plan.n_guided, is_piece=True))
+    return Plan(plan.method, shared, volume, plan.n_moving, plan.n_guided, is_piece=True)
 
 
 @compiled
@@ -203,12 +202,6 @@ def boundary_of(plan: Plan) -> Boundary:
     pairings, tracks = ((), ()) if guide is None else jax.tree.map(np.asarray, (guide.pairings, guide.tracks))
     joined = renumbered(pairings, tracks, nodes)
     return Boundary(points, moving, fixed, guided, planes, *joined, None, None, None)
-
-
-def _with_tables(plan: Plan) -> Plan:
-    """Returns the plan with a table of the transpose for each of its interpolations."""
-    placed = with_tables(plan.volume.placed, len(plan.surface.points))
-    return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
 
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Real
-from scipy.spatial import KDTree
 
 from .._boundary.closest import Track
 from .._boundary.periodic import MISMATCH, Pairing
 from .._boundary.symmetry import tolerance
 from .._host.package.arguments import checked
+from .._host.package.cores import Tree
 from .._host.package.errors import MeshError, place_of
 from .._kernels.compile import compiled
 from .._kernels.values import is_readable
@@ -113,7 +113,7 @@ def _check_boundary(plan: Plan, points: np.ndarray) -> None:
     for pairing in jax.tree.map(np.asarray, guide.pairings):
         second = exact[pairing.second]
         spacing = (
-            np.asarray(KDTree(second).query(second, k=2)[0])[:, 1] if len(second) > 1 else np.ptp(exact, axis=0).max()
+            np.asarray(Tree(second).query(second, k=2)[0])[:, 1] if len(second) > 1 else np.ptp(exact, axis=0).max()
         )
         allowed = np.maximum(MISMATCH * spacing, 2 * tolerance(points))
         what = "periodic pairs do not match after their transform"

@@ -14,6 +14,7 @@ from .._mesh.mesh import Mesh
 from .plan import Plan, carry, deform_surface, moved_surface, refitted
 from .prepare import boundary_of, plan_of
 from .refit import with_boundary_of
+from .transposes import transposable
 
 
 @checked
@@ -83,6 +84,7 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
         raise ValueError(
             f"`path` has {len(targets)} steps, but there are {len(plans)} plans; pass the path that was marched."
         )
+    plans = [transposable(plan, path) for plan in plans]
     current, points, surface = plans[0], plans[0].points, None
     for plan, target in zip(plans, targets, strict=True):
         if plan.carried:

@@ -1,8 +1,8 @@
 """Orders for sparse approximate inverses: points from far apart to close, with near predecessors."""
 
 import numpy as np
-from scipy.spatial import KDTree
 
+from ..package.cores import Tree
 from ..sources.farthest import farthest
 from ..sources.reduction import canonical_order
 
@@ -47,7 +47,7 @@ def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
 
 
 def _query(points: np.ndarray, at: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    distance, nearest = KDTree(points).query(at, k=count)
+    distance, nearest = Tree(points).query(at, k=count)
     return np.asarray(distance).reshape(len(at), count), np.asarray(nearest).reshape(len(at), count)
 
 

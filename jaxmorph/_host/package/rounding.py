@@ -5,7 +5,8 @@ computed, their last bit decides, and differs from one processor to the next.
 """
 
 import numpy as np
-from scipy.spatial import KDTree
+
+from .cores import Tree
 
 SAME = 1e-9
 """Relative difference up to which two numbers are equal."""
@@ -54,7 +55,7 @@ def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarra
 
     Of places that are equally near, the first comes first.
     """
-    tree, slack = KDTree(chosen), max(roundoff(points), roundoff(chosen))
+    tree, slack = Tree(chosen), max(roundoff(points), roundoff(chosen))
     nearest, left = np.zeros((len(points), count), dtype=np.int64), np.arange(len(points))
     looked = min(count - 1 + TIES, len(chosen))
     while left.size:

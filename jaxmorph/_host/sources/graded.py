@@ -3,9 +3,9 @@
 import dataclasses
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ..package.arguments import between, whole
+from ..package.cores import Tree
 from ..package.rounding import nearest_of
 from .farthest import farthest
 from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
@@ -71,7 +71,7 @@ def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     """
     if len(others) == 0:
         return np.full(len(points), float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
-    tree = KDTree(others)
+    tree = Tree(others)
     distance = np.asarray(tree.query(points)[0])
     if len(others) == 1:
         return np.maximum(distance, 1e-12 * distance.max())

@@ -3,10 +3,10 @@
 import dataclasses
 
 import numpy as np
-from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from ..package.arguments import between
+from ..package.cores import Tree
 from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
 from .farthest import FarthestPoints
 from .reduction import AbstractReduction, canonical_order
@@ -39,7 +39,7 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
     if not len(earlier):
         radius[start] = distance[start]
     distance[start] = 0
-    tree, least = KDTree(ordered), roundoff(points)
+    tree, least = Tree(ordered), roundoff(points)
     while (batch := _farthest(distance, least)).size:
         picked = _certain(ordered, distance, batch)
         radius[picked], distance[picked] = distance[picked], 0
@@ -132,7 +132,7 @@ def overlaps(
     points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds pairs (target, centre) closer than the centre's radius (b,), sorted by target, then as in `centres`."""
-    tree = KDTree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
+    tree = Tree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
     around = tree.query_ball_point(points[centres], radius[centres], return_sorted=False)
     target, rank = _joined(around), np.repeat(np.arange(len(centres)), [len(ids) for ids in around])
     order = np.lexsort((rank, target))

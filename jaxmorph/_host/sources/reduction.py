@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
-import scipy.spatial
 
 from ..package.arguments import between, check_fields, finite_array, whole
+from ..package.cores import Tree
 from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
 
 
@@ -151,7 +151,7 @@ class KDTree(AbstractReduction):
         if self.crowded is None or not len(points) or not len(others):
             return self
         near = (1 - SAME) * float(np.ptp(points, axis=0).max())
-        distance = scipy.spatial.KDTree(others).query(points, distance_upper_bound=near)[0]
+        distance = Tree(others).query(points, distance_upper_bound=near)[0]
         return dataclasses.replace(self, leaves=self.crowded) if np.isfinite(distance).any() else self
 
     def closest(self, points: np.ndarray) -> float:
@@ -263,7 +263,7 @@ def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarra
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
-    pairs = scipy.spatial.KDTree(points[ids]).query_pairs(closest * (1 + SAME), output_type="ndarray")
+    pairs = Tree(points[ids]).query_pairs(closest * (1 + SAME), output_type="ndarray")
     keep = np.ones(len(ids), dtype=bool)
     for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # pairs come as first < second
         if keep[first]:
@@ -275,4 +275,4 @@ def drop_near(points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: 
     """Drops ids whose point lies within `closest` of one of the `others`; the order is kept."""
     if len(ids) == 0 or len(others) == 0:
         return ids
-    return ids[scipy.spatial.KDTree(points[others]).query(points[ids])[0] > closest * (1 + SAME)]
+    return ids[Tree(points[others]).query(points[ids])[0] > closest * (1 + SAME)]

@@ -1,8 +1,8 @@
 """Gaps between walls: how far each node is from the nearest face of another wall."""
 
 import numpy as np
-from scipy.spatial import KDTree
 
+from ..package.cores import Tree
 from .neighbours import searched_together
 
 CLOSEST = 12
@@ -36,19 +36,19 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.nd
     faces, labels = faces[whole], labels[whole, 0]
     distance, nearest = np.full(len(points), np.inf), np.zeros((len(points), faces.shape[1]), dtype=np.int64)
     middles = points[faces].mean(axis=1)
-    trees = [(rows, KDTree(middles[rows])) for rows in searched_together(labels, np.arange(len(faces)))]
+    trees = [(rows, Tree(middles[rows])) for rows in searched_together(labels, np.arange(len(faces)))]
     for label in np.unique(wall):
         here, others = np.flatnonzero(wall == label), np.flatnonzero(labels != label)
         if len(others):
             apart = [each for each in trees if labels[each[0][0]] != label] if len(trees) > 1 else None
-            near = _closest(points[here], apart or [(others, KDTree(middles[others]))])
+            near = _closest(points[here], apart or [(others, Tree(middles[others]))])
             each = np.stack([_distance(points[here], points[faces[column]]) for column in near.T], axis=1)
             closest, row = each.argmin(axis=1), np.arange(len(here))
             distance[here], nearest[here] = each[row, closest], faces[near[row, closest]]
     return distance, nearest
 
 
-def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, KDTree]]) -> np.ndarray:
+def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, Tree]]) -> np.ndarray:
     """Finds the faces (k, c) whose middles are nearest to points (k, d), out of several trees, each with its rows of faces."""
     apart, near = [], []
     for rows, tree in trees:

@@ -10,8 +10,9 @@ import dataclasses
 import functools
 
 import numpy as np
-from scipy.spatial import Delaunay, KDTree, QhullError
+from scipy.spatial import Delaunay, QhullError
 
+from ..package.cores import Tree
 from ..package.errors import MeshError
 from ..package.rounding import roundoff
 from ..sources.reduction import canonical_order
@@ -206,7 +207,7 @@ def _inwards(
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
     """Lists the ids of distinct nodes in canonical order. Of coincident ones it keeps the first, which is the moving one."""
-    groups = KDTree(unit).query_pairs(closest, output_type="ndarray")
+    groups = Tree(unit).query_pairs(closest, output_type="ndarray")
     keep = np.ones(len(unit), dtype=bool)
     keep[groups.max(axis=1) if len(groups) else []] = False
     rows = np.flatnonzero(keep)
@@ -219,7 +220,7 @@ def _snapped(nodes: np.ndarray) -> np.ndarray:
     Qhull then gets the same bits whatever the last one of the mesh is. Jitter alone separates nodes on one sphere by no more
     than Qhull's own round-off.
     """
-    spacing = KDTree(nodes).query(nodes, k=2)[0][:, 1]
+    spacing = Tree(nodes).query(nodes, k=2)[0][:, 1]
     step = 2 ** np.floor(np.log2(SNAP * spacing) + BETWEEN)[:, None]
     return np.floor(nodes / step + BETWEEN) * step
 
@@ -230,7 +231,7 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     The function is a sine of very short wave length. Unlike random numbers it gives the same perturbation for the same mesh
     in any order, unit or place.
     """
-    spacing = KDTree(nodes).query(nodes, k=2)[0][:, 1]
+    spacing = Tree(nodes).query(nodes, k=2)[0][:, 1]
     dimension = nodes.shape[1]
     waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]
     angle = sum(

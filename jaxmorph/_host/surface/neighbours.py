@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
+from ..package.cores import Tree
 from ..package.rounding import SAME, nearest_few
 from .graph import morton_order
 
@@ -134,13 +134,13 @@ def _nearest(
     return distance, nearest
 
 
-def _kept_tree(surface: np.ndarray, rows: np.ndarray, once: Once) -> KDTree:
+def _kept_tree(surface: np.ndarray, rows: np.ndarray, once: Once) -> Tree:
     return once(("tree", digest(rows)), lambda: _tree(surface[rows]))
 
 
-def _tree(points: np.ndarray) -> KDTree:
+def _tree(points: np.ndarray) -> Tree:
     """Builds a tree for many searches: cells cut in the middle are searched three times faster than cells cut at the median."""
-    return KDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
+    return Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
 
 
 def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
@@ -162,7 +162,7 @@ def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[
     """
     if len(points) < 2:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    distance, nearest = map(np.asarray, KDTree(points).query(points, k=min(AROUND + 1, len(points))))
+    distance, nearest = map(np.asarray, Tree(points).query(points, k=min(AROUND + 1, len(points))))
     distance = distance[:, 1:]
     if distance.shape[1] < AROUND:  # there are no others
         distance = np.column_stack([distance, np.full(len(points), radius)])

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial import ConvexHull, KDTree, QhullError
+from scipy.spatial import ConvexHull, QhullError
 
+from ..package.cores import Tree
 from ..package.rounding import SAME, distinct, first_largest, nearest_few, nearest_of, ranked, roundoff
 from ..sources.farthest import farthest
 from ..sources.reduction import canonical_order
@@ -127,7 +128,7 @@ def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
     count = min(2 if points.shape[1] == 2 else 6, len(points) - 1)
     if not left.size or count < 1:
         return share
-    distance = np.asarray(KDTree(points).query(points[left], k=count + 1)[0])[:, 1:]
+    distance = np.asarray(Tree(points).query(points[left], k=count + 1)[0])[:, 1:]
     share[left] = distance.mean(axis=1) if points.shape[1] == 2 else np.pi * distance[:, -1] ** 2 / (count + 0.5)
     return share
 
@@ -198,5 +199,5 @@ def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held:
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
     distance = np.full(len(middles), np.inf)
     if len(middles) > 1:
-        distance = np.asarray(KDTree(middles).query(middles, k=2)[0])[:, 1]
+        distance = np.asarray(Tree(middles).query(middles, k=2)[0])[:, 1]
     return bool((distance > 1e-9 * np.ptp(points, axis=0).max()).any())

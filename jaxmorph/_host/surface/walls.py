@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ..cells.pairs import parts_of
+from ..package.cores import Tree
 from ..package.rounding import SAME, distinct, nearest_of
 from ..sources.farthest import farthest
 
@@ -136,7 +136,7 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
     count = min({2: 2, 3: 8}[points.shape[1]], len(unique) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.int64)
-    distance, nearest = map(np.asarray, KDTree(unique).query(unique, k=min(3 * count, len(unique))))
+    distance, nearest = map(np.asarray, Tree(unique).query(unique, k=min(3 * count, len(unique))))
     near = distance <= REACH * (1 + SAME) * distance[:, count, None]
     label = parts_of(np.nonzero(near)[0], nearest[near], len(unique))
     if points.shape[1] == 3 and label.max() > 0:
@@ -151,7 +151,7 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
     A wall is a surface, so a curve of nodes goes on to a part beside it. That part lies beside the plane of a section, or
     beside a straight line. Most nodes of a sample of the curve must find the same part there.
     """
-    tree, pairs = KDTree(points), []
+    tree, pairs = Tree(points), []
     for curve in range(label.max() + 1):
         members = np.flatnonzero(label == curve)
         extent = np.linalg.norm(np.ptp(points[members], axis=0))

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import dtypes
 from jaxtyping import Array, Bool, Float, Int
-from scipy.spatial import KDTree
 
+from ..._host.package.cores import Tree
 from ..._host.package.errors import warn
 from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close, roundoff
@@ -93,7 +93,7 @@ class CompactRBF(AbstractPlacing):
         nodes, dtype = surface.points.astype(float), dtypes.canonicalize_dtype(surface.points.dtype)
         if self.radius is None:
             count = min(NEIGHBOURS, len(nodes))
-            apart = np.asarray(KDTree(nodes).query(nodes[: surface.moving], k=count)[0]).reshape(surface.moving, -1)
+            apart = np.asarray(Tree(nodes).query(nodes[: surface.moving], k=count)[0]).reshape(surface.moving, -1)
             radius = float(np.median(apart[:, -1]))
         else:
             radius = float(self.radius)
@@ -103,7 +103,7 @@ class CompactRBF(AbstractPlacing):
         moves = np.arange(len(nodes)) < surface.moving
         speaks = moves | (np.bincount(stands, moves, minlength=len(nodes)) == 0)[stands]
         owners, distance = np.unique(stands), (1 + SLACK) * radius
-        pairs = np.asarray(KDTree(nodes[owners]).query_pairs(distance, output_type="ndarray"), np.int32).reshape(-1, 2)
+        pairs = np.asarray(Tree(nodes[owners]).query_pairs(distance, output_type="ndarray"), np.int32).reshape(-1, 2)
         near = overlaps(nodes, owners, np.full(len(nodes), distance), points.astype(float))
         reach = Reach(*as_jax(padded(*near, len(points))))
         searched = Searched(*as_jax((points, surface.points, np.asarray(distance))))
@@ -169,7 +169,7 @@ class CompactRBF(AbstractPlacing):
 def _standing(nodes: Float[np.ndarray, "b d"], closest: float) -> Int[np.ndarray, " b"]:
     """Finds for each row the one that has the function of all within a distance: itself, if it comes first."""
     owners = drop_close(nodes, np.arange(len(nodes)), closest)
-    return owners[np.asarray(KDTree(nodes[owners]).query(nodes)[1])]
+    return owners[np.asarray(Tree(nodes[owners]).query(nodes)[1])]
 
 
 def _given(ids: CompactIds, u: Float[Array, "b d"]) -> Float[Array, "b d"]:

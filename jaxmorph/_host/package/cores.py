@@ -1,0 +1,73 @@
+"""The cores that this process may use, and work on several of them at once."""
+
+import contextvars
+import functools
+import os
+import threading
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from scipy.spatial import KDTree
+
+T = TypeVar("T")
+
+SWITCH = "JAXMORPH_CPUS"
+"""The environment variable that says how many cores to use, where these should be fewer than the process may use."""
+
+FEW = 4096
+"""Points of a search up to which threads cost more than they gain."""
+
+
+def cores() -> int:
+    """Counts the cores that this process may use: those of its affinity mask, or what `JAXMORPH_CPUS` says.
+
+    **Raises:** `ValueError` where the variable is no whole number of 1 or more.
+    """
+    words = os.environ.get(SWITCH, "")
+    if words:
+        if not words.isdecimal() or int(words) < 1:
+            raise ValueError(f"{SWITCH} must be a number of cores, 1 or more, found {words!r}.")
+        return int(words)
+    if hasattr(os, "sched_getaffinity"):  # batch systems grant a few of many
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class Tree(KDTree):
+    """A k-d tree that is searched with all cores. The answers do not depend on their number."""
+
+    def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Finds the nearest points of the tree, as `scipy.spatial.KDTree.query` does."""
+        return super().query(x, *arguments, workers=cores() if len(x) > FEW else 1, **keywords)
+
+
+class Beside(Generic[T]):
+    """A call that runs in a thread of its own, beside what comes next; `result` waits for it.
+
+    With one core the call runs when its result is asked for: nothing takes turns, and nothing waits for a thread that cannot run.
+    """
+
+    def __init__(self, function: Callable[..., T], *arguments: Any):
+        self._call = functools.partial(contextvars.copy_context().run, function, *arguments)
+        self._thread = threading.Thread(target=self._run, daemon=True) if cores() > 1 else None
+        self._value: Any = None
+        self._error: BaseException | None = None
+        if self._thread is not None:
+            self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._value = self._call()
+        except BaseException as error:  # raised where the result is asked for
+            self._error = error
+
+    def result(self) -> T:
+        """Waits for the call, and returns what it returned, or raises what it raised."""
+        if self._thread is not None:
+            self._thread.join()
+        elif self._call is not None:
+            self._run()
+        self._call = None
+        if self._error is not None:
+            raise self._error
+        return self._value

@@ -1,0 +1,36 @@
+"""Tables of the transposes of a plan's sparse operators: made when a derivative first needs them, and not for a motion."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+
+from .._kernels.values import is_known, is_readable
+from .._methods.blocks import is_rows, with_tables
+
+
+def with_transposes(plan: Any) -> Any:
+    """Adds the tables to a plan whose arrays are known, and to its guide's plan. They are made once for a plan.
+
+    A plan that is traced, or laid over devices, stays as it is: its transpose scatters, or has tables.
+    """
+    volume, guide = getattr(plan, "volume", None), getattr(getattr(plan, "surface", None), "guide", None)
+    if volume is None or plan.layout is not None or not is_readable(plan) or not _lacks_tables(plan):
+        return plan
+    placed = with_tables(volume.placed, len(plan.surface.points))
+    plan = eqx.tree_at(
+        lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None or is_rows(leaf)
+    )
+    if guide is not None:
+        plan = eqx.tree_at(lambda plan: plan.surface.guide.plan, plan, with_transposes(guide.plan))
+    return plan
+
+
+def transposable(plan: Any, *arguments: Any) -> Any:
+    """Adds the tables where another argument is traced: it may be differentiated."""
+    return plan if is_known(arguments) else with_transposes(plan)
+
+
+def _lacks_tables(plan: Any) -> bool:
+    rows = filter(is_rows, jax.tree.leaves(plan, is_leaf=is_rows))
+    return any(each.table is None for each in rows)
