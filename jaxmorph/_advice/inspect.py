@@ -226,12 +226,17 @@ def inspect(
     **Raises:** `ValueError` when the shape of `u` is not (m, d), or a component is not finite, or the mesh has another number
     of points than the plan.
     """
+    return inspected(plan, u, mesh, nodes)
+
+
+def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarray | None = None) -> Inspection:
+    """Checks a displacement as `inspect` does; `moved` (n, d) is what `deform` returns for it, where it is known."""
     plan.check_surface("inspect")
     if nodes is None and mesh is not None and tuple(mesh.points.shape) != tuple(plan.points.shape):
         raise ValueError(
             f"`mesh` has points of shape {tuple(mesh.points.shape)}; this plan was made for {tuple(plan.points.shape)}."
         )
-    inspection = _of_plan(plan, u)
+    inspection = _of_plan(plan, u, moved)
     ids = (
         np.arange(len(plan.points))
         if nodes is None
@@ -246,7 +251,7 @@ def inspect(
     return inspection.with_faces(mesh, surface, vectors, plan.n_moving)
 
 
-def _of_plan(plan: Plan, u: Any) -> Inspection:
+def _of_plan(plan: Plan, u: Any, moved: np.ndarray | None) -> Inspection:
     """Checks all that needs no faces."""
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
     points, nodes = np.asarray(plan.points), np.asarray(plan.surface_nodes)
@@ -266,7 +271,7 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
     torn, rests = nodes[pairs].reshape(-1, 2), np.asarray(is_fixed[pairs].any(axis=1))
     near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
-    anywhere, behind = overshoot(plan, np.asarray(u, dtype=float))
+    anywhere, behind = overshoot(plan, np.asarray(u, dtype=float), moved)
     displacement = np.asarray(u, dtype=float)
     changed = np.linalg.norm(vectors[: plan.n_moving] - displacement, axis=1)
     back = np.flatnonzero(changed > PUT_BACK * np.linalg.norm(displacement, axis=1).max())

@@ -10,12 +10,14 @@ RESTS = 1e-3
 """Share of the largest displacement below which a part of the surface rests."""
 
 
-def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
+def overshoot(
+    plan: Plan, u: Float[np.ndarray, "m d"], moved: Float[np.ndarray, "n d"] | None = None
+) -> tuple[float, float]:
     """Compares the largest motion of a node off the surface with that of the surface: anywhere, and behind a part that rests.
 
     A node lies behind a part that rests if three conditions hold. The nearest node of the moving surface rests. The part that
     moves lies on the other side of this node, as the upper side of an airfoil does for nodes below it. And the node is no
-    farther away than the surface is long.
+    farther away than the surface is long. `moved` is what `deform` returns, where it is known.
     """
     points, moving = np.asarray(plan.points), np.asarray(plan.moving)
     size = np.linalg.norm(u, axis=1)
@@ -24,7 +26,8 @@ def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
     inner = np.flatnonzero(is_inner)
     if not size.max() or not inner.size:
         return 0.0, 0.0
-    share = np.linalg.norm((np.asarray(deform(plan, u)) - points)[inner], axis=1) / size.max()
+    moved = np.asarray(deform(plan, u)) if moved is None else moved
+    share = np.linalg.norm((moved - points)[inner], axis=1) / size.max()
     largest, base, active = float(share.max()), points[moving], np.flatnonzero(size > size.max() / 2)
     extent = np.ptp(base, axis=0).max()
     is_near = ((points[inner] > base.min(axis=0) - extent) & (points[inner] < base.max(axis=0) + extent)).all(axis=1)

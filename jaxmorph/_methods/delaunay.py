@@ -1,13 +1,15 @@
 """Delaunay graph mapping (Liu, Qin and Xia, J. Comput. Phys. 211, 2006; section 2.3 of the paper, eqs. 6 to 9)."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.linear.products import determinant
-from .._host.surface.graph import graph_of, locate
+from .._host.package.cores import Beside
+from .._host.surface.graph import Graph, graph_of, locate
 from .._kernels.values import as_jax
-from .base import Located, Surface
+from .base import AbstractMethod, Located, Surface
 from .placing import AbstractPlacing
 from .sparse import InterpolatedField, Interpolation
 
@@ -31,8 +33,7 @@ class DelaunayGraph(AbstractPlacing):
         inside = np.flatnonzero(rows == len(surface.points))
         repaired = outside = 0
         if inside.size:
-            graph = surface.once("graph", lambda: graph_of(surface.points))
-            location = locate(graph, points, inside, surface.near)
+            location = locate(_begun(surface).result(), points, inside, surface.near)
             vertices[inside], repaired, outside = location.vertices, location.repaired, location.outside
         return Located(*as_jax((np.int32(repaired), np.int32(outside)))), vertices
 
@@ -45,6 +46,23 @@ class DelaunayGraph(AbstractPlacing):
 
     def field(self, ids, factors, surface, u):
         return InterpolatedField(self, factors, surface, u)
+
+
+def begin_graph(method: AbstractMethod, surface: Surface, count: int) -> None:
+    """Begins the graph of a surface beside what comes next, where a method is or has a `DelaunayGraph`.
+
+    It stands idle if none of the `count` points is off the surface.
+    """
+
+    def is_graph(each: object) -> bool:
+        return isinstance(each, DelaunayGraph)
+
+    if count > (surface.nodes >= 0).sum() and any(map(is_graph, jax.tree.leaves(method, is_leaf=is_graph))):
+        _begun(surface)
+
+
+def _begun(surface: Surface) -> Beside[Graph]:
+    return surface.once("graph", lambda: Beside(graph_of, surface.points))
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:

@@ -9,7 +9,7 @@ from .._host.sources.reduction import KDTree
 from . import placing
 from .base import AbstractField, AbstractMethod, Control, Surface, check_kind
 from .blocks import map_points, place_points
-from .delaunay import DelaunayGraph
+from .delaunay import DelaunayGraph, begin_graph
 from .nearwall import NearWall
 from .placing import AbstractPlacing
 from .rbf.fitted import FittedRBF
@@ -64,6 +64,7 @@ class SurfaceReconstruction(AbstractPlacing):
         return self.coarse.linear and self.correction.linear
 
     def connect(self, surface: Surface, points):
+        begin_graph(self.correction, surface, len(points))
         everywhere, more = surface.among(points)
         coarse, coarse_ids = self.coarse.connect(everywhere, more)
         coarse_at_points = jax.tree.map(lambda leaf: leaf[: len(points)], coarse_ids)

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 import jaxmorph as jm
 from jaxmorph._advice.methods import METHODS, entry
 from jaxmorph._advice.rivals import MOST_POINTS
+from jaxmorph._host.package.cores import Beside
 
 from ._judged import Judged
 from ._method import NamedMethod, Patches, in_double
@@ -30,13 +31,18 @@ PATIENCE = 120.0
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """All that one attempt needs but the method and the number of steps; `before` sums up the `undeformed` mesh."""
+    """All that one attempt needs but the method and the number of steps; `summing` sums up the `undeformed` mesh."""
 
     request: Deform
     patches: Patches
     motion: Motion
     undeformed: Judged
-    before: Summary
+    summing: Beside[Summary]
+
+    @property
+    def before(self) -> Summary:
+        """The sum of the undeformed mesh. Raises `ValueError` for what cannot be judged."""
+        return self.summing.result()
 
     @property
     def base(self) -> Float[np.ndarray, "n d"]:

@@ -11,6 +11,8 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import Mesh, io
+from jaxmorph._advice.inspect import inspected
+from jaxmorph._host.package.cores import Beside
 from jaxmorph._kernels.compile import quickly_compiled
 
 from ._attempt import Attempt, explain
@@ -22,6 +24,9 @@ from ._requests import Deform
 from ._summary import Summary, coordinates, count
 from ._tables import gate_facts, gate_table, table
 from ._told import check_files, described, wrapped, write_job
+
+Judgement = tuple[Judged, Summary, list[str]]
+"""The moved mesh as it was judged, its sum, and one sentence for each fault."""
 
 Chunks = Iterator[tuple[np.ndarray, jm.Plan]]
 """Nodes and plans of a mesh in chunks, one after the other."""
@@ -44,9 +49,9 @@ def deform(request: Deform, out: Output) -> int:
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     attempt, choice, chunks = _attempt(request, mesh, out)
     _foresee(attempt, choice, out)
-    points, inspection, boundary = _moved(attempt, chunks, out)
+    points, judging, inspection, boundary = _moved(attempt, chunks, out)
     with out.progress("judging the cells"):
-        judged, after, bad = attempt.judge(points)
+        judged, after, bad = judging.result()
         wall = _wall_numbers(attempt, points)
         tables = [table(attempt.before, after, _rows(wall, inspection)), gate_table(attempt.before, after)]
     out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
@@ -85,10 +90,9 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     cells = ", ".join(f"{number} {kind}" for kind, number in mesh.cell_counts.items())
     out.say(f"{title(request.file)}: {n} points in {d}-D, {cells}", points=n)
     described(request, patches, choice, moves.path(wall, 1)[-1], out)
-    with out.progress("judging the cells"):
-        undeformed = Judged(mesh, mesh.points)
-        before = Summary.from_judged(undeformed, request.gates.limits)  # what cannot be judged is told now
-    return Attempt(request, patches, moves, undeformed, before), choice, chunks
+    undeformed = Judged(mesh, mesh.points)
+    summing = Beside(Summary.from_judged, undeformed, request.gates.limits)
+    return Attempt(request, patches, moves, undeformed, summing), choice, chunks
 
 
 def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
@@ -106,19 +110,28 @@ def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
         out.warn(f"{size} may not fit into memory; {other} --dtype float32 need less.")
 
 
-def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, jm.Inspection, jm.BoundaryQuality]:
-    """Moves the points, inspects the motion before, warns of what no method moves well, and judges the moved boundary."""
+def _moved(
+    attempt: Attempt, chunks: Chunks, out: Output
+) -> tuple[np.ndarray, Beside[Judgement], jm.Inspection, jm.BoundaryQuality]:
+    """Moves the points, inspects the motion, warns of what no method moves well, and judges the moved boundary.
+
+    The cells are judged beside the inspection.
+    """
     steps = attempt.request.steps
     with out.progress("preparing"):
         nodes, plan = next(chunks)
-    with out.progress("inspecting the motion"):
-        u, mesh = attempt.motion.path(attempt.wall, 1)[-1], attempt.patches.mesh
-        inspection = jm.inspect(plan, u, mesh=mesh, nodes=nodes)
-        for warning in inspection.warnings:
-            out.warn(warning)
+    with out.progress("judging the cells"):
+        attempt.summing.result()  # what cannot be judged is told now
     with out.progress(f"deforming in {count(steps, 'step')}") as stage:
         points = attempt.points(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
-        return points, inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
+    judging = Beside(attempt.judge, points)
+    with out.progress("inspecting the motion"):
+        u, mesh = attempt.motion.path(attempt.wall, 1)[-1], attempt.patches.mesh
+        moved = points[nodes] if steps == 1 and plan.points.dtype == points.dtype else None
+        inspection = inspected(plan, u, mesh, nodes, moved)
+        for warning in inspection.warnings:
+            out.warn(warning)
+        return points, judging, inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
 
 
 @dataclasses.dataclass(frozen=True)
