@@ -69,6 +69,12 @@ def is_for_cpu() -> bool:
     return _is_for_cpu.get()
 
 
+def is_direct(*trees: Any) -> bool:
+    """Checks whether arrays are known and on a CPU, and nothing is traced: what is called with them runs at once."""
+    leaves = jax.tree.leaves(trees)
+    return not _is_for_cpu.get() and _is_direct([leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)])
+
+
 @contextlib.contextmanager
 def quickly_compiled(is_quick: bool = True) -> Iterator[None]:
     """Compiles what is called within without optimisation, and runs that code, which is slower: for one run on a small mesh.

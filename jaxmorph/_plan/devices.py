@@ -59,9 +59,12 @@ def pad_rows(leaf: Array, layout: Layout) -> Array:
 
 def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
     """Finds points `ids` among the `count` rows of this device, within `over_points`; `count` or more for absent ones."""
-    if layout is None:
-        return ids
-    here = ids - jax.lax.axis_index(AXIS) * count
+    return ids if layout is None else rows_from(jax.lax.axis_index(AXIS) * count, ids, count)
+
+
+def rows_from(start: Int[Array, ""], ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
+    """Finds points `ids` among the `count` rows from `start` on; `count` or more for absent ones."""
+    here = ids - start
     return jnp.where((here >= 0) & (here < count), here, count + jnp.arange(len(ids)))
 
 

@@ -17,7 +17,7 @@ from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from .._methods import placing
-from .._methods.base import AbstractMethod, Located
+from .._methods.base import AbstractField, AbstractMethod, Located
 from .._methods.blocks import (
     carry_points,
     is_rows,
@@ -28,7 +28,8 @@ from .._methods.blocks import (
     without_tables,
 )
 from .._methods.reconstruction import SurfaceReconstruction
-from .devices import Layout, over_points, pad_rows, rows_here
+from .devices import Layout, over_points, pad_rows, rows_from, rows_here
+from .slabs import joined, slabs
 from .transposes import transposable, with_transposes
 
 
@@ -240,6 +241,19 @@ class Plan(Module):
         return f"Plan({', '.join(parts)}, {self.method})"
 
 
+class Shared(eqx.Module):
+    """Holds what all points share in a motion: the field, places or displacements of nodes, and images.
+
+    `are_places` says what is `assigned` to the `nodes`: where they are to be, or by how much they move.
+    """
+
+    field: AbstractField
+    assigned: Float[Array, "a d"]
+    nodes: Int[Array, " a"]
+    images: Images | None
+    are_places: bool = eqx.field(static=True)
+
+
 @compiled
 def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
     vectors, surface = plan.of_surface(u), plan.surface
@@ -357,12 +371,27 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
 
     **Raises:** `ValueError` when the shape of `u` is not (m, d).
     """
-    return _deform(transposable(plan, u), u)
+    parts = slabs(len(plan.volume.points), plan, u) if isinstance(plan, Plan) and plan.layout is None else ()
+    if not parts:
+        return _deform(transposable(plan, u), u)
+    shared, volume = _shared_of(plan, u), without_tables(plan.volume)
+    return joined(tuple(_slab(shared, volume, *part) for part in parts), len(volume.points))
 
 
 @compiled
 def _deform(plan: Plan, u: Any) -> Float[Array, "n d"]:
     return deform_surface(plan, _of_surface(plan, u))
+
+
+@compiled
+def _shared_of(plan: Plan, u: Any) -> Shared:
+    return _shared(plan, _of_surface(plan, u))
+
+
+@compiled
+def _slab(shared: Shared, volume: VolumePart, start: Any, size: int) -> Float[Array, "s d"]:
+    rows = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, size), volume)
+    return move(shared, rows, rows_from(start, shared.nodes, size))
 
 
 def _of_surface(plan: Plan, u: Any) -> Float[Array, "o d"]:
@@ -384,6 +413,11 @@ def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n 
 
     Rows of the moving nodes come first, then rows of the fixed nodes.
     """
+    moved = over_points(plan.layout, _moved(plan.layout), _shared(plan, vectors), plan.volume)
+    return moved if plan.layout is None else moved[: plan.layout.count]
+
+
+def _shared(plan: Plan, vectors: Float[Array, "o d"]) -> Shared:
     surface, vectors = plan.surface, kept(plan, vectors)
     u = vectors if surface.images is None else surface.images.vectors(vectors)
     field = plan.method.field(surface.ids, surface.factors, surface.points, u)
@@ -392,11 +426,7 @@ def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n 
     if not plan.method.exact:
         rows = jnp.zeros(0, int) if guide is None else guide.rows
         nodes, assigned = nodes[rows], assigned[rows]
-    is_placed = guide is not None
-    moved = over_points(
-        plan.layout, _moved(plan.layout, is_placed), (field, assigned, nodes, surface.images), plan.volume
-    )
-    return moved if plan.layout is None else moved[: plan.layout.count]
+    return Shared(field, assigned, nodes, surface.images, guide is not None)
 
 
 def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
@@ -413,20 +443,20 @@ def kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
     return vectors if surface.images is None else surface.images.kept(vectors)
 
 
-def _moved(layout: Layout | None, is_placed: bool) -> Callable[[PyTree, VolumePart], Float[Array, "n d"]]:
-    def move(shared, volume):
-        field, assigned, nodes, images = shared
-        displacement = map_points(field, volume.points, volume.placed)
-        if images is not None:
-            displacement = images.within(displacement, volume.on_plane)
-        moved = volume.points + displacement
-        if len(nodes):
-            at = rows_here(layout, nodes, len(moved))
-            places = assigned if is_placed else volume.points[at] + assigned
-            moved = moved.at[at].set(places, mode="drop", unique_indices=True)
-        return moved
+def _moved(layout: Layout | None) -> Callable[[Shared, VolumePart], Float[Array, "n d"]]:
+    return lambda shared, volume: move(shared, volume, rows_here(layout, shared.nodes, len(volume.points)))
 
-    return move
+
+def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Array, "n d"]:
+    """Moves the points of some rows; `at` are the rows of the nodes that are assigned, beyond the last one for others."""
+    displacement = map_points(shared.field, volume.points, volume.placed)
+    if shared.images is not None:
+        displacement = shared.images.within(displacement, volume.on_plane)
+    moved = volume.points + displacement
+    if not len(at):
+        return moved
+    places = shared.assigned if shared.are_places else volume.points[at] + shared.assigned
+    return moved.at[at].set(places, mode="drop", unique_indices=True)
 
 
 @checked
