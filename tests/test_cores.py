@@ -1,0 +1,156 @@
+"""Work on several cores: their number, results that do not depend on it, and errors from threads."""
+
+import os
+import threading
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import body, motion
+from meshes import grid, lattice
+
+import jaxmorph as jm
+from jaxmorph._host.package import cores
+from jaxmorph._methods.blocks import is_rows
+from jaxmorph._plan import slabs
+
+METHODS = {
+    "default": None,
+    "published": jm.SurfaceReconstruction.published(8),
+    "radial functions": jm.RBF(),
+    "multiscale": jm.Multiscale(),
+    "cells": jm.Laplacian(),
+}
+
+
+@pytest.fixture
+def fine():
+    """A square of 5,041 nodes with a bump at the bottom."""
+    axis = np.linspace(0, 1, 71) ** 1.5
+    return grid(
+        axis,
+        axis,
+        patches={
+            "bottom": lambda ids: ids[:, 0],
+            "left": lambda ids: ids[0],
+            "rest": lambda ids: np.concatenate([ids[-1], ids[:, -1]]),
+        },
+    )
+
+
+@pytest.fixture
+def few_points(monkeypatch):
+    """Slabs, and searches by threads, of few points."""
+    monkeypatch.setattr(slabs, "LEAST", 1024)
+    monkeypatch.setattr(cores, "FEW", 64)
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("sides", ["fixed", "a plane"])
+def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, name, sides):
+    fixed, symmetry = (("left", "rest"), ()) if sides == "fixed" else ("rest", "left")
+    x = np.asarray(fine.points)[fine.patch("bottom")]
+    u = np.stack([0.02 * x[:, 0] * (1 - x[:, 0]), 0.1 * np.sin(np.pi * x[:, 0]) ** 2], axis=1)
+    found = []
+    for count in ("1", "2", "3"):
+        monkeypatch.setenv(cores.SWITCH, count)
+        plan = jm.prepare(fine, "bottom", fixed, symmetry=symmetry, method=METHODS[name])
+        assert len(slabs.slabs(len(fine.points), plan, u)) == int(count)
+        found.append([*jax.tree.leaves(plan), jm.deform(plan, u)])
+    for others in found[1:]:
+        assert len(others) == len(found[0])
+        for first, other in zip(found[0], others, strict=True):
+            np.testing.assert_array_equal(first, other)
+    in_jit = jax.jit(lambda u: jm.deform(plan, u))(u)
+    np.testing.assert_allclose(found[0][-1], in_jit, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [2048, 5041, 6144, 6145, 100_000, 216_000, 1_000_003])
+@pytest.mark.parametrize("number", [1, 2, 5, 64])
+def test_slabs_hold_every_point_and_are_of_one_size(count, number, few_points, monkeypatch):
+    monkeypatch.setenv(cores.SWITCH, str(number))
+    parts = slabs.slabs(count)
+    rows = jnp.arange(count)[:, None]
+    assert len(parts) <= number
+    assert len({size for _, size in parts}) == 1
+    assert all(start % slabs.STEP == 0 for start, _ in parts)
+    joined = slabs.joined(tuple(rows[start : start + size] for start, size in parts), count)
+    np.testing.assert_array_equal(joined, rows)
+
+
+def test_slabs_are_for_many_points_and_direct_calls_alone():
+    assert slabs.slabs(2 * slabs.LEAST - 1) == []
+    jax.jit(lambda x: np.testing.assert_equal(slabs.slabs(10**6, x), []))(1.0)
+
+
+def test_the_environment_and_the_affinity_say_how_many_cores(monkeypatch):
+    monkeypatch.delenv(cores.SWITCH, raising=False)
+    if hasattr(os, "sched_getaffinity"):
+        allowed = os.sched_getaffinity(0)
+        assert cores.cores() == len(allowed)
+        os.sched_setaffinity(0, {min(allowed)})
+        try:
+            assert cores.cores() == 1
+        finally:
+            os.sched_setaffinity(0, allowed)
+    monkeypatch.setenv(cores.SWITCH, "48")
+    assert cores.cores() == 48
+    for words in ("0", "-1", "two", "1.5"):
+        monkeypatch.setenv(cores.SWITCH, words)
+        with pytest.raises(ValueError, match=f"JAXMORPH_CPUS must be a number of cores, 1 or more, found '{words}'"):
+            cores.cores()
+
+
+@pytest.mark.parametrize("count", ["1", "2"])
+def test_a_call_beside_returns_or_raises_where_its_result_is_asked_for(monkeypatch, count):
+    monkeypatch.setenv(cores.SWITCH, count)
+    names = []
+    call = cores.Beside(lambda word: names.append(threading.current_thread().name) or word, "done")
+    assert [call.result(), call.result()] == ["done", "done"]
+    assert len(names) == 1
+    assert (names[0] == threading.current_thread().name) == (count == "1")
+    failing = cores.Beside(jm.prepare, np.zeros((3, 2)), [7])
+    with pytest.raises(ValueError, match="are not nodes of the mesh"):
+        failing.result()
+
+
+@pytest.mark.parametrize("count", ["1", "2"])
+def test_a_surface_without_extent_is_refused_beside_other_work(monkeypatch, count):
+    monkeypatch.setenv(cores.SWITCH, count)
+    points = np.concatenate([np.stack([np.linspace(0, 1, 9), np.zeros(9)], axis=1), [[0.5, 1.0]]])
+    with pytest.raises(ValueError, match="lie in one line, so no Delaunay graph"):
+        jm.prepare(points, [0, 1, 2], range(3, 9), method=jm.SurfaceReconstruction(jm.RigidBlend(), jm.DelaunayGraph()))
+
+
+def test_tables_of_the_transpose_are_made_for_derivatives_alone(monkeypatch):
+    from jaxmorph._methods import sparse
+
+    made, table = [], sparse._table
+    monkeypatch.setattr(sparse, "_table", lambda *arguments: made.append(arguments) or table(*arguments))
+    mesh = body(2)
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
+    u, w = motion(mesh.points)[mesh.moving], np.random.default_rng(0).normal(size=mesh.points.shape)
+    jm.deform(plan, u)
+    assert not made
+    assert all(rows.table is None for rows in jax.tree.leaves(plan, is_leaf=is_rows) if is_rows(rows))
+    expected = jm.pullback(plan, u, w)
+    count = len(made)
+    assert count
+    jm.pullback(plan, 2 * u, w)
+    jax.grad(lambda u: jnp.vdot(w, jm.deform(plan, u)))(jnp.asarray(u))
+    assert len(made) == count
+    scattered = eqx.filter_jit(eqx.filter_grad(lambda u, plan: jnp.vdot(w, jm.deform(plan, u))))(jnp.asarray(u), plan)
+    np.testing.assert_allclose(scattered, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+    np.testing.assert_allclose(jnp.vdot(w, jm.deform(plan, u) - plan.points), jnp.vdot(expected, u), rtol=1e-9)
+
+
+def test_more_points_than_a_thread_searches_alone_get_equal_neighbours(few_points, monkeypatch):
+    points = lattice(*[np.linspace(0, 1, 12)] * 3)
+    tree = cores.Tree(points)
+    monkeypatch.setenv(cores.SWITCH, "1")
+    alone = tree.query(points + 0.3, k=3)
+    monkeypatch.setenv(cores.SWITCH, "3")
+    for first, other in zip(alone, tree.query(points + 0.3, k=3), strict=True):
+        np.testing.assert_array_equal(first, other)
