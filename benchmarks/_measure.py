@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import os
+import pathlib
 import platform
 import statistics
 import time
@@ -33,11 +34,19 @@ def about(**what: object) -> None:
     """One line about the machine and versions, one about the case."""
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("jax", "jaxlib", "numpy", "scipy"))
     load = f"load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "load unknown"
-    print(f"{platform.machine()}, {os.cpu_count()} cores, {jax.default_backend()}, {load}; {versions}")
+    print(f"{_processor()}, {os.cpu_count()} cores, {jax.default_backend()}, {load}; {versions}")
     print(
         f"XLA_FLAGS={os.environ.get('XLA_FLAGS', '')}; "
         + ", ".join(f"{name} = {value}" for name, value in what.items())
     )
+
+
+def _processor() -> str:
+    """The processor's name and kind, where the system tells."""
+    facts = pathlib.Path("/proc/cpuinfo")
+    lines = facts.read_text().splitlines() if facts.exists() else []
+    names = {line.partition(":")[2].strip() for line in lines if line.startswith("model name")}
+    return ", ".join([*sorted(names), platform.machine()])
 
 
 def table(rows: Sequence[Sequence[str]], heads: Sequence[str] = ("what", "measured", "goal")) -> None:

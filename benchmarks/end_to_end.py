@@ -5,8 +5,8 @@ python benchmarks/end_to_end.py [--cases su2 hexahedra foam] [--side 100]
 - su2: the paper's airfoil, 39,666 points, turned by 5 degrees.
 - hexahedra, foam: a box of side^3 points, as SU2 and as an OpenFOAM case; its bottom rises to a hill of a tenth of the side.
 
-`jaxmorph deform` runs with an empty cache of compiled code, again, and on one core. Its stages are timed in one more process, by the
-calls of Python. OpenFOAM's `moveDynamicMesh` solves displacementLaplacian (inverseDistance) on the same case for the same motion.
+`jaxmorph deform` runs with an empty cache of compiled code, again, and on one core. Its stages are timed in one more process, by
+the calls of Python. OpenFOAM's `moveDynamicMesh` solves displacementLaplacian (inverseDistance) on the case for the same motion.
 SciPy's RBFInterpolator and PyGeM's RBF, where it is installed, take the same points from an array, and as many sources as jaxmorph
 has by default; they read, judge and write no mesh.
 """

@@ -77,9 +77,9 @@ from ._plan.judge import BoundaryQuality as BoundaryQuality
 from ._plan.judge import boundary_quality as boundary_quality
 from ._plan.plan import Plan as Plan
 from ._plan.plan import deform as deform
-from ._plan.plan import pullback as pullback
 from ._plan.plan import shard as shard
 from ._plan.prepare import prepare as prepare
+from ._plan.pullback import pullback as pullback
 from ._plan.refit import refit as refit
 from ._plan.save import load as load
 from ._plan.save import save as save

@@ -53,18 +53,21 @@ def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, nam
     fixed, symmetry = (("left", "rest"), ()) if sides == "fixed" else ("rest", "left")
     x = np.asarray(fine.points)[fine.patch("bottom")]
     u = np.stack([0.02 * x[:, 0] * (1 - x[:, 0]), 0.1 * np.sin(np.pi * x[:, 0]) ** 2], axis=1)
-    found = []
+    w, found = np.random.default_rng(0).normal(size=fine.points.shape), []
     for count in ("1", "2", "3"):
         monkeypatch.setenv(cores.SWITCH, count)
         plan = jm.prepare(fine, "bottom", fixed, symmetry=symmetry, method=METHODS[name])
         assert len(slabs.slabs(len(fine.points), plan, u)) == int(count)
-        found.append([*jax.tree.leaves(plan), jm.deform(plan, u)])
+        assert slabs.shares(plan, u) == 4
+        found.append([*jax.tree.leaves(plan), jm.pullback(plan, u, w), jm.deform(plan, u)])
     for others in found[1:]:
         assert len(others) == len(found[0])
         for first, other in zip(found[0], others, strict=True):
             np.testing.assert_array_equal(first, other)
-    in_jit = jax.jit(lambda u: jm.deform(plan, u))(u)
+    in_jit, transpose = jax.vjp(jax.jit(lambda u: jm.deform(plan, u)), jnp.asarray(u))
     np.testing.assert_allclose(found[0][-1], in_jit, rtol=0, atol=1e-12)
+    (expected,) = transpose(jnp.asarray(w))
+    np.testing.assert_allclose(found[0][-2], expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("count", [2048, 5041, 6144, 6145, 100_000, 216_000, 1_000_003])
@@ -72,7 +75,7 @@ def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, nam
 def test_slabs_hold_every_point_and_are_of_one_size(count, number, few_points, monkeypatch):
     monkeypatch.setenv(cores.SWITCH, str(number))
     parts = slabs.slabs(count)
-    rows = jnp.arange(count)[:, None]
+    rows = jnp.arange(float(count))[:, None]
     assert len(parts) <= number
     assert len({size for _, size in parts}) == 1
     assert all(start % slabs.STEP == 0 for start, _ in parts)

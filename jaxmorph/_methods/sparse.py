@@ -81,13 +81,15 @@ class Reach(eqx.Module):
 def _table(rows: Interpolation, count: int, parts: int) -> Table:
     nodes = np.asarray(rows.nodes)
     reached = np.ones(len(nodes), dtype=bool) if rows.reached is None else np.asarray(rows.reached)
-    shares = zip(np.split(nodes, parts), np.split(reached, parts), strict=True)
-    tables = [tabulate(share, mask, count) for share, mask in shares]
+    size = -(-len(nodes) // parts)
+    starts = [min(k * size, len(nodes) - size) for k in range(parts)]  # the last share overlaps the one before it
+    shares = [slice(start, start + size) for start in starts]
+    tables = [tabulate(nodes[share], reached[share], count) for share in shares]
     longest = _rounded(max(len(owner) for _, owner in tables))
     entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
     owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
-    weights = np.split(np.asarray(rows.weights), parts)
-    gathered = [np.where(at < 0, 0, share.ravel()[at]) for at, share in zip(entries, weights, strict=True)]
+    weights = np.asarray(rows.weights)
+    gathered = [np.where(at < 0, 0, weights[share].ravel()[at]) for at, share in zip(entries, shares, strict=True)]
     return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
 
 

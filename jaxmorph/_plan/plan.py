@@ -30,7 +30,7 @@ from .._methods.blocks import (
 from .._methods.reconstruction import SurfaceReconstruction
 from .devices import Layout, over_points, pad_rows, rows_from, rows_here
 from .slabs import joined, slabs
-from .transposes import transposable, with_transposes
+from .transposes import transposable
 
 
 class SurfacePart(eqx.Module):
@@ -374,7 +374,7 @@ def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array
     parts = slabs(len(plan.volume.points), plan, u) if isinstance(plan, Plan) and plan.layout is None else ()
     if not parts:
         return _deform(transposable(plan, u), u)
-    shared, volume = _shared_of(plan, u), without_tables(plan.volume)
+    shared, volume = _shared_by(plan, u), without_tables(plan.volume)
     return joined(tuple(_slab(shared, volume, *part) for part in parts), len(volume.points))
 
 
@@ -384,7 +384,12 @@ def _deform(plan: Plan, u: Any) -> Float[Array, "n d"]:
 
 
 @compiled
-def _shared_of(plan: Plan, u: Any) -> Shared:
+def _shared_by(plan: Plan, u: Any) -> Shared:
+    return shared_of(plan, u)
+
+
+def shared_of(plan: Plan, u: Any) -> Shared:
+    """Computes what all points share in the motion by `u`. Traced."""
     return _shared(plan, _of_surface(plan, u))
 
 
@@ -457,37 +462,6 @@ def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Arra
         return moved
     places = shared.assigned if shared.are_places else volume.points[at] + shared.assigned
     return moved.at[at].set(places, mode="drop", unique_indices=True)
-
-
-@checked
-def pullback(
-    plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any], cotangent: Real[ArrayLike, "n d"] | Sequence[Any]
-) -> Float[Array, "m d"]:
-    """Pulls sensitivities with respect to all points back to the moving ones.
-
-    This is the transpose of `deform`, for an adjoint solver that gives dJ/d(points); often called warpDeriv.
-
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) of the moving nodes. Where `plan.is_linear`, it only sets the shape: the result does not
-      depend on its value.
-    - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
-
-    **Returns:** dJ/du (m, d).
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d) or that of `cotangent` not (n, d).
-    """
-    return _pullback(with_transposes(plan), u, cotangent)
-
-
-@compiled
-def _pullback(plan: Plan, u: Any, cotangent: Any) -> Float[Array, "m d"]:
-    cotangent = jnp.asarray(cotangent, plan.points.dtype)
-    if cotangent.shape != plan.points.shape:
-        raise ValueError(f"`cotangent` has shape {cotangent.shape}; this plan's points have {plan.points.shape}.")
-    _, transpose = jax.vjp(lambda u: _deform(plan, u), jnp.asarray(u, plan.points.dtype))
-    return transpose(cotangent)[0]
 
 
 @checked

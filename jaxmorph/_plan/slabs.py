@@ -6,15 +6,21 @@ of one slab each have nothing to wait for: JAX runs programs that it has begun o
 
 from typing import Any
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from .._host.package.cores import cores
 from .._kernels.compile import compiled, is_direct
+from .._methods.blocks import is_rows
 
 LEAST = 2**15
 """Points of a slab below which a program of its own costs more than it gains."""
+
+MOST = 64
+"""Shares of a sum: more cores than these would not make it faster."""
 
 STEP = 1536
 """Slabs begin at multiples of this, as blocks of points do: results in a block depend on its size, by a last bit."""
@@ -33,6 +39,27 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
     stride = -(-(count - rest) // (number * STEP)) * STEP
     size = stride + rest
     return [(np.asarray(start, np.int32), size) for start in [*range(0, count - size, stride), count - size]]
+
+
+def shares(plan: Any, *arguments: Any) -> int:
+    """Counts the shares of a plan's points in a sum, which the number of cores does not change; 1 where calls are traced."""
+    surface = len(plan.surface.points)  # each share has a sum for all of it
+    number = min(MOST, len(plan.points) // max(LEAST, 2 * surface)) // 2 * 2
+    return number if number and is_direct(plan, arguments) else 1
+
+
+def share_of(rows: PyTree, k: Any, start: Any, size: int, number: int) -> PyTree:
+    """Cuts share `k` out of leaves with a row a point, and out of tables in `number` parts."""
+
+    def cut(leaf: Any) -> Any:
+        if not is_rows(leaf):
+            return jax.lax.dynamic_slice_in_dim(leaf, start, size)
+        table, bare = leaf.table, jax.tree.map(cut, leaf.without_table())
+        length = len(table.owner) // number
+        table = jax.tree.map(lambda part: jax.lax.dynamic_slice_in_dim(part, k * length, length), table)
+        return eqx.tree_at(lambda rows: rows.table, bare, table, is_leaf=lambda leaf: leaf is None)
+
+    return jax.tree.map(cut, rows, is_leaf=is_rows)
 
 
 def joined(parts: tuple[Float[Array, "s d"], ...], count: int) -> Float[Array, "n d"]:

@@ -6,18 +6,21 @@ import equinox as eqx
 import jax
 
 from .._kernels.values import is_known, is_readable
-from .._methods.blocks import is_rows, with_tables
+from .._methods.blocks import is_rows, with_tables, without_tables
 
 
-def with_transposes(plan: Any) -> Any:
-    """Adds the tables to a plan whose arrays are known, and to its guide's plan. They are made once for a plan.
+def with_transposes(plan: Any, parts: int = 1) -> Any:
+    """Adds the tables, for so many shares of the points, to a plan whose arrays are known, and to its guide's plan.
+
+    They are made once for a plan.
 
     A plan that is traced, or laid over devices, stays as it is: its transpose scatters, or has tables.
     """
     volume, guide = getattr(plan, "volume", None), getattr(getattr(plan, "surface", None), "guide", None)
-    if volume is None or plan.layout is not None or not is_readable(plan) or not _lacks_tables(plan):
+    if volume is None or plan.layout is not None or not is_readable(plan) or (parts == 1 and not _lacks_tables(plan)):
         return plan
-    placed = with_tables(volume.placed, len(plan.surface.points))
+    placed = volume.placed if parts == 1 else without_tables(volume.placed)
+    placed = with_tables(placed, len(plan.surface.points), parts)
     plan = eqx.tree_at(
         lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None or is_rows(leaf)
     )
