@@ -13,6 +13,7 @@ import pathlib
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 
 FORMS = ("one core", "all cores", "devices", "two processes")
 
@@ -46,7 +47,10 @@ def measure(n: int, s: int, form: str, repeats: int = 15) -> None:
     u, w = displacements(plan), np.random.default_rng(0).normal(size=(n, 3))
     if form == "devices":
         plan = jm.shard(plan, jax.devices())
-    calls = {"deform": lambda: jm.deform(plan, u), "pullback": lambda: jm.pullback(plan, u, w)}
+    calls: dict[str, Callable[[], object]] = {
+        "deform": lambda: jm.deform(plan, u),
+        "pullback": lambda: jm.pullback(plan, u, w),
+    }
     if form != "devices":
         calls["quality"] = lambda: jm.quality(mesh, np.asarray(mesh.points)).mean_skewness
         calls["face_quality"] = lambda: jm.face_quality(mesh, np.asarray(mesh.points)).skewness
@@ -66,7 +70,7 @@ def measure(n: int, s: int, form: str, repeats: int = 15) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--n", type=int, default=216_000)
     parser.add_argument("--s", type=int, default=300)
     parser.add_argument("--child", help=argparse.SUPPRESS)

@@ -227,7 +227,7 @@ def run(kind: str, side: int, folder: pathlib.Path) -> list[list[str]]:
     if kind == "foam" and shutil.which("moveDynamicMesh"):
         share = pathlib.Path(str(shutil.which("moveDynamicMesh"))).resolve().parent.parent / "share" / "openfoam"
         environment = {"WM_PROJECT_DIR": os.environ.get("WM_PROJECT_DIR", str(share))}
-        rows.append([what, "moveDynamicMesh", *measured(["moveDynamicMesh"], folder / "case", **environment)])
+        rows.append([what, "moveDynamicMesh", *measured(["moveDynamicMesh"], folder / "case", None, **environment)])
     for name in ("SciPy", "PyGeM"):
         rows.append([what, f"{name}, {count} sources", *measured([*here, "--peer", name, str(folder), count], folder)])
     return rows

@@ -124,7 +124,9 @@ def test_a_surface_without_extent_is_refused_beside_other_work(monkeypatch, coun
     monkeypatch.setenv(cores.SWITCH, count)
     points = np.concatenate([np.stack([np.linspace(0, 1, 9), np.zeros(9)], axis=1), [[0.5, 1.0]]])
     with pytest.raises(ValueError, match="lie in one line, so no Delaunay graph"):
-        jm.prepare(points, [0, 1, 2], range(3, 9), method=jm.SurfaceReconstruction(jm.RigidBlend(), jm.DelaunayGraph()))
+        jm.prepare(
+            points, [0, 1, 2], range(3, 9), method=jm.SurfaceReconstruction(jm.InverseDistance(), jm.DelaunayGraph())
+        )
 
 
 def test_tables_of_the_transpose_are_made_for_derivatives_alone(monkeypatch):

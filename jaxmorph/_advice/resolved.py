@@ -1,7 +1,6 @@
 """Checks whether a field's sources resolve a displacement of the wall, and finds how many would."""
 
 import numpy as np
-from scipy.interpolate import RBFInterpolator
 
 from .._host.sources.reduction import KDTree, drop_close, roundoff
 
@@ -17,6 +16,8 @@ def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
 
     It is relative to the largest displacement, and zero without one. The interpolation is that of SciPy by distances.
     """
+    from scipy.interpolate import RBFInterpolator  # takes a tenth of a second to import
+
     largest = np.linalg.norm(u, axis=1).max(initial=0)
     rows = drop_close(points, sources, roundoff(points))
     if largest == 0 or not len(rows):

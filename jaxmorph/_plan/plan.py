@@ -455,7 +455,7 @@ def _moved(layout: Layout | None) -> Callable[[Shared, VolumePart], Float[Array,
 def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Array, "n d"]:
     """Moves the points of some rows; `at` are the rows of the nodes that are assigned, beyond the last one for others."""
     displacement = map_points(shared.field, volume.points, volume.placed)
-    if shared.images is not None:
+    if shared.images is not None and volume.on_plane is not None:
         displacement = shared.images.within(displacement, volume.on_plane)
     moved = volume.points + displacement
     if not len(at):

@@ -48,7 +48,8 @@ class Beside(Generic[T]):
     """
 
     def __init__(self, function: Callable[..., T], *arguments: Any):
-        self._call = functools.partial(contextvars.copy_context().run, function, *arguments)
+        call = functools.partial(contextvars.copy_context().run, function, *arguments)
+        self._call: Callable[[], T] | None = call
         self._thread = threading.Thread(target=self._run, daemon=True) if cores() > 1 else None
         self._value: Any = None
         self._error: BaseException | None = None
@@ -56,6 +57,7 @@ class Beside(Generic[T]):
             self._thread.start()
 
     def _run(self) -> None:
+        assert self._call is not None
         try:
             self._value = self._call()
         except BaseException as error:  # raised where the result is asked for
