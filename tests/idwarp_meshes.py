@@ -61,19 +61,37 @@ OVERSET = {"wing.00000": (0, 0, 0), "wing.00001": (0, 0, 0), "tip.00000": (0, 0.
 """Zones of the file of `write_overset`, and where each cube stands."""
 
 
+def overset_blocks():
+    grid = cube()
+    return {"wing.00000": grid[:3], "wing.00001": grid[2:], "tip.00000": grid, "far.00000": grid}
+
+
+def overset_nodes():
+    """Nodes of the file of `write_overset`, in its order."""
+    blocks = overset_blocks().items()
+    return np.concatenate([part.reshape(-1, 3, order="F") + OVERSET[zone] for zone, part in blocks])
+
+
+def overset_floors():
+    """Faces of the lowest side of each zone, four corners each, and the zone of each face."""
+    turns, corners, zones = ((0, 0), (1, 0), (1, 1), (0, 1)), [], []
+    for zone, (name, part) in enumerate(overset_blocks().items()):
+        for i, j in np.ndindex(part.shape[0] - 1, part.shape[1] - 1):
+            corners += [part[i + a, j + b, 0] + OVERSET[name] for a, b in turns]
+            zones.append(zone)
+    return np.array(corners), np.array(zones)
+
+
 def write_overset(path):
     """Three cubes that overlap, as cgns_utils joins them: two with a floor, in three zones, and one without."""
-    grid, nodes = cube(), []
-    parts = {"wing.00000": grid[:3], "wing.00001": grid[2:], "tip.00000": grid, "far.00000": grid}
+    parts = overset_blocks()
     with h5py.File(path, "w", track_order=True) as file:
         base = cgns.base(file, 3, 3)
         for name in ("wing", "tip", "far"):
             own = {zone: part for zone, part in parts.items() if zone.startswith(name)}
             conditions = {} if name == "far" else {"floor": "BCWallViscous", "sym0": "BCSymmetryPlane"}
             write_zones(base, own, conditions, f"_{name}", OVERSET[next(iter(own))])
-    for zone, part in parts.items():
-        nodes.append(part.reshape(-1, 3, order="F") + OVERSET[zone])
-    return np.concatenate(nodes)
+    return overset_nodes()
 
 
 def write_unstructured(path, names=None):

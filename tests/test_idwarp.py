@@ -304,15 +304,8 @@ def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
     indices = np.random.default_rng(3).permutation(nodes.size)
     mesh.setExternalMeshIndices(indices)
     assert np.array_equal(mesh.getSolverGrid(), nodes.ravel()[indices])
-    # the floor of each zone, the last one's too
-    points, zones = [], []
-    for zone in range(4):
-        own = nodes[first[zone] : first[zone + 1]]
-        corners, _, count = faces_of(own - own.min(axis=0))
-        points.append(corners * np.ptp(own, axis=0) / np.ptp(own - own.min(axis=0), axis=0) + own.min(axis=0))
-        zones += len(count) * [zone]
-    points = np.concatenate(points)
-    mesh.setSurfaceDefinition(points, np.arange(len(points)).reshape(-1, 4), np.full(len(zones), 4), np.array(zones))
+    points, zones = meshes.overset_floors()
+    mesh.setSurfaceDefinition(points, np.arange(len(points)).reshape(-1, 4), np.full(len(zones), 4), zones)
     assert np.array_equal(mesh.getSurfaceCoordinates(), points)
     motion = lambda x: x + 0.1 * np.sin(2 * x[:, :1]) * [0, 0, 1] + 0.05 * x[:, 1:2] * [1, 0, 0] * x[:, :1]  # noqa: E731
     mesh.setSurfaceCoordinates(motion(points))
@@ -534,14 +527,17 @@ def test_two_processes_have_what_one_has(grids, tmp_path):
         pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
     meshes.write_openfoam(tmp_path / "case", parts=True)
     meshes.write_structured(tmp_path / "grid.cgns")
+    meshes.write_unstructured(tmp_path / "mesh.cgns")
+    meshes.write_plot3d(tmp_path / "grid.xyz")
+    meshes.write_overset(tmp_path / "overset.cgns")
     for count in (1, 2):
         run = [str(command), "-n", str(count), sys.executable, str(ROOT / "tests" / "mpi_idwarp.py"), str(tmp_path)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-        done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=600, check=False)
+        done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=900, check=False)
         assert done.returncode == 0, done.stderr
-    for kind in ("structured", "openfoam"):
+    for kind in ("structured", "unstructured", "plot3d", "openfoam", "overset"):
         one, two = (np.load(tmp_path / f"{kind}-{count}.npz") for count in (1, 2))
-        assert set(one) == set(two) == {"grid", "solver", "dXs", "change"}
+        assert set(one) == set(two) == {"grid", "dXs", "change", *(["solver"] if kind != "overset" else [])}
         for name in one:
             np.testing.assert_allclose(two[name], one[name], rtol=0, atol=1e-10 * np.abs(one[name]).max(), err_msg=name)
     old, new = io.Decomposed(tmp_path / "case"), io.Decomposed(tmp_path / "moved")
