@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 
+import adf
 import idwarp_meshes as meshes
 import jax
 import numpy as np
@@ -347,6 +348,9 @@ def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
     mesh.writeGrid(str(tmp_path / "moved"))
     written = io.read(tmp_path / "moved.cgns")
     assert np.array_equal(written.in_file_order(written.points), moved)
+    adf.twin(path, tmp_path / "older.cgns")
+    older = MultiUSMesh(str(tmp_path / "older.cgns"), {"tip": options["tip"]}, MPI.COMM_SELF)
+    assert np.array_equal(older.getWarpGrid()[0][0], nodes[first[2] : first[3]].ravel())
 
 
 def test_several_grids_refuse_nonsense(tmp_path):
@@ -396,6 +400,19 @@ def test_nodes_between_overset_grids_are_free(tmp_path):
     others = np.concatenate([meshes.on(nodes, name) for name in ("lid", "ymax", "floor", "sym1")])
     assert (change[np.setdiff1d(meshes.on(nodes, "xmax"), others), 2] > 1e-3).all()
     assert not change[np.setdiff1d(meshes.on(nodes, "ymax"), meshes.on(nodes, "floor"))].any()
+
+
+def test_a_grid_between_overset_patches_turns_with_its_wall(tmp_path):
+    """Nothing is fixed there: a turn of the wall about a line in it, and a shift, are those of the grid."""
+    names = {name: f"overset_{k}" for k, name in enumerate(meshes.SIDES)} | {"floor": "wing_wall"}
+    nodes = meshes.write_unstructured(tmp_path / "mesh.cgns", names)
+    mesh = USMesh({"gridFile": str(tmp_path / "mesh.cgns")}, MPI.COMM_SELF)
+    turn = np.array([[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]])
+    motion = lambda x: x @ turn.T + [0.1, 0.2, 0.3]  # noqa: E731
+    mesh.setSurfaceCoordinates(motion(mesh.getSurfaceCoordinates()))
+    mesh.warpMesh()
+    np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3), motion(nodes), atol=1e-12)
+    dot_is_equal(mesh)
 
 
 def test_planes_hold_nodes_within_symmtol(grids):

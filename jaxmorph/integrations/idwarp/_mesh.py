@@ -15,7 +15,7 @@ from ._arrays import faces, reals
 from ._definition import Definition
 from ._follower import Follower, doubles
 from ._grid import Grid, SolverOrder, communicator, solver_order, surface_blocks
-from ._options import FILE, WITHOUT, changed, checked, method, name_of, warn_of
+from ._options import FILE, WITHOUT, changed, checked, name_of, warn_of
 from ._walls import walls_of
 
 
@@ -33,8 +33,9 @@ class USMesh:
     **Arguments:**
 
     - `options`: IDWarp's options by name, in any case. `useRotations` chooses IDWarp's method, `InverseDistance(rotations=...)`,
-      with `aExp`, `bExp` and `alpha`; without it the method is `prepare`'s default. `symmTol` is the distance within which nodes
-      lie on `symmetryPlanes`. Without planes they come from the file. Options without a counterpart are named in one warning.
+      with `aExp`, `bExp` and `alpha`. Without it the method is `prepare`'s default, or IDWarp's where nothing is fixed. `symmTol`
+      is the distance within which nodes lie on `symmetryPlanes`. Without planes they come from the file. Options without a
+      counterpart are named in one warning.
     - `comm`: the communicator. Default: that of all processes.
     - `debug`: IDWarp's; nothing here depends on it.
 
@@ -252,7 +253,7 @@ class USMesh:
                 raise ValueError("the surface has no points: no process defines any.")
             walls = walls_of(grid.outside, self._options)
             moving, weights = walls.moving(definition, is_own)
-            half = walls.half(moving, method(self._options), grid.known)
+            half = walls.half(moving, self._options, grid.known)
             ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[moving]
             order = np.argsort(ids)
             return half, weights[order[np.searchsorted(ids[order], half.moving)]]

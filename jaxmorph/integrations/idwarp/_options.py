@@ -96,9 +96,10 @@ def warn_of(options: Mapping[str, Any]) -> None:
         )
 
 
-def method(options: Mapping[str, Any]) -> jm.AbstractMethod | None:
-    """Makes the method; None is the default of `prepare`."""
-    if options["useRotations"] is None:
+def method(options: Mapping[str, Any], is_held: bool) -> jm.AbstractMethod | None:
+    """Makes the method; None is the default of `prepare`, which needs that something `is_held`."""
+    turns = options["useRotations"]
+    if turns is None and is_held:
         return None
     far, near, alpha = (options[name] for name in WEIGHTS)
-    return jm.InverseDistance(far=far, near=near, alpha=alpha, rotations=options["useRotations"])
+    return jm.InverseDistance(far=far, near=near, alpha=alpha, rotations=turns is not False)
