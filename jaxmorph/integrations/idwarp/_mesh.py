@@ -33,9 +33,9 @@ class USMesh:
     **Arguments:**
 
     - `options`: IDWarp's options by name, in any case. `useRotations` chooses IDWarp's method, `InverseDistance(rotations=...)`,
-      with `aExp`, `bExp` and `alpha`. Without it the method is `prepare`'s default, or IDWarp's where nothing is fixed. `symmTol`
-      is the distance within which nodes lie on `symmetryPlanes`. Without planes they come from the file. Options without a
-      counterpart are named in one warning.
+      with `aExp`, `bExp` and `alpha`. Without it the method is `prepare`'s default, or IDWarp's where patches are overset and
+      none is fixed. `symmTol` is the distance within which nodes lie on `symmetryPlanes`. Without planes they come from the file.
+      Options without a counterpart are named in one warning.
     - `comm`: the communicator. Default: that of all processes.
     - `debug`: IDWarp's; nothing here depends on it.
 

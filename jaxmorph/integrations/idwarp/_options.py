@@ -96,10 +96,10 @@ def warn_of(options: Mapping[str, Any]) -> None:
         )
 
 
-def method(options: Mapping[str, Any], is_held: bool) -> jm.AbstractMethod | None:
-    """Makes the method; None is the default of `prepare`, which needs that something `is_held`."""
+def method(options: Mapping[str, Any], is_loose: bool) -> jm.AbstractMethod | None:
+    """Makes the method; None is the default of `prepare`, which is not for a mesh that `is_loose`: free, and fixed nowhere."""
     turns = options["useRotations"]
-    if turns is None and is_held:
+    if turns is None and not is_loose:
         return None
     far, near, alpha = (options[name] for name in WEIGHTS)
     return jm.InverseDistance(far=far, near=near, alpha=alpha, rotations=turns is not False)

@@ -70,7 +70,7 @@ class Walls:
         free = np.setdiff1d(self.mesh.patch(*self.free), np.concatenate([fixed, moving]))
         kinds = {"symmetry": self.symmetry, "periodic": periodic, "free": free}
         held = np.setdiff1d(fixed, moving)
-        chosen = method(options, is_held=len(held) > 0)
+        chosen = method(options, is_loose=len(free) > 0 and not len(held))
         return jm.prepare_surface(self.mesh, moving, held, method=chosen, **kinds, **known)
 
 
