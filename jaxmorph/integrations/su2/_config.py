@@ -169,7 +169,10 @@ def _shape(
         normals = shapes.wall_normals(mesh, *moving) if is_sided else None
         parts += simple_parts(listed, first, mesh.points.shape[1], normals)
         if listed[0].kind == "SURFACE_FILE":
-            u = io.read_displacement(options.beside(options.text("DV_FILENAME", "surface_positions.dat")), mesh, nodes)
+            file = options.text(
+                "DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat")
+            )  # the older name
+            u = io.read_displacement(options.beside(file), mesh, nodes)
             parts.append(Displacement((0,), jnp.asarray(u)))
         parts += box_parts(options, listed, first, mesh, moving, boxes)
     return DesignVariables(
