@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._host.package.cores import spread
+
 BLOCK = 1 << 16
 """Cells that are measured together."""
 
@@ -29,7 +31,8 @@ def in_blocks(xp: Any, function: Callable, *rows: Any) -> Any:
 
     blocks = -(-k // block)
     if xp is np:
-        results = [one(slice(i * block, (i + 1) * block)) for i in range(blocks)]
+        parts = [slice(i * block, (i + 1) * block) for i in range(blocks)]
+        results = [result for some in spread(lambda some: list(map(one, some)), parts) for result in some]
         return jax.tree.map(lambda *parts: np.concatenate(parts, axis=-1), *results)
     every = jnp.minimum(jnp.arange(blocks * block), k - 1)  # the last cell fills the last block
     results = jax.lax.map(jax.checkpoint(one), every.reshape(blocks, block))

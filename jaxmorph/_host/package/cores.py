@@ -2,6 +2,7 @@
 
 import contextvars
 import functools
+import itertools
 import os
 import threading
 from collections.abc import Callable
@@ -73,3 +74,12 @@ class Beside(Generic[T]):
         if self._error is not None:
             raise self._error
         return self._value
+
+
+def spread(function: Callable[[list], T], pieces: list) -> list[T]:
+    """Divides pieces of work evenly among the cores, and lists what `function` returns for each core's pieces, in order."""
+    number = min(cores(), len(pieces))
+    ends = [len(pieces) * k // number for k in range(number + 1)]
+    first, *others = (pieces[start:end] for start, end in itertools.pairwise(ends))
+    calls = [Beside(function, some) for some in others]
+    return [function(first), *(call.result() for call in calls)]
