@@ -151,6 +151,16 @@ def test_tables_of_the_transpose_are_made_for_derivatives_alone(monkeypatch):
     np.testing.assert_allclose(jnp.vdot(w, jm.deform(plan, u) - plan.points), jnp.vdot(expected, u), rtol=1e-9)
 
 
+def test_tables_made_while_jax_traces_serve_later():
+    mesh = body(2)
+    plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
+    u, w = jnp.asarray(motion(mesh.points)[mesh.moving]), np.random.default_rng(0).normal(size=mesh.points.shape)
+    moved, transpose = jax.vjp(jax.jit(lambda u: jm.deform(plan, u)), u)
+    (expected,) = transpose(jnp.asarray(w))
+    np.testing.assert_allclose(jm.pullback(plan, u, w), expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+    np.testing.assert_allclose(moved, jm.deform(plan, u), rtol=0, atol=1e-12)
+
+
 def test_more_points_than_a_thread_searches_alone_get_equal_neighbours(few_points, monkeypatch):
     points = lattice(*[np.linspace(0, 1, 12)] * 3)
     tree = cores.Tree(points)

@@ -90,7 +90,8 @@ def _table(rows: Interpolation, count: int, parts: int) -> Table:
     owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
     weights = np.asarray(rows.weights)
     gathered = [np.where(at < 0, 0, weights[share].ravel()[at]) for at, share in zip(entries, shares, strict=True)]
-    return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
+    with jax.ensure_compile_time_eval():  # also where JAX traces a call with a plan that is known
+        return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
 
 
 def _rounded(rows: int) -> int:
