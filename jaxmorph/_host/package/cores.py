@@ -1,7 +1,6 @@
 """The cores that this process may use, and work on several of them at once."""
 
 import contextvars
-import functools
 import itertools
 import os
 import threading
@@ -49,8 +48,8 @@ class Beside(Generic[T]):
     """
 
     def __init__(self, function: Callable[..., T], *arguments: Any):
-        call = functools.partial(contextvars.copy_context().run, function, *arguments)
-        self._call: Callable[[], T] | None = call
+        context = contextvars.copy_context()
+        self._call: Callable[[], T] | None = lambda: context.run(function, *arguments)
         self._thread = threading.Thread(target=self._run, daemon=True) if cores() > 1 else None
         self._value: Any = None
         self._error: BaseException | None = None
