@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float, UInt32
 
 import jaxmorph as jm
-from jaxmorph._host.cells.topology import CORNERS, VTK
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, output_path
 
@@ -128,12 +127,14 @@ class _Surface:
         before, after = (np.asarray(each, dtype=float)[ids] for each in (mesh.points, points))
         middle = (after.min(axis=0) + after.max(axis=0)) / 2
         triangles, edges, owners = [], [], []
-        for name, split in (("triangle", [[0, 1, 2]]), ("quad", [[0, 1, 2], [0, 2, 3]])):
-            kind = VTK[name]
-            corners = faces.cells_dict.get(kind, np.zeros((0, CORNERS[name]), int))
-            triangles.append(corners[:, split].reshape(-1, 3))
+        starts, labels = faces.offset, faces.cell_connectivity
+        for size in np.unique(np.diff(starts)).tolist():
+            rows = np.flatnonzero(np.diff(starts) == size)
+            corners = labels[starts[rows, None] + np.arange(size)]
+            fan = np.array([[0, k, k + 1] for k in range(1, size - 1)])
+            triangles.append(corners[:, fan].reshape(-1, 3))
             edges.append(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2))
-            owners.append(np.repeat(np.flatnonzero(faces.celltypes == kind), len(split)))
+            owners.append(np.repeat(rows, size - 2))
         return _Surface(
             (before - middle).astype(np.float32),
             (after - middle).astype(np.float32),

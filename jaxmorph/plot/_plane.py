@@ -1,5 +1,6 @@
 """Pictures in 2-D, with matplotlib."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -9,19 +10,42 @@ from scipy.spatial import Delaunay
 import jaxmorph as jm
 
 from .._host.package.arguments import checked, finite_array
-from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, cell_values, colour_scale, finite
+from ._style import (
+    BLUE,
+    BODY,
+    DARK,
+    GREY,
+    LIGHT,
+    ORANGE,
+    TALLEST,
+    WIDTH,
+    Limits,
+    Values,
+    arrows,
+    bodies,
+    cell_values,
+    colour_scale,
+    finite,
+    usual_limits,
+)
 
 try:
     import matplotlib.pyplot as plt
     from matplotlib.axes import Axes
     from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.font_manager import findfont as findfont
+    from matplotlib.patches import Patch
+    from matplotlib.textpath import TextPath as TextPath
 except ImportError as error:
     raise ImportError("jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'") from error
 
 Window = tuple[tuple[float, float], tuple[float, float]]
 
-THINNEST, THICKEST = 0.01, 0.6
-"""Widths of grid lines in typographic points: a line takes a sixth of its cell, so that boundary layers do not turn black."""
+THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
+"""Widths in typographic points: a line between cells takes a sixth of its cell, so that layers do not turn black; a wall."""
+
+NARROW = 0.8
+"""Cells narrower than this, in typographic points, show their colour and no line."""
 
 ROOM = 0.4
 """Margin of a picture around the bodies, relative to their extent, unless a window is given."""
@@ -41,7 +65,9 @@ def mesh(
     window: Window | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draws the cells of a 2-D mesh, coloured by a value for each cell.
+    """Draws the cells of a 2-D mesh, coloured by a value for each cell, and its boundary in a stronger line.
+
+    Cells too narrow for a line show their colour alone. Polygons are drawn whole.
 
     **Arguments:**
 
@@ -50,33 +76,36 @@ def mesh(
     - `values`: one for each cell, as `quality` gives. Where the file has polyhedra or polygons, one for each whole cell will do, as
       `face_quality` gives. Without values only the lines are drawn.
     - `limits`: the values at the light and at the dark end of the colours; (1, 0) for a measure that is small where cells are bad.
+      Default: those of all values in the window, without outliers on 1 % of the area, for which the bar has an arrow.
     - `label`: what the values are, beside the colour bar.
     - `bar`: False leaves out the colour bar. For several axes that share one: `figure.colorbar(ax.collections[0], ax=axes)`.
     - `window`: ((left, right), (bottom, top)); by default the bodies and some room round them. `whole(mesh.points)` shows all.
-    - `ax`: matplotlib's axes; new ones by default.
+    - `ax`: matplotlib's axes; new ones by default, in a figure of the window's shape.
 
     **Returns:** the axes.
 
     **Raises:** `ValueError` for a mesh in 3-D, for points of another shape than the mesh's, for another number of values than of
     cells, and for a `label` without values.
     """
-    corners = _corners(mesh, points)
+    cells = _Cells.of(mesh, points)
     if values is None and label is not None:
         raise ValueError(f"there are no `values` that are {label!r}.")
-    each = None if values is None else cell_values(mesh, values)
+    every = None if values is None else cell_values(mesh, values)
     colours, limits = colour_scale(limits)
-    ax = given_or_new(ax)
-    window = show(ax, _bodies(mesh, points) if window is None else window)
-    seen = _inside(corners, window)
-    if each is not None:
-        faces = PolyCollection(list(corners[seen]), cmap=colours, linewidths=0.3, edgecolors="face", rasterized=True)
-        ax.set_facecolor("#c4cad3")  # what is not mesh: bodies
-        faces.set_array(each[seen])
-        faces.set_clim(*(limits if limits is not None else (None, None)))
-        ax.add_collection(faces, autolim=False)
+    window = _bodies(mesh, points) if window is None else window
+    ax = show(given_or_new(ax, window, bar=bar and values is not None), window)
+    seen = cells.inside(window)
+    if every is not None:
+        shown = every[seen]
+        faces = _fill(ax, cells.corners[seen], cmap=colours)
+        ax.set_facecolor(BODY)
+        faces.set_array(shown)
+        faces.set_clim(*(limits or usual_limits(shown, cells.areas[seen])))
         if bar:
-            ax.figure.colorbar(faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or "")
-    _edges(ax, corners[seen], window, DARK)
+            extend = arrows(shown, faces.get_clim())
+            ax.figure.colorbar(faces, cax=ax.inset_axes((1.02, 0, 0.03, 1)), label=label or "", extend=extend)
+    _lines(ax, cells, seen, window, DARK, least=0 if every is None else NARROW)
+    _walls(ax, cells, DARK)
     return ax
 
 
@@ -84,7 +113,7 @@ def mesh(
 def before_after(
     mesh: jm.Mesh, points: Float[Any, "n 2"], *, window: Window | None = None, ax: Axes | None = None
 ) -> Axes:
-    """Draws the undeformed 2-D mesh in orange and the deformed one over it in blue.
+    """Draws the deformed 2-D mesh in blue over the undeformed bodies, which are filled in light orange.
 
     **Arguments:**
 
@@ -94,13 +123,16 @@ def before_after(
 
     **Raises:** `ValueError` for a mesh in 3-D, and for points of another shape than the mesh's.
     """
-    before, after = _corners(mesh, None), _corners(mesh, points)
-    ax = given_or_new(ax)
-    window = show(ax, _bodies(mesh, None, points) if window is None else window)
-    for corners, colour, label in ((before, ORANGE, "undeformed"), (after, BLUE, "deformed")):
-        _edges(ax, corners[_inside(corners, window)], window, colour)
-        ax.plot([], [], color=colour, label=label)
-    ax.legend(loc="upper right", framealpha=1)
+    before, after = _Cells.of(mesh, None), _Cells.of(mesh, points)
+    window = _bodies(mesh, None, points) if window is None else window
+    ax = show(given_or_new(ax, window), window)
+    ax.set_facecolor(LIGHT)  # where there was no mesh
+    _fill(ax, before.corners[before.inside(window)], facecolors="white")
+    _lines(ax, after, after.inside(window), window, BLUE)
+    _walls(ax, before, ORANGE)
+    _walls(ax, after, BLUE)
+    handles = [Patch(facecolor=face, edgecolor=edge) for face, edge in ((LIGHT, ORANGE), ("white", BLUE))]
+    ax.legend(handles, ["undeformed", "deformed"], loc="upper right", framealpha=1)
     return ax
 
 
@@ -115,7 +147,7 @@ def graph(
 ) -> Axes:
     """Draws the Delaunay graph of a plan's surface, displaced by `u` if given (figure 2 of the paper).
 
-    Moving nodes are orange, fixed nodes blue.
+    Moving nodes are orange, fixed nodes blue. The legend names what the window shows.
 
     **Arguments:**
 
@@ -135,36 +167,87 @@ def graph(
     simplices = nodes[Delaunay(points[nodes]).simplices]
     if u is not None:
         points = np.asarray(jm.deform(plan, finite_array("u", u, (plan.n_moving, 2))))
-    ax = given_or_new(ax)
-    show(ax, _round(points[moving], points) if window is None else window)
+    window = _round(points[moving], points) if window is None else window
+    ax = show(given_or_new(ax, window), window)
     if interior:
         ax.plot(*np.delete(points, nodes, axis=0).T, ".", color=GREY, markersize=2, zorder=1)
     edges = np.unique(np.sort(simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    ax.add_collection(LineCollection(list(points[edges]), colors=DARK, linewidths=0.5), autolim=False)
-    for ids, colour, label in ((moving, ORANGE, "moving"), (fixed, BLUE, "fixed")):
+    ax.add_collection(LineCollection(list(points[edges]), colors=DARK, linewidths=0.35), autolim=False)
+    for ids, colour, name in ((moving, ORANGE, "moving nodes"), (fixed, BLUE, "fixed nodes")):
+        label = name if len(_seen(points[ids][:, None], window)) else None
         ax.plot(*points[ids].T, ".", color=colour, markersize=5, label=label, zorder=3)
-    ax.legend(loc="upper right", framealpha=1)
+    if ax.get_legend_handles_labels()[1]:
+        ax.legend(loc="upper right", framealpha=1)
     return ax
 
 
-def given_or_new(ax: Axes | None) -> Axes:
-    return plt.subplots(layout="constrained")[1] if ax is None else ax
+def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = False, above: float = 0.1) -> Axes:
+    """Returns the axes given, or those of a new figure of the shape of its window, with `above` inches for what stands on top."""
+    if ax is not None:
+        return ax
+    if window is None:
+        return plt.subplots(figsize=(WIDTH, 0.7 * WIDTH), layout="constrained")[1]
+    width, height = (side[1] - side[0] for side in window)
+    beside, below = 0.75 + 0.9 * bar, 0.55 + above  # inches for labels, in which the mesh has no part
+    scale = min((WIDTH - beside) / width, (TALLEST - below) / height)
+    size = scale * width + beside, max(scale * height + below, 1.5)
+    return plt.subplots(figsize=size, layout="constrained")[1]
 
 
-def _corners(mesh: jm.Mesh, points: Any) -> Float[np.ndarray, "k 4 2"]:
-    """Returns the corners of all cells in the order of `mesh.cells`.
+@dataclasses.dataclass(frozen=True)
+class _Cells:
+    """Holds the cells of a 2-D mesh in the order of `mesh.cells`: four corners each, repeated in triangles and lines.
 
-    Corners of a triangle or a line are repeated.
+    `whole` is the cell of the file that each one is, or is a piece of.
     """
-    if mesh.points.shape[1] != 2:
-        raise ValueError(
-            f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."
-        )
-    if not sum(map(len, mesh.cells.values())):
-        raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
-    points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-    ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.cells.items()]
-    return points[np.concatenate(ids)]
+
+    points: Float[np.ndarray, "n 2"]
+    ids: Int[np.ndarray, "k 4"]
+    whole: Int[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, mesh: jm.Mesh, points: Any) -> "_Cells":
+        if mesh.points.shape[1] != 2:
+            raise ValueError(
+                f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."
+            )
+        if not sum(map(len, mesh.cells.values())):
+            raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
+        points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+        ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.cells.items()]
+        return cls(points, np.concatenate(ids), np.asarray(mesh.cell_ids))
+
+    @property
+    def corners(self) -> Float[np.ndarray, "k 4 2"]:
+        return self.points[self.ids]
+
+    @property
+    def areas(self) -> Float[np.ndarray, " k"]:
+        (a, b), (c, d) = ((self.corners[:, k + 2] - self.corners[:, k]).T for k in (0, 1))
+        return np.abs(a * d - b * c) / 2
+
+    def inside(self, window: Window) -> Int[np.ndarray, " s"]:
+        """Lists the cells that may be seen."""
+        return _seen(self.corners, window)
+
+    def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lists the edges (e, 2) of some cells, how often each comes, and the width (e,) of its narrowest cell.
+
+        Edges between two pieces of one polygon are left out.
+        """
+        ids = self.ids[cells]
+        pairs = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2), axis=2)
+        lengths = np.linalg.norm(np.diff(self.points[pairs], axis=2)[:, :, 0], axis=2).max(axis=1)
+        width = self.areas[cells] / np.maximum(lengths, np.finfo(float).tiny)
+        real = pairs[..., 0] != pairs[..., 1]
+        edges, which, counts = np.unique(pairs[real], axis=0, return_inverse=True, return_counts=True)
+        which, owner = which.ravel(), np.repeat(self.whole[cells], 4)[real.ravel()]
+        narrowest, first, last = np.full(len(edges), np.inf), np.full(len(edges), len(self.whole)), np.full(len(edges), -1)
+        np.minimum.at(narrowest, which, np.repeat(width, 4)[real.ravel()])
+        np.minimum.at(first, which, owner)
+        np.maximum.at(last, which, owner)
+        shown = (counts == 1) | (first < last) | (narrowest == 0)
+        return edges[shown], counts[shown], narrowest[shown]
 
 
 def flat(points: Any, other: str | None = None) -> Float[np.ndarray, "n 2"]:
@@ -194,18 +277,13 @@ def whole(points: Float[Any, "n 2"]) -> Window:
 
 
 def _bodies(mesh: jm.Mesh, *states: Any) -> Window:
-    """Finds the window round the patches that are not part of the outer boundary, in all `states` of the points; else all."""
+    """Finds the window round the bodies of a mesh in all `states` of the points; all of it where there is none."""
     base = np.asarray(mesh.points)
-    low, high = base.min(axis=0), base.max(axis=0)
-    near = 1e-6 * (high - low)
-    nodes = [np.asarray(ids) for ids in mesh.patches.values() if len(ids)]
-    inner = [ids for ids in nodes if (base[ids] > low + near).all() and (base[ids] < high - near).all()]
     states = tuple(base if points is None else np.asarray(points) for points in states)
-    everything = np.concatenate(states)
-    if not inner:
+    everything, nodes = np.concatenate(states), bodies(base, mesh.patches)
+    if not len(nodes):
         return whole(everything)
-    ids = np.concatenate(inner)
-    return _round(np.concatenate([points[ids] for points in states]), everything)
+    return _round(np.concatenate([points[nodes] for points in states]), everything)
 
 
 def _round(body: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> Window:
@@ -216,25 +294,39 @@ def _round(body: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]) -> 
     return whole(np.stack([low, high]))
 
 
-def show(ax: Axes, window: Window) -> Window:
+def show(ax: Axes, window: Window) -> Axes:
+    """Shows a window of the plane, and names its axes unless they have names."""
     ax.set(xlim=window[0], ylim=window[1], aspect="equal")
-    return window
+    ax.set(xlabel=ax.get_xlabel() or "x", ylabel=ax.get_ylabel() or "y")
+    return ax
 
 
-def _inside(corners: Float[np.ndarray, "k 4 2"], window: Window) -> Int[np.ndarray, " s"]:
-    """Returns the ids of the cells that may be seen."""
+def _seen(corners: Float[np.ndarray, "k c 2"], window: Window) -> Int[np.ndarray, " s"]:
     low, high = corners.min(axis=1), corners.max(axis=1)
     (left, right), (bottom, top) = window
     return np.flatnonzero((high >= (left, bottom)).all(axis=1) & (low <= (right, top)).all(axis=1))
 
 
-def _edges(ax: Axes, corners: Float[np.ndarray, "k 4 2"], window: Window, colour: str) -> None:
-    """Draws the outlines of cells, thinner where cells are thin."""
-    left, right = window[0]
-    to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (right - left)
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    (a, b), (c, d) = (corners[:, 2] - corners[:, 0]).T, (corners[:, 3] - corners[:, 1]).T
-    across = np.abs(a * d - b * c) / 2 / np.maximum(edges, np.finfo(float).tiny)
-    widths = np.clip(across * to_points / 6, THINNEST, THICKEST)
-    outlines = PolyCollection(list(corners), facecolors="none", edgecolors=colour, linewidths=widths, rasterized=True)
-    ax.add_collection(outlines, autolim=False)
+def _fill(ax: Axes, corners: Float[np.ndarray, "k 4 2"], **style: Any) -> PolyCollection:
+    faces = PolyCollection(list(corners), linewidths=0.3, edgecolors="face", rasterized=True, **style)
+    ax.add_collection(faces, autolim=False)
+    return faces
+
+
+def _lines(
+    ax: Axes, cells: _Cells, seen: Int[np.ndarray, " s"], window: Window, colour: str, least: float = 0
+) -> None:
+    """Draws the lines between cells, thinner where cells are thin, and none where they are narrower than `least`."""
+    edges, _, narrowest = cells.edges(seen)
+    to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
+    chosen = narrowest * to_points >= least
+    widths = np.clip(narrowest[chosen] * to_points / 6, THINNEST, THICKEST)
+    lines = LineCollection(list(cells.points[edges[chosen]]), colors=colour, linewidths=widths, rasterized=True)
+    ax.add_collection(lines, autolim=False)
+
+
+def _walls(ax: Axes, cells: _Cells, colour: str) -> None:
+    """Draws the edges with a cell on one side: an odd number of times among all, since a cell of type line has it twice."""
+    edges, counts, _ = cells.edges(np.arange(len(cells.ids)))
+    lines = list(cells.points[edges[counts % 2 == 1]])
+    ax.add_collection(LineCollection(lines, colors=colour, linewidths=WALL, capstyle="round"), autolim=False)
