@@ -13,7 +13,7 @@ from jaxmorph._plan.prepare import boundary_of, plan_of
 from jaxmorph._quality.report import MEASURES
 from jaxmorph.shapes import History
 
-from ._plane import Axes, given_or_new
+from ._cells import Axes, given_or_new
 from ._sources import of_plan, radial_basis_functions
 from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE
 
@@ -167,7 +167,7 @@ def _iterations(history: History, ax: Axes | None) -> Axes:
         else:  # of several the one nearest to its bound
             ax.plot(steps, column.min(axis=1), ".-", label=f"smallest of {name}")
     ax.set_xlabel("iteration")
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.locator_params("x", integer=True)
     ax.grid(color=RULE)
     ax.set_axisbelow(True)
     ax.legend()

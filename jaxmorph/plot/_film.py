@@ -13,8 +13,8 @@ from jaxtyping import Float, UInt8
 from jaxmorph._host.package.arguments import checked, finite_array, whole
 from jaxmorph._host.package.files import complete, output_path
 
-from ._plane import Axes, plt
-from ._space import content, fitted_window, margins, set_view, view_of, whole_view
+from ._cells import Axes, plt
+from ._view import content, fitted_window, margins, set_view, view_of, whole_view
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -95,7 +95,9 @@ def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
         raise ValueError(f"`draw` should return the axes or the plotter that it drew on, not {type(first).__name__}.")
     view, window = view_of(first), first.window_size
     viewer, fitted = view[:3] - view[3:6], fitted_window(first, content(first), view[:3] - view[3:6])
-    if not any(np.allclose(view, whole_view(content(first), size, viewer, margins(first))) for size in (fitted, window)):
+    if not any(
+        np.allclose(view, whole_view(content(first), size, viewer, margins(first))) for size in (fitted, window)
+    ):
         return view, first.camera.parallel_projection, window  # `draw` placed the camera
     away = np.stack([points - frames[0] for points in frames])
     farthest = {*away.max(axis=1).argmax(axis=0).tolist(), *away.min(axis=1).argmin(axis=0).tolist()} - {0}

@@ -15,9 +15,10 @@ import jaxmorph as jm
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, output_path
 
-from ._plane import plt
-from ._space import outside, view_axes
+from ._cells import plt
+from ._space import corners_of, outside
 from ._style import COLOURS, DARK, DISPLACEMENT, Limits, Values, colour_scale
+from ._view import view_axes
 
 SLIDER = """
 const panel = document.createElement("form");
@@ -122,12 +123,12 @@ class _Surface:
 
     @staticmethod
     def outside_of(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> "_Surface":
-        faces = outside(mesh, points, values, patch).cast_to_unstructured_grid()
+        faces = outside(mesh, points, values, patch)
         ids = np.asarray(faces.point_data["node"])
         before, after = (np.asarray(each, dtype=float)[ids] for each in (mesh.points, points))
         middle = (after.min(axis=0) + after.max(axis=0)) / 2
         triangles, edges, owners = [], [], []
-        starts, labels = faces.offset, faces.cell_connectivity
+        labels, starts = corners_of(faces)
         for size in np.unique(np.diff(starts)).tolist():
             rows = np.flatnonzero(np.diff(starts) == size)
             corners = labels[starts[rows, None] + np.arange(size)]

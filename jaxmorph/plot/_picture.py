@@ -110,7 +110,11 @@ def _in_plane(before: jm.Mesh, points: Float[np.ndarray, "n 3"]) -> tuple[jm.Mes
     base = np.asarray(before.points)
     low, size = base.min(axis=0), np.ptp(base, axis=0)
     near = 1e-6 * size.max()
-    thin = [axis for axis in np.argsort(size, kind="stable").tolist() if _is_layer(base[:, axis] - low[axis], size[axis], near)]
+    thin = [
+        axis
+        for axis in np.argsort(size, kind="stable").tolist()
+        if _is_layer(base[:, axis] - low[axis], size[axis], near)
+    ]
     if not thin or np.abs(points - base)[:, thin[0]].max() > near:
         return None
     side = base[:, thin[0]] < low[thin[0]] + near
@@ -120,7 +124,11 @@ def _in_plane(before: jm.Mesh, points: Float[np.ndarray, "n 3"]) -> tuple[jm.Mes
     cells = {kind: _counterclockwise(flat, ids) for kind, ids in faces.items() if len(ids)}
     number = np.zeros(len(base), int)
     number[nodes] = np.arange(len(nodes))
-    return jm.Mesh(flat[nodes], {kind: number[ids] for kind, ids in cells.items()}), np.delete(points, thin[0], axis=1)[nodes], nodes
+    return (
+        jm.Mesh(flat[nodes], {kind: number[ids] for kind, ids in cells.items()}),
+        np.delete(points, thin[0], axis=1)[nodes],
+        nodes,
+    )
 
 
 def _is_layer(height: np.ndarray, size: float, near: float) -> bool:

@@ -10,9 +10,10 @@ from jaxtyping import Float
 import jaxmorph as jm
 
 from .._host.package.arguments import checked
-from ._plane import ROOM, Axes, Window, flat, given_or_new, show, whole
-from ._space import add_legend, aim, new_plotter, pyvista
+from ._cells import Axes, Window, given_or_new, show
+from ._plane import ROOM, flat, whole
 from ._style import BLUE, GREEN, GREY, ORANGE, finite
+from ._view import add_legend, aim, new_plotter, pyvista
 
 
 @checked
@@ -56,9 +57,8 @@ def sources(
     if search_points and picture.leaves:
         style = {"color": BLUE, "markersize": 7, "markeredgewidth": 1.5, "zorder": 4}
         ax.plot(*picture.searched.T, "+", label=f"{len(picture.searched)} search points", **style)
-    above: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
-    tight = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 1.0}
-    ax.legend(ncols=4 if len(ax.figure.axes) == 1 else 3, **above, **tight)
+    tight: dict[str, Any] = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 1.0, "frameon": False}
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4 if len(ax.figure.axes) == 1 else 3, **tight)
     return ax
 
 

@@ -10,8 +10,8 @@ import jaxmorph as jm
 from jaxmorph._host.cells.topology import VTK
 from jaxmorph._host.package.arguments import checked
 
-from matplotlib.colors import to_hex
-from ._plane import ROOM, TextPath, findfont, plt
+from ._cells import plt
+from ._plane import ROOM
 from ._style import (
     BLUE,
     DARK,
@@ -20,25 +20,14 @@ from ._style import (
     STILL,
     Limits,
     Values,
+    beyond,
     bodies,
     cell_values,
     colour_scale,
     finite,
-    arrows,
     usual_limits,
 )
-
-VIEWER = -1.0, -2.5, 1.8
-"""The direction towards the viewer: x to the right, y away, z up; mirrored where it would look into an open surface."""
-
-WINDOW = 1200, 900
-"""Width of a picture in pixels, and its largest height."""
-
-TEXT = 30
-"""Height of letters in pixels."""
-
-EDGE, BELOW, LEGEND, BAR = 0.025, 0.12, 0.06, 0.25
-"""Margins, relative to the width: at each side, below for axes and scale, above for a legend, right for a colour bar."""
+from ._view import VIEWER, add_bar, add_legend, aim, new_plotter, pyvista, view_axes
 
 LIT = {"ambient": 0.4, "diffuse": 0.7}
 LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
@@ -142,7 +131,9 @@ def cut(
         for part in (grid, outside(mesh, points, None, None))
     )
     drawn = _draw(section, limits, label, bar, plotter, lighting=False, show_edges=False)
-    before = 1e-3 * section.length * view_axes(viewer)[0]  # lines in front of the cells, which would cover a part of them
+    before = (
+        1e-3 * section.length * view_axes(viewer)[0]
+    )  # lines in front of the cells, which would cover a part of them
     for lines, width in ((_outlines(section), 1), (walls, 3.5)):
         if lines.n_cells:
             drawn.add_mesh(lines.translate(before), color=DARK, line_width=width, lighting=False)
@@ -163,8 +154,7 @@ def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) 
 
 def _outlines(section: Any) -> Any:
     """Returns the edges of the cells of a section for pyvista, but those that a cell has twice: between two pieces of it."""
-    grid = section.cast_to_unstructured_grid()
-    labels, starts = grid.cell_connectivity, grid.offset
+    labels, starts = corners_of(section)
     after = np.roll(labels, -1)
     after[starts[1:] - 1] = labels[starts[:-1]]
     owner = np.repeat(section.cell_data["whole"], np.diff(starts))
@@ -172,6 +162,13 @@ def _outlines(section: Any) -> Any:
     edges, counts = np.unique(pairs, axis=0, return_counts=True)
     edges = np.unique(edges[counts == 1, :2], axis=0)
     return pyvista().PolyData(section.points, lines=np.insert(edges, 0, 2, axis=1).ravel())
+
+
+def corners_of(faces: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the corners of pyvista's faces in a row, and where each face begins (one more at the end)."""
+    cells = faces.cast_to_unstructured_grid().GetCells()
+    labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
+    return labels, starts
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
@@ -217,7 +214,9 @@ def _polygons(mesh: jm.Mesh, grid: Any) -> Any:
     faces.point_data["node"] = nodes
     if "values" in grid.cell_data:
         cells = np.asarray(mesh.cell_ids)
-        faces.cell_data["values"] = (np.bincount(cells, grid.cell_data["values"]) / np.bincount(cells))[whole.owner[outer]]
+        faces.cell_data["values"] = (np.bincount(cells, grid.cell_data["values"]) / np.bincount(cells))[
+            whole.owner[outer]
+        ]
     return faces
 
 
@@ -233,7 +232,14 @@ def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
 
 
 def _draw(
-    part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *, lighting: bool = True, show_edges: bool = True
+    part: Any,
+    limits: Any,
+    label: str | None,
+    bar: bool,
+    plotter: Any,
+    *,
+    lighting: bool = True,
+    show_edges: bool = True,
 ) -> Any:
     """Draws faces, with colours and a bar where they have values."""
     if part.n_cells == 0:
@@ -244,91 +250,21 @@ def _draw(
     colours, limits = colour_scale(limits)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
     style: dict[str, Any] = {"color": GREY}
-    beyond: dict[str, str] = {}
+    ends: list[tuple[str, str]] = []
     if has_values:
         values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
         limits = limits or usual_limits(values, sizes)
+        below, above = beyond(values, limits)
+        ends = [("below", "<")] * below + [("above", ">")] * above
         style = {"scalars": "values", "cmap": colours, "clim": limits}
-        beyond = {"min": {"below": 0.0}, "max": {"above": 1.0}, "both": {"below": 0.0, "above": 1.0}}.get(arrows(values, limits), {})
-        style |= {f"{side}_color": to_hex(plt.get_cmap(colours)(place)) for side, place in beyond.items()}
+        style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
     light = LIT if lighting and not has_values else {"lighting": False}  # it would change the colours, and the bar not
     plotter.add_mesh(part, show_scalar_bar=False, **LINES | {"show_edges": show_edges}, **light, **style)
     if has_values and bar:
-        _add_bar(plotter, label or "", {f"{side}_label": "<>"[side == "above"] for side in beyond})
+        add_bar(plotter, label or "", {f"{side}_label": sign for side, sign in ends})
     if new:
         aim(plotter, _viewer(part))
     return plotter
-
-
-def _add_bar(plotter: Any, label: str, beyond: dict[str, str]) -> None:
-    size = {"height": 0.6, "width": 0.05, "position_x": 0.85, "position_y": 0.2}
-    bar = plotter.add_scalar_bar(f"{label}\n", vertical=True, n_labels=5, fmt="%.3g", color=DARK, **size, **beyond)
-    bar.SetUnconstrainedFontSize(True)
-    bar.SetTextPad(8)
-    for text in (bar.GetTitleTextProperty(), bar.GetLabelTextProperty(), bar.GetAnnotationTextProperty()):
-        text.SetFontSize(TEXT)
-        _in_font(text)
-
-
-def _in_font(text: Any) -> None:
-    """Sets text in the font of the pictures in 2-D."""
-    text.SetFontFamily(4)  # VTK's number for a font from a file
-    text.SetFontFile(findfont("DejaVu Sans"))
-    text.SetBold(False)
-    text.SetItalic(False)
-    text.SetShadow(False)
-
-
-def new_plotter() -> Any:
-    with pyvista().vtk_verbosity("off"):  # it complains where there is no display, and draws all the same
-        plotter = pyvista().Plotter(off_screen=True, window_size=WINDOW)
-    plotter.set_background("white")
-    plotter.enable_anti_aliasing("ssaa")  # with samples for each pixel, VTK draws nothing of what it peels
-    axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
-    for name in "XYZ":
-        caption = getattr(axes, f"Get{name}AxisCaptionActor2D")()
-        caption.GetTextActor().SetTextScaleModeToNone()
-        caption.GetCaptionTextProperty().SetFontSize(TEXT)
-        _in_font(caption.GetCaptionTextProperty())
-    _add_scale(plotter)
-    return plotter
-
-
-def _add_scale(plotter: Any) -> None:
-    """Draws a bar of a round length in the lower right corner, which follows the camera; none in perspective."""
-    from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
-
-    scale = vtkAxisActor2D()
-    scale.SetNumberOfLabels(2)
-    scale.AdjustLabelsOff()
-    scale.LabelVisibilityOff()
-    scale.TickVisibilityOn()
-    scale.GetProperty().SetColor(0.1, 0.1, 0.1)
-    scale.GetProperty().SetLineWidth(3)
-    scale.UseFontSizeFromPropertyOn()
-    scale.GetTitleTextProperty().SetColor(0.1, 0.1, 0.1)
-    scale.GetTitleTextProperty().SetFontSize(TEXT)
-    _in_font(scale.GetTitleTextProperty())
-    plotter.renderer.AddViewProp(scale)
-
-    def fit(*_: Any) -> None:
-        width, height = plotter.window_size
-        seen = 2 * plotter.camera.parallel_scale * width / height
-        length = _round_length(0.2 * seen)
-        for coordinate, x in ((scale.GetPositionCoordinate(), 0.97 - length / seen), (scale.GetPosition2Coordinate(), 0.97)):
-            coordinate.SetCoordinateSystemToNormalizedViewport()
-            coordinate.SetValue(x, 0.06 * width / height)
-        plotter.renderer.axes_widget.SetViewport(-0.04, -0.05 * width / height, 0.16, 0.15 * width / height)
-        scale.SetTitle(f"{length:g}")
-        scale.SetVisibility(bool(plotter.camera.parallel_projection))
-
-    plotter.renderer.AddObserver("StartEvent", fit)
-
-
-def _round_length(largest: float) -> float:
-    """Returns the largest of 1, 2 and 5 times a power of ten that is not above a length."""
-    power = 10 ** np.floor(np.log10(largest))
-    return float(power * max(factor for factor in (1, 2, 5) if factor * power <= largest * (1 + 1e-9)))
 
 
 def _viewer(part: Any) -> np.ndarray:
@@ -345,94 +281,6 @@ def _viewer(part: Any) -> np.ndarray:
     mirrored = viewer - 2 * (viewer @ normal) * normal
     faces = _skin(part).compute_normals(point_normals=False, consistent_normals=False)
     areas = faces.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
-    directions = [mirrored, mirrored + [0, 0, VIEWER[2]], mirrored + [0, 0, 3 * VIEWER[2]]]
+    directions = [mirrored + np.array([0, 0, lift]) for lift in (0, VIEWER[2], 3 * VIEWER[2])]
     shown = [areas @ np.abs(faces.cell_data["Normals"] @ (way / np.linalg.norm(way))) for way in directions]
     return directions[int(np.argmax(np.array(shown) > 0.85 * max(shown)))]
-
-
-def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER, shown: np.ndarray | None = None) -> None:
-    """Turns the camera to points, by default all that was drawn, and gives the window their shape."""
-    shown = content(plotter) if shown is None else shown
-    plotter.window_size = fitted_window(plotter, shown, viewer)
-    set_view(plotter, whole_view(shown, plotter.window_size, viewer, margins(plotter)))
-
-
-def fitted_window(
-    plotter: Any, points: Float[np.ndarray, "k 3"], viewer: Sequence[float] | np.ndarray
-) -> tuple[int, int]:
-    """Chooses width and height in pixels of a picture of points, so that little is white."""
-    (width, height), (left, right, below, above) = np.ptp(points @ np.stack(view_axes(viewer)[1:]).T, axis=0), margins(plotter)
-    tall = (1 - left - right) * height / max(width, 1e-9 * height) + below + above
-    return WINDOW[0], round(float(np.clip(tall * WINDOW[0], WINDOW[1] / 2, WINDOW[1])))
-
-
-def content(plotter: Any) -> Float[np.ndarray, "k 3"]:
-    """Returns the points of all that was drawn."""
-    return np.concatenate([np.asarray(mesh.points, dtype=float) for mesh in plotter.meshes])
-
-
-def margins(plotter: Any) -> tuple[float, float, float, float]:
-    """Returns what is left free at the left and right, below and above, relative to the width."""
-    has_legend = any(name.startswith("legend") for name in plotter.actors)
-    return EDGE, BAR if len(plotter.scalar_bars) else EDGE, BELOW, LEGEND if has_legend else EDGE
-
-
-def whole_view(
-    points: Float[np.ndarray, "k 3"],
-    window: Sequence[int],
-    viewer: Sequence[float] | np.ndarray = VIEWER,
-    free: tuple[float, float, float, float] = (EDGE, EDGE, BELOW, EDGE),
-) -> Float[np.ndarray, " 10"]:
-    """Places a camera: its position, what it looks at, upwards, half the height that it sees.
-
-    It has no perspective. All points are in a window of this width and height, within the margins that are left free.
-    """
-    axes, tall = np.stack(view_axes(viewer)), window[1] / window[0]
-    seen, (left, right, below, above) = points @ axes.T, free
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    depth, width, height = high - low
-    scale = max(width / (1 - left - right), height / (tall - below - above))  # length across the window
-    beside = np.array([0, (right - left) / 2, (above - below) / 2]) * scale
-    middle = ((low + high) / 2 + beside) @ axes
-    distance = 2 * (depth + width + height)
-    return np.array([*(middle + distance * axes[0]), *middle, *axes[2], scale * tall / 2])
-
-
-def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
-    """Returns the view (10,) of the plotter's camera as it is now."""
-    return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
-
-
-def set_view(plotter: Any, view: Float[np.ndarray, " 10"], is_parallel: bool = True) -> None:
-    plotter.camera_position = [tuple(vector) for vector in view[:9].reshape(3, 3).tolist()]
-    plotter.camera.parallel_projection, plotter.camera.parallel_scale = is_parallel, float(view[9])
-    plotter.renderer.reset_camera_clipping_range()
-
-
-def view_axes(viewer: Sequence[float] | np.ndarray = VIEWER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns unit vectors towards the viewer, to the right, and upwards in the picture: z, or y for one who looks along z."""
-    towards = np.array(viewer) / np.linalg.norm(viewer)
-    across = np.cross((0, 0, 1) if abs(towards[2]) < 0.99 else (0, 1, 0), towards)
-    across /= np.linalg.norm(across)
-    return towards, across, np.cross(towards, across)
-
-
-def add_legend(plotter: Any, entries: Sequence[tuple[str, str]]) -> None:
-    """Writes names, each in its colour, in a row above the picture."""
-    place = EDGE
-    for k, (name, colour) in enumerate(entries):
-        text = plotter.add_text(name, color=colour, viewport=True, name=f"legend {k}", position=(place, 0.0))
-        text.prop.SetFontSize(TEXT)
-        text.prop.SetVerticalJustificationToTop()
-        text.SetPosition(place, 0.985)
-        _in_font(text.prop)
-        place += (TextPath((0, 0), name, size=TEXT).get_extents().width + TEXT) / WINDOW[0]
-
-
-def pyvista() -> Any:
-    """Imports the package; the `ImportError` names what to install."""
-    try:
-        import pyvista
-    except ImportError as error:
-        raise ImportError("pictures in 3-D need pyvista: pip install 'jaxmorph[plot]'") from error
-    return pyvista

@@ -89,11 +89,10 @@ def usual_limits(values: Float[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]
     return low, high if high > low else low + max(abs(low), 1) * 1e-6
 
 
-def arrows(values: Float[np.ndarray, " k"], limits: Limits) -> str:
-    """Tells at which ends a bar has an arrow, as matplotlib calls them: there are values beyond."""
+def beyond(values: Float[np.ndarray, " k"], limits: Limits) -> tuple[bool, bool]:
+    """Tells whether there are values below and above the limits."""
     chosen = values[np.isfinite(values)]
-    below, above = (chosen < limits[0]).any(), (chosen > limits[1]).any()
-    return {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[int(below), int(above)]
+    return bool((chosen < limits[0]).any()), bool((chosen > limits[1]).any())
 
 
 def bodies(points: Float[np.ndarray, "n d"], patches: Any) -> np.ndarray:
