@@ -15,10 +15,10 @@ import numpy as np
 import jaxmorph as jm
 from jaxmorph import cases, plot, shapes
 
-FRAMES, BENDING, ANGLE = 20, 0.3, 15
+FRAMES, BENDING, ANGLE = 14, 0.3, 15
 """Pictures in a period, rise of the wing's tip in semi-spans, rotation of the airfoil in degrees."""
 
-SIZE, PIXELS = (8.6, 3.3), 100
+SIZE, PIXELS = (8.0, 3.3), 100
 """Width and height in inches, pixels an inch."""
 
 LARGEST = 900_000
@@ -35,11 +35,11 @@ def wing():
         points = mesh.points + phase * (moved - mesh.points)  # `deform` is linear
         change = np.abs(jm.quality(mesh, points).volume_ratio - 1)
         plane = jm.Plane((0, 1, 0), (0, 0.45, 0))
-        plotter = plot.cut(mesh, points, plane=plane, values=change, limits=(0, 0.3), bar=False)
+        plotter = plot.cut(mesh, points, plane=plane, values=change, limits=(0, 0.2), bar=False)
         plot.surface(mesh, points, patch="wing", plotter=plotter)
-        plotter.window_size = 1200, 900
-        plotter.camera_position = [(-0.98, -2.2, 2.0), (0.62, 0.4, 0.0), (0, 0, 1)]
-        plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, 0.5
+        plotter.window_size = 1000, 900
+        plotter.camera_position = [(-0.98, -2.2, 2.05), (0.62, 0.4, 0.05), (0, 0, 1)]
+        plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, 0.44
         pixels = plotter.screenshot(return_img=True)
         plotter.close()
         return pixels
@@ -67,17 +67,19 @@ def main(path):
     draw_wing, draw_airfoil = wing(), airfoil()
 
     def draw(phase):
-        figure, (left, right) = plt.subplots(1, 2, figsize=SIZE, dpi=PIXELS, layout="constrained", width_ratios=(1.1, 1))
+        figure, (left, right) = plt.subplots(
+            1, 2, figsize=SIZE, dpi=PIXELS, layout="constrained", width_ratios=(0.9, 1)
+        )
         left.imshow(draw_wing(phase.item()))
         left.set_axis_off()
-        left.set_title("wing, 6,500 nodes; cells by change of volume", fontsize=10)
-        right.set_title("airfoil, 6,000 nodes; cells by skewness", fontsize=10)
+        left.set_title("wing: change of the cells' volume", fontsize=10)
+        right.set_title("airfoil: skewness of the cells", fontsize=10)
         draw_airfoil(phase.item(), right)
         right.set(xlabel="x / chord", ylabel="y / chord")
         return right
 
     phases = np.sin(2 * np.pi * np.arange(FRAMES) / FRAMES)
-    plot.animate(path, draw, phases[:, None, None], rate=12)
+    plot.animate(path, draw, phases[:, None, None], rate=8)
     size = path.stat().st_size
     print(f"{path}: {size:,} bytes")
     if size > LARGEST:

@@ -71,7 +71,7 @@ def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Li
     return (colours, (light, dark)) if light < dark else (f"{colours}_r", (dark, light))
 
 
-def usual_limits(values: Float[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]) -> Limits:
+def usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]) -> Limits:
     """Returns the least and the largest value, without outliers: values of 1 % of the area that would pale all others."""
     chosen = np.isfinite(values)
     values, sizes = values[chosen].astype(float), np.abs(sizes[chosen])
@@ -89,7 +89,7 @@ def usual_limits(values: Float[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]
     return low, high if high > low else low + max(abs(low), 1) * 1e-6
 
 
-def beyond(values: Float[np.ndarray, " k"], limits: Limits) -> tuple[bool, bool]:
+def beyond(values: Real[np.ndarray, " k"], limits: Limits) -> tuple[bool, bool]:
     """Tells whether there are values below and above the limits."""
     chosen = values[np.isfinite(values)]
     return bool((chosen < limits[0]).any()), bool((chosen > limits[1]).any())

@@ -46,46 +46,44 @@ def new_plotter() -> Any:
         plotter = pyvista().Plotter(off_screen=True, window_size=WINDOW)
     plotter.set_background("white")
     plotter.enable_anti_aliasing("ssaa")  # with samples for each pixel, VTK draws nothing of what it peels
-    axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
-    for name in "XYZ":
-        caption = getattr(axes, f"Get{name}AxisCaptionActor2D")()
-        caption.GetTextActor().SetTextScaleModeToNone()
-        caption.GetCaptionTextProperty().SetFontSize(TEXT)
-        _in_font(caption.GetCaptionTextProperty())
-    _add_scale(plotter)
+    _add_axes(plotter)
     return plotter
 
 
-def _add_scale(plotter: Any) -> None:
-    """Draws a bar of a round length in the lower right corner, which follows the camera; none in perspective."""
+def _add_axes(plotter: Any) -> None:
+    """Draws the directions of x, y and z, and a bar of a round length: both follow the camera. In perspective no bar."""
     from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
 
+    axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
+    captions = [getattr(axes, f"Get{name}AxisCaptionActor2D")() for name in "XYZ"]
+    for caption in captions:
+        caption.GetTextActor().SetTextScaleModeToNone()
     scale = vtkAxisActor2D()
     scale.SetNumberOfLabels(2)
     scale.AdjustLabelsOff()
     scale.LabelVisibilityOff()
-    scale.TickVisibilityOn()
-    scale.GetProperty().SetColor(0.1, 0.1, 0.1)
+    scale.GetProperty().SetColor(pyvista().Color(DARK).float_rgb)
     scale.GetProperty().SetLineWidth(3)
     scale.UseFontSizeFromPropertyOn()
-    scale.GetTitleTextProperty().SetColor(0.1, 0.1, 0.1)
-    scale.GetTitleTextProperty().SetFontSize(TEXT)
-    _in_font(scale.GetTitleTextProperty())
+    scale.GetTitleTextProperty().SetColor(pyvista().Color(DARK).float_rgb)
+    texts = [scale.GetTitleTextProperty(), *(caption.GetCaptionTextProperty() for caption in captions)]
+    for text in texts:
+        _in_font(text)
     plotter.renderer.AddViewProp(scale)
 
     def fit(*_: Any) -> None:
         width, height = plotter.window_size
         seen = 2 * plotter.camera.parallel_scale * width / height
         length = _round_length(0.2 * seen)
-        for coordinate, x in (
-            (scale.GetPositionCoordinate(), 0.97 - length / seen),
-            (scale.GetPosition2Coordinate(), 0.97),
-        ):
+        ends = (scale.GetPositionCoordinate(), 0.97 - length / seen), (scale.GetPosition2Coordinate(), 0.97)
+        for coordinate, x in ends:
             coordinate.SetCoordinateSystemToNormalizedViewport()
-            coordinate.SetValue(x, 0.06 * width / height)
-        plotter.renderer.axes_widget.SetViewport(-0.04, -0.05 * width / height, 0.16, 0.15 * width / height)
+            coordinate.SetValue(x, 0.075 * width / height)
         scale.SetTitle(f"{length:g}")
         scale.SetVisibility(bool(plotter.camera.parallel_projection))
+        plotter.renderer.axes_widget.SetViewport(-0.04, -0.05 * width / height, 0.16, 0.15 * width / height)
+        for text in texts:
+            text.SetFontSize(round(TEXT * width / WINDOW[0]))
 
     plotter.renderer.AddObserver("StartEvent", fit)
 
