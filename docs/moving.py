@@ -67,7 +67,7 @@ def main(path):
     draw_wing, draw_airfoil = wing(), airfoil()
 
     def draw(phase):
-        figure, (left, right) = plt.subplots(
+        _figure, (left, right) = plt.subplots(
             1, 2, figsize=SIZE, dpi=PIXELS, layout="constrained", width_ratios=(0.9, 1)
         )
         left.imshow(draw_wing(phase.item()))

@@ -336,7 +336,7 @@ def test_one_state_is_seen_through_the_other():
         plotter = plot.before_after_3d(mesh, 0.5 + factor * (mesh.points - 0.5))
         picture = plotter.screenshot(return_img=True).astype(int)
         plotter.close()
-        height, width = picture.shape[:2]
+        height, _width = picture.shape[:2]
         drawn = np.flatnonzero((picture.min(axis=2) < 250).any(axis=0))
         middle = int(drawn[[0, -1]].mean())
         row = picture[int(0.45 * height), drawn[0] : drawn[-1]]

@@ -113,7 +113,7 @@ def cut(
     **Arguments:**
 
     - `plane`: a `Plane`. Where it meets a body the picture is of the body and some room round it, else of all that is cut.
-    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: those of `surface`.
+    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: those of `surface`. A plotter that is given shows all.
 
     **Returns:** the plotter, or a new one, off screen.
 
@@ -125,7 +125,8 @@ def cut(
     grid.cell_data["whole"] = np.asarray(mesh.cell_ids)
     body = np.asarray(grid.points)[bodies(np.asarray(mesh.points), mesh.patches)]
     away = (body - origin) @ normal
-    near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if len(body) and away.min() <= 0 <= away.max() else None
+    is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
+    near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
     section, walls = (
         _cropped(part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:])
         for part in (grid, outside(mesh, points, None, None))
