@@ -20,12 +20,13 @@ from .._host.package.arguments import between, checked, whole
 from .._host.sources.reduction import KDTree
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Surface, check_kind
+from .._methods.base import AbstractMethod, check_kind
 from .._methods.nearwall import NearWall
-from .._methods.rbf.basis import WendlandC2
+from .._methods.rbf.compact_bases import WendlandC2
 from .._methods.rbf.fitted import FittedRBF
 from .._methods.rbf.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
+from .._methods.surface import Surface
 from .._plan.plan import Plan
 from .._plan.prepare import surface_of
 from .resolved import leaves_enough

@@ -7,9 +7,10 @@ from jaxtyping import Array, Float
 from .._host.linear.products import determinant
 from .._host.surface.graph import graph_of, locate
 from .._kernels.values import as_jax
-from .base import Located, Surface
+from .base import Located
 from .placing import AbstractPlacing
 from .sparse import InterpolatedField, Interpolation
+from .surface import Surface
 
 
 class DelaunayGraph(AbstractPlacing):

@@ -10,9 +10,10 @@ from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_fields
 from .._kernels.values import largest, norm, root
-from .base import AbstractField, AbstractMethod, Surface
+from .base import AbstractField, AbstractMethod
 from .numbers import number
 from .rbf.system import block_size, squared_distances
+from .surface import Surface
 
 SMALLEST = 1e-12
 """Distance, relative to the surface's extent, below which a point is at a node."""

@@ -9,13 +9,14 @@ from scipy.spatial import KDTree
 
 from .._host.package.rounding import nearest_of
 from .._kernels.values import as_jax
-from .base import Control, Surface
+from .base import Control
 from .nearwall import Extent, layer_width
 from .numbers import length_or_none
 from .placing import AbstractPlacing
-from .rbf.basis import WendlandC2
+from .rbf.compact_bases import WendlandC2
 from .searched import Searched, squared_distance
 from .sparse import InterpolatedField, Reach
+from .surface import Surface
 
 REACH = 1.25
 """Distance in radii within which nodes are searched for. By the rest another node may come nearer than the nearest one."""

@@ -9,12 +9,12 @@ from jaxtyping import Array, Float, Int
 from .._host.package.arguments import checked
 from .._host.sources.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .._kernels.values import as_jax
-from .base import Surface
 from .placing import AbstractPlacing
-from .rbf.basis import WendlandC2
+from .rbf.compact_bases import WendlandC2
 from .rbf.rbf import RBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import InterpolatedField, Reach
+from .surface import Surface
 
 
 class Multiscale(AbstractPlacing):

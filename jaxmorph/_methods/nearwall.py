@@ -10,13 +10,14 @@ from .._host.package.rounding import first_largest, nearest_of
 from .._host.surface.neighbours import digest, near_walls
 from .._kernels.values import Either, as_jax, namespace, norm, root
 from . import placing
-from .base import AbstractField, AbstractMethod, Surface, check_kind
+from .base import AbstractField, AbstractMethod, check_kind
 from .blocks import map_points
 from .delaunay import DelaunayGraph
 from .numbers import length_or_none
 from .placing import AbstractPlacing
-from .rbf.basis import WendlandC2
+from .rbf.compact_bases import WendlandC2
 from .sparse import InterpolatedField, Interpolation
+from .surface import Surface
 
 NEIGHBOURS = 6
 """Wall nodes whose displacements a point near the wall averages. One more sets the distance at which weights vanish."""

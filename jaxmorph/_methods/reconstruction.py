@@ -7,13 +7,14 @@ import numpy as np
 from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
 from . import placing
-from .base import AbstractField, AbstractMethod, Control, Surface, check_kind
+from .base import AbstractField, AbstractMethod, Control, check_kind
 from .blocks import map_points, place_points
 from .delaunay import DelaunayGraph
 from .nearwall import NearWall
 from .placing import AbstractPlacing
 from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
+from .surface import Surface
 
 
 class SurfaceReconstruction(AbstractPlacing):
@@ -96,21 +97,22 @@ class SurfaceReconstruction(AbstractPlacing):
         coarse, correction = self.coarse.control(ids[0]), self.correction.control(ids[2])
         return Control(np.concatenate([coarse.sources, correction.sources]), correction.matched)
 
-    def offset(self, ids, factors, surface, u):
-        """Computes the displacement of the surface that is left to the correction (eq. 5). Traced."""
-        coarse_field = self.coarse.field(ids[0], factors[0], surface, u)
-        return u - map_points(coarse_field, surface, factors[1])
-
     def check(self, ids, factors, u):
         self.coarse.check(ids[0], factors[0], u)
         self.correction.check(ids[2], factors[2], u)
 
     def field(self, ids, factors, surface, u):
-        coarse, _, correction = ids
-        coarse_factors, at_surface, correction_factors = factors
-        coarse_field = self.coarse.field(coarse, coarse_factors, surface, u)
-        offset = u - map_points(coarse_field, surface, at_surface)  # eq. (5)
-        return SumField(coarse_field, self.correction.field(correction, correction_factors, surface, offset))
+        coarse, offset = self._split(ids, factors, surface, u)
+        return SumField(coarse, self.correction.field(ids[2], factors[2], surface, offset))
+
+    def offset(self, ids, factors, surface, u):
+        """Computes the displacement of the surface that is left to the correction (eq. 5). Traced."""
+        return self._split(ids, factors, surface, u)[1]
+
+    def _split(self, ids, factors, surface, u):
+        """Makes the coarse field, and computes what it leaves on the surface."""
+        coarse = self.coarse.field(ids[0], factors[0], surface, u)
+        return coarse, u - map_points(coarse, surface, factors[1])  # eq. (5)
 
 
 class SumField(AbstractField):

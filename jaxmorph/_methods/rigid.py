@@ -8,8 +8,9 @@ from jaxtyping import Array, Float
 
 from .._host.package.rounding import nearest_of
 from .._kernels.values import is_known, norm
-from .base import AbstractField, AbstractMethod, Surface
+from .base import AbstractField, AbstractMethod
 from .numbers import length
+from .surface import Surface
 
 REFINED = 2
 """Newton steps after the eigenvector: they give it its derivatives, though other eigenvalues may be equal."""

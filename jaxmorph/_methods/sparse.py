@@ -43,7 +43,18 @@ class Interpolation(AbstractRows):
     table: Table | None = None
 
     def with_table(self, count: int, parts: int) -> "Interpolation":
-        return _with_table(self, count, parts)
+        nodes = np.asarray(self.nodes)
+        reached = np.ones(len(nodes), dtype=bool) if self.reached is None else np.asarray(self.reached)
+        shares = zip(np.split(nodes, parts), np.split(reached, parts), strict=True)
+        tables = [tabulate(share, mask, count) for share, mask in shares]
+        # all shares get tables of one length: rows that are added hold no entry, and belong to the last column
+        longest = _rounded(max(len(owner) for _, owner in tables))
+        entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
+        owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
+        weights = np.split(np.asarray(self.weights), parts)
+        gathered = [np.where(at < 0, 0, share.ravel()[at]) for at, share in zip(entries, weights, strict=True)]
+        table = Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
+        return Interpolation(self.nodes, self.weights, self.reached, table)
 
     def without_table(self) -> "Interpolation":
         return Interpolation(self.nodes, self.weights, self.reached)
@@ -65,20 +76,6 @@ class Reach(eqx.Module):
     def weighted(self, weights: Float[Array, " k"]) -> Interpolation:
         """Interpolates one point with these values of the functions."""
         return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
-
-
-def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
-    nodes = np.asarray(rows.nodes)
-    reached = np.ones(len(nodes), dtype=bool) if rows.reached is None else np.asarray(rows.reached)
-    shares = zip(np.split(nodes, parts), np.split(reached, parts), strict=True)
-    tables = [tabulate(share, mask, count) for share, mask in shares]
-    longest = _rounded(max(len(owner) for _, owner in tables))
-    entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
-    owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
-    weights = np.split(np.asarray(rows.weights), parts)
-    gathered = [np.where(at < 0, 0, share.ravel()[at]) for at, share in zip(entries, weights, strict=True)]
-    table = Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
-    return Interpolation(rows.nodes, rows.weights, rows.reached, table)
 
 
 def _rounded(rows: int) -> int:

@@ -20,8 +20,9 @@ from .._host.package.rounding import roundoff
 from .._host.surface.skin import has_free_sides
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Surface, check_kind
+from .._methods.base import AbstractMethod, check_kind
 from .._methods.reconstruction import SurfaceReconstruction, sees_free_sides
+from .._methods.surface import Surface
 from .plan import Plan, SurfacePart
 from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
 

@@ -20,10 +20,11 @@ from .._host.package.errors import warn
 from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Cells, Surface, check_kind
+from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points, with_tables
 from .._methods.guiding import guiding
 from .._methods.reconstruction import SurfaceReconstruction
+from .._methods.surface import Cells, Surface
 from .plan import Guide, Plan, SurfacePart, VolumePart, refitted
 
 FEW = 50_000, 2_000

@@ -3,68 +3,23 @@
 import abc
 from collections.abc import Mapping
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from ..._host.cells.topology import CORNERS
 from ..._host.linear import systems as linear
 from ..._host.package.rounding import nearest_of
-from ..._kernels.callback import host_call
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractField, AbstractMethod, Surface
+from ..base import AbstractField, AbstractMethod
 from ..blocks import fold_rows
+from ..surface import Surface
+from .solve import CellIds, NodeFactors, NodeIds, product, solve
 
 CELLS = 4096
 """Cells whose entries are computed together."""
-
-
-class CellIds(eqx.Module):
-    """Ids of k cells of one type.
-
-    - `corners`: of each cell.
-    - `entry`: the number of each of its pairs of corners in the list of pairs.
-    - `flipped`: for each of them, see below.
-
-    An entry is `flipped` where the pair's first corner is the entry's second node. It is the number of pairs where the two
-    corners are one node.
-    """
-
-    corners: Int[Array, "k c"]
-    entry: Int[Array, "k p"]
-    flipped: Bool[Array, "k p"]
-
-
-class NodeIds(eqx.Module):
-    """Ids of a mesh's n nodes for a solve.
-
-    - `cells`: by type.
-    - `pairs` (e, 2): nodes that share an entry of the matrix, the smaller id first.
-    - `frame` (d, d): axes in its columns, of which each symmetry plane has one as its normal.
-    - `free` (n, d): unknowns, by node and axis of the frame.
-    - `wall` (n,): the moving node nearest to each.
-    - `rows`, `nodes` (r,): rows of the surface that are nodes of the mesh, and which.
-    """
-
-    cells: dict[str, CellIds]
-    pairs: Int[Array, "e 2"]
-    frame: Float[Array, "d d"]
-    free: Bool[Array, "n d"]
-    wall: Int[Array, " n"]
-    rows: Int[Array, " r"]
-    nodes: Int[Array, " r"]
-
-
-class NodeFactors(eqx.Module):
-    """The matrix, as `jaxmorph._host.linear.systems.solve` takes it, and the nodes' places in the frame."""
-
-    values: Float[Array, "e ..."]
-    diagonal: Float[Array, "n ..."]
-    masses: Float[Array, " q"]
-    places: Float[Array, "n d"]
 
 
 class AbstractCellMethod(AbstractMethod):
@@ -178,7 +133,7 @@ class AbstractCellMethod(AbstractMethod):
         frame = ids.frame.astype(u.dtype)
         turned = jnp.matmul(u, frame, precision="highest")
         given = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
-        moved = given + _solve(ids, factors, -_product(ids, factors, given))
+        moved = given + solve(ids, factors, -product(ids, factors, given))
         return NodeField(jnp.concatenate([jnp.matmul(moved, frame.T, precision="highest"), u]))
 
     def check(self, ids: NodeIds, factors: NodeFactors, u):
@@ -224,50 +179,6 @@ def _frame(normals: np.ndarray) -> np.ndarray:
         if np.linalg.norm(rest) > 0.3 and len(axes) < d:
             axes.append(rest / np.linalg.norm(rest))
     return np.stack(axes, axis=1)
-
-
-def _product(ids: NodeIds, factors: NodeFactors, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Multiplies by the matrix."""
-    once = symmetric_product(ids.pairs, factors.values, factors.diagonal, x)
-    if not len(factors.masses):
-        return once
-    return symmetric_product(ids.pairs, factors.values, factors.diagonal, once / factors.masses[:, None])
-
-
-def symmetric_product(pairs, values, diagonal, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Multiplies by a symmetric matrix of numbers or blocks, one a pair of nodes and one a node. Traced."""
-    i, j = pairs.T
-
-    def times(a, b):
-        return a[:, None] * b if a.ndim == 1 else jnp.einsum("eab,eb->ea", a, b, precision="highest")
-
-    turned = values if values.ndim == 1 else jnp.swapaxes(values, 1, 2)
-    there = jax.ops.segment_sum(times(values, x[j]), i, len(x)) + jax.ops.segment_sum(times(turned, x[i]), j, len(x))
-    return times(diagonal, x) + there
-
-
-def _solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves for the free unknowns, on the host; its derivatives are products and solves of the same kind."""
-    free = ids.free
-
-    def product(x):
-        return jnp.where(free, _product(ids, factors, jnp.where(free, x, 0)), x)
-
-    return solved_on_host(product, ids.pairs, factors, free, jnp.where(free, right, 0))
-
-
-def solved_on_host(product, pairs, factors: NodeFactors, free, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves a symmetric system whose product with x is given, by `jaxmorph._host.linear.systems.solve`. Traced."""
-    leaves = (pairs, factors.values, factors.diagonal, factors.masses, free)
-
-    def on_host(*system):
-        return linear.solve(*system, multigrid=factors.places.shape[1] > 0)
-
-    def solve(_, right):
-        shape = jax.ShapeDtypeStruct(right.shape, right.dtype)
-        return host_call(on_host, shape, *jax.lax.stop_gradient(leaves), right)
-
-    return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
 
 def all_pairs(kind: str) -> tuple[tuple[int, int], ...]:

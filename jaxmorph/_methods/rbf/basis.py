@@ -1,15 +1,15 @@
-"""Radial bases. Each takes the squared distance, so that no root has to be differentiated at a source."""
+"""Radial bases: the abstract class, and functions without a support."""
 
 import abc
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._kernels.log import half_x_log_x
 from ..._kernels.module import Module
+from ..._kernels.values import root
 from ..numbers import length
 
 
@@ -43,20 +43,24 @@ class ThinPlateSpline(AbstractBasis):
         return half_x_log_x(r2)
 
 
-class WendlandC2(AbstractBasis):
-    """Evaluates phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R, and 0 beyond (Wendland 1995).
+class LinearSpline(AbstractBasis):
+    """Evaluates phi(r) = r: without a parameter; needs a constant polynomial. It has a cone at each source (Duchon 1977)."""
 
-    **Arguments:**
-
-    - `support_radius`: R in the mesh's units. A larger one gives a smoother motion, and a worse condition.
-
-    **Raises:** `ValueError` for a radius that is not positive and finite.
-    """
-
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
+    min_degree: ClassVar[int | None] = 0
+    scale_free: ClassVar[bool] = True
 
     def __call__(self, r2):
-        return _wendland_c2(r2, self.support_radius.astype(r2.dtype))
+        return root(r2)
+
+
+class CubicSpline(AbstractBasis):
+    """Evaluates phi(r) = r^3, the smoothest interpolation in 3-D: no parameter; needs a linear polynomial (Duchon 1977)."""
+
+    min_degree: ClassVar[int | None] = 1
+    scale_free: ClassVar[bool] = True
+
+    def __call__(self, r2):
+        return r2 * root(r2)
 
 
 class Gaussian(AbstractBasis):
@@ -92,23 +96,25 @@ class Multiquadric(AbstractBasis):
         return jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
 
 
-def relative_radius(r2, support_radius):
-    """Computes r / R, but never less than round-off: its derivative would be infinite at 0."""
-    return jnp.sqrt(r2 * (1 / support_radius**2) + float(jnp.finfo(r2.dtype).eps) ** 2)
+class InverseMultiquadric(AbstractBasis):
+    """Evaluates phi(r) = 1 / sqrt(1 + r^2 / R^2); positive definite.
+
+    R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
+    """
+
+    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
+
+    def __call__(self, r2):
+        return 1 / jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
 
 
-@jax.custom_jvp
-def _wendland_c2(r2, support_radius):
-    xi = relative_radius(r2, support_radius)
-    inner = 1 - xi
-    return jnp.where(xi >= 1, 0, (inner * inner) * (inner * inner) * (4 * xi + 1))
+class InverseQuadratic(AbstractBasis):
+    """Evaluates phi(r) = 1 / (1 + r^2 / R^2); positive definite.
 
+    R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
+    """
 
-@_wendland_c2.defjvp
-def _wendland_c2_jvp(primals, tangents):
-    # d phi / d r2 = -10 (1 - xi)^3 / R^2 is regular at r = 0, where the chain rule through the root is not
-    r2, support_radius = primals
-    r2_dot, radius_dot = tangents
-    xi = relative_radius(r2, support_radius)
-    slope = jnp.where(xi >= 1, 0, -10 * (1 - xi) ** 3 / support_radius**2)
-    return _wendland_c2(r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)
+    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
+
+    def __call__(self, r2):
+        return 1 / (1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))

@@ -13,14 +13,15 @@ from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close, roundoff
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
-from ..base import Control, Surface
-from ..cells.cells import NodeFactors, solved_on_host, symmetric_product
+from ..base import Control
+from ..cells.solve import NodeFactors, solved_on_host, symmetric_product
 from ..numbers import length_or_none
 from ..placing import AbstractPlacing
 from ..searched import SLACK, Searched, squared_distance
 from ..sparse import InterpolatedField, Reach
-from .basis import WendlandC2
-from .rbf import NOTICEABLE, NOTICEABLE_SINGLE, USELESS, warn_of_close
+from ..surface import Surface
+from .compact_bases import WendlandC2
+from .conditioning import USELESS, is_noticeable, warn_of_close
 
 NEIGHBOURS = 200
 """Nodes that the automatic radius reaches from half of the moving nodes."""
@@ -154,7 +155,7 @@ class CompactRBF(AbstractPlacing):
     def check(self, ids: CompactIds, factors: CompactFactors, u):
         error, dtype = float(_missed(self, ids, factors, u)), factors.matrix.values.dtype
         nodes = np.asarray(ids.searched.surface, dtype=float)[np.asarray(ids.has_function)]
-        if error > (NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE) or not error <= USELESS:
+        if is_noticeable(error, dtype):
             how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
             message = (
                 f"the matrix of CompactRBF, of {len(nodes)} nodes and radius {float(factors.radius):.3g}, is "

@@ -1,4 +1,4 @@
-"""Compact bases beside `WendlandC2`: of Wendland (1995), and compact thin plate splines of Wu (1995).
+"""Bases of compact support: those of Wendland (1995), and compact thin plate splines of Wu (1995).
 
 De Boer, van der Schoot and Bijl (Computers and Structures 85, 2007) compared them, with the global ones, on moving meshes.
 """
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numbers import length
-from .basis import AbstractBasis, relative_radius
+from .basis import AbstractBasis
 
 
 class AbstractCompactBasis(AbstractBasis):
@@ -37,18 +37,24 @@ class AbstractCompactBasis(AbstractBasis):
         return _compact(type(self), r2, self.support_radius.astype(r2.dtype))
 
 
+def _relative(r2, support_radius):
+    """Computes r / R, but never less than round-off: its derivative would be infinite at 0."""
+    return jnp.sqrt(r2 * (1 / support_radius**2) + float(jnp.finfo(r2.dtype).eps) ** 2)
+
+
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _compact(kind, r2, support_radius):
-    xi = relative_radius(r2, support_radius)
-    return jnp.where(xi < 1, kind.value(jnp.minimum(xi, 1)), 0)
+    xi = _relative(r2, support_radius)
+    return jnp.where(xi >= 1, 0, kind.value(jnp.minimum(xi, 1)))
 
 
 @_compact.defjvp
 def _compact_jvp(kind, primals, tangents):
+    # d phi / d r2 = phi'(xi) / (2 xi R^2) is regular at r = 0, where the chain rule through the root is not
     r2, support_radius = primals
     r2_dot, radius_dot = tangents
-    xi = relative_radius(r2, support_radius)
-    slope = jnp.where(xi < 1, kind.slope(jnp.minimum(xi, 1)), 0) / support_radius**2
+    xi = _relative(r2, support_radius)
+    slope = jnp.where(xi >= 1, 0, kind.slope(jnp.minimum(xi, 1))) / support_radius**2
     return _compact(kind, r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)
 
 
@@ -67,6 +73,28 @@ class WendlandC0(AbstractCompactBasis):
     @staticmethod
     def slope(xi):
         return -(1 - xi) / xi
+
+
+class WendlandC2(AbstractCompactBasis):
+    """Evaluates phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R, and 0 beyond (Wendland 1995).
+
+    **Arguments:**
+
+    - `support_radius`: R in the mesh's units. A larger one gives a smoother motion, and a worse condition.
+
+    **Raises:** `ValueError` for a radius that is not positive and finite.
+    """
+
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
+
+    @staticmethod
+    def value(xi):
+        inner = 1 - xi
+        return (inner * inner) * (inner * inner) * (4 * xi + 1)
+
+    @staticmethod
+    def slope(xi):
+        return -10 * (1 - xi) ** 3
 
 
 class WendlandC4(AbstractCompactBasis):

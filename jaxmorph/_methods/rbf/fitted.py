@@ -6,52 +6,26 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from ..._host.package.rounding import SAME, roundoff
 from ..._host.sources.farthest import Filled
-from ..._host.sources.reduction import KDTree, drop_close
-from ..._host.surface.sharp import behind_tips, beside_tips, sharp_tips
-from ..._host.surface.skin import drawn_in, edges, has_free_sides, nearest_held, thicknesses, thinned
+from ..._host.sources.reduction import KDTree
+from ..._host.surface.skin import has_free_sides
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractMethod, Control, Surface, check_kind
+from ..base import AbstractMethod, Control, check_kind
 from ..numbers import length_or_none
-from .rbf import RBF, RBFFactors
+from ..surface import Surface
+from .expansion import RBFFactors
+from .rbf import RBF
 from .solvers import Direct
 from .system import polynomial
-
-ELL, MU = {2: 0.17, 3: 0.07}, {2: 0.1, 3: 0.4}
-"""Defaults of `ell` and `mu` by dimension, relative to the mean chord of the wall.
-
-A body that twists in 3-D pays for every large rotation, so less of it is asked for there.
-"""
-
-THIN = 2.25
-"""Largest default of `ell`, relative to the mean thickness of a closed wall in 2-D.
-
-Both sides of a thin body may change in opposite senses.
-"""
+from .wall import WallIds
 
 JOINT = 0.05
 """Largest `ell`, relative to the distance of the nearest node that is fixed or of another wall."""
 
-BEHIND, BEYOND_TIP = 0.02, 0.2
-"""Distance of the source behind a sharp tip, relative to the mean chord, or to that of the nearest held node if that is less.
-
-Its largest distance is `BEYOND_TIP`, relative to the same.
-"""
-
 SOURCES_ALONE = 64
 """Fewest leaves of the k-d tree if the field interpolates instead of being fitted."""
-
-AT_TIP = 0.03, 0.5
-"""Distance from a sharp tip, and `mu` there, both relative to the mean chord: the field follows the wall's slope at the tip.
-
-Cells at a sharp tip are small, and the wall's angle there changes with the thickness.
-"""
-
-ROWS = {2: 4096, 3: 2048}
-"""Most nodes of the wall, and most edges, that enter the fit, by dimension."""
 
 
 class FittedRBF(AbstractMethod):
@@ -122,15 +96,11 @@ class FittedRBF(AbstractMethod):
         key = ("fitted", id(self), bool(is_open))
         return surface.once(key, lambda: (self, self._ids(surface, is_open)))[1], None
 
-    def _ids(self, surface: Surface, is_open: bool) -> "WallIds":
+    def _ids(self, surface: Surface, is_open: bool) -> WallIds:
         if is_open:
-            return self._sources_alone(surface, self._denser.chosen(surface))
-        sources = self.rbf.chosen(surface)
-        is_moving = sources < surface.moving
-        return self._wall(surface, sources[is_moving], sources[~is_moving])
-
-    def _closest(self, surface: Surface) -> float:
-        return self.rbf.reduction.closest(surface.points[: surface.moving])
+            return WallIds.without_edges(surface, self._denser.chosen(surface))
+        closest = self.rbf.reduction.closest(surface.points[: surface.moving])
+        return WallIds.found(surface, self.rbf.chosen(surface), closest)
 
     @property
     def _denser(self) -> RBF:
@@ -139,52 +109,6 @@ class FittedRBF(AbstractMethod):
         if isinstance(reduction, KDTree | Filled) and reduction.leaves is not None:
             reduction = dataclasses.replace(reduction, leaves=max(SOURCES_ALONE, reduction.leaves), crowded=None)
         return RBF(self.rbf.basis, reduction, self.rbf.fixed_reduction, self.rbf.degree)
-
-    def _sources_alone(self, surface: Surface, sources: np.ndarray) -> "WallIds":
-        """Makes ids without edges: the field is then the interpolation."""
-        moving, fixed = sources[sources < surface.moving], sources[sources >= surface.moving]
-        none = np.zeros((0, 2))
-        each_row = (moving, fixed, moving, none, none[:, 0], none, none[:, 0], np.zeros((0, 3)))
-        return WallIds(*as_jax([each.astype(np.int32) for each in each_row]), *[jnp.zeros(0)] * 3)
-
-    def _wall(self, surface: Surface, moving: np.ndarray, fixed: np.ndarray) -> "WallIds":
-        dimension = surface.points.shape[1]
-        pairs = edges(surface.points, surface.moving, surface.faces)
-        wall, ends, share = surface.walls
-        chord = share * np.linalg.norm(np.subtract(*surface.points[ends.T]), axis=1)
-        tips, sharp = np.zeros((0, 3)), np.zeros((0, dimension))
-        if dimension == 2:
-            beside, tips, sharp = self._at_tips(surface, pairs, chord[wall[pairs[:, 0]]])
-            moving = drop_close(surface.points, np.concatenate([moving, beside]), roundoff(surface.points))
-        nodes = np.union1d(
-            thinned(surface.points[: surface.moving], ROWS[dimension]), moving
-        )  # regular: each source has its own row
-        pairs = pairs[thinned(surface.points[pairs].mean(axis=1), ROWS[dimension])]
-        label = wall[pairs[:, 0]]
-        held = nearest_held(surface.points, surface.moving, wall, pairs)
-        far, reach = drawn_in(surface.points, moving, fixed, surface.images)
-        each_row = (moving, fixed, nodes, pairs, held, ends[label], far, tips)
-        ell, mu = (length[label] for length in default_lengths(surface.points, wall, surface.faces, ends, share))
-        near, largest = AT_TIP
-        for tip in sharp:
-            distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - tip, axis=1)
-            mu = np.where(distance < near * chord[label] * (1 - SAME), largest * share[label], mu)
-        return WallIds(*as_jax([*(each.astype(np.int32) for each in each_row), ell, mu, reach]))
-
-    def _at_tips(
-        self, surface: Surface, pairs: np.ndarray, chord: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Finds sources (k,) beside sharp tips in 2-D, sharp tips (g, 3) with a node on either side, and all tips' places (h, 2).
-
-        `pairs` are all edges of the moving walls: a tip lies between two. `chord` (e,) is that of each edge's wall. A source
-        stands behind the g tips.
-        """
-        held = nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
-        distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
-        room = np.where(held == pairs[:, 0], chord, np.minimum(chord, distance))
-        walls = sharp_tips(surface.points, pairs)
-        behind = behind_tips(walls, BEHIND * room, self._closest(surface), BEYOND_TIP * room)
-        return beside_tips(walls, chord), behind, walls.points[walls.tips]
 
     def control(self, ids):
         sources = np.concatenate([np.asarray(ids.moving), np.asarray(ids.fixed)])
@@ -195,8 +119,8 @@ class FittedRBF(AbstractMethod):
         values = as_jax(np.concatenate([np.asarray(u)[self.control(ids).sources], more]))
         self.rbf.check(np.arange(len(values)), factors.rbf, values)
 
-    def fit(self, ids: "WallIds", surface, points):
-        sources = _sources(ids, surface)
+    def fit(self, ids: WallIds, surface, points):
+        sources = ids.places(surface)
         rbf = self.rbf.fit(jnp.arange(len(sources)), sources, points)
         if not len(ids.edges):
             return FitFactors(rbf, *(jnp.zeros((0,) * rank, sources.dtype) for rank in (2, 2, 4, 1, 2, 2, 2, 2)))
@@ -207,11 +131,14 @@ class FittedRBF(AbstractMethod):
         length = jnp.sqrt(jnp.sum(along**2, axis=1))
         cardinal = rbf.solve(jnp.eye(len(rbf.lu), count, dtype=surface.dtype))
 
+        def rows(points):
+            return self.rbf.expansion.rows(rbf.sources, rbf.scale, (points - rbf.centre[None]) * rbf.scale)
+
         def derivative(axis):
             direction = jnp.broadcast_to(jnp.eye(dimension, dtype=surface.dtype)[axis], middle.shape)
-            return jax.jvp(lambda x: self.rbf.rows(rbf, x), (middle,), (direction,))[1]
+            return jax.jvp(rows, (middle,), (direction,))[1]
 
-        value = _product(self.rbf.rows(rbf, surface[ids.nodes]), cardinal)
+        value = _product(rows(surface[ids.nodes]), cardinal)
         slopes = jnp.stack([_product(derivative(axis), cardinal) for axis in range(dimension)], axis=1)
         slope = jnp.einsum("ea,eas->es", along / length[:, None], slopes, precision="highest")
         ell, mu = self._lengths(ids, surface, middle)
@@ -227,7 +154,7 @@ class FittedRBF(AbstractMethod):
         ring = polynomial(rbf.sources[moves + len(ids.fixed) :], self.rbf.degree)[: len(ids.far)]
         return FitFactors(rbf, node * value[:, :moves], of_edges, outer, scale, lower, *affine, ring)
 
-    def _lengths(self, ids: "WallIds", surface, middle):
+    def _lengths(self, ids: WallIds, surface, middle):
         """Computes ell and mu at each edge."""
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
         ell, mu = (
@@ -237,48 +164,28 @@ class FittedRBF(AbstractMethod):
         free = ids.held == ids.edges[:, 0]
         return jnp.where(free, ell, jnp.minimum(ell, JOINT * norm(surface[ids.held] - middle))), mu
 
-    def field(self, ids: "WallIds", factors: "FitFactors", surface, u):
+    def field(self, ids: WallIds, factors: "FitFactors", surface, u):
         values = u.astype(factors.rbf.lu.dtype)
         if not len(ids.edges):  # an interpolation: fitting it to its own sources would lose half of the digits
-            return self.rbf.through(factors.rbf, jnp.concatenate([values[ids.moving], values[ids.fixed]]), u.dtype)
+            return self.rbf.expansion.field(
+                factors.rbf, jnp.concatenate([values[ids.moving], values[ids.fixed]]), u.dtype
+            )
         affine = self._affine_part(factors, values)
         rest = values - _product(factors.polynomial, affine)
         difference = rest[ids.edges[:, 1]] - rest[ids.edges[:, 0]]
         wanted = _product(factors.nodes.T, rest[ids.nodes]) + _product(factors.edges.T, difference)
-        fixed = jnp.concatenate([rest[ids.fixed], _at_rings(ids, rest), _behind_tips(ids, rest)])
+        fixed = jnp.concatenate([rest[ids.fixed], ids.at_rings(rest), ids.behind_tips(rest)])
         wanted = wanted.T - jnp.einsum("aicj,jc->ai", factors.outer, fixed, precision="highest")
         solved = jax.scipy.linalg.cho_solve((factors.lower, True), wanted.ravel() * factors.scale) * factors.scale
         moving = solved.reshape(wanted.shape).T + _product(factors.polynomial[ids.moving], affine)
-        ring = _product(factors.ring, affine) + _at_rings(ids, rest)
-        everything = jnp.concatenate([moving, values[ids.fixed], ring, _behind_tips(ids, values)])
-        return self.rbf.through(factors.rbf, everything, u.dtype)
+        ring = _product(factors.ring, affine) + ids.at_rings(rest)
+        everything = jnp.concatenate([moving, values[ids.fixed], ring, ids.behind_tips(values)])
+        return self.rbf.expansion.field(factors.rbf, everything, u.dtype)
 
     def _affine_part(self, factors: "FitFactors", values):
         """Finds the coefficients (p, d) of the affine motion nearest to the surface's displacement."""
         moments = _product(factors.polynomial.T, values)
         return jax.scipy.linalg.cho_solve((factors.moments, True), moments)
-
-
-class WallIds(eqx.Module):
-    """Rows of the surface: sources, nodes and edges of the fit; for each edge the nearest held row and two ends of its wall.
-
-    `ell` and `mu` are the default lengths at each edge, relative to the distance of these ends.
-
-    `far` are fixed sources so far away that more of them rest nearer to the walls, at the share `reach` of the way to them.
-    `tips` are sharp tips of the walls, each with a node on either side.
-    """
-
-    moving: Int[Array, " s"]
-    fixed: Int[Array, " t"]
-    nodes: Int[Array, " k"]
-    edges: Int[Array, "e 2"]
-    held: Int[Array, " e"]
-    ends: Int[Array, "e 2"]
-    far: Int[Array, " r"]
-    tips: Int[Array, "g 3"]
-    ell: Float[Array, " e"]
-    mu: Float[Array, " e"]
-    reach: Float[Array, " r"]
 
 
 class FitFactors(eqx.Module):
@@ -293,38 +200,6 @@ class FitFactors(eqx.Module):
     polynomial: Float[Array, "b p"]
     moments: Float[Array, "p p"]
     ring: Float[Array, "r p"]
-
-
-def default_lengths(points, wall, faces, ends, share) -> tuple[np.ndarray, np.ndarray]:
-    """Computes the defaults of ell and mu of each wall (w,), relative to the distance of its ends, on the host."""
-    dimension = points.shape[1]
-    ell = ELL[dimension] * share
-    if dimension == 2:
-        ell = np.minimum(ell, THIN * thicknesses(points, wall, faces, ends))
-    return ell, MU[dimension] * share
-
-
-def _sources(ids: WallIds, surface: Float[Array, "b d"]) -> Float[Array, "s d"]:
-    """Computes the places of the moving and fixed sources, of the rings between them, and behind sharp tips."""
-    moving, fixed = surface[ids.moving], surface[ids.fixed]
-    centre = moving.mean(axis=0)[None]
-    ring = centre + ids.reach.astype(surface.dtype)[:, None] * (surface[ids.far] - centre)
-    return jnp.concatenate([moving, fixed, ring, _behind_tips(ids, surface)])
-
-
-def _behind_tips(ids: WallIds, values: Float[Array, "b d"]) -> Float[Array, "g d"]:
-    """Continues places or displacements of the walls behind their tips: the mirror image in the tip, right for affine motions."""
-    tip, first, second = ids.tips.T
-    return 2 * values[tip] - (values[first] + values[second]) / 2
-
-
-def _at_rings(ids: WallIds, values: Float[Array, "b d"]) -> Float[Array, "r d"]:
-    """Computes what the rings keep of the walls' mean displacement: a body that is carried far away takes them along.
-
-    It is the share of the deflection of a plate that is held at the far field and pushed in the middle.
-    """
-    mean, squared = values[ids.moving].mean(axis=0), ids.reach.astype(values.dtype) ** 2
-    return (1 - squared + squared * jnp.log(squared))[:, None] * mean[None]
 
 
 def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float[Array, "d m d s"]:
