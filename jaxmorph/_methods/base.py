@@ -13,27 +13,36 @@ from .._kernels.module import Module
 from .surface import Surface
 
 BLOCK = 512
-"""Points evaluated together: memory, also for derivatives, is that of one block, whatever the size of the mesh."""
+"""Points that are evaluated together.
+
+Memory, also for derivatives, is that of one block, whatever the size of the mesh.
+"""
 
 
 class Located(eqx.Module):
-    """Counts how the location of a mesh's points went: answers `repaired`, and points that lie `outside` by round-off."""
+    """Counts of how points were located.
+
+    `repaired` answers of the graph were wrong, and points lie `outside` of it by round-off.
+    """
 
     repaired: Int[Array, ""]
     outside: Int[Array, ""]
 
 
 class AbstractRows(eqx.Module):
-    """Rows of a linear operator, one a point, that may carry a table which makes the transpose as fast as the operator.
+    """Rows of a linear operator, one for each point, with an optional table for its transpose.
 
-    What `AbstractPlacing.place` returns may hold such rows. The driver builds and keeps their tables.
+    The table makes the transpose as fast as the operator.
+
+    The places of points (`AbstractPlacing.place`) may hold such rows. The driver builds their
+    tables.
     """
 
     @abc.abstractmethod
     def with_table(self, count: int, parts: int) -> "AbstractRows":
-        """Adds a table, on the host, for rows of many points over `count` surface nodes, which lie in `parts` equal shares.
+        """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host.
 
-        Each share's table has positions within the share, and as many rows as the others.
+        A share's table has positions within the share. All tables have the same number of rows.
         """
 
     @abc.abstractmethod
@@ -50,7 +59,8 @@ class Control:
     """Rows of the surface that control a field, and how far the field reaches.
 
     - `sources` (s,): rows that are the field's control points, the centres of its functions.
-    - `matched` (k,): rows whose displacement the field takes. They leave nothing to a correction.
+    - `matched` (k,): rows whose displacement the field reproduces. They leave nothing to a
+      correction.
     - `reach`: how far from the surface the field reaches.
     """
 
@@ -64,10 +74,15 @@ class AbstractField(Module):
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """Computes the displacement at `x`; `ids` is what `connect` chose for this point, or `place` made of it."""
+        """Computes the displacement at `x`.
+
+        `ids` is what `connect` chose for this point, or `place` made of it.
+        """
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
-        """Computes the displacements of a block of c points. Equal to the mapped one-point form; there for speed alone.
+        """Computes the displacements of a block of c points.
+
+        The result is that of the mapped one-point form. The function exists for speed alone.
 
         A leaf of `ids` has one row a point.
         """
@@ -75,27 +90,28 @@ class AbstractField(Module):
 
     @property
     def block_size(self) -> int | None:
-        """Points evaluated together. None if a point needs so little memory that no blocking is required."""
+        """Points that are evaluated together; None if the memory needs no blocks."""
         return BLOCK
 
 
 class AbstractMethod(Module):
     """Turns displacements of the surface into a displacement field.
 
-    A method of your own needs `connect`, `fit` and `field`; the other functions have defaults. A method that needs of each point
-    what its place gives is an `AbstractPlacing`. The surface's b rows are the moving nodes, then the fixed ones,
-    no node twice. Arguments have the same meaning in all of a method's functions:
+    A method of your own needs `connect`, `fit` and `field`; all other functions have defaults. A
+    method that computes something for each point once per base mesh is an `AbstractPlacing`. The
+    surface's b rows are the moving nodes, then the fixed ones, no node twice. An argument means
+    one thing in all functions of a method:
 
     - `surface`: on the host a `Surface`; traced the coordinates (b, d) of its rows.
-    - `points`, `x`: all points (n, d) of the mesh, in `fit` its base coordinates; one of them (d,).
-    - `ids`: what `connect` returned for the surface; in the field what it returned for one point.
+    - `points`: all points (n, d) of the mesh, in `fit` its base coordinates. `x` is one point (d,).
+    - `ids`: what `connect` returned for the surface; in the field what it returned for a point.
     - `factors`: what `fit` returned.
     - `u`: displacements (b, d) of the surface's rows.
     """
 
     @abc.abstractmethod
     def connect(self, surface: Surface, points: Float[np.ndarray, "n d"]) -> tuple[PyTree, PyTree]:
-        """Finds ids for the surface, and ids for every point (each leaf has n rows). Called once, on the host."""
+        """Finds ids for the surface, and for every point (n rows). Once, on the host."""
 
     @abc.abstractmethod
     def fit(self, ids: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
@@ -108,18 +124,21 @@ class AbstractMethod(Module):
         """Makes the displacement field. Traced, and linear in `u` for a method that is `linear`."""
 
     def control(self, ids: PyTree) -> Control:
-        """Returns what controls the field, of the rows that `connect` chose, on the host; by default no row stands out."""
+        """Returns the rows that control the field, on the host; none by default."""
         return Control()
 
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
-        """Raises or warns when the factors are unusable. Called once, on the host, after the first `fit`.
+        """Raises or warns when the factors are unusable. Once, on the host, after the first `fit`.
 
         `u` is a displacement to try.
         """
 
     @property
     def needs_cells(self) -> bool:
-        """True if `connect` needs the cells of the whole mesh. The solve is of all nodes: a plan is not laid over devices."""
+        """True if `connect` needs the cells of the whole mesh.
+
+        Its solve is for all nodes, so a plan is not split over devices.
+        """
         return False
 
     @property
@@ -129,12 +148,18 @@ class AbstractMethod(Module):
 
     @property
     def exact(self) -> bool:
-        """True if the field takes the given displacements at the surface's nodes; they are then assigned bit for bit."""
+        """True if the field takes the given displacements at the surface's nodes.
+
+        The driver then assigns them bit for bit.
+        """
         return True
 
 
 def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:
-    """Raises `ValueError`, with the call to make, where an argument is not an object of its kind: a string, a class, a number."""
+    """Raises `ValueError` for an argument that is not an object of its kind.
+
+    The message has the call to make.
+    """
     if isinstance(value, kind) or (optional and value is None):
         return
     what = kind.__name__.removeprefix("Abstract").lower()

@@ -1,4 +1,4 @@
-"""Delaunay graph mapping (Liu, Qin and Xia, J. Comput. Phys. 211, 2006; section 2.3 of the paper, eqs. 6 to 9)."""
+"""Delaunay graph mapping (Liu, Qin and Xia 2006; section 2.3 of the paper, eqs. 6 to 9)."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,16 +14,19 @@ from .surface import Surface
 
 
 class DelaunayGraph(AbstractPlacing):
-    """Moves each point linearly with the simplex of surface nodes that holds it (eq. 8): Delaunay graph mapping.
+    """Moves each point with the simplex of surface nodes that holds it (eq. 8).
 
-    The graph stands on the undeformed surface and carries displacements, so that the map is one linear operator for any
-    motion. A surface node follows itself alone, whatever the graph does around it; of several coincident nodes the
-    first one (moving before fixed) stands for all in the graph.
+    The graph stands on the undeformed surface and carries displacements, so that the map is one
+    linear operator for any motion. A surface node follows itself alone, whatever the graph does
+    around it; of several coincident nodes the first one (moving before fixed) stands for all in the
+    graph.
 
-    The graph is discontinuous in the base coordinates: nodes on one circle or sphere can be joined in several ways, and change
-    from one to another. Coordinates are rounded far below the distance of nodes first, so round-off does not choose.
+    The graph is discontinuous in the base coordinates: nodes on one circle or sphere can be joined
+    in several ways, and change from one to another. Coordinates are rounded far below the distance
+    of nodes first, so round-off does not choose.
 
-    **Raises:** `prepare` raises a `ValueError` for points outside of the convex hull of the surface.
+    **Raises:** `prepare` raises a `ValueError` for points outside of the convex hull of the
+    surface.
     """
 
     def connect(self, surface: Surface, points):
@@ -49,7 +52,10 @@ class DelaunayGraph(AbstractPlacing):
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Computes barycentric coordinates e of x (eqs. 6 and 7, and their like in 3-D) in closed form; (1, 0, ...) `at_node`."""
+    """Computes barycentric coordinates e of x in closed form; (1, 0, ...) `at_node`.
+
+    These are eqs. 6 and 7, and their like in 3-D.
+    """
     edges = [corner - corners[0] for corner in corners[1:]]
     inner = x - corners[0]
     whole = determinant(edges)

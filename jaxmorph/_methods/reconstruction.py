@@ -1,4 +1,4 @@
-"""Exact surface reconstruction: a coarse field, corrected by what it misses on the surface (section 2.3 of the paper)."""
+"""Exact surface reconstruction: a coarse field and a correction (section 2.3 of the paper)."""
 
 import equinox as eqx
 import jax
@@ -18,10 +18,11 @@ from .surface import Surface
 
 
 class SurfaceReconstruction(AbstractPlacing):
-    """Corrects a coarse field by what it misses on the surface, its offset (eq. 5): the paper's method.
+    """Corrects a coarse field by its offset on the surface (eq. 5): the paper's method.
 
-    u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine. The surface is exact if the
-    correction is exact on it. The correction is linear, so several steps of it (section 3.2 of the paper) equal one.
+    u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine. The
+    surface is exact if the correction is exact on it. The correction is linear, so several steps of
+    it (section 3.2 of the paper) equal one.
 
     **Arguments:**
 
@@ -39,13 +40,14 @@ class SurfaceReconstruction(AbstractPlacing):
     @classmethod
     @checked
     def published(cls, leaves: int = 64, fixed_leaves: int = 16) -> "SurfaceReconstruction":
-        """Returns the method as the paper has it: sources by a k-d tree, corrected by Delaunay graph mapping alone.
+        """Returns the paper's method: sources by a k-d tree, corrected by the Delaunay graph alone.
 
         Its walls should be convex: a graph lays chords over concave ones.
 
         **Arguments:**
 
-        - `leaves`: leaves of the tree on the moving nodes; a leaf has up to 4 sources (2-D) or 8 (3-D). Default 64.
+        - `leaves`: leaves of the tree on the moving nodes; a leaf has up to 4 sources (2-D) or 8
+          (3-D). Default 64.
         - `fixed_leaves`: leaves of the tree on the fixed nodes. Default 16.
 
         **Returns:** a `SurfaceReconstruction`.
@@ -106,7 +108,7 @@ class SurfaceReconstruction(AbstractPlacing):
         return SumField(coarse, self.correction.field(ids[2], factors[2], surface, offset))
 
     def offset(self, ids, factors, surface, u):
-        """Computes the displacement of the surface that is left to the correction (eq. 5). Traced."""
+        """Computes the surface displacement that is left to the correction (eq. 5). Traced."""
         return self._split(ids, factors, surface, u)[1]
 
     def _split(self, ids, factors, surface, u):
@@ -116,7 +118,7 @@ class SurfaceReconstruction(AbstractPlacing):
 
 
 class SumField(AbstractField):
-    """The sum of two fields, each with its own ids."""
+    """The sum of two fields with ids of their own."""
 
     first: AbstractField
     second: AbstractField
@@ -135,7 +137,7 @@ class SumField(AbstractField):
 def sees_free_sides(method: AbstractMethod) -> bool:
     """Checks whether a method is or has a `FittedRBF`, whose field depends on `Surface.is_open`."""
 
-    def is_fitted(each: object) -> bool:
-        return isinstance(each, FittedRBF)
+    def is_fitted(node: object) -> bool:
+        return isinstance(node, FittedRBF)
 
     return any(map(is_fitted, jax.tree.leaves(method, is_leaf=is_fitted)))

@@ -1,4 +1,4 @@
-"""The surface of a mesh as methods see it on the host: moving and fixed nodes, faces, walls, sources."""
+"""The surface of a mesh as methods see it on the host."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -20,8 +20,9 @@ class Cells:
     """The cells of a mesh of n points, and the planes in which nodes slide.
 
     - `corners`: node ids (k, corners) by type, the cells of highest dimension alone.
-    - `normals` (p, d): unit normals of the symmetry planes, parallel or at right angles to each other.
-    - `on_plane` (n, p): the nodes that lie on each.
+    - `normals` (p, d): unit normals of the symmetry planes, parallel or at right angles to each
+      other.
+    - `on_plane` (n, p): whether a node lies on a plane.
     """
 
     corners: Mapping[str, np.ndarray]
@@ -35,17 +36,24 @@ class Surface:
 
     A row of the surface is one of its b nodes.
 
-    - `points` (b, d): coordinates, the `moving` first ones moving, the others fixed.
-    - `nodes` (b,): each row's place among the points that `connect` is given, -1 for a row that is not among them.
+    - `points` (b, d): coordinates. The first `moving` rows move, all further rows are fixed.
+    - `nodes` (b,): for each row its id among the points of `connect`, -1 for a row that is not
+      among them.
     - `moving`: the number of moving rows.
     - `images` (b,): for each row the row of which it is the mirror image, or itself.
-    - `matched`: rows whose displacement is known to vanish. They are a coarse field's sources, where a correction has
-      nothing to do.
-    - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None without cells.
-    - `is_open`: whether boundary faces of the mesh are neither moving, fixed nor on a symmetry plane, or None without cells.
-    - `cells`: the mesh's cells and symmetry planes, or None where they are not known: points alone, or a part of a mesh.
-    - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed, or None without any.
-    - `near`: points (k,) near a wall, and the row (k,) of the nearest node, where a method has found them. They make searches fast.
+    - `matched`: rows whose displacement vanishes: a coarse field's sources, as its correction sees
+      them.
+    - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None
+      without cells.
+    - `is_open`: whether boundary faces of the mesh are neither moving, fixed nor on a symmetry
+      plane, or None without cells.
+    - `cells`: the mesh's cells and symmetry planes, or None where they are not known: points alone,
+      or a part of a mesh.
+    - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed, or
+      None without any.
+    - `near`: points (k,) near a wall, and the row (k,) of the nearest node, where a method has
+      found them. They make searches fast.
+    - `values`: what was made `once`, by key.
     """
 
     points: np.ndarray
@@ -58,11 +66,14 @@ class Surface:
     cells: Cells | None = None
     in_planes: np.ndarray | None = None
     near: tuple[np.ndarray, np.ndarray] | None = None
-    kept: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
+    values: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
 
     @property
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Finds each row's wall (b,), two ends of each wall (w, 2), and its mean chord (w,) relative to their distance."""
+        """Finds the wall of each row (b,), two ends of each wall (w, 2), and its mean chord (w,).
+
+        The chord is relative to the distance of the ends.
+        """
         return self.once("walls", self._walls)
 
     def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -70,30 +81,36 @@ class Surface:
         return wall, *chords(self.points, wall, self.faces)
 
     def once(self, key: Any, make: Callable[[], T]) -> T:
-        """Makes what the surface alone decides, whatever the points, once for it and all that are `altered` from it.
+        """Makes a value that depends on the surface alone, once.
 
-        `key` says what it is, with all that it depends on beside the surface.
+        All surfaces `altered` from this one share it.
+
+        `key` names the value, with all that it depends on beside the surface.
         """
-        if key not in self.kept:
-            self.kept[key] = make()
-        return self.kept[key]
+        if key not in self.values:
+            self.values[key] = make()
+        return self.values[key]
 
     def altered(self, **fields: Any) -> "Surface":
-        """Returns the surface with other `nodes` or `matched` rows. What was made `once` goes with it."""
+        """Returns the surface with other `nodes` or `matched` rows; it shares all made `once`."""
         return dataclasses.replace(self, **fields)
 
     def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
-        """Chooses rows among the moving nodes, then among the fixed ones, each with its mirror images; no two of them too close."""
+        """Chooses sources among the moving nodes, then among the fixed ones, with mirror images.
+
+        No two of them are too close.
+        """
         first, closest = self._chosen(moving, np.arange(self.moving), self.points[self.moving :])
         rows = np.arange(self.moving, len(self.points))
         second, closest_fixed = self._chosen(fixed, rows, self.points[first])
         return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
 
     def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
-        """Chooses rows by a reduction, images included, and returns also how close two of them may come.
+        """Chooses rows by a reduction, with images; returns also how close two of them may come.
 
-        A source too close to its own image gives way to the nearest node that is not, one on the plane if there is any. Two
-        sources that are apart are farther from each other's images: all nodes lie on one side of a plane.
+        A source too close to its own image gives way to the nearest node that is not too close, one
+        on the plane if there is any. Two sources that are not too close are farther from each
+        other's images: all nodes lie on one side of a plane.
         """
         originals = rows[self.images[rows] == rows]
         closest = reduction.closest(self.points[originals])
@@ -101,11 +118,10 @@ class Surface:
         far = self._on_far_walls(reduction, originals, others)
         chosen = drop_close(self.points, np.append(chosen, far), closest) if len(far) else chosen
         images = np.flatnonzero(self.images != np.arange(len(self.points)))
-        apart = np.full(len(self.points), np.inf)
-        np.minimum.at(
-            apart, self.images[images], np.linalg.norm(np.subtract(*self.points[[images, self.images[images]]]), axis=1)
-        )
-        is_near = apart <= closest * (1 + SAME)
+        to_image = np.full(len(self.points), np.inf)
+        lengths = np.linalg.norm(np.subtract(*self.points[[images, self.images[images]]]), axis=1)
+        np.minimum.at(to_image, self.images[images], lengths)
+        is_near = to_image <= closest * (1 + SAME)
         near, free = chosen[is_near[chosen]], originals[~is_near[originals]]
         if near.size:
             moved = nearest_of(self.points[near], self.points[free], free) if free.size else near[:0]
@@ -113,9 +129,11 @@ class Surface:
         return rows[np.isin(self.images[rows], chosen)], closest
 
     def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses among the rows of each wall that is farther from the `others` (s, d) than it is long, as if there were no others.
+        """Chooses rows of each wall that is farther from the `others` (s, d) than it is long.
 
-        It chooses none where these would be too many, and where no faces tell the walls.
+        The reduction then chooses as if there were no others.
+
+        It chooses none where they would be too many, and where the walls are unknown without faces.
         """
         chosen = [rows[:0]]
         if not reduction.most_on_far_walls or self.faces is None or not len(rows):
@@ -129,7 +147,10 @@ class Surface:
         return np.concatenate(chosen) if sum(map(len, chosen)) <= reduction.most_on_far_walls else chosen[0]
 
     def among(self, points: np.ndarray) -> tuple["Surface", np.ndarray]:
-        """Returns the surface with each of its rows among the points: rows that are not (mirror images) are added at the end."""
+        """Returns the surface with all of its rows among the points.
+
+        Mirror images, which are not, are added at the end.
+        """
         absent = np.flatnonzero(self.nodes < 0)
         if not absent.size:
             return self, points
@@ -138,7 +159,7 @@ class Surface:
         return self.altered(nodes=nodes), np.concatenate([points, self.points[absent]])
 
     def rows(self, n: int) -> np.ndarray:
-        """Finds the surface's row of each of n points (n,); b for a point that is not on the surface."""
+        """Finds the surface's row of each of n points; b for a point off the surface."""
         rows = np.full(n, len(self.points), dtype=np.int32)
         present = np.flatnonzero(self.nodes >= 0)
         rows[self.nodes[present]] = present

@@ -23,14 +23,16 @@ CELLS = 4096
 
 
 class AbstractCellMethod(AbstractMethod):
-    """Solves a linear system for the displacements of all inner nodes, made of one small matrix for each cell.
+    """Solves a linear system for all inner nodes, made of one small matrix for each cell.
 
-    The matrix is symmetric, and its rows add to zero: a translation is reproduced. Nodes at one place are one node. Nodes on
-    a symmetry plane slide in it. Nodes in no cell, or in cells that no moving or fixed node belongs to, rest.
+    The matrix is symmetric, and its rows add to zero, so a translation is reproduced. Nodes at one
+    place are one node. Nodes on a symmetry plane slide in it. Nodes in no cell rest, and so do
+    cells without a connection to a moving or fixed node.
 
-    The solve runs on the host, within traced code. In 2-D it factors the matrix; a large 3-D one takes conjugate gradients
-    with a multigrid cycle. Where these do not converge, up to 60,000 unknowns are factored; with more of them `prepare` raises.
-    The factors of the last two systems are kept. The transpose costs as much as the solve.
+    The solve runs on the host, within traced code. In 2-D it factors the matrix. In 3-D a large
+    system takes conjugate gradients with a multigrid cycle. If they do not converge, up to 60,000
+    unknowns are factored; with more unknowns `prepare` raises. The factors of the last two systems
+    stay in memory. The transpose costs as much as the solve.
     """
 
     @abc.abstractmethod
@@ -41,9 +43,9 @@ class AbstractCellMethod(AbstractMethod):
     def entries(
         self, kind: str, corners: Float[Array, "c d"], distance: Float[Array, " c"]
     ) -> Float[Array, "p"] | Float[Array, "p d d"]:
-        """Computes a cell's entries of the matrix: numbers, or blocks of rows of the first corner. Traced.
+        """Computes a cell's entries: numbers, or blocks of rows of the first corner. Traced.
 
-        `distance` is that of each corner from the nearest moving node.
+        `distance` is the distance of each corner from the nearest moving node.
         """
 
     def masses(self, ids: NodeIds, places: Float[Array, "n d"]) -> Float[Array, " q"]:
@@ -78,14 +80,20 @@ class AbstractCellMethod(AbstractMethod):
         beyond = np.flatnonzero(surface.nodes >= n)  # images: the surface alone has them
         last = np.zeros(len(points) - n, dtype=np.int64)
         last[surface.nodes[beyond] - n] = n + beyond
-        pairs, wall, rows, nodes = (each.astype(np.int32) for each in (pairs, wall, rows, nodes))
+        pairs, wall, rows, nodes = (ids.astype(np.int32) for ids in (pairs, wall, rows, nodes))
         node_ids = NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes)))
         return node_ids, np.concatenate([volume, last]).astype(np.int32)
 
     def _numbered(
         self, corners: Mapping[str, np.ndarray], n: int
     ) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
-        """Numbers the pairs of nodes (e, 2), and finds each cell's entries (k, p) and which of them are flipped."""
+        """Numbers the pairs of nodes (e, 2), and finds each cell's entries (k, p).
+
+        The third array marks the flipped entries.
+        """
+        # A pair of nodes is one integer, smaller id times n plus larger id. Sorted and without
+        # copies they are the list of pairs, so a search finds each cell's entries. Corners at one
+        # place get the number beyond the list.
         both = {kind: np.array(self.pairs(kind)).T for kind in corners}
         first = {kind: corners[kind][:, i] for kind, (i, _) in both.items()}
         second = {kind: corners[kind][:, j] for kind, (_, j) in both.items()}
@@ -124,7 +132,7 @@ class AbstractCellMethod(AbstractMethod):
             return total.at[entry].add(jax.vmap(entries)(corners, flipped))
 
         one = jax.eval_shape(
-            entries, *(jax.ShapeDtypeStruct(each.shape[1:], each.dtype) for each in (cells.corners, cells.flipped))
+            entries, *(jax.ShapeDtypeStruct(rows.shape[1:], rows.dtype) for rows in (cells.corners, cells.flipped))
         )
         none = jnp.zeros((len(ids.pairs), *one.shape[1:]), one.dtype)
         return fold_rows(add, none, (cells.corners, cells.entry, cells.flipped), CELLS)
@@ -132,14 +140,14 @@ class AbstractCellMethod(AbstractMethod):
     def field(self, ids: NodeIds, factors: NodeFactors, surface, u):
         frame = ids.frame.astype(u.dtype)
         turned = jnp.matmul(u, frame, precision="highest")
-        given = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
-        moved = given + solve(ids, factors, -product(ids, factors, given))
+        boundary = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
+        moved = boundary + solve(ids, factors, -product(ids, factors, boundary))
         return NodeField(jnp.concatenate([jnp.matmul(moved, frame.T, precision="highest"), u]))
 
     def check(self, ids: NodeIds, factors: NodeFactors, u):
         if not _is_solved(self, ids, factors, u):
             raise ValueError(
-                f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are not solved for: its stiffness is not finite or "
+                f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are not solved for. Its stiffness is not finite or "
                 "not positive (cells without volume, a stiffness that differs too much between cells), or conjugate gradients "
                 "did not converge. Try a smaller exponent, or a method that does not solve on cells, such as the default."
             )
@@ -153,7 +161,7 @@ def _is_solved(
 
 
 class NodeField(AbstractField):
-    """Displacements of the nodes, then of the surface's rows; a point's id is its place among them."""
+    """Displacements of nodes, then of the surface's rows; a point's id is its row among them."""
 
     values: Float[Array, "k d"]
 
@@ -166,12 +174,15 @@ class NodeField(AbstractField):
 
 
 def _of_kind(corners, entry, flipped) -> CellIds:
-    corners, entry = (np.asarray(each).astype(np.int32) for each in (corners, entry))
+    corners, entry = (np.asarray(ids).astype(np.int32) for ids in (corners, entry))
     return CellIds(*as_jax((corners, entry, flipped)))
 
 
 def _frame(normals: np.ndarray) -> np.ndarray:
-    """Completes the normals of planes, each parallel or at right angles to the others, to axes in the columns of a matrix."""
+    """Completes the normals of planes to axes, the columns of a matrix.
+
+    Normals are parallel or at right angles.
+    """
     d = normals.shape[1]
     axes: list[np.ndarray] = []
     for direction in (*normals, *np.eye(d)):

@@ -1,4 +1,4 @@
-"""The sparse system of a method that solves for nodes: its ids, its matrix, and the solve on the host."""
+"""The sparse system of a method that solves for nodes: ids, matrix, solve on the host."""
 
 import equinox as eqx
 import jax
@@ -12,12 +12,10 @@ from ..._kernels.callback import host_call
 class CellIds(eqx.Module):
     """Ids of k cells of one type.
 
-    - `corners`: of each cell.
-    - `entry`: the number of each of its pairs of corners in the list of pairs.
-    - `flipped`: for each of them, see below.
-
-    An entry is `flipped` where the pair's first corner is the entry's second node. It is the number of pairs where the two
-    corners are one node.
+    - `corners`: node ids.
+    - `entry`: for each pair of corners its number in the list of pairs. It is the number of pairs
+      where the two corners are one node.
+    - `flipped`: True where the pair's first corner is the entry's second node.
     """
 
     corners: Int[Array, "k c"]
@@ -32,8 +30,8 @@ class NodeIds(eqx.Module):
     - `pairs` (e, 2): nodes that share an entry of the matrix, the smaller id first.
     - `frame` (d, d): axes in its columns, of which each symmetry plane has one as its normal.
     - `free` (n, d): unknowns, by node and axis of the frame.
-    - `wall` (n,): the moving node nearest to each.
-    - `rows`, `nodes` (r,): rows of the surface that are nodes of the mesh, and which.
+    - `wall` (n,): for each node the nearest moving node.
+    - `rows`, `nodes` (r,): rows of the surface that are nodes of the mesh, and the nodes.
     """
 
     cells: dict[str, CellIds]
@@ -46,7 +44,7 @@ class NodeIds(eqx.Module):
 
 
 class NodeFactors(eqx.Module):
-    """The matrix, as `jaxmorph._host.linear.systems.solve` takes it, and the nodes' places in the frame."""
+    """The matrix as `systems.solve` takes it, and the nodes' places in the frame."""
 
     values: Float[Array, "e ..."]
     diagonal: Float[Array, "n ..."]
@@ -63,7 +61,10 @@ def product(ids: NodeIds, factors: NodeFactors, x: Float[Array, "n d"]) -> Float
 
 
 def symmetric_product(pairs, values, diagonal, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Multiplies by a symmetric matrix of numbers or blocks, one a pair of nodes and one a node. Traced."""
+    """Multiplies by a symmetric matrix of numbers or blocks. Traced.
+
+    It has one entry for each pair of nodes, and one for each node.
+    """
     i, j = pairs.T
 
     def scaled(a, b):
@@ -75,7 +76,10 @@ def symmetric_product(pairs, values, diagonal, x: Float[Array, "n d"]) -> Float[
 
 
 def solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves for the free unknowns, on the host; its derivatives are products and solves of the same kind."""
+    """Solves for the free unknowns on the host.
+
+    The derivatives are products and solves of the same kind.
+    """
     free = ids.free
 
     def times(x):
@@ -85,7 +89,7 @@ def solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Flo
 
 
 def solved_on_host(times, pairs, factors: NodeFactors, free, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves a symmetric system whose product with x is given, by `jaxmorph._host.linear.systems.solve`. Traced."""
+    """Solves a symmetric system on the host; `times` multiplies by its matrix. Traced."""
     leaves = (pairs, factors.values, factors.diagonal, factors.masses, free)
 
     def on_host(*system):

@@ -14,15 +14,18 @@ from ..numbers import length
 
 
 class AbstractBasis(Module):
-    """A radial function phi, called with the squared distance r2 (any shape, the mesh's units squared).
+    """A radial function phi of the squared distance r2 (any shape, the mesh's units squared).
 
-    A basis of your own needs `__call__` alone. Two class attributes say when the interpolation is well posed and how it
-    scales; their defaults suit every positive definite function with a radius:
+    A basis of your own needs `__call__` alone. Two class attributes say when the interpolation is
+    well posed and how it scales; their defaults suit every positive definite function with a
+    radius:
 
-    - `min_degree`: the lowest degree of the polynomial with which the interpolation matrix is regular (None: no polynomial
-      needed). For a conditionally positive definite function of order k it is k - 1.
-    - `scale_free`: True if phi of a scaled distance differs from a multiple of phi by a polynomial of `min_degree`. Distances
-      are then taken in units of the sources' extent, which conditions the matrix.
+    - `min_degree`: the lowest degree of the polynomial with which the interpolation matrix is
+      regular (None: no polynomial needed). For a conditionally positive definite function of order
+      k it is k - 1.
+    - `scale_free`: True if phi of a scaled distance differs from a multiple of phi by a polynomial
+      of `min_degree`. Distances are then taken in units of the sources' extent, which conditions
+      the matrix.
     """
 
     min_degree: ClassVar[int | None] = None
@@ -34,7 +37,10 @@ class AbstractBasis(Module):
 
 
 class ThinPlateSpline(AbstractBasis):
-    """Evaluates phi(r) = r^2 log r (Duchon 1977): global, without a parameter; needs a linear polynomial."""
+    """Evaluates phi(r) = r^2 log r (Duchon 1977).
+
+    It is global, has no parameter, and needs a linear polynomial.
+    """
 
     min_degree: ClassVar[int | None] = 1
     scale_free: ClassVar[bool] = True
@@ -44,7 +50,10 @@ class ThinPlateSpline(AbstractBasis):
 
 
 class LinearSpline(AbstractBasis):
-    """Evaluates phi(r) = r: without a parameter; needs a constant polynomial. It has a cone at each source (Duchon 1977)."""
+    """Evaluates phi(r) = r, with a cone at each source (Duchon 1977).
+
+    It has no parameter, and needs a constant polynomial.
+    """
 
     min_degree: ClassVar[int | None] = 0
     scale_free: ClassVar[bool] = True
@@ -54,7 +63,10 @@ class LinearSpline(AbstractBasis):
 
 
 class CubicSpline(AbstractBasis):
-    """Evaluates phi(r) = r^3, the smoothest interpolation in 3-D: no parameter; needs a linear polynomial (Duchon 1977)."""
+    """Evaluates phi(r) = r^3, the smoothest interpolation in 3-D (Duchon 1977).
+
+    It has no parameter, and needs a linear polynomial.
+    """
 
     min_degree: ClassVar[int | None] = 1
     scale_free: ClassVar[bool] = True

@@ -1,4 +1,4 @@
-"""Conditioning of the interpolation system (eq. 3), measured when a plan is prepared, and the nodes that spoil it."""
+"""Conditioning of the interpolation system (eq. 3), measured by `prepare`."""
 
 import dataclasses
 
@@ -15,10 +15,13 @@ from .expansion import Expansion, RBFFactors
 from .iterations import LIMIT, PROMISING, TRIAL
 
 SUSPICIOUS = 0.1
-"""Rounding of the residual after a few steps, over what makes a field NaN, from which on `prepare` takes all steps."""
+"""Rounding of the residual after a few steps, from which on `prepare` takes all steps.
+
+It is relative to the rounding that makes a field NaN.
+"""
 
 USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
-"""Changes of displacements by rounding, relative to them: an error, a warning, and a warning in float32."""
+"""Relative changes of displacements by rounding: an error, a warning, one in float32."""
 
 NEAR = 1e-3
 """Distance of two sources, relative to those around them, below which `prepare` warns of them."""
@@ -30,10 +33,12 @@ def is_noticeable(error: float, dtype) -> bool:
 
 
 def rounding(expansion: Expansion, factors: RBFFactors, values: np.ndarray) -> float:
-    """Measures, on the host, how much rounding changes the interpolation of `values` (s, d), at and between the sources.
+    """Measures how much rounding changes the interpolation of `values` (s, d). Host.
 
-    It takes one step of iterative refinement: the field of what the first field misses at the sources. It is infinite for a
-    system without a solution.
+    The change is taken at the sources and between them.
+
+    It takes one step of iterative refinement: the field of what the first field misses at the
+    sources. It is infinite for a system without a solution.
     """
     lu, order, sources, scale = map(np.asarray, (factors.lu, factors.order, factors.sources, factors.scale))
     count, block = len(values), min(1024, len(values))
@@ -68,7 +73,10 @@ def _system_rows(expansion: Expansion, sources, scale, points):
 
 
 def fault_of_iterations(expansion: Expansion, factors: RBFFactors, values: np.ndarray) -> str:
-    """Describes why conjugate gradients will not converge, after some steps; empty if they promise to."""
+    """Describes why conjugate gradients will not converge; empty if they promise to.
+
+    Some steps are taken for it.
+    """
     cardinals = factors.cardinals
     assert cardinals is not None
     left, count, rounding = map(float, _left_after_trial(expansion, factors, jnp.asarray(values)))
@@ -87,10 +95,10 @@ def fault_of_iterations(expansion: Expansion, factors: RBFFactors, values: np.nd
 def _left_after_trial(
     expansion: Expansion, factors: RBFFactors, values: Float[Array, "s k"]
 ) -> tuple[Float[Array, ""], Int[Array, ""], Float[Array, ""]]:
-    """Takes some steps of conjugate gradients; returns the share of the error that they leave, and how many they are.
+    """Takes some steps; returns the share of the error that is left, and their number.
 
-    The error is measured in the norm of the basis. The third number is what rounding has made of the residual, over what
-    makes a field NaN.
+    The error is measured in the norm of the basis. The third number is what rounding has made of
+    the residual, over what makes a field NaN.
     """
     iterations = expansion.iterations(factors)
     trial = dataclasses.replace(iterations, tolerance=jnp.asarray(PROMISING, values.dtype))
@@ -126,7 +134,10 @@ def warn_of_close_sources(method: str, factors: RBFFactors, values: Float[np.nda
 
 
 def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -> None:
-    """Warns of nodes that nearly coincide: an interpolation carries their difference over the distance to the next nodes."""
+    """Warns of nodes that nearly coincide.
+
+    An interpolation carries their difference over the distance to the next nodes.
+    """
     first, second = nearly_coincident(nodes, radius, NEAR)
     if len(first):
         distance = np.linalg.norm(nodes[first[0]] - nodes[second[0]])

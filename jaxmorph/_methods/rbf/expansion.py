@@ -1,4 +1,4 @@
-"""The expansion of a field in radial functions and a polynomial (eq. 1), its system (eq. 3), and the field itself (eq. 4)."""
+"""The expansion of a field in radial functions and a polynomial (eqs. 1, 3 and 4)."""
 
 import equinox as eqx
 import jax
@@ -73,7 +73,7 @@ class RBFField(AbstractField):
 
 
 class Expansion(Module):
-    """Radial functions and a polynomial, without their coefficients: basis, degree and ridge of an `RBF`.
+    """Radial functions and a polynomial without coefficients: basis, degree and ridge.
 
     Sources and points are in scaled coordinates; `scale` is the factor that scaled them.
     """
@@ -98,10 +98,14 @@ class Expansion(Module):
         return kernel + self.at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
 
     def factored(self, sources, scale):
-        """Factors the dense system of some sources; returns the factors, and the rows in the order of the pivots."""
+        """Factors the dense system of some sources.
+
+        It returns the factors, and the rows in the order of the pivots.
+        """
         tail = polynomial(sources, self.degree)
-        # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges those wrongly with the transposition
-        # that LAPACK asks for, and the jitted gradient with respect to one coordinate of the sources is wrong or NaN.
+        # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges those
+        # wrongly with the transposition that LAPACK asks for, and the jitted gradient with respect
+        # to one coordinate of the sources is wrong or NaN.
         distances = jnp.sum((sources[:, None] - sources[None]) ** 2, axis=-1)
         kernel = self.kernel(distances, scale)
         corner = jnp.zeros((tail.shape[1],) * 2, kernel.dtype)
@@ -110,7 +114,10 @@ class Expansion(Module):
         return lu, order
 
     def rows(self, sources, scale, points: Float[Array, "k d"]) -> Float[Array, "k t"]:
-        """Computes rows of the system at any points: times the coefficients they give the field. Traced."""
+        """Computes rows of the system at any points. Traced.
+
+        Times the coefficients, they give the field.
+        """
         kernel = Radial(self.basis, scale)(squared_distances(points, sources))
         return jnp.concatenate([kernel, polynomial(points, self.degree)], axis=1)
 
@@ -125,7 +132,10 @@ class Expansion(Module):
         return RBFField(self.basis, self.degree, sources, centre, scale, beta, alpha)
 
     def _iterated(self, factors: RBFFactors, right: Float[Array, "t k"]) -> Float[Array, "t k"]:
-        """Solves the system without its matrix. Its derivatives are products and solves of the same kind."""
+        """Solves the system without its matrix.
+
+        The derivatives are products and solves of the same kind.
+        """
         count, tail = len(factors.sources), polynomial(factors.sources, self.degree)
 
         def product(x):
@@ -155,7 +165,7 @@ class Expansion(Module):
         )
 
     def _times_kernel(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Multiplies by the matrix of functions at the sources, block by block. To be differentiated."""
+        """Multiplies by the kernel's matrix, block by block. To be differentiated."""
         sources, phi = factors.sources, Radial(self.basis, factors.scale)
 
         def of_block(points):
@@ -168,7 +178,10 @@ class Expansion(Module):
         return product + self.at_sources * beta if self.ridge else product
 
     def _times_kernel_quickly(self, factors: RBFFactors, beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Computes what `_times_kernel` does in half the time on a CPU: each function of two sources once."""
+        """Multiplies by the kernel's matrix in half the time on a CPU.
+
+        It evaluates each function of two sources once.
+        """
 
         def of_pairs(factors, beta):
             phi = Radial(self.basis, factors.scale)

@@ -1,4 +1,4 @@
-"""A coarse field that follows the body: radial basis functions fitted to the wall, strained as little as possible."""
+"""A coarse field that follows the body: radial functions fitted to the wall."""
 
 import dataclasses
 
@@ -29,45 +29,54 @@ SOURCES_ALONE = 64
 
 
 class FittedRBF(AbstractMethod):
-    """Fits radial basis functions that follow the body instead of its skin; a coarse field, made to be corrected.
+    """Fits radial basis functions that follow the body instead of its skin.
 
-    `RBF` takes the wall's displacement u at its sources. This method chooses the values v at the moving sources; those at the
-    fixed ones are u. The field c_v is then the best fit, in least squares over nodes i and edges e of the moving walls:
+    It is a coarse field, made to be corrected.
+
+    `RBF` takes the wall's displacement u at its sources. This method chooses the values v at the
+    moving sources; those at the fixed ones are u. The field c_v is then the best fit, in least
+    squares over nodes i and edges e of the moving walls:
 
         mean_i |c_v - u|^2  +  mean_e mu^2 |d/ds (c_v - u)|^2  +  mean_e ell^2 2 |dev sym grad c_v|^2
 
-    d/ds is the derivative along an edge, and dev sym grad the deviatoric strain at its middle. The first two terms follow
-    value and slope along the wall. The third lets the field carry the body as rigidly as they allow. So grid lines stay at
-    right angles to the wall, and a change of one side of a thin body does not go on beyond its other side. The change of the
-    skin itself is left to the correction. If the whole surface moves by an affine motion, the field is that motion: strain is
+    d/ds is the derivative along an edge, and dev sym grad the deviatoric strain at its middle. The
+    first two terms follow value and slope along the wall. The third term lets the field carry the
+    body as rigidly as the first two allow. So grid lines stay at right angles to the wall, and a
+    change of one side of a thin body does not go on beyond its other side. The change of the skin
+    itself is left to the correction. An affine motion of the whole surface is reproduced: strain is
     measured from the affine motion that fits the surface's displacement best.
 
-    A thin plate spline carries a slope that the body keeps on to the far field: at 500 chords a bump moves nodes by several
-    times its height. So where fixed sources are farther away than about 45 chords, the field comes to rest at 20 and 40 chords:
-    all but the walls' mean displacement, and affine motions of the whole.
+    A thin plate spline carries the body's slope on to the far field: at 500 chords a bump moves
+    nodes by several times its height. So where fixed sources are farther away than about 45 chords,
+    the field comes to rest at 20 and 40 chords. Only the walls' mean displacement and affine
+    motions of the whole surface go farther.
 
-    A thin plate spline turns abruptly behind a sharp trailing edge, within the first cell there. So in 2-D a sharp tip of a wall
-    has a fixed source behind it: its displacement is the wall's own, continued straight on. Six moving ones stand beside it, at
-    0.002 to 0.032 of the chord: cells there are so small that a wavy field inverts them. Tips of less than 60 degrees are sharp.
+    A thin plate spline turns abruptly behind a sharp trailing edge, within the first cell there. So
+    in 2-D a sharp tip of a wall has a fixed source behind it: its displacement is the wall's own,
+    continued straight on. Six moving ones stand beside it, at 0.002 to 0.032 of the chord: cells
+    there are so small that a wavy field inverts them. Tips of less than 60 degrees are sharp.
 
-    A free side is a side of the mesh that is neither moving, fixed nor a symmetry plane. A field that turns with the body
-    would carry it out of its plane. A mesh with a free side gets the interpolation of many sources instead of the fit. So do
-    points without faces: they show neither sharp edges nor which nodes are neighbours.
+    A free side is a side of the mesh that is neither moving, fixed nor a symmetry plane. A field
+    that turns with the body would carry it out of its plane. A mesh with a free side gets the
+    interpolation of many sources instead of the fit. So do points without faces: they show neither
+    sharp edges nor which nodes are neighbours.
 
     **Arguments:**
 
-    - `rbf`: basis and sources. By default the moving sources are those of 16 leaves of a k-d tree, 32 if another boundary is
-      near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D.
-    - `ell`: the length that weighs strain, in the mesh's units. A large one keeps the wall's lines at right angles, a small one
-      follows the skin. It is nowhere more than 0.05 of the distance to the nearest node that is held or of another wall.
-      Default 0.17 of each wall's mean chord, half of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07
-      of half of the wall's area over its span.
-    - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of each wall's mean chord, and 0.5
-      within 0.03 chords of a sharp tip. In 3-D it is 0.4.
+    - `rbf`: basis and sources. By default the moving sources are those of 16 leaves of a k-d tree,
+      32 if another boundary is near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D.
+    - `ell`: the length that weighs strain, in the mesh's units. A large one keeps the wall's lines
+      at right angles, a small one follows the skin. It is nowhere more than 0.05 of the distance to
+      the nearest node that is held or of another wall. Default 0.17 of each wall's mean chord, half
+      of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07 of half of the
+      wall's area over its span.
+    - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of
+      each wall's mean chord, and 0.5 within 0.03 chords of a sharp tip. In 3-D it is 0.4.
 
     Walls of more than 4,096 nodes or edges, in 3-D 2,048, are sampled.
 
-    The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s moving sources.
+    The fit is linear in u. It costs a dense factorisation of d s unknowns once per plan, for s
+    moving sources.
     """
 
     rbf: RBF = eqx.field(default_factory=lambda: RBF(reduction=Filled()))
@@ -91,8 +100,9 @@ class FittedRBF(AbstractMethod):
             is_open = True
         elif is_open is None:
             is_open = has_free_sides(surface.points, surface.rows(len(points)) == len(surface.points), points)
-        # The ids depend on the surface alone, so all pieces of a mesh share them. A method with array leaves has no hash:
-        # its id is the key, and the entry holds the method itself, so that no other object can get that id.
+        # The ids depend on the surface alone, so all pieces of a mesh share them. A method with
+        # array leaves has no hash: its id is the key, and the entry holds the method itself, so
+        # that no other object can get that id.
         key = ("fitted", id(self), bool(is_open))
         return surface.once(key, lambda: (self, self._ids(surface, is_open)))[1], None
 
@@ -104,7 +114,10 @@ class FittedRBF(AbstractMethod):
 
     @property
     def _denser(self) -> RBF:
-        """The field for meshes with free sides and points alone: as many sources as an interpolation needs."""
+        """The field for meshes with free sides, and for points alone.
+
+        It has as many sources as an interpolation needs.
+        """
         reduction = self.rbf.reduction
         if isinstance(reduction, KDTree | Filled) and reduction.leaves is not None:
             reduction = dataclasses.replace(reduction, leaves=max(SOURCES_ALONE, reduction.leaves), crowded=None)
@@ -158,8 +171,8 @@ class FittedRBF(AbstractMethod):
         """Computes ell and mu at each edge."""
         span = norm(surface[ids.ends[:, 0]] - surface[ids.ends[:, 1]])
         ell, mu = (
-            share.astype(surface.dtype) * span if given is None else jnp.full_like(span, given)
-            for share, given in ((ids.ell, self.ell), (ids.mu, self.mu))
+            share.astype(surface.dtype) * span if length is None else jnp.full_like(span, length)
+            for share, length in ((ids.ell, self.ell), (ids.mu, self.mu))
         )
         free = ids.held == ids.edges[:, 0]
         return jnp.where(free, ell, jnp.minimum(ell, JOINT * norm(surface[ids.held] - middle))), mu
@@ -183,13 +196,13 @@ class FittedRBF(AbstractMethod):
         return self.rbf.expansion.field(factors.rbf, everything, u.dtype)
 
     def _affine_part(self, factors: "FitFactors", values):
-        """Finds the coefficients (p, d) of the affine motion nearest to the surface's displacement."""
+        """Finds the coefficients (p, d) of the affine motion nearest to the displacement."""
         moments = _product(factors.polynomial.T, values)
         return jax.scipy.linalg.cho_solve((factors.moments, True), moments)
 
 
 class FitFactors(eqx.Module):
-    """The solve of the sources, weighted rows of the fit, its factored system, and that of the affine part."""
+    """The factored systems of sources, fit and affine part, and weighted rows of the fit."""
 
     rbf: RBFFactors
     nodes: Float[Array, "k s"]
@@ -210,9 +223,9 @@ def _system(follow: Float[Array, "m s"], slopes: Float[Array, "e d s"]) -> Float
     (count, d, s), m = slopes.shape, len(follow)
     moving = slopes[:, :, :m].reshape(count, d * m)
     strain = _product(moving.T, slopes.reshape(count, d * s)).reshape(d, m, d, s)
-    each = follow + sum(strain[b, :, b] for b in range(d))
-    same = jnp.einsum("ac,ij->aicj", jnp.eye(d, dtype=follow.dtype), each)
-    return same + strain.transpose(2, 1, 0, 3) - (2 / d) * strain
+    component = follow + sum(strain[b, :, b] for b in range(d))
+    diagonal = jnp.einsum("ac,ij->aicj", jnp.eye(d, dtype=follow.dtype), component)
+    return diagonal + strain.transpose(2, 1, 0, 3) - (2 / d) * strain
 
 
 def _affine(method: RBF, rbf: RBFFactors, surface: Float[Array, "b d"]):

@@ -17,35 +17,50 @@ ROUNDS = 3
 """Solves for what rounding leaves of the residual."""
 
 STALLED = 0.5
-"""Share of the residual that another solve must take away: where less goes, the rest is rounding of the product itself."""
+"""Share of the residual that another solve must take away.
+
+Where less goes, the rest is rounding of the product itself.
+"""
 
 TRIAL, PROMISING = 6, 1e-2
-"""Products after which a plan's preparation judges the convergence, and the error, relative, at which it does so earlier."""
+"""Products after which `prepare` judges the convergence.
+
+It judges earlier at an error of `PROMISING`, relative to the start.
+"""
 
 MISSED, NOTICEABLE = 1e3, 1e-3
-"""A field that misses its sources by more than so many tolerances, or so much of the displacement, is NaN."""
+"""Tolerances, and share of the displacement, by which a field may miss its sources.
+
+A field that misses them by more is NaN.
+"""
 
 ROUNDINGS = 100
 """Units of rounding below which no tolerance goes: what single precision can reach."""
 
 
 GIVE = 1e-10
-"""Leaves a polynomial undetermined where neighbours lie in one plane: the corner of a small system, relative to its kernel."""
+"""Corner of a small system, relative to its kernel.
+
+It leaves a polynomial undetermined where neighbours lie in one plane.
+"""
 
 Product = Callable[[Float[Array, "s k"]], Float[Array, "s k"]]
 
 
 class OrderedIds(eqx.Module):
-    """Sources from far apart to close, and for all but the first ones the places of neighbours before them, own place first."""
+    """Sources in the order from far apart to close, and neighbours of all but the first ones.
+
+    A row of `earlier` has the source's own place first, then places of sources before it.
+    """
 
     sources: Int[Array, " s"]
     earlier: Int[Array, "r q"]
 
 
 class Cardinals(eqx.Module):
-    """Functions that are 1 at one source and 0 at the nearest ones before it: their neighbours and coefficients.
+    """Functions that are 1 at one source and 0 at the nearest sources before it.
 
-    The last r of the sources have one each.
+    The last r of the sources have such a function.
     """
 
     earlier: Int[Array, "r q"]
@@ -56,7 +71,10 @@ class Cardinals(eqx.Module):
 def local_weights(
     phi: Callable, sources: Float[Array, "s d"], earlier: Int[Array, "r q"], degree: int | None, sign: int
 ) -> Float[Array, "r q"]:
-    """Computes the coefficients of the functions. Traced; `sign` is that of `phi` as a definite function."""
+    """Computes the coefficients of the functions. Traced.
+
+    `sign` is that of `phi` as a definite function.
+    """
     count = earlier.shape[1]
 
     def of_one(ids):
@@ -75,12 +93,16 @@ def local_weights(
 
     if not len(earlier):
         return jnp.zeros(earlier.shape, sources.dtype)
-    # one by one: a batch of factorisations in a loop has come to a standstill in XLA's threads on the CPU
+    # one by one: a batch of factorisations in a loop has come to a standstill in XLA's threads on
+    # the CPU
     return jax.lax.map(of_one, earlier)
 
 
 def precondition(rows: Cardinals, solve_first: Callable, residual: Float[Array, "s k"]) -> Float[Array, "s k"]:
-    """Applies the approximate inverse: sum_l w_l (w_l . r) / w_ll, and the inverse for the first sources."""
+    """Applies the approximate inverse.
+
+    It is sum_l w_l (w_l . r) / w_ll, and the inverse of the dense part for the first sources.
+    """
     first = len(residual) - len(rows.earlier)
     columns = rows.earlier.T, rows.weights.T
 
@@ -98,7 +120,7 @@ def precondition(rows: Cardinals, solve_first: Callable, residual: Float[Array, 
 
 
 class Progress(eqx.Module):
-    """The state of conjugate gradients for k columns: solution, residual, direction, and sums over the sources."""
+    """The state of conjugate gradients for k columns."""
 
     beta: Float[Array, "s k"]
     residual: Float[Array, "s k"]
@@ -160,7 +182,10 @@ class ConjugateGradients:
     def improve(
         self, residual: Float[Array, "s k"], size: Float[Array, ""], most: int, energy: Float[Array, " k"] | None = None
     ) -> Progress:
-        """Takes at most `most` steps from zero. `energy` is that of solutions so far, beside which the error is judged."""
+        """Takes at most `most` steps from zero.
+
+        `energy` is that of the solutions so far, to which the error is relative.
+        """
         energy = jnp.zeros_like(residual[0]) if energy is None else energy
 
         def is_unfinished(now):
@@ -171,9 +196,9 @@ class ConjugateGradients:
     def solve(self, right: Float[Array, "t k"]) -> Float[Array, "t k"]:
         """Solves for the weights of functions and polynomial; NaN where it does not converge."""
         count = len(self.tail)
-        values, given = right[:count], right[count:]
-        beta = _times(self.tail, self._moments(given))
-        rest = jax.lax.cond((given != 0).any(), lambda: values - self.product(beta), lambda: values)
+        values, moments = right[:count], right[count:]
+        beta = _times(self.tail, self._moments(moments))
+        rest = jax.lax.cond((moments != 0).any(), lambda: values - self.product(beta), lambda: values)
         size = jnp.abs(rest).max()
 
         def missed(rest):
@@ -201,7 +226,10 @@ class ConjugateGradients:
         return jnp.minimum(MISSED * self.tolerance, jnp.maximum(self.tolerance, NOTICEABLE))
 
     def rounding(self, now: Progress, residual: Float[Array, "s k"]) -> Float[Array, ""]:
-        """Measures what rounding has made of the residual of steps that began at `residual`: by another product."""
+        """Measures by another product what rounding has made of the residual.
+
+        The steps began at `residual`.
+        """
         again = self.without_polynomial(residual - self.product(now.beta))
         return jnp.abs(again - now.residual).max()
 

@@ -1,7 +1,8 @@
-"""Radial basis function interpolation from a reduced set of sources (sections 2.1 and 2.2 of the paper, eqs. 1 to 4).
+"""Interpolation by radial basis functions from reduced sources (eqs. 1 to 4 of the paper).
 
-The classic method on all nodes of the surface is that of de Boer, van der Schoot and Bijl (Computers and Structures 85, 2007).
-Rendall and Allen (Journal of Computational Physics 228, 2009) reduced its sources.
+The classic method on all nodes of the surface is that of de Boer, van der Schoot and Bijl
+(Computers and Structures 85, 2007). Rendall and Allen (Journal of Computational Physics 228, 2009)
+reduced its sources.
 """
 
 import dataclasses
@@ -35,31 +36,37 @@ MANY = 8192
 class RBF(AbstractMethod):
     """Interpolates by radial basis functions: c(x) = p(x) + sum_j beta_j phi(|x - x_j|), eq. (1).
 
-    A source x_j is a node of the surface that carries a function: a control point, or centre, of the field. Moving and fixed
-    nodes are reduced to sources apart. With `AllPoints()` for both reductions it is the classic method, exact on the surface.
-    With fewer sources the surface follows approximately, and fixed nodes that are no sources move too;
-    `SurfaceReconstruction` adds what is missing.
+    A source x_j is a node of the surface that carries a function: a control point, or centre, of
+    the field. Moving and fixed nodes are reduced to sources apart. With `AllPoints()` for both
+    reductions it is the classic method, exact on the surface. With fewer sources the surface
+    follows approximately, and fixed nodes that are no sources move too; `SurfaceReconstruction`
+    adds what is missing.
 
     **Arguments:**
 
     - `basis`: the function phi. Default `ThinPlateSpline()`, which has no parameter.
-    - `reduction`, `fixed_reduction`: choose the sources among the moving and among the fixed nodes. Defaults `KDTree(64)` and
-      `Graded()`. More sources follow the surface closer, and cost more.
-    - `degree`: degree of the polynomial p: None (no polynomial), 0, or 1, which reproduces rigid and affine motions. Default 1.
-    - `ridge`: added to the matrix at each source, in units of phi at the sources' extent (of phi itself for a basis with a
-      radius). The field then smooths noise and misses the sources. Default 0.
-    - `solver`: `Direct()` factors the dense system once per plan, `Iterative()` solves for each displacement without the
-      matrix. Default None: `Iterative()` for more than 8,192 sources.
+    - `reduction`, `fixed_reduction`: choose the sources among the moving and among the fixed nodes.
+      Defaults `KDTree(64)` and `Graded()`. More sources follow the surface more closely, and cost
+      more.
+    - `degree`: degree of the polynomial p: None (no polynomial), 0, or 1, which reproduces rigid
+      and affine motions. Default 1.
+    - `ridge`: added to the matrix at each source, in units of phi at the sources' extent (of phi
+      itself for a basis with a radius). The field then smooths noise and misses the sources.
+      Default 0.
+    - `solver`: `Direct()` factors the dense system once per plan, `Iterative()` solves for each
+      displacement without the matrix. Default None: `Iterative()` for more than 8,192 sources.
 
-    **Raises:** `ValueError` for another degree or a negative ridge. `prepare` raises it where the sources cannot determine
-    the polynomial (all in one plane). It also does so if rounding changes displacements by more than 1 %, because the radius
-    is wide or sources nearly coincide. It warns from 1e-6 on (1e-3 without x64).
+    **Raises:** `ValueError` for another degree or a negative ridge. `prepare` raises it where the
+    sources cannot determine the polynomial (all in one plane). It also does so if rounding changes
+    displacements by more than 1 %, because the radius is wide or sources nearly coincide. It warns
+    from 1e-6 on (1e-3 without x64).
 
-    The system (eq. 3) is solved in float64 if JAX's x64 mode is on. The effect of rounding on the dense solve is measured.
-    A smooth motion is interpolated, and so is what the result misses at the sources. The largest value of this second field,
-    at the sources and between them, is the error. A condition number would not do, and scaling the mesh changes it. Its
-    reciprocal is 1e-15 for a sound Wendland C2 function of the size of an airfoil's mesh (error 3e-7), and also for a useless
-    Gaussian (error 0.1).
+    The system (eq. 3) is solved in float64 if JAX's x64 mode is on. The effect of rounding on the
+    dense solve is measured. A smooth motion is interpolated, and so is what the result misses at
+    the sources. The largest value of this second field, at the sources and between them, is the
+    error. A condition number would not do, and scaling the mesh changes it. Its reciprocal is 1e-15
+    for a sound Wendland C2 function of the size of an airfoil's mesh (error 3e-7), and also for a
+    useless Gaussian (error 0.1).
     """
 
     basis: AbstractBasis = eqx.field(default_factory=ThinPlateSpline)
@@ -86,7 +93,9 @@ class RBF(AbstractMethod):
     @classmethod
     @checked
     def classic(cls, basis: AbstractBasis | None = None, *, degree: int | None = 1) -> "RBF":
-        """Returns the classic method: every surface node is a source, so the surface is exact (de Boer et al. 2007).
+        """Returns the classic method: every surface node is a source (de Boer et al. 2007).
+
+        The surface is then exact.
 
         It takes one dense solve of as many unknowns as there are surface nodes.
 
@@ -119,14 +128,17 @@ class RBF(AbstractMethod):
         return OrderedIds(jnp.asarray(sources[order]), jnp.asarray(earlier)), None
 
     def chosen(self, surface: Surface) -> np.ndarray:
-        """Chooses the surface's rows that are sources, on the host. Raises `ValueError` if they do not determine the polynomial."""
+        """Chooses the surface's rows that are sources, on the host.
+
+        It raises `ValueError` if they do not determine the polynomial.
+        """
         sources = surface.reduced(self.reduction, self.fixed_reduction)
         sources = drop_close(surface.points, sources, roundoff(surface.points))
         self._check_spread(surface.points[sources])
         return sources.astype(np.int32)
 
     def iterative(self, count: int) -> Iterative | None:
-        """Returns the iterative solver for a number of sources, or None where the system is factored."""
+        """Returns the iterative solver for `count` sources; None where the system is factored."""
         if self.solver is None:
             return Iterative() if count > MANY else None
         return self.solver if isinstance(self.solver, Iterative) else None

@@ -1,4 +1,4 @@
-"""The wall as `FittedRBF` sees it: sources, nodes and edges of the fit, sharp tips, and sources far away."""
+"""The wall as `FittedRBF` sees it: sources, nodes and edges of the fit, sharp tips."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,7 +31,9 @@ Both are relative to the mean chord, or to the distance of the nearest held node
 """
 
 AT_TIP = 0.03, 0.5
-"""Distance from a sharp tip, and `mu` there, both relative to the mean chord: the field follows the wall's slope at the tip.
+"""Distance from a sharp tip, and `mu` there, both relative to the mean chord.
+
+The field follows the wall's slope at the tip.
 
 Cells at a sharp tip are small, and the wall's angle there changes with the thickness.
 """
@@ -45,9 +47,11 @@ class WallIds(eqx.Module):
 
     - `moving`, `fixed`: the sources.
     - `nodes`, `edges`: rows and pairs of rows at which the field follows the wall.
-    - `held`: for each edge the nearest row that is fixed or of another wall, the edge's first one where there is none.
+    - `held`: for each edge the nearest row that is fixed or of another wall, the edge's first one
+      where there is none.
     - `ends`: for each edge two ends of its wall.
-    - `far`: fixed sources so far away that more of them rest nearer to the walls, at the share `reach` of the way to them.
+    - `far`: fixed sources so far away that more of them rest nearer to the walls, at the share
+      `reach` of the way to them.
     - `tips`: sharp tips of the walls, each with a node on either side.
     - `ell`, `mu`: the default lengths at each edge, relative to the distance of the wall's ends.
     """
@@ -99,14 +103,16 @@ class WallIds(eqx.Module):
         return cls(*as_jax([*(ids.astype(np.int32) for ids in rows), ell, mu, reach]))
 
     def places(self, surface: Float[Array, "b d"]) -> Float[Array, "s d"]:
-        """Computes the places of the moving and fixed sources, of the rings between them, and behind sharp tips."""
+        """Computes the places of all sources: moving, fixed, on rings between, behind tips."""
         moving, fixed = surface[self.moving], surface[self.fixed]
         centre = moving.mean(axis=0)[None]
         ring = centre + self.reach.astype(surface.dtype)[:, None] * (surface[self.far] - centre)
         return jnp.concatenate([moving, fixed, ring, self.behind_tips(surface)])
 
     def behind_tips(self, values: Float[Array, "b d"]) -> Float[Array, "g d"]:
-        """Continues places or displacements of the walls behind their tips: the mirror image in the tip.
+        """Continues places or displacements of the walls behind their tips.
+
+        A place behind is the mirror image in the tip.
 
         It is right for affine motions.
         """
@@ -114,16 +120,19 @@ class WallIds(eqx.Module):
         return 2 * values[tip] - (values[first] + values[second]) / 2
 
     def at_rings(self, values: Float[Array, "b d"]) -> Float[Array, "r d"]:
-        """Computes what the rings keep of the walls' mean displacement: a body that is carried far away takes them along.
+        """Computes the displacement of the rings, a share of the walls' mean displacement.
 
-        It is the share of the deflection of a plate that is held at the far field and pushed in the middle.
+        So a body that is carried far away takes them along.
+
+        It is the share of the deflection of a plate that is held at the far field and pushed in the
+        middle.
         """
         mean, squared = values[self.moving].mean(axis=0), self.reach.astype(values.dtype) ** 2
         return (1 - squared + squared * jnp.log(squared))[:, None] * mean[None]
 
 
 def default_lengths(points, wall, faces, ends, share) -> tuple[np.ndarray, np.ndarray]:
-    """Computes the defaults of ell and mu of each wall (w,), relative to the distance of its ends, on the host."""
+    """Computes the default ell and mu of each wall (w,), relative to the distance of its ends."""
     dimension = points.shape[1]
     ell = ELL[dimension] * share
     if dimension == 2:
@@ -134,10 +143,13 @@ def default_lengths(points, wall, faces, ends, share) -> tuple[np.ndarray, np.nd
 def _at_tips(
     surface: Surface, pairs: np.ndarray, chord: np.ndarray, closest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds sources (k,) beside sharp tips in 2-D, sharp tips (g, 3) with a node on either side, and all tips' places (h, 2).
+    """Finds sources (k,) beside sharp tips in 2-D, and the tips.
 
-    `pairs` are all edges of the moving walls: a tip lies between two. `chord` (e,) is that of each edge's wall. A source
-    stands behind the g tips.
+    It returns the sources, the tips (g, 3) that get a source behind them, each with a node on
+    either side, and the places (h, 2) of all tips.
+
+    `pairs` are all edges of the moving walls: a tip lies between two. `chord` (e,) is that of each
+    edge's wall. A source stands behind the g tips.
     """
     held = nearest_held(surface.points, surface.moving, surface.walls[0], pairs)
     distance = np.linalg.norm(surface.points[pairs].mean(axis=1) - surface.points[held], axis=1)
