@@ -1,12 +1,12 @@
 """The public names of jaxmorph, by room, without names that need an optimiser."""
 
 from . import shapes as shapes
-from ._advice.choose import Choice as Choice
+from ._advice.choice import Choice as Choice
 from ._advice.choose import choose as choose
 from ._advice.estimate import Estimate as Estimate
 from ._advice.estimate import estimate as estimate
-from ._advice.inspect import Inspection as Inspection
 from ._advice.inspect import inspect as inspect
+from ._advice.inspection import Inspection as Inspection
 from ._advice.largest_step import LargestStep as LargestStep
 from ._advice.largest_step import largest_step as largest_step
 from ._boundary.outer_faces import FreeFaces as FreeFaces

@@ -18,10 +18,12 @@ SAME = 1e-9
 class Crossings:
     """Pairs of boundary faces that cross or touch after the motion and did not before. It is true where there are any.
 
-    A wall that has passed through another one completely crosses nothing any more, and is not found.
+    A wall that has passed through another one completely crosses nothing any more, and is not
+    found.
 
     - `nodes` (k, 2): one node of each of the two faces.
-    - `patches`: the names of the two patches of each pair, the same name for a wall that crosses itself; "" without a patch.
+    - `patches`: the names of the two patches of each pair, the same name for a wall that crosses
+      itself; "" without a patch.
     - `places` (k, d): a point of each crossing, in the mesh's unit.
     """
 
@@ -51,17 +53,11 @@ def _between(first: str, second: str) -> str:
     return f"{one} and itself" if first == second else f"{one} and {other}"
 
 
-def crossings(mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings | None:
+def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
     """Finds where the boundary crosses itself after its `nodes` (o,) have moved by `vectors` (o, d).
 
-    Faces with a node that is not among them are left out. It returns None for a mesh whose boundary faces are not known.
+    `cut` is what `simplices` returned for the nodes.
     """
-    cut = simplices(mesh, nodes)
-    return None if cut is None else crossings_of(cut, mesh, nodes, vectors)
-
-
-def crossings_of(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
-    """Finds the crossings of boundary faces that `simplices` has cut."""
     faces, ids = cut
     points = np.asarray(mesh.points, dtype=float)
     before = points[nodes]
@@ -85,7 +81,8 @@ def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | 
     rows = np.full(len(mesh.points), -1)
     rows[nodes] = np.arange(len(nodes))
     parts = [(_simplices(rows[corners]), outer.ids[kind]) for kind, corners in outer.corners.items()]
-    faces, ids = np.concatenate([each for each, _ in parts]), np.concatenate([_repeated(*part) for part in parts])
+    faces = np.concatenate([part for part, _ in parts])
+    ids = np.concatenate([np.resize(face, len(part)) for part, face in parts])
     known = (faces >= 0).all(axis=1)
     return faces[known], ids[known]
 
@@ -95,11 +92,6 @@ def _simplices(corners: np.ndarray) -> np.ndarray:
     if corners.shape[1] < 4:
         return corners
     return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
-
-
-def _repeated(simplices: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Returns the file's face of each simplex."""
-    return np.resize(ids, len(simplices))
 
 
 def _together(points: np.ndarray, distance: float) -> np.ndarray:

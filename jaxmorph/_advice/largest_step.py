@@ -42,8 +42,8 @@ def largest_step(
 ) -> LargestStep:
     """Finds the largest step along a direction that keeps every cell's Jacobian ratio at a bound or above it.
 
-    Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots are found. A line search
-    shortens its step by it before the flow is solved.
+    Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots
+    are found. A line search shortens its step by it before the flow is solved.
 
     **Arguments:**
 
@@ -56,8 +56,9 @@ def largest_step(
 
     **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already.
 
-    **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step` is not above 0. Also for a plan
-    that is not linear: its nodes leave the straight lines on which roots are sought.
+    **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step`
+    is not above 0. Also for a plan that is not linear: its nodes leave the straight lines on which
+    roots are sought.
     """
     if not plan.is_linear:
         raise ValueError(

@@ -27,10 +27,12 @@ class Entry:
     """One method of the list.
 
     - `name`: its name as a word, for flags and the table of `choose`.
-    - `path`: the class, or its constructor, in `_methods`: `cells.springs.TorsionalSprings` stands in `cells/springs.py`.
+    - `path`: the class, or its constructor, in `_methods`: `cells.springs.TorsionalSprings` stands
+      in `cells/springs.py`.
     - `sentence`: what it is, for help and the output of commands.
     - `needs_cells`: True where it solves on the mesh's cells.
-    - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or `none`.
+    - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or
+      `none`.
     - `is_tried`: True where `choose` tries it, beside the radial functions that it varies itself.
     - `is_cure`: True where `jaxmorph deform` tries it after the default has inverted cells.
     - `title`: its name in tables of the benchmarks, where it is another one.

@@ -13,9 +13,9 @@ RESTS = 1e-3
 def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
     """Compares the largest motion of a node off the surface with that of the surface: anywhere, and behind a part that rests.
 
-    A node lies behind a part that rests if three conditions hold. The nearest node of the moving surface rests. The part that
-    moves lies on the other side of this node, as the upper side of an airfoil does for nodes below it. And the node is no
-    farther away than the surface is long.
+    A node lies behind a part that rests if three conditions hold. The nearest node of the moving
+    surface rests. The part that moves lies on the other side of this node, as the upper side of an
+    airfoil does for nodes below it. And the node is no farther away than the surface is long.
     """
     points, moving = np.asarray(plan.points), np.asarray(plan.moving)
     size = np.linalg.norm(u, axis=1)

@@ -15,7 +15,8 @@ LEAVES = (64, 128, 256, 512, 1024, 2048)
 def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
     """Measures what an interpolation from `sources` misses of displacements `u` (m, d) at `points` (m, d).
 
-    It is relative to the largest displacement, and zero without one. The interpolation is that of SciPy by distances.
+    It is relative to the largest displacement, and zero without one. The interpolation is that of
+    SciPy by distances.
     """
     largest = np.linalg.norm(u, axis=1).max(initial=0)
     rows = drop_close(points, sources, roundoff(points))

@@ -14,7 +14,8 @@ def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) ->
     apart = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
     after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
     mixed = is_fixed[first] != is_fixed[second]
-    # nodes that nearly coincide are one place by accident: the two sides of a wake, of an interface, of a sharp edge
+    # nodes that nearly coincide are one place by accident: the two sides of a wake, of an
+    # interface, of a sharp edge
     scale = 1e-9 * np.ptp(points, axis=0).max()
     excess = np.where(mixed, apart / (distance + scale), (after - distance) / (distance + scale))
     torn = np.flatnonzero((excess > 1) & (distance > scale) & (first < second))
@@ -37,7 +38,8 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
     """Describes what tears each kind of pairs (k,), and what to try.
 
-    One node of a pair rests, or both move. A resting node's boundary touches the other node's there, or lies across a gap.
+    One node of a pair rests, or both move. A resting node's boundary touches the other node's
+    there, or lies across a gap.
     """
     slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
     at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "

@@ -21,9 +21,10 @@ from .largest_step import Corners
 class ValidSteps(Module, optx.AbstractSearch):
     """Searches along a line by backtracking, and shortens a step that would invert a cell to what the mesh allows.
 
-    Such a step is not halved until it fits: corner Jacobians are polynomials in the step, and their first root, as `largest_step`
-    finds it, is the end of the way. `share` of it is tried next. Other steps end by Armijo's rule. It suits descents whose change
-    is a multiple of the step, such as `optimistix.NewtonDescent` and `optimistix.SteepestDescent`.
+    Such a step is not halved until it fits: corner Jacobians are polynomials in the step, and their
+    first root, as `largest_step` finds it, is the end of the way. `share` of it is tried next.
+    Other steps end by Armijo's rule. It suits descents whose change is a multiple of the step, such
+    as `optimistix.NewtonDescent` and `optimistix.SteepestDescent`.
 
         search = jm.ValidSteps(plan, mesh, lambda design: operator(design))
         solver = equinox.tree_at(lambda solver: solver.search, optimistix.BFGS(1e-6, 1e-6), search)
@@ -33,14 +34,15 @@ class ValidSteps(Module, optx.AbstractSearch):
 
     - `plan`: what `prepare` returned.
     - `mesh`: whose `points` are the plan's.
-    - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it, or the plan, is not linear, the way's end
-      is that of the chord, and the step is cut again until it fits.
+    - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it, or the plan,
+      is not linear, the way's end is that of the chord, and the step is cut again until it fits.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`. Default 0, where cells invert.
     - `share`: part of the way to the bound that is tried, above 0 and below 1. Default 0.9.
     - `slope`: part of the linear gain that Armijo's rule asks for. Default 0.1.
     - `decrease`: factor of a step that gains too little. Default 0.5.
 
-    **Raises:** `ValueError` for a bound outside of 0 to 1 and other factors that do not lie between 0 and 1.
+    **Raises:** `ValueError` for a bound outside of 0 to 1 and other factors that do not lie between
+    0 and 1.
     """
 
     plan: Plan

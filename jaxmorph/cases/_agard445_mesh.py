@@ -121,7 +121,8 @@ def _stack_limit_kept() -> Iterator[None]:
 def _session(gmsh: Any) -> Iterator[None]:
     """Opens a fresh model under OPTIONS; a caller's own session keeps its options, its models and the one it works on.
 
-    Neither configuration files nor signal handlers are touched. An option that this gmsh does not have is left out.
+    Neither configuration files nor signal handlers are touched. An option that this gmsh does not
+    have is left out.
     """
     ours = not gmsh.isInitialized()
     if ours:
@@ -168,7 +169,8 @@ def _wing(geo: Any) -> tuple[list[int], dict[str, list[int]], list[int]]:
 def _section(geo: Any, front: float, y: float, chord: float) -> tuple[int, int, int, int]:
     """Makes leading and trailing edge (points), upper and lower contour (curves) of a section whose nose is at `front`.
 
-    Even along the arc: surfaces are meshed in their parameters, and cells are bad where those are uneven.
+    Even along the arc: surfaces are meshed in their parameters, and cells are bad where those are
+    uneven.
     """
     contour = upper_contour(CONTOUR_INTERVALS)
     nose, back = geo.addPoint(front, y, 0.0), geo.addPoint(front + chord, y, 0.0)

@@ -1,9 +1,9 @@
 """The calculated mode shapes of the AGARD 445.6 wing, and polynomials through them.
 
-E. Carson Yates, "AGARD standard aeroelastic configurations for dynamic response. Candidate configuration I.-wing
-445.6", NASA TM-100492, 1987: deflections of 11 x 11 structural nodes, row by row from root to tip, each from leading to
-trailing edge. The unit of a mode is its own; only the component normal to the wing is kept, the others being 1e-10
-(mode 1) or 4e-6 (mode 2) of it.
+E. Carson Yates, "AGARD standard aeroelastic configurations for dynamic response. Candidate
+configuration I.-wing 445.6", NASA TM-100492, 1987: deflections of 11 x 11 structural nodes, row by
+row from root to tip, each from leading to trailing edge. The unit of a mode is its own; only the
+component normal to the wing is kept, the others being 1e-10 (mode 1) or 4e-6 (mode 2) of it.
 """
 
 import functools
@@ -12,7 +12,8 @@ import numpy as np
 
 from ._agard445_wing import INCH, ROOT_CHORD, SEMI_SPAN, TIP_CHORD, TIP_LEADING_EDGE
 
-# The nodes lie at tenths of the semi-span and of the chord, but for the sixth of each row: its x in inches.
+# The nodes lie at tenths of the semi-span and of the chord, but for the sixth of each row: its x in
+# inches.
 SIXTH_NODE = (10.75, 13.65, 16.6, 19.5, 22.3, 25.2, 28.1, 30.9, 33.7, 36.7, 39.5)
 
 DEFLECTIONS = {

@@ -23,9 +23,10 @@ def wing(
 ) -> jm.Mesh:
     """Makes a swept and tapered wing of hexahedra between two planes, its first cell in chords of the root.
 
-    The C-grid of `naca4` is repeated at stations along y, from the root of chord 1 to the tip of chord 0.7. The tip's leading
-    edge lies half a chord behind. Nodes on the wall lie much closer along the section than along the span: chains of nearest
-    neighbours stay within one section. Patches: `wing`, `farfield`, and the planes `root` (y = 0) and `tip` (y = span).
+    The C-grid of `naca4` is repeated at stations along y, from the root of chord 1 to the tip of
+    chord 0.7. The tip's leading edge lies half a chord behind. Nodes on the wall lie much closer
+    along the section than along the span: chains of nearest neighbours stay within one section.
+    Patches: `wing`, `farfield`, and the planes `root` (y = 0) and `tip` (y = span).
 
     **Arguments:**
 
@@ -65,14 +66,17 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
 
     **Arguments:**
 
-    - `kind`: the type of the cells. It is `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick), `pyramid` (6 a brick, around
-      a node in its middle) or `mixed`. A mixed mesh has hexahedra at the floor, a layer of pyramids above, and wedges.
+    - `kind`: the type of the cells. It is `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick),
+      `pyramid` (6 a brick, around a node in its middle) or `mixed`. A mixed mesh has hexahedra at
+      the floor, a layer of pyramids above, and wedges.
     - `cells`: bricks along each edge, 3 or more. Default 6.
-    - `first_cell`: height of the bricks at z = 0, from which the layers grow. Default None: all layers are equal.
+    - `first_cell`: height of the bricks at z = 0, from which the layers grow. Default None: all
+      layers are equal.
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for another kind, fewer than 3 cells, and a first cell that is not between 0 and 1.
+    **Raises:** `ValueError` for another kind, fewer than 3 cells, and a first cell that is not
+    between 0 and 1.
     """
     if kind not in (*PARTS, "mixed") or cells < 3:
         raise ValueError(f"expected one of {', '.join(PARTS)}, mixed, and 3 cells at least, not {kind!r} and {cells}.")

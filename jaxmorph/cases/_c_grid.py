@@ -10,7 +10,8 @@ import jaxmorph as jm
 
 from ._structured import quads
 
-# A section of unit chord: t in [-1, 1] -> (k, 2), from the lower trailing edge (-1) round the nose (0) to the upper.
+# A section of unit chord: t in [-1, 1] -> (k, 2), from the lower trailing edge (-1) round the nose
+# (0) to the upper.
 Section = Callable[[np.ndarray], np.ndarray]
 
 REFERENCE_POINTS = 39_666
@@ -36,25 +37,29 @@ REFERENCE = Counts(half=80, wake=50, normal=150, base=6)
 def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-5) -> jm.Mesh:
     """Makes a C-grid around a section of unit chord: straight rays of 15 chords, a wake to x = 17 chords.
 
-    The mesh has about as many points as asked for, and exactly as many for 39,666 (260 x 150 cells and 50 x 6 behind the
-    base). Other numbers sample the same spacing laws along wall and wake, and scale the four counts alike.
+    The mesh has about as many points as asked for, and exactly as many for 39,666 (260 x 150 cells
+    and 50 x 6 behind the base). Other numbers sample the same spacing laws along wall and wake, and
+    scale the four counts alike.
 
-    The cells of the C come first, layer after layer from the wall. A layer runs from the lower wake's exit round the nose to
-    the upper wake's. The cells behind the base are last. All are convex and counter-clockwise. Patches: `airfoil`, `farfield`.
-    Behind a sharp trailing edge, both ends of the section at one place, there is no base: the two wakes share their nodes.
+    The cells of the C come first, layer after layer from the wall. A layer runs from the lower
+    wake's exit round the nose to the upper wake's. The cells behind the base are last. All are
+    convex and counter-clockwise. Patches: `airfoil`, `farfield`. Behind a sharp trailing edge, both
+    ends of the section at one place, there is no base: the two wakes share their nodes.
 
     **Arguments:**
 
-    - `section`: a function from parameters (k,), -1 to 1 from the lower trailing edge round the nose to the upper, to places
-      (k, 2) in chords.
+    - `section`: a function from parameters (k,), -1 to 1 from the lower trailing edge round the
+      nose to the upper, to places (k, 2) in chords.
     - `points`: about how many points, 300 or more. Default 39,666.
-    - `first_cell`: height of the cells at the wall in chords, whatever the number of points. Default 1e-5.
+    - `first_cell`: height of the cells at the wall in chords, whatever the number of points.
+      Default 1e-5.
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for fewer than 300 points, a first cell that does not fit, and a section whose upper end lies below
-    its lower one. Also where the rays leave a cell that is not convex: a nose of 1 % thickness at 9 % camber, or thickness
-    and camber of which no airfoil is made.
+    **Raises:** `ValueError` for fewer than 300 points, a first cell that does not fit, and a
+    section whose upper end lies below its lower one. Also where the rays leave a cell that is not
+    convex: a nose of 1 % thickness at 9 % camber, or thickness and camber of which no airfoil is
+    made.
     """
     counts = _counts(points)
     largest = 0.9 * RAY_LENGTH / counts.normal
@@ -94,7 +99,8 @@ def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
     tangent = section(np.minimum(t + 1e-6, 1.0)) - section(np.maximum(t - 1e-6, -1.0))
     phi = np.unwrap(np.arctan2(tangent[:, 0], -tangent[:, 1]))  # of the outer normal
     phi += 2 * np.pi * np.round((np.pi - phi[counts.half]) / (2 * np.pi))  # about pi at the nose
-    # Rays must not meet: where the wall is concave, the nearest angles (least squares) that do turn steadily.
+    # Rays must not meet: where the wall is concave, the nearest angles (least squares) that do turn
+    # steadily.
     steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(steps)])
     reach = np.convolve(steps, [0.5, 0.5])
@@ -113,7 +119,8 @@ def _half(section: Section, end: float, cells: int) -> np.ndarray:
 def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarray:
     """Returns [0, 1] divided with given relative spacings at both ends were it into `cells`, sampled by `samples` cells.
 
-    Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J. Comput. Phys. 50 (1983).
+    Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J.
+    Comput. Phys. 50 (1983).
     """
     ratio, intensity = np.sqrt(last / first), 1 / (cells * np.sqrt(first * last))
     delta = _root(lambda delta: np.sinh(delta) / delta - intensity, 1e-6, 50.0)

@@ -14,9 +14,9 @@ from ._structured import geometric, hexahedra, ids_of, quads
 def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
     """Makes quads around a flat valve that stands above its seat: the right half of a port and of the chamber above it.
 
-    The port is 0.5 wide and 0.6 long, the chamber 1.5 wide and 1 high. The valve is 0.7 wide and 0.15 thick: 0.2 of it hang
-    over the seat, `lift` above. Patches: `valve`, `seat` (with the port's wall), `inlet`, `outlet`, `top`, and `middle`
-    (x = 0), where the valve ends too.
+    The port is 0.5 wide and 0.6 long, the chamber 1.5 wide and 1 high. The valve is 0.7 wide and
+    0.15 thick: 0.2 of it hang over the seat, `lift` above. Patches: `valve`, `seat` (with the
+    port's wall), `inlet`, `outlet`, `top`, and `middle` (x = 0), where the valve ends too.
 
     **Arguments:**
 
@@ -53,8 +53,9 @@ def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
 def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
     """Makes hexahedra around a blade, a plate 0.5 long and 0.27 thick on a hub of radius 1, whose tip stands below a shroud.
 
-    The shroud is the cylinder of radius 2 about x, the mesh a sector of 0.8 radians and 2 long. The tip has the radius 2 - gap.
-    Patches: `blade`, `shroud`, `hub`, `inlet`, `outlet`, and the sides `left` and `right`, of which one is the other turned.
+    The shroud is the cylinder of radius 2 about x, the mesh a sector of 0.8 radians and 2 long. The
+    tip has the radius 2 - gap. Patches: `blade`, `shroud`, `hub`, `inlet`, `outlet`, and the sides
+    `left` and `right`, of which one is the other turned.
 
     **Arguments:**
 
@@ -89,13 +90,15 @@ def bodies(
 
     **Arguments:**
 
-    - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They are moved to the nearest grid line.
+    - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They are
+      moved to the nearest grid line.
     - `box`: those of the box. Default: 16 wide and 8 high about the origin.
     - `spacing`: side of a cell, about; a whole number of them fills the box. Default 0.25.
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for sides in another order, and a body without a cell within or beside it.
+    **Raises:** `ValueError` for sides in another order, and a body without a cell within or beside
+    it.
     """
     left, right, bottom, top = finite_array("box", box, (4,)).tolist()
     sides = {name: finite_array(f"boxes[{name!r}]", each, (4,)).tolist() for name, each in boxes.items()}

@@ -17,9 +17,9 @@ def sharp_o_grid(
 ) -> jm.Mesh:
     """Makes an O-grid of quads around a section of unit chord whose trailing edge is sharp, at (1, 0).
 
-    The section is a circle under the map of Karman and Trefftz. The far field is a circle of 20 chords. The rays leave the
-    wall along its normal, and at the edge along the line between both sides. All cells are convex and counter-clockwise.
-    Patches: `airfoil`, `farfield`.
+    The section is a circle under the map of Karman and Trefftz. The far field is a circle of 20
+    chords. The rays leave the wall along its normal, and at the edge along the line between both
+    sides. All cells are convex and counter-clockwise. Patches: `airfoil`, `farfield`.
 
     **Arguments:**
 
@@ -31,7 +31,8 @@ def sharp_o_grid(
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for fewer than 16 cells around or 8 layers, and for an edge that is not between 1 and 60 degrees.
+    **Raises:** `ValueError` for fewer than 16 cells around or 8 layers, and for an edge that is not
+    between 1 and 60 degrees.
     """
     if around < 16 or layers < 8:
         raise ValueError(f"an O-grid needs 16 cells around and 8 layers, not {around} and {layers}.")

@@ -23,8 +23,8 @@ def begin() -> None:
 def keep_compiled() -> None:
     """Turns on JAX's persistent compilation cache in the user's cache folder.
 
-    Nothing is kept if `JAXMORPH_CACHE` is `off`, if JAX has a folder already, if the folder cannot be written to, or without
-    the packages that find and lock it.
+    Nothing is kept if `JAXMORPH_CACHE` is `off`, if JAX has a folder already, if the folder cannot
+    be written to, or without the packages that find and lock it.
     """
     if (
         os.environ.get(SWITCH, "").lower() in ("off", "0", "no", "false")

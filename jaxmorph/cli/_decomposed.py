@@ -188,7 +188,8 @@ def _moved_points(
 ) -> np.ndarray:
     """Moves the points `base` (k, d) of one piece, whose nodes are `ids` (k,) of the whole mesh; errors begin with `name`.
 
-    It is filled up with copies of a node to the size of the largest piece: all pieces share compiled code.
+    It is filled up with copies of a node to the size of the largest piece: all pieces share
+    compiled code.
     """
     is_inner = ~np.isin(ids, half.surface_nodes)
     more = largest - len(ids)

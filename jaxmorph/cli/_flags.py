@@ -13,7 +13,8 @@ from ._requests import COMMANDS, Request
 def parser(*, is_short: bool = True) -> tuple[Parser, dict[str, Parser]]:
     """Builds the parser of the whole command line, and a dict with the parser of each command.
 
-    The command's name is parsed as `command`. `is_short` leaves rare flags out of the pages of help.
+    The command's name is parsed as `command`. `is_short` leaves rare flags out of the pages of
+    help.
     """
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
     top.add(

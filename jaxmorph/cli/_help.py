@@ -9,7 +9,8 @@ from jaxmorph._advice.methods import METHODS
 class Page:
     """Help of one command: summary, usage, and the text below its flags.
 
-    `long` stands on the long page, `short` on the short one; an empty `short` means that there is only the long page.
+    `long` stands on the long page, `short` on the short one; an empty `short` means that there is
+    only the long page.
     """
 
     summary: str

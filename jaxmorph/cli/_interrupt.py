@@ -1,7 +1,8 @@
 """Ctrl-C in a process of its own: one line and status 130, whatever runs.
 
-An exception raised while an extension module is imported can be lost, or crash the process; one raised in a callback of the
-garbage collector is lost. So the process ends at once until all is imported, and a lost interrupt is sent again.
+An exception raised while an extension module is imported can be lost, or crash the process; one
+raised in a callback of the garbage collector is lost. So the process ends at once until all is
+imported, and a lost interrupt is sent again.
 """
 
 import os

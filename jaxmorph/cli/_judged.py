@@ -24,7 +24,8 @@ BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
 class Judged:
     """A mesh on some points, after a motion with the undeformed mesh `before`. Cells have the numbers of the file.
 
-    An OpenFOAM case, and any mesh with polyhedra or polygons, is judged by its faces, others by the corners of their cells.
+    An OpenFOAM case, and any mesh with polyhedra or polygons, is judged by its faces, others by the
+    corners of their cells.
     """
 
     mesh: Mesh
@@ -74,8 +75,8 @@ class Judged:
     def inverted(self) -> Bool[np.ndarray, " k"]:
         """Cells that are inverted.
 
-        By faces, wherever the mesh came from. By corners, cells that the motion inverts, and those that were inverted
-        before it and still are. A corner without a sign before has none to lose.
+        By faces, wherever the mesh came from. By corners, cells that the motion inverts, and those
+        that were inverted before it and still are. A corner without a sign before has none to lose.
         """
         if self.by_faces:
             return self.faces.is_inverted

@@ -38,7 +38,8 @@ def named_method(
 ) -> NamedMethod:
     """Makes the requested method for the points of the moving and of the fixed nodes.
 
-    It raises `ValueError` for a number of sources, or a size of chunks, that the method cannot take.
+    It raises `ValueError` for a number of sources, or a size of chunks, that the method cannot
+    take.
     """
     listed = entry(asked.method)
     if asked.sources is not None and listed.sources != "some":
@@ -152,7 +153,8 @@ def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
 
     Symmetry patches and periodic pairs of the file are taken where no name says otherwise.
 
-    Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat where they slide.
+    Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat
+    where they slide.
     """
     surface, file = request.boundary, request.file
     known = ", ".join(mesh.patches) or "none"

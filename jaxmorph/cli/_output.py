@@ -37,8 +37,8 @@ class Stage:
 class Progress:
     """Announces a stage that takes longer than `PATIENCE`: seconds passed, and left where known.
 
-    Nothing is said when standard error is not a terminal, and nothing stays of it when the stage is over. `seconds` holds
-    how long each stage took.
+    Nothing is said when standard error is not a terminal, and nothing stays of it when the stage is
+    over. `seconds` holds how long each stage took.
     """
 
     def __init__(self, command: str):

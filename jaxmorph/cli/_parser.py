@@ -72,7 +72,8 @@ def made(fields: type[T], values: argparse.Namespace) -> T:
 class Parser(argparse.ArgumentParser):
     """Describes in one line what is wrong with the arguments, and guesses what was meant.
 
-    A short page of help leaves out all flags that are not for every day. `flags` are the long flags of this command.
+    A short page of help leaves out all flags that are not for every day. `flags` are the long flags
+    of this command.
     """
 
     def __init__(self, *, is_short: bool = False, **settings: Any):

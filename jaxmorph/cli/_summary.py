@@ -83,7 +83,8 @@ class Summary:
     - `spoilt`: how many the motion has inverted; `worst` is the worst of them.
     - `rows`: numbers by kind and measure, in the order of tables.
     - `gates`: what is beyond each limit.
-    - `parts`, `between`: how many parts there are, 0 for a whole mesh, and the faces that they share with others.
+    - `parts`, `between`: how many parts there are, 0 for a whole mesh, and the faces that they
+      share with others.
     """
 
     cells: int

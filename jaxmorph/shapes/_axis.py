@@ -23,19 +23,26 @@ class ReferenceAxis(AbstractShape):
 
     The parameters are a dict with any of these, one value for each station (k,):
 
-    - `twist`: radians about the direction of the span at the axis, in the sense of `rotate`; 0 is neutral.
-    - `chord`: factor of a section's size around the axis; 1 is neutral. A taper is a chord that falls from root to tip.
-    - `sweep`, `dihedral`, `span`: lengths by which a station moves along the chord, across chord and span, and along the span.
+    - `twist`: radians about the direction of the span at the axis, in the sense of `rotate`; 0 is
+      neutral.
+    - `chord`: factor of a section's size around the axis; 1 is neutral. A taper is a chord that
+      falls from root to tip.
+    - `sweep`, `dihedral`, `span`: lengths by which a station moves along the chord, across chord
+      and span, and along the span.
 
-    Between stations the values are interpolated, beyond the first and the last one they stay as there.
+    Between stations the values are interpolated, beyond the first and the last one they stay as
+    there.
 
     **Arguments:**
 
     - `points`: (k, 3) stations on the axis, from root to tip; straight lines join them.
-    - `chordwise`, `spanwise`: directions (3,) of chord and span, at right angles; the axes x and y by default.
-    - `cubic`: natural cubic splines between stations instead of straight lines, for values and axis.
+    - `chordwise`, `spanwise`: directions (3,) of chord and span, at right angles; the axes x and y
+      by default.
+    - `cubic`: natural cubic splines between stations instead of straight lines, for values and
+      axis.
 
-    **Raises:** `ValueError` for fewer than two stations, stations that do not advance along the span, and wrong parameters.
+    **Raises:** `ValueError` for fewer than two stations, stations that do not advance along the
+    span, and wrong parameters.
     """
 
     points: Float[Array, "k 3"]

@@ -39,17 +39,19 @@ class ChildOperator(AbstractOperator):
 class Child(AbstractLinearShape):
     """A box whose control points another shape carries, such as a flap's box in that of a wing. Boxes nest to any depth.
 
-    Points in the child's box follow its control points, which move with the parent and by their own displacements; the other points
-    follow the parent. The parent is asked at Greville's abscissae, so that a child in a parent that moves affinely does so too, to
-    round-off. It follows any other motion as closely as its control points can: put its border between walls, not across one.
-    The parameters are (parent's, child's).
+    Points in the child's box follow its control points, which move with the parent and by their own
+    displacements; the other points follow the parent. The parent is asked at Greville's abscissae,
+    so that a child in a parent that moves affinely does so too, to round-off. It follows any other
+    motion as closely as its control points can: put its border between walls, not across one. The
+    parameters are (parent's, child's).
 
     **Arguments:**
 
     - `child`: a box; what its `continuity` holds stays where the parent carries it.
     - `parent`: a linear shape, such as a box or another `Child`.
 
-    **Raises:** `ValueError` for positions in another dimension, and for parameters of another shape.
+    **Raises:** `ValueError` for positions in another dimension, and for parameters of another
+    shape.
     """
 
     child: FreeForm

@@ -17,8 +17,9 @@ from ._shape import AbstractLinearShape, AbstractOperator
 class HicksHenne(AbstractLinearShape):
     """Bumps on an airfoil's side: sin(pi t^(ln 0.5 / ln c))^w, of height 1 at t = c (Hicks and Henne, 1978).
 
-    t runs along the chord from 0 to 1; positions before and behind it stay. The parameters (k,) are the heights, in the units of
-    the positions, across the chord. `Part` restricts the bumps to one side.
+    t runs along the chord from 0 to 1; positions before and behind it stay. The parameters (k,) are
+    the heights, in the units of the positions, across the chord. `Part` restricts the bumps to one
+    side.
 
     **Arguments:**
 
@@ -26,7 +27,8 @@ class HicksHenne(AbstractLinearShape):
     - `widths`: exponents, one or (k,), above 0; a larger one is narrower.
     - `chord`: where the airfoil lies; from (0, 0) to (1, 0) by default.
 
-    **Raises:** `ValueError` for centres outside of 0 to 1, widths that are not above 0, and two bumps alike.
+    **Raises:** `ValueError` for centres outside of 0 to 1, widths that are not above 0, and two
+    bumps alike.
     """
 
     centres: Float[Array, " k"]
@@ -65,8 +67,9 @@ class HicksHenne(AbstractLinearShape):
 class CST(AbstractLinearShape):
     """Class and shape functions of one side of an airfoil (Kulfan, 2008): t^a (1 - t)^b times Bernstein polynomials.
 
-    The parameters are `order + 2` numbers in chords: the weights of the polynomials, and the ordinate of a blunt trailing edge.
-    The displacement is what they add across the chord. `Part` restricts it to one side; `fit_cst` finds the weights of an airfoil.
+    The parameters are `order + 2` numbers in chords: the weights of the polynomials, and the
+    ordinate of a blunt trailing edge. The displacement is what they add across the chord. `Part`
+    restricts it to one side; `fit_cst` finds the weights of an airfoil.
 
     **Arguments:**
 
@@ -122,7 +125,8 @@ class BSplineCurve(AbstractLinearShape):
     - `count`: control points, above `degree`.
     - `degree`: of the spline.
 
-    **Raises:** `ValueError` for too few control points, coincident neighbours, and other positions than `points`.
+    **Raises:** `ValueError` for too few control points, coincident neighbours, and other positions
+    than `points`.
     """
 
     shares: Float[Array, " m"]

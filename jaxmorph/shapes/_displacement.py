@@ -24,7 +24,8 @@ def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array
 
     **Arguments:**
 
-    - `shape`: a function of positions and parameters that returns positions, or a shape of `jaxmorph.shapes`.
+    - `shape`: a function of positions and parameters that returns positions, or a shape of
+      `jaxmorph.shapes`.
     - `plan`: from `prepare`.
     - `parameters`: what the shape takes; traced, for derivatives.
 
@@ -50,7 +51,8 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
 
     **Returns:** displacements (k, m, d).
 
-    **Raises:** `ValueError` for no steps, for a plain function in more than one, and as `displacement` does.
+    **Raises:** `ValueError` for no steps, for a plain function in more than one, and as
+    `displacement` does.
     """
     x = positions(x)
     whole("steps", steps)
@@ -75,7 +77,8 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
     **Arguments:**
 
     - `shape`: a shape, or a function of positions and parameters.
-    - `plan`: from `prepare`; or the plans that `march` returned for `path(shape, x, parameters, len(plans))`.
+    - `plan`: from `prepare`; or the plans that `march` returned for `path(shape, x, parameters,
+      len(plans))`.
     - `parameters`: those that the mesh was moved by.
     - `cotangent`: dJ/d(points) (n, d) at the moved mesh.
 
@@ -101,7 +104,8 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
 def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) -> PyTree:
     """Takes dJ/d(positions) of a wall to dJ/d(parameters) of the shape that moved it: no mesh is needed.
 
-    It is for sensitivities that are the wall's own, as `jm.pullback` or a solver's surface file gives them.
+    It is for sensitivities that are the wall's own, as `jm.pullback` or a solver's surface file
+    gives them.
 
     **Arguments:**
 

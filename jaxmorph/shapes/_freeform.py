@@ -24,20 +24,23 @@ MANY = 1000
 class FreeForm(AbstractLinearShape):
     """A box of control points; points inside move by the controls' displacements weighted with B-splines, points outside stay.
 
-    With the highest degree the weights are Bernstein polynomials (Sederberg and Parry, Free-form deformation of solid
-    geometric models, SIGGRAPH 1986). The parameters are the displacements (*counts, d) of the control points.
+    With the highest degree the weights are Bernstein polynomials (Sederberg and Parry, Free-form
+    deformation of solid geometric models, SIGGRAPH 1986). The parameters are the displacements
+    (*counts, d) of the control points.
 
     **Arguments:**
 
     - `origin`: a corner (d,) of the box.
     - `axes`: the edges (d, d) that leave it, one in each row; they need not be at right angles.
     - `counts`: numbers of control points along each edge, 2 or more.
-    - `degree`: of the B-splines, for all directions or one for each; None is the highest, `counts - 1`.
-    - `continuity`: k holds the k + 1 outer layers of control points. What stands across the border then joins with k continuous
-      derivatives. None holds none, and a wall across the border tears where the border moves.
+    - `degree`: of the B-splines, for all directions or one for each; None is the highest, `counts -
+      1`.
+    - `continuity`: k holds the k + 1 outer layers of control points. What stands across the border
+      then joins with k continuous derivatives. None holds none, and a wall across the border tears
+      where the border moves.
 
-    **Raises:** `ValueError` for wrong shapes, edges in one plane, counts below 2, degrees outside of 1 to `counts - 1`, and a
-    continuity that leaves no control point free.
+    **Raises:** `ValueError` for wrong shapes, edges in one plane, counts below 2, degrees outside
+    of 1 to `counts - 1`, and a continuity that leaves no control point free.
     """
 
     origin: Float[Array, " d"]
@@ -87,7 +90,8 @@ class FreeForm(AbstractLinearShape):
 
         - `points`: positions (m, d) to be inside.
         - `counts`, `degree`, `continuity`: those of the class.
-        - `margin`: room on each side, relative to the longest edge of the points' box. Default 0.05.
+        - `margin`: room on each side, relative to the longest edge of the points' box. Default
+          0.05.
 
         **Returns:** a `FreeForm`.
 
@@ -175,11 +179,14 @@ class FreeForm(AbstractLinearShape):
 
         **Arguments:**
 
-        - `free`: which controls may move, (*counts,), or which of their coordinates, (*counts, d); all by default.
+        - `free`: which controls may move, (*counts,), or which of their coordinates, (*counts, d);
+          all by default.
         - `groups`: lists of controls (i, j[, k]) that move alike.
-        - `mirror`: direction of the lattice whose two halves move as mirror images; its edge must be along an axis.
+        - `mirror`: direction of the lattice whose two halves move as mirror images; its edge must
+          be along an axis.
 
-        **Raises:** `ValueError` for arrays or controls that are not of this lattice, an edge along no axis, and nothing free.
+        **Raises:** `ValueError` for arrays or controls that are not of this lattice, an edge along
+        no axis, and nothing free.
         """
         d = len(self.counts)
         free = np.ones((*self.counts, d), bool) if free is None else np.asarray(free)
@@ -230,7 +237,8 @@ class FreeForm(AbstractLinearShape):
         - `x`: positions (m, d) of the wall.
         - `control`: displacements (*counts, d) of the control points.
 
-        **Raises:** `ValueError` with the number of nodes that are nearer to the border than it moves there.
+        **Raises:** `ValueError` with the number of nodes that are nearer to the border than it
+        moves there.
         """
         x = known_positions(x)
         t = np.asarray(self.coordinates(jnp.asarray(x)))

@@ -26,8 +26,8 @@ class QualityRows:
     """The smallest corner Jacobians of a moved mesh, over their initial values, with their derivatives.
 
     - `values` (k,): the ratios less the bound, ascending; negative ones break it.
-    - `matrix` (k, p): their derivatives by the design variables, a row each. To first order a step `s` gives
-      `values + matrix @ s`.
+    - `matrix` (k, p): their derivatives by the design variables, a row each. To first order a step
+      `s` gives `values + matrix @ s`.
     - `cells` (k,): the cells, in the order of `quality`.
     """
 
@@ -39,9 +39,10 @@ class QualityRows:
 class MeshGuard(Module):
     """A constraint that keeps the mesh valid, for any optimiser: a soft smallest Jacobian ratio less a bound, not negative.
 
-    It is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells, and centres of hexahedra. It is never more than
-    the smallest ratio: a design that it allows has no cell below the bound. It is less by log(count) / sharpness at most, where
-    all corners are alike. It is twice differentiable, along any motion of a plan.
+    It is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells, and centres of
+    hexahedra. It is never more than the smallest ratio: a design that it allows has no cell below
+    the bound. It is less by log(count) / sharpness at most, where all corners are alike. It is
+    twice differentiable, along any motion of a plan.
 
         guard = shapes.MeshGuard(plan, mesh, lambda p: shapes.displacement(bumps, plan, p))
         scipy.optimize.minimize(guard.guarded(drag), start, jac=True, method="SLSQP", constraints=guard.constraint())
@@ -51,8 +52,10 @@ class MeshGuard(Module):
     - `plan`: what `prepare` returned.
     - `mesh`: whose `points` are the plan's, with cells.
     - `displacement`: takes the design variables (p,) and returns `u` (m, d); traced.
-    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells invert at 0.
-    - `sharpness`: positive, without unit, default 100. A larger one comes closer to the bound, and bends more.
+    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells
+      invert at 0.
+    - `sharpness`: positive, without unit, default 100. A larger one comes closer to the bound, and
+      bends more.
 
     **Raises:** `ValueError` for numbers out of their range, and for a mesh that is not the plan's.
     """
@@ -121,7 +124,8 @@ class MeshGuard(Module):
     def quality_rows(self, design: Numbers, count: int) -> QualityRows:
         """Finds the corners that bind: the smallest ratios and their derivatives by the design variables as one matrix.
 
-        A gradient that would lower them is projected off their rows; a linear program steps so that none breaks the bound.
+        A gradient that would lower them is projected off their rows; a linear program steps so that
+        none breaks the bound.
 
         **Arguments:**
 

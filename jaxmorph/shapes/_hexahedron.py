@@ -28,16 +28,19 @@ ORDER[3] = [(*corner, k) for k in (0, 1) for corner in ORDER[2]]  # pyright: ign
 class Hexahedron(AbstractLinearShape):
     """A box of control points between corners that may stand anywhere; a quadrilateral in 2-D. It is `FreeForm` in a bent box.
 
-    A place in the box is that of a multilinear map of the unit cube. Positions inside move by the controls' displacements weighted
-    with B-splines of their coordinates in the cube, positions outside stay. The parameters are the displacements (*counts, d).
-    A box whose edges are parallel gives what `FreeForm` gives.
+    A place in the box is that of a multilinear map of the unit cube. Positions inside move by the
+    controls' displacements weighted with B-splines of their coordinates in the cube, positions
+    outside stay. The parameters are the displacements (*counts, d). A box whose edges are parallel
+    gives what `FreeForm` gives.
 
     **Arguments:**
 
-    - `corners`: (8, 3) in the order of a cell of the mesh (VTK's and SU2's), the first four around one face; (4, 2) in 2-D.
+    - `corners`: (8, 3) in the order of a cell of the mesh (VTK's and SU2's), the first four around
+      one face; (4, 2) in 2-D.
     - `counts`, `degree`, `continuity`: those of `FreeForm`.
 
-    **Raises:** `ValueError` for another number of corners, a box without volume or turned inside out, and as `FreeForm` does.
+    **Raises:** `ValueError` for another number of corners, a box without volume or turned inside
+    out, and as `FreeForm` does.
     """
 
     corners: Float[Array, "..."]
@@ -144,7 +147,8 @@ def _places(x: Float[Array, "m d"], corners: Float[Array, "..."]) -> Float[Array
 
 @_places.defjvp
 def _places_jvp(primals, tangents):
-    # the place is defined by at(t, corners) = x; the rule contains the place itself, so that derivatives of all orders follow
+    # the place is defined by at(t, corners) = x; the rule contains the place itself, so that
+    # derivatives of all orders follow
     (x, corners), (x_dot, corners_dot) = primals, tangents
     t = _places(x, corners)
 

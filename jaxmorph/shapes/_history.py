@@ -23,8 +23,8 @@ class History:
         start = history.designs[-1] if len(history) else np.zeros(20)
         history.add(design, drag, constraints={"lift": lift}, measures={"jacobian_ratio": guard.smallest(design)})
 
-    A file that is there is read first, so that a run that was ended goes on from its last iteration. A last line that is cut off is
-    left out. `plot.convergence(history)` draws it.
+    A file that is there is read first, so that a run that was ended goes on from its last
+    iteration. A last line that is cut off is left out. `plot.convergence(history)` draws it.
 
     **Arguments:**
 

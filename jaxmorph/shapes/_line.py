@@ -26,7 +26,8 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
 
     **Returns:** positions (m, 3).
 
-    **Raises:** `ValueError` for positions in 2-D, for wrong shapes, and for an axis or a length that is 0.
+    **Raises:** `ValueError` for positions in 2-D, for wrong shapes, and for an axis or a length
+    that is 0.
     """
     x = positions(x)
     if x.shape[1] == 2:
@@ -43,12 +44,14 @@ def bend(
 ) -> Float[Array, "m d"]:
     """Bends a straight line, with all that is around it, into an arc of the same length.
 
-    Sections stay plane and at right angles to the line. Positions before `about` stay, those beyond `length` follow the tangent.
+    Sections stay plane and at right angles to the line. Positions before `about` stay, those beyond
+    `length` follow the tangent.
 
     **Arguments:**
 
     - `x`: positions (m, d).
-    - `angle`: radians by which the tangent turns at the end, in the sense of `rotate`; 0 is neutral.
+    - `angle`: radians by which the tangent turns at the end, in the sense of `rotate`; 0 is
+      neutral.
     - `about`: the point (d,) where the line begins.
     - `along`: direction (d,) of the line.
     - `length`: length of the arc, above 0.
@@ -56,7 +59,8 @@ def bend(
 
     **Returns:** positions (m, d).
 
-    **Raises:** `ValueError` for wrong shapes, directions or a length that are 0, and an axis not at right angles to the line.
+    **Raises:** `ValueError` for wrong shapes, directions or a length that are 0, and an axis not at
+    right angles to the line.
     """
     x = positions(x)
     arm, along = x - vector("about", about, x)[None, :], direction("along", along, x)

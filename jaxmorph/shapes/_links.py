@@ -15,7 +15,8 @@ def link_matrix(
 
     - `free` (*counts, d): True for components that may move.
     - `groups`: each lists controls that move alike.
-    - `mirror`: the direction of the lattice that is reflected, and the signs (d,) of the reflection.
+    - `mirror`: the direction of the lattice that is reflected, and the signs (d,) of the
+      reflection.
     """
     counts, d = free.shape[:-1], free.shape[-1]
     ids = np.arange(free.size).reshape(free.shape)
@@ -25,7 +26,8 @@ def link_matrix(
         images = np.flip(ids, axis=axis).reshape(-1, d)
         pairs += [(row, image, signs) for row, image in zip(ids.reshape(-1, d), images, strict=True)]
     a, b, sign = (np.concatenate([np.asarray(pair[k]) for pair in pairs] or [np.zeros(0, int)]) for k in range(3))
-    # each displacement stands twice, as itself and as its opposite (+ count); what is linked to its own opposite is zero
+    # each displacement stands twice, as itself and as its opposite (+ count); what is linked to its
+    # own opposite is zero
     count = int(np.prod(counts)) * d
     opposite = np.where(sign < 0, count, 0)
     rows, columns = np.concatenate([a, a + count]), np.concatenate([b + opposite, b + count - opposite])

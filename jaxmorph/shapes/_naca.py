@@ -23,8 +23,8 @@ HALVINGS = 56
 class NACA4(AbstractShape):
     """Turns one NACA 4-digit airfoil into another: exact for its own nodes, smooth for nodes nearby.
 
-    The parameters are (camber, place, thickness) in chords: (0.04, 0.4, 0.12) is the NACA 4412. A node keeps its place on the mean
-    line; its height above the mean line scales with the thickness.
+    The parameters are (camber, place, thickness) in chords: (0.04, 0.4, 0.12) is the NACA 4412. A
+    node keeps its place on the mean line; its height above the mean line scales with the thickness.
 
     **Arguments:**
 
@@ -113,7 +113,8 @@ def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[A
 
 @_station.defjvp
 def _station_jvp(primals, tangents):
-    # the foot is defined by away(s, ...) = 0; the rule contains the foot itself, so that derivatives of all orders follow
+    # the foot is defined by away(s, ...) = 0; the rule contains the foot itself, so that
+    # derivatives of all orders follow
     s = _station(*primals)
     rate = _rate(s, *primals)
     moved = jax.jvp(lambda *given: _away(s, *given), primals, tangents)[1]
@@ -125,8 +126,9 @@ def _intervals(
 ) -> tuple[Float[Array, "4 m"], Float[Array, "4 m"]]:
     """Computes the ends of intervals in which a position has at most one foot.
 
-    Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a root of
-    2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t. The cubic is monotone up to its extremum, and beyond it.
+    Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a
+    root of 2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t. The cubic is monotone up to its
+    extremum, and beyond it.
     """
     camber, place = airfoil[0], airfoil[1]
     near, far = [], []

@@ -38,13 +38,13 @@ def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
     **Arguments:**
 
     - `parameters`: what a shape takes.
-    - `changes`: values by the names that `names` gives, or by those of whole arrays (`wing.box`). The end of a name is enough
-      where one name alone ends so (`twist`).
+    - `changes`: values by the names that `names` gives, or by those of whole arrays (`wing.box`).
+      The end of a name is enough where one name alone ends so (`twist`).
 
     **Returns:** parameters of the same structure, as NumPy's floats.
 
-    **Raises:** `ValueError` for names that are unknown or that several parameters share, counts that differ, and values
-    that are not finite.
+    **Raises:** `ValueError` for names that are unknown or that several parameters share, counts
+    that differ, and values that are not finite.
     """
     check_parameters(parameters)
     stems, leaves = zip(*_leaves(parameters), strict=True) if jax.tree.leaves(parameters) else ((), ())

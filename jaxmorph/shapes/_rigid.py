@@ -17,7 +17,8 @@ def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | 
     **Arguments:**
 
     - `x`: positions (m, d).
-    - `angle`: radians, counter-clockwise as seen against `axis`, for all positions or one for each (m,); 0 is neutral.
+    - `angle`: radians, counter-clockwise as seen against `axis`, for all positions or one for each
+      (m,); 0 is neutral.
     - `about`: a point (d,) that stays.
     - `axis`: direction (3,) of any length; only in 3-D.
 

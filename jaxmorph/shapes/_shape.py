@@ -12,7 +12,8 @@ from ._arguments import Numbers, positions
 class AbstractShape(Module):
     """Moves positions by parameters: `shape(x, parameters)`.
 
-    A plain function of the same form serves as well. A class adds `neutral()`, the parameters that move nothing.
+    A plain function of the same form serves as well. A class adds `neutral()`, the parameters that
+    move nothing.
     """
 
     @abc.abstractmethod

@@ -25,10 +25,11 @@ CORNER, SHARP = np.cos(np.deg2rad([45, 135]))
 def upper_of_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
     """Marks the nodes on the upper side of a loop.
 
-    A single node at the nose or the tail is an upper one. Of several there, as on a blunt tail, each side has its half.
-    On a line none is.
+    A single node at the nose or the tail is an upper one. Of several there, as on a blunt tail,
+    each side has its half. On a line none is.
 
-    - `places`: along the chord from 0 to 1 and across it, in chords; in the order of the loop, in either sense.
+    - `places`: along the chord from 0 to 1 and across it, in chords; in the order of the loop, in
+      either sense.
     """
     x, y = places.T
     area = (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
@@ -111,7 +112,8 @@ def tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
     column = np.cumsum(np.diff(places[along, 0], prepend=-np.inf) > SAME)
     order = along[np.lexsort((places[along, 1], column))]
     ahead, count = places[order], len(order)
-    # two chains reach the nodes up to k: one ends at k, the other at j < k, and `cost[j]` is the length of both
+    # two chains reach the nodes up to k: one ends at k, the other at j < k, and `cost[j]` is the
+    # length of both
     cost, before = np.zeros(count), np.zeros(count, int)
     cost[0] = np.linalg.norm(ahead[1] - ahead[0])
     for k in range(1, count):
@@ -120,7 +122,8 @@ def tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
         before[k] = int(np.argmax(total <= total.min() + TIE))
         cost[:k] += np.linalg.norm(following - ahead[k])
         cost[k] = total[before[k]]
-    # backwards: k was reached from k - 1, or from `before[k - 1]` where the other chain ends at k - 1
+    # backwards: k was reached from k - 1, or from `before[k - 1]` where the other chain ends at k -
+    # 1
     other = int(before[count - 1])
     chains = [count - 1], [other]
     for k in range(count - 1, 1, -1):

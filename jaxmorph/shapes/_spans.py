@@ -1,7 +1,8 @@
 """A lattice's operator on many points: points sorted by the knot spans that hold them, in blocks of one span each.
 
-A block's points share their control points, so its sums are one small matrix product. The operator and its transpose are two
-forms of one primitive: each is gathers and products, where XLA would turn a gather into a slow scatter.
+A block's points share their control points, so its sums are one small matrix product. The operator
+and its transpose are two forms of one primitive: each is gathers and products, where XLA would turn
+a gather into a slow scatter.
 """
 
 import functools
@@ -37,9 +38,10 @@ class Blocks(eqx.Module):
     @staticmethod
     def sorted_by_span(weights: tuple[Array, ...], first: tuple[Array, ...], counts: tuple[int, ...]) -> "Blocks":
         """Sorts points by span and lays out their weights; needs known weights."""
-        # Points of one knot span share their control points. They stand one after the other, in whole blocks of `size`, so
-        # that a block is one matrix product; the places that the last block of a span has left are empty.
-        # The direction with the fewest weights stays apart (`outer`), the products of all others are `inner`.
+        # Points of one knot span share their control points. They stand one after the other, in
+        # whole blocks of `size`, so that a block is one matrix product; the places that the last
+        # block of a span has left are empty. The direction with the fewest weights stays apart
+        # (`outer`), the products of all others are `inner`.
         known, starts = [np.asarray(w) for w in weights], np.stack([np.asarray(each) for each in first])
         apart = int(np.argmin([w.shape[1] for w in known]))
         order = [apart, *(axis for axis in range(len(counts)) if axis != apart)]

@@ -10,13 +10,14 @@ from .._host.package.arguments import as_array, checked
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from ._arguments import Numbers, check_finite, known_positions, positions, rows_of
-from ._measures import _triangles
+from ._walls import triangles_of
 
 
 class Stations(Module):
     """Lines on which thickness is measured, each with the two faces that it meets first and last.
 
-    `Stations.on` makes them once. The faces keep the wall's nodes, so that a moved wall is measured where its faces went.
+    `Stations.on` makes them once. The faces keep the wall's nodes, so that a moved wall is measured
+    where its faces went.
 
     - `points` (s, d): one on each line.
     - `directions` (s, d): of the lines, of length 1.
@@ -52,7 +53,7 @@ class Stations(Module):
         if not np.linalg.norm(lines, axis=1).all():
             raise ValueError("`direction` has length 0; it must be a direction.")
         lines = lines / np.linalg.norm(lines, axis=1)[:, None]
-        ids = as_array("faces", faces) if x.shape[1] == 2 else _triangles(faces, jnp.asarray(x))
+        ids = as_array("faces", faces) if x.shape[1] == 2 else triangles_of(faces, jnp.asarray(x))
         if ids.ndim != 2 or ids.shape[1] != x.shape[1]:
             raise ValueError(f"`faces` has shape {ids.shape}; walls in 2-D have segments (k, 2).")
         rows_of("faces", ids, len(x))
@@ -82,9 +83,11 @@ def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
     - `x`: positions (n, d) of the wall, moved or not; traced.
     - `stations`: from `Stations.on`.
 
-    **Returns:** thickness (s,), in the units of `x`; the faces count as planes, beyond their corners too.
+    **Returns:** thickness (s,), in the units of `x`; the faces count as planes, beyond their
+    corners too.
 
-    **Raises:** `ValueError` for positions of another wall: another dimension, or fewer rows than the faces name.
+    **Raises:** `ValueError` for positions of another wall: another dimension, or fewer rows than
+    the faces name.
     """
     x = positions(x)
     if is_known(stations.faces) and x.shape[1] == stations.points.shape[1]:
