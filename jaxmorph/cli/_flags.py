@@ -57,7 +57,9 @@ class Version(argparse.Action):
 
 
 def request_of(words: Sequence[str], top: Parser | None = None) -> Request:
-    """Makes the request that the words, with those of a job, ask for. `top` is the parser; it has all flags by default.
+    """Makes the request of the words and of the job that they name.
+
+    `top` is the parser; by default it has all flags.
 
     Raises `ValueError` for a job that is none, `SystemExit` for words that make no sense.
     """

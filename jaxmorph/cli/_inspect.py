@@ -14,7 +14,7 @@ from ._tables import faults, gate_facts, gate_table, table
 
 
 def quality(request: Quality, out: Output) -> int:
-    """Prints the quality of a mesh, or of two with the same cells. Returns the exit status."""
+    """Prints the quality of a mesh, or before and after a motion. Returns the exit status."""
     limits = request.gates.limits
     with out.progress("reading"):
         mesh = io.read(request.file)
@@ -77,7 +77,10 @@ def demo(request: Demo, out: Output) -> int:
 
 
 def _ids(mesh: Mesh) -> dict[str, np.ndarray]:
-    """Collects the ids that say which cells a mesh has; where the pieces of polyhedra are cut depends on the points."""
+    """Collects the ids that define the cells of a mesh.
+
+    Where polyhedra are cut depends on the points, so their faces count.
+    """
     if mesh.polyhedra is None:
         return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
     faces = mesh.polyhedra.faces

@@ -13,7 +13,10 @@ STATUS = 130
 
 
 def end_at_once(name: str) -> None:
-    """Lets an interrupt print one line and end the process. A signal that the caller ignores or handles stays as it is."""
+    """Lets an interrupt print one line and end the process.
+
+    A signal that the caller ignores or handles stays as it is.
+    """
 
     def end(number, frame) -> None:
         os.write(2, f"{name}: interrupted.\n".encode())
@@ -36,7 +39,7 @@ def _is_ours() -> bool:
 
 
 def _send_again(lost) -> None:
-    """Sends an interrupt again that was raised where nobody could catch it."""
+    """Sends an interrupt again that was raised where no code could catch it."""
     if not isinstance(lost.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
         return

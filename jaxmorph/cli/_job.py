@@ -1,4 +1,7 @@
-"""Job files: the flags of `jaxmorph deform` as TOML. They are read into flags, so one parser checks both."""
+"""Job files: the flags of `jaxmorph deform` as TOML.
+
+They are read into flags, so one parser checks both.
+"""
 
 import argparse
 import dataclasses
@@ -17,7 +20,7 @@ from ._parts import Speech
 from ._requests import Deform
 
 NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.fields(Speech)))
-"""Flags that a job has not, or as a table."""
+"""Flags that are not keys of a job; `set` is a table of it."""
 
 KINDS = {int: "number", float: "number", table: "table"}
 """Kinds of values by the types of flags; others are text, paths, or switches."""
@@ -57,9 +60,11 @@ JOB, MOTION = _keys(Deform), _keys(Group)
 
 
 def with_job(arguments: Sequence[str]) -> list[str]:
-    """Puts the flags of the file that `--job` names before the given ones. Raises `ValueError` for a file that is no job.
+    """Puts the flags of the file that `--job` names before the given flags.
 
-    For `sensitivity` it is the mesh that the job names.
+    It raises `ValueError` for a file that is no job.
+
+    For `sensitivity` the mesh that the job names comes first instead.
     """
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     finder.add_argument("--job", type=Path)
@@ -195,7 +200,10 @@ def _is_said(key: Key, value: Any) -> bool:
 
 
 def _seen(key: Key, value: Any, folder: Path) -> Any:
-    """Makes the paths of a value relative to a folder, unless they are absolute; turns a box in JSON into a table."""
+    """Makes the paths of a value relative to a folder, unless they are absolute.
+
+    A box in JSON becomes a table.
+    """
     if key.name == "mode":
         return [(_seen(MOTION["displacement"], file, folder), amplitude) for file, amplitude in value]
     if key.kind not in ("path", "table"):

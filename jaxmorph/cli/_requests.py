@@ -1,4 +1,7 @@
-"""The request of each command: its flags as fields. The parser, job files and pages of help are built from them."""
+"""The request of each command: its flags as fields.
+
+The parser, job files and pages of help are built from the requests.
+"""
 
 import argparse
 import dataclasses
@@ -13,7 +16,10 @@ MESH = "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D 
 
 
 def _output(name: str) -> Path:
-    """Reads the name of what is written. A path forgets the slash at its end, which the name of a file does not have."""
+    """Reads the name of an output.
+
+    A path forgets the slash at its end, which the name of a file does not have.
+    """
     path = Path(name)
     if name.endswith("/") and path.suffix.strip(".0123456789") and not path.is_dir():
         from jaxmorph._host.package.files import file_path
@@ -137,7 +143,7 @@ class Modes:
 
 @dataclasses.dataclass(frozen=True)
 class Sensitivity:
-    """Request of `jaxmorph sensitivity`; with a job on to what it moves by."""
+    """Request of `jaxmorph sensitivity`; with a job the result is by design variables."""
 
     run: ClassVar = "_sensitivity.sensitivity"
 
@@ -191,7 +197,7 @@ class SU2:
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
-    """Request of `jaxmorph quality`. `moved` is the file of the same mesh, moved."""
+    """Request of `jaxmorph quality`. `moved` is the file of the moved mesh."""
 
     run: ClassVar = "_inspect.quality"
 

@@ -1,4 +1,4 @@
-"""Checks and descriptions of a request of `deform`, for a whole mesh and for one in parts."""
+"""Checks and descriptions of a request of `deform`, for a whole mesh and a mesh in parts."""
 
 import textwrap
 from pathlib import Path
@@ -16,7 +16,7 @@ from ._summary import count
 
 
 def check_files(request: Deform, mesh: Mesh) -> None:
-    """Raises `ValueError` for patches without nodes, and for files that are read or written beside the meshes."""
+    """Raises `ValueError` for patches without nodes, and for files beside the meshes."""
     for group in request.groups:
         tables = [group.box, group.hicks_henne, group.cst]
         inputs = [group.displacement, group.displacement_from, *(file for file, _ in group.mode), *tables]
@@ -40,7 +40,10 @@ def check_files(request: Deform, mesh: Mesh) -> None:
 
 
 def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndarray, out: Output) -> None:
-    """Describes what moves, by how much, what stays, and the method; `u` are the displacements of the moving nodes."""
+    """Describes what moves, by how much, what stays, and the method.
+
+    `u` are the displacements of the moving nodes.
+    """
     mesh, way = patches.mesh, np.linalg.norm(u, axis=1)
     for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
         nodes = mesh.patch(*names)
