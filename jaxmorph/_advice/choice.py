@@ -12,29 +12,29 @@ from .._plan.plan import Plan
 COLUMNS = ("leaves", "sources", "radius", "fit", "error", "rounding", "inverted", "jacobian", "angle", "seconds")
 
 WORTH, NEAR = 0.8, 1.0
-"""Share of the best smallest Jacobian ratio that the chosen row keeps, and degrees that its angle may be beyond the best one."""
+"""Share of the best Jacobian ratio that the chosen row has, and degrees beyond the best angle."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """Holds the result of `choose`: the `method`, its `plan`, and a table of all that were tried, as text by `str`.
+    """Result of `choose`: the `method`, its `plan`, and a table of all trials (`str`).
 
     `chosen` is the method's row of `table`. Each row has
 
     - `method`: its name; radial functions are `thin plate`, `Wendland C2` and `fitted`;
-    - `leaves`: those of the k-d tree on the moving nodes, None for other methods;
+    - `leaves`: leaves of the k-d tree on the moving nodes, None for other methods;
     - `sources`: how many control points in all, None without any;
-    - `radius`: that of the Wendland C2 function, None for any other;
+    - `radius`: the radius of the Wendland C2 function, None for other functions;
     - `fit`: whether the field is fitted to the wall, `FittedRBF`, instead of interpolating;
     - `error`: the coarse field's error on the surface, relative to the largest displacement: root
       mean square over surface and motions; None for other methods;
-    - `rounding`: the error that float64 makes of the system's condition, relative to it too; None
+    - `rounding`: the error by rounding in float64, also relative to the largest displacement; None
       with the fit;
     - `inverted`: inverted cells in all motions;
     - `jacobian`: the smallest Jacobian ratio in any; NaN where the row was refused;
     - `angle`: degrees by which first grid lines leave their angle to the wall, mean over nodes and
       motions. It is NaN where no cell has a side on the wall;
-    - `seconds`: CPU time of one `deform`, compiled before;
+    - `seconds`: CPU time of one compiled `deform`;
     - `refused`: why `prepare` refused or the mesh is too large, or None.
     """
 
@@ -62,7 +62,7 @@ def _shown(value: Any) -> str:
 
 
 def best(rows: Sequence[Mapping[str, Any]], tolerance: float) -> int:
-    """Picks the row that `choose` chooses, as its docstring says."""
+    """Picks the row of a table by the rule in the docstring of `choose`."""
     usable = [i for i, row in enumerate(rows) if not row["refused"]]
     fewest = min(rows[i]["inverted"] for i in usable)
     sound = [i for i in usable if rows[i]["inverted"] == fewest]

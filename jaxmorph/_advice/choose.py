@@ -47,17 +47,18 @@ def choose(
     tolerance: float = 0.01,
     methods: Mapping[str, AbstractMethod] | None = None,
 ) -> Choice:
-    """Chooses a method, its sources and support radius, and whether to fit the field to the wall, for a family of motions.
+    """Chooses a method, its sources and support radius for a family of motions.
 
-    In 3-D one more number of leaves is tried where the motions need more sources than those of
-    `leaves`. For each number a thin plate spline, a Wendland C2 function and a fitted thin plate
-    spline are tried. The radius of the second minimises the sum of `error` and `rounding` (see
-    `Choice`). It is found by optimistix's golden section search, between a fifth of the moving
-    nodes' extent and ten times it.
+    It also decides whether to fit the field to the wall.
+
+    For each number of `leaves` a thin plate spline, a Wendland C2 function and a fitted thin plate
+    spline are tried. In 3-D one more number is tried where the motions need more sources. The
+    radius of the Wendland C2 function minimises the sum of `error` and `rounding` (see `Choice`).
+    Optimistix's golden section search finds it between 0.2 and 10 times the moving nodes' extent.
 
     Of the rows that invert fewest cells and keep 80 % of the best Jacobian ratio, the first is
     chosen whose angle is within a degree of the best. Rows stand in the order of the table: radial
-    functions by their number of leaves, then fitted ones, then the other methods. Fields that
+    functions by their number of leaves, then fitted fields, then all other methods. Fields that
     interpolate and miss the surface by more than `tolerance` are left out, unless no other row
     inverts as few cells.
 
@@ -70,14 +71,14 @@ def choose(
 
     **Arguments:**
 
-    - `mesh`, `moving`, `fixed`, `symmetry`, `periodic`, `sliding`: those of `prepare`.
+    - `mesh`, `moving`, `fixed`, `symmetry`, `periodic`, `sliding`: as for `prepare`.
     - `motions`: displacements (s, m, d) of the moving nodes that the mesh is to bear: modes, or
       samples.
     - `leaves`: numbers of leaves of the k-d tree to try, default 8, 32, 128.
     - `tolerance`: the error on the surface that is allowed, relative to the largest displacement.
       Default 0.01.
-    - `methods`: other methods to try, by the names that they have in the table. Default: those
-      above. With `{}` there are radial functions alone.
+    - `methods`: other methods to try, by their names in the table. Default: the methods above. With
+      `{}` there are radial functions alone.
 
     **Returns:** a `Choice`.
 
@@ -144,7 +145,7 @@ def _check_tries(leaves: Sequence[int], tolerance: float, methods: Mapping[str, 
 
 
 def _tries(leaves: Sequence[int]) -> list[tuple[bool, int, bool]]:
-    """Lists what is tried: whether the field is fitted, the number of leaves, and whether its basis has a radius."""
+    """Lists the trials: whether the field is fitted, leaves, whether the basis has a radius."""
     interpolating = [(False, count, with_radius) for count in leaves for with_radius in (False, True)]
     return interpolating + [(True, count, False) for count in leaves]
 
@@ -158,7 +159,10 @@ def _resolving(leaves: Sequence[int], points: np.ndarray, motions: np.ndarray) -
 
 
 def _columns(motions: np.ndarray, nodes: int, images: Images | None) -> np.ndarray:
-    """Lists the displacements of all rows of the surface, images too, motion after motion, scaled to a largest component of 1."""
+    """Lists the displacements of all rows of the surface, with images, motion after motion.
+
+    They are scaled to a largest component of 1.
+    """
     columns = []
     for motion in motions:
         vectors = np.zeros((nodes, motion.shape[1]))
@@ -209,7 +213,10 @@ def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
 
 @compiled
 def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Computes the root mean square of the error on the surface; and the size of the weights times the unit of rounding."""
+    """Computes the root mean square error on the surface, and an estimate of its rounding.
+
+    The estimate is the size of the weights times the unit of rounding.
+    """
     field = rbf.field(ids, rbf.fit(ids, points, points), points, values)
     missed = values - jax.lax.map(lambda x: field(x, None), points, batch_size=256)
     unit = float(jnp.finfo(field.beta.dtype).eps)
@@ -217,6 +224,6 @@ def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Arra
 
 
 def _left(plan: Plan, motions: np.ndarray) -> float:
-    """Measures the root mean square of what the coarse field leaves to the correction, over surface and motions."""
+    """Measures the root mean square of what the coarse field leaves to the correction."""
     left = np.stack([np.asarray(plan.offset(jnp.asarray(u, plan.points.dtype))) for u in motions])
     return float(np.sqrt(np.mean(left**2)) / np.abs(motions).max())

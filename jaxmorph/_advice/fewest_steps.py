@@ -17,10 +17,10 @@ from .._quality.report import QualityReport
 
 @dataclasses.dataclass(frozen=True)
 class Steps:
-    """Holds the result of `fewest_steps`.
+    """Result of `fewest_steps`.
 
     - `count`: how many steps.
-    - `fraction`: how much of the motion they reach, 1 when all of it.
+    - `fraction`: the share of the motion that they reach; 1 is the whole motion.
     - `points`: the points (n, d) at the end, with `report` of their quality.
     - `plans`: one plan a step; `replay` repeats them along `path` (count, m, d), up to the
       improvement.
@@ -84,7 +84,7 @@ def fewest_steps(
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
         parts = [motion(fraction * (j + 1) / count) for j in range(count)]
-        path = jnp.stack([jnp.asarray(finite_array("motion(t)", each, expected)) for each in parts])
+        path = jnp.stack([jnp.asarray(finite_array("motion(t)", part, expected)) for part in parts])
         plans, points = march(plan, path)
         improvement = improve_of(plan, mesh, points) if mend else None
         points = points if improvement is None else improvement.points

@@ -27,7 +27,7 @@ PUT_BACK = 0.01
 """Share of the largest motion by which planes, surfaces and pairs may change a moving node's."""
 
 TOUCHING = 1e-9
-"""Distance of a node from another wall, relative to the surface's extent, at which there is no gap."""
+"""Distance of a node from another wall, relative to the surface's extent: no gap there."""
 
 
 @checked
@@ -40,15 +40,15 @@ def inspect(
 ) -> Inspection:
     """Checks a surface displacement on the host, and the motion that the mesh would make.
 
-    Neighbouring surface nodes are contradictory where one moves, the other is fixed and the
-    displacement is larger than their distance: a wall slides along a boundary that is held. They
-    are also where both move and their distance more than doubles. No method moves such a mesh well.
+    Two neighbouring surface nodes contradict each other in two cases. One moves, the other is
+    fixed, and the displacement is larger than their distance: a wall slides along a fixed boundary.
+    Or both move, and their distance more than doubles. No method moves such a mesh well.
 
     With the mesh, it measures how much is left of the gaps between walls: the distance of nodes to
-    the faces of other walls. Moved walls that cross another boundary or themselves are found too.
-    What crossed before does not count, nor do faces that share a node or touch in coincident ones,
-    as at a sharp trailing edge. Faces with a node that is neither moving nor fixed are left out:
-    where they go is not known yet.
+    the faces of other walls. It also finds moved walls that cross another boundary or themselves.
+    Faces that crossed before do not count, nor do faces that share a node or touch in coincident
+    nodes, as at a sharp trailing edge. Faces with a node that is neither moving nor fixed are left
+    out: where they go is not known yet.
 
     **Arguments:**
 
@@ -160,7 +160,7 @@ def _of_plan(plan: Plan, u: Any) -> Inspection:
 
 
 def _slope(points: np.ndarray, u: np.ndarray) -> float:
-    """Measures how steeply `u` changes along the edges of a wall, without the affine motion nearest to it."""
+    """Measures how steeply `u` changes along the edges of a wall, without its affine part."""
     pairs = edges(points, len(points))
     if not len(pairs):
         return 0.0

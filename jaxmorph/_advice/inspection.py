@@ -10,7 +10,7 @@ from .collisions import Crossings
 from .torn import remedies
 
 STEEP = 0.5
-"""Slope of a displacement along the wall from which on a fitted field strains cells noticeably more."""
+"""Slope of a displacement along the wall above which a fitted field strains cells more."""
 
 NARROW = 0.2
 """Share of a gap, left after a motion, below which one step folds cells in it."""
@@ -18,7 +18,7 @@ NARROW = 0.2
 
 @dataclasses.dataclass(frozen=True)
 class Inspection:
-    """Holds the findings of `inspect`, lengths in the mesh's units.
+    """Findings of `inspect`; lengths are in the mesh's units.
 
     - `offset`: the largest displacement that the correction has to carry (eq. 5; 0 for a method
       without one).
@@ -26,36 +26,36 @@ class Inspection:
     - `offset_ratio`: the largest ratio of a node's offset to the distance of its nearest mesh node.
     - `contradictions`: pairs (k, 2) of neighbouring surface nodes that are torn apart, the worst
       first.
-    - `near`: where the worst pair lies (d,). `warnings` says so in words.
-    - `overshoot`: the largest motion of a node off the surface over the largest one of the surface.
-    - `overshoot_behind`: the same behind a thin body's part that rests while its other side moves
-      (below an airfoil with a bump on its upper side).
+    - `near`: where the worst pair lies (d,).
+    - `overshoot`: the largest motion of a node off the surface over the largest motion of the
+      surface.
+    - `overshoot_behind`: the overshoot behind a thin body's part that rests while its other side
+      moves (below an airfoil with a bump on its upper side).
     - `slope`: how steeply the displacement changes along the wall, per length and without its
-      affine part: that of the steepest edges but 2 %.
+      affine part. It is exceeded on 2 % of the edges.
     - `is_fitted`: whether the coarse field is a `FittedRBF`, as in `prepare`'s default.
     - `crossings`: where moved walls cross another boundary or themselves; None where `inspect` was
       given no mesh.
     - `put_back`: moving nodes (k,) that do not go where `u` sends them, the worst first. Their
-      plane, surface or pair changes the motion by more than a hundredth of the largest one.
-    - `put_back_by`: the largest of these changes.
+      plane, surface or pair changes the motion by more than a hundredth of the largest motion.
+    - `put_back_by`: the largest change.
     - `ended`: sliding nodes (k,) that come to the end of their surface.
-    - `ended_at`: where these are then (k, d).
-    - `gap_left`: the share of its gap to another wall that is left to the node that loses most of
-      it. It is 1 and more if no gap becomes smaller, as of walls that slide along each other; None
-      without a mesh, and of one wall alone.
-    - `gap_node`: that node.
+    - `ended_at`: where `ended` nodes are after the motion (k, d).
+    - `gap_left`: the smallest share of a gap between walls that is left. It is 1 or more if no gap
+      becomes smaller; None without a mesh, and with only one wall.
+    - `gap_node`: the node at the smallest share.
     - `largest`: the largest displacement of a moving node.
     - `reach`: how far from the surface a field of compact support reaches, `CompactRBF`; infinity
       for other methods.
-    - `torn`: the patches of the worst pair's two nodes, "" for none; empty without a mesh, and
-      without such a pair.
-    - `rests` (k,): whether one node of each pair is fixed while the other one moves.
+    - `torn`: the patches of the worst pair's two nodes, "" for no patch; empty without a mesh or a
+      pair.
+    - `rests` (k,): whether one node of a pair is fixed while the other node moves.
     - `missed`: what an interpolation from the moving sources misses of the displacement in 3-D,
-      relative to the largest one.
-    - `leaves`: leaves of a `KDTree` whose sources miss less than a third of it; None where that is
-      so already, or nowhere.
-    - `touches` (k,): whether the boundaries of these two nodes have faces in common there. Without
-      a mesh: `rests`.
+      relative to the largest displacement.
+    - `leaves`: leaves of a `KDTree` whose sources miss less than a third of the displacement. None
+      if the plan's sources do already, or if no number does.
+    - `touches` (k,): whether the boundaries of a pair's two nodes have faces in common at the pair.
+      Without a mesh: `rests`.
     """
 
     offset: float

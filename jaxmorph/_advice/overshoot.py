@@ -1,4 +1,4 @@
-"""Overshoot: the motion of nodes off the surface, compared with that of the surface."""
+"""Overshoot: the motion of nodes off the surface, relative to that of the surface."""
 
 import numpy as np
 import scipy.spatial
@@ -11,7 +11,9 @@ RESTS = 1e-3
 
 
 def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
-    """Compares the largest motion of a node off the surface with that of the surface: anywhere, and behind a part that rests.
+    """Compares the largest motion off the surface with that of the surface.
+
+    The second number is for nodes behind a part that rests.
 
     A node lies behind a part that rests if three conditions hold. The nearest node of the moving
     surface rests. The part that moves lies on the other side of this node, as the upper side of an

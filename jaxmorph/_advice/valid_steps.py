@@ -19,12 +19,14 @@ from .largest_step import Corners
 
 
 class ValidSteps(Module, optx.AbstractSearch):
-    """Searches along a line by backtracking, and shortens a step that would invert a cell to what the mesh allows.
+    """Searches along a line by backtracking, within what the mesh allows.
 
-    Such a step is not halved until it fits: corner Jacobians are polynomials in the step, and their
-    first root, as `largest_step` finds it, is the end of the way. `share` of it is tried next.
-    Other steps end by Armijo's rule. It suits descents whose change is a multiple of the step, such
-    as `optimistix.NewtonDescent` and `optimistix.SteepestDescent`.
+    A step that would invert a cell is shortened.
+
+    Corner Jacobians are polynomials in the step. Their first root, as `largest_step` finds it, is
+    the end of the way, and `share` of the way is tried next. Other steps end by Armijo's rule. The
+    search suits descents whose change is a multiple of the step, such as `optimistix.NewtonDescent`
+    and `optimistix.SteepestDescent`.
 
         search = jm.ValidSteps(plan, mesh, lambda design: operator(design))
         solver = equinox.tree_at(lambda solver: solver.search, optimistix.BFGS(1e-6, 1e-6), search)
@@ -77,7 +79,7 @@ class ValidSteps(Module, optx.AbstractSearch):
         return self.corners.hold(deform(self.plan, self.displacement(y)))
 
     def guarded(self, objective: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Makes an objective that is infinite, and runs no flow, where the mesh breaks its bound."""
+        """Makes an objective that is infinite, and runs no flow, where the mesh breaks a bound."""
 
         def guard(y: Any, args: Any) -> Any:
             shapes = jax.eval_shape(objective, y, args)

@@ -19,7 +19,7 @@ NEUTRAL = {"twist": 0.0, "chord": 1.0, "sweep": 0.0, "dihedral": 0.0, "span": 0.
 
 
 class ReferenceAxis(AbstractShape):
-    """Moves sections of a wing with the stations of an axis: twisted about it, scaled around it, carried with it.
+    """Moves sections of a wing with stations of an axis: twisted, scaled and carried.
 
     The parameters are a dict with any of these, one value for each station (k,):
 
@@ -30,8 +30,8 @@ class ReferenceAxis(AbstractShape):
     - `sweep`, `dihedral`, `span`: lengths by which a station moves along the chord, across chord
       and span, and along the span.
 
-    Between stations the values are interpolated, beyond the first and the last one they stay as
-    there.
+    Between stations the values are interpolated. Before the first and behind the last station they
+    are constant.
 
     **Arguments:**
 
@@ -125,7 +125,7 @@ class ReferenceAxis(AbstractShape):
 
 
 def _second_derivatives(steps: Float[Array, " j"]) -> Float[Array, "k k"]:
-    """Computes the matrix from values at stations to the second derivatives of their natural cubic spline."""
+    """Computes the matrix from values at stations to second derivatives of a natural spline."""
     k = len(steps) + 1
     inner = jnp.arange(k - 2)
     system = jnp.zeros((k, k), steps.dtype).at[0, 0].set(1).at[-1, -1].set(1)

@@ -1,4 +1,4 @@
-"""From a shape to what `deform` and `march` take, and from sensitivities of a volume back to the shape's parameters."""
+"""From a shape to the input of `deform`, and from sensitivities to the shape's parameters."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -38,20 +38,20 @@ def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array
 
 @checked
 def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[Array, "k m d"]:
-    """Computes the total displacements at the ends of equal steps of the parameters: the path of `march`.
+    """Computes total displacements after equal steps of the parameters: the path of `march`.
 
     A rotation in steps is a path of rotated positions. Traced in positions and parameters.
 
     **Arguments:**
 
-    - `shape`: a shape that tells its neutral parameters, where the path begins.
+    - `shape`: a shape with `neutral()`, the parameters where the path begins.
     - `x`: positions (m, d).
-    - `parameters`: those at the end.
+    - `parameters`: the parameters at the end.
     - `steps`: 1 or more.
 
     **Returns:** displacements (k, m, d).
 
-    **Raises:** `ValueError` for no steps, for a plain function in more than one, and as
+    **Raises:** `ValueError` for no steps, for a plain function in several steps, and as
     `displacement` does.
     """
     x = positions(x)
@@ -62,12 +62,12 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     start = neutral(shape)
     if jax.tree.structure(start) != jax.tree.structure(parameters):
         raise ValueError(f"parameters for several steps must all be given: {jax.tree.structure(start)}.")
-    sizes = [[np.shape(leaf) for leaf in jax.tree.leaves(each)] for each in (parameters, start)]
+    sizes = [[np.shape(leaf) for leaf in jax.tree.leaves(tree)] for tree in (parameters, start)]
     if sizes[0] != sizes[1]:
         raise ValueError(f"`parameters` have shapes {sizes[0]}; this shape takes {sizes[1]}.")
     shares = [(j + 1) / steps for j in range(steps)]
     at = [jax.tree.map(lambda a, b, share=share: a + share * (b - a), start, parameters) for share in shares]
-    return jnp.stack([moves(shape, x, each) for each in at])
+    return jnp.stack([moves(shape, x, values) for values in at])
 
 
 @checked
@@ -79,7 +79,7 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
     - `shape`: a shape, or a function of positions and parameters.
     - `plan`: from `prepare`; or the plans that `march` returned for `path(shape, x, parameters,
       len(plans))`.
-    - `parameters`: those that the mesh was moved by.
+    - `parameters`: the parameters that moved the mesh.
     - `cotangent`: dJ/d(points) (n, d) at the moved mesh.
 
     **Returns:** dJ/d(parameters), of the structure of `parameters`.
@@ -102,7 +102,7 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
 
 @checked
 def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) -> PyTree:
-    """Takes dJ/d(positions) of a wall to dJ/d(parameters) of the shape that moved it: no mesh is needed.
+    """Takes dJ/d(positions) of a wall to dJ/d(parameters) of its shape, without a mesh.
 
     It is for sensitivities that are the wall's own, as `jm.pullback` or a solver's surface file
     gives them.
@@ -111,7 +111,7 @@ def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) 
 
     - `shape`: a shape, or a function of positions and parameters.
     - `x`: undeformed positions (m, d) of the wall.
-    - `parameters`: those that the wall was moved by.
+    - `parameters`: the parameters that moved the wall.
     - `gradient`: dJ/d(positions) (m, d) of the moved wall.
 
     **Returns:** dJ/d(parameters), of the structure of `parameters`.
@@ -132,9 +132,7 @@ def neutral(shape: AnyShape) -> PyTree:
     **Raises:** `ValueError` for a plain function.
     """
     if not hasattr(shape, "neutral"):
-        raise ValueError(
-            "a plain function does not tell its neutral parameters: take `shapes.Function(function, rest)`."
-        )
+        raise ValueError("a plain function has no neutral parameters: take `shapes.Function(function, rest)`.")
     return shape.neutral()  # pyright: ignore[reportFunctionMemberAccess]
 
 

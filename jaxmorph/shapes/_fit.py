@@ -25,8 +25,8 @@ class Fit(Module):
 
     - `parameters`: as the shape takes them.
     - `residual`: (m,) distance of each position from its target.
-    - `rank`: of the derivative by the parameters; below `count` some of them have no effect, and
-      are as small as can be.
+    - `rank`: of the derivative by the parameters. Below `count` some parameters have no effect, and
+      are as small as possible.
     - `count`: numbers in the parameters.
     """
 
@@ -36,7 +36,7 @@ class Fit(Module):
     count: int = eqx.field(static=True)
 
     def raise_if_singular(self) -> None:
-        """Raises `ValueError` where some parameters, or some combinations of them, have no effect on the points."""
+        """Raises `ValueError` where parameters, or combinations of them, have no effect."""
         idle = self.count - int(self.rank)
         if idle:
             raise ValueError(
@@ -54,7 +54,7 @@ class Fit(Module):
 def fit(
     shape: Callable, points: Numbers, targets: Numbers, start: PyTree | None = None, *, max_steps: int = 100
 ) -> Fit:
-    """Finds the parameters with which a shape moves points closest to targets, in the sense of least squares.
+    """Finds the parameters with which a shape moves points closest to targets (least squares).
 
     A linear shape takes one solve, by singular values; any other is fitted by Levenberg and
     Marquardt's method.
@@ -119,7 +119,7 @@ def fit_cst(
     - `order`, `exponents`: of `CST`.
     - `chord`: from the tail to the node farthest from it by default. A nose between two nodes shows
       in the residual there.
-    - `wall`: rows of all points in the order of the wall, by which `upper_side` tells the sides.
+    - `wall`: rows of all points in the order of the wall, by which `upper_side` finds the sides.
 
     **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters are
     those of this airfoil. Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.

@@ -12,9 +12,9 @@ from ._rigid import turn
 
 @checked
 def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Number) -> Float[Array, "m 3"]:
-    """Twists positions about an axis: each section turns in proportion to its distance along the axis.
+    """Twists positions about an axis, in proportion to the distance along the axis.
 
-    Positions before `about` stay, those beyond `length` turn by the whole angle.
+    Positions before `about` stay, positions beyond `length` turn by the whole angle.
 
     **Arguments:**
 
@@ -42,10 +42,10 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
 def bend(
     x: Numbers, angle: Number, about: Numbers, along: Numbers, length: Number, axis: Numbers | None = None
 ) -> Float[Array, "m d"]:
-    """Bends a straight line, with all that is around it, into an arc of the same length.
+    """Bends a straight line, with all that is around it, into an arc of equal length.
 
-    Sections stay plane and at right angles to the line. Positions before `about` stay, those beyond
-    `length` follow the tangent.
+    Sections stay plane and at right angles to the line. Positions before `about` stay, positions
+    beyond `length` follow the tangent.
 
     **Arguments:**
 

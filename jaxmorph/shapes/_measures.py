@@ -61,7 +61,7 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
     - `x`: positions (n, 3).
     - `faces`: ids (k, 3) or (k, 4), one array or a list of them.
     - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane; None
-      for a closed one.
+      for a closed wall.
 
     **Returns:** a number, in the cube of the unit of `x`.
 
@@ -97,7 +97,9 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
 
 @checked
 def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
-    """Computes the curvature at each node of a loop (2-D): of the circle through it and its neighbours, positive where convex.
+    """Computes the curvature at each node of a loop (2-D), positive where convex.
+
+    It is the curvature of the circle through the node and its neighbours.
 
     **Arguments:** `x` and `loop` as in `area`.
 
@@ -115,14 +117,16 @@ def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
 
 @checked
 def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Float[Array, ""]:
-    """Computes the radius of the nose: of the circle closest to the node farthest from the tail and `around` nodes on each side.
+    """Computes the radius of the nose of an airfoil (2-D).
+
+    The circle is closest to the node farthest from the tail and `around` nodes on each side of it.
 
     **Arguments:**
 
     - `x`: positions (n, 2).
     - `loop`: ids (k,) of the airfoil's nodes in order.
     - `tail`: a node of the trailing edge.
-    - `around`: nodes on each side of the nose, 1 or more; their circle is the osculating one to
+    - `around`: nodes on each side of the nose, 1 or more. Their circle is the osculating circle to
       second order in their spacing.
 
     **Returns:** a radius, in the unit of `x`.
@@ -182,7 +186,7 @@ def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, 
 
 
 def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], plane: Float[Array, " 3"] | None) -> None:
-    """Raises `ValueError` for edges of one triangle alone, where no plane closes them."""
+    """Raises `ValueError` for edges of only one triangle, unless a plane closes them."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     border = unique[count == 1]

@@ -73,7 +73,10 @@ def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array,
 def turn(
     arm: Float[Array, "m d"], angle: Float[Array, ""] | Float[Array, "m 1"], axis: Float[Array, " 3"] | None
 ) -> Float[Array, "m d"]:
-    """Computes what a rotation adds to arms from its centre (Rodrigues' formula); each arm may have an angle (m, 1)."""
+    """Computes what a rotation adds to arms from its centre (Rodrigues' formula).
+
+    There is one angle, or one for each arm (m, 1).
+    """
     versine = 2 * jnp.sin(angle / 2) ** 2
     if axis is None:
         return jnp.sin(angle) * jnp.stack([-arm[:, 1], arm[:, 0]], axis=1) - versine * arm

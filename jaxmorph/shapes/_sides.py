@@ -1,4 +1,4 @@
-"""The two sides of an airfoil: its loop is cut at nose and tail, so that no node lies near the border between them."""
+"""The two sides of an airfoil: its loop is cut at nose and tail."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,23 +10,26 @@ SAME = 1e-9
 """Distance in chords within which two nodes stand at one place."""
 
 TIE = 1e-12
-"""Difference in chords within which two tours are equally long; the node that comes first is taken."""
+"""Difference in chords within which two tours are equally long.
+
+The node that comes first is then taken.
+"""
 
 AT = 1e-3
 """Share of an edge within which the nose or the tail is the node at its end."""
 
 BLUNT = 0.1
-"""Length in chords of a blunt tail, at most, where the tail that is given is one of its corners."""
+"""Largest length in chords of a blunt tail whose corner is given as the tail."""
 
 CORNER, SHARP = np.cos(np.deg2rad([45, 135]))
-"""Cosines of the turn of a loop at a corner of a blunt tail: less than the first, more than the second."""
+"""Cosines of the turn of a loop at a corner of a blunt tail: an upper and a lower bound."""
 
 
 def upper_of_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
     """Marks the nodes on the upper side of a loop.
 
-    A single node at the nose or the tail is an upper one. Of several there, as on a blunt tail,
-    each side has its half. On a line none is.
+    A single node at the nose or the tail is on the upper side. Of several nodes there, as on a
+    blunt tail, each side has one half. A line has no upper side.
 
     - `places`: along the chord from 0 to 1 and across it, in chords; in the order of the loop, in
       either sense.
@@ -71,7 +74,10 @@ def upper_of_points(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
 
 
 def _cut(corners: Float[np.ndarray, "k 2"], place: float) -> tuple[int, int]:
-    """Finds where the loop is nearest to a place on the chord: corners from the first to before the last; none within an edge."""
+    """Finds where the loop is nearest to a place on the chord.
+
+    It returns the corners from the first to before the last; none within an edge.
+    """
     edges, arms = np.roll(corners, -1, axis=0) - corners, np.array([[place, 0.0]]) - corners
     share = np.clip(np.sum(arms * edges, axis=1) / np.sum(edges**2, axis=1), 0, 1)
     nearest = int(np.linalg.norm(arms - share[:, None] * edges, axis=1).argmin())
@@ -82,7 +88,7 @@ def _cut(corners: Float[np.ndarray, "k 2"], place: float) -> tuple[int, int]:
 
 
 def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[int, int]:
-    """Goes from one corner of a blunt tail to the other one."""
+    """Extends one corner of a blunt tail to both of its corners."""
     edges = np.roll(corners, -1, axis=0) - corners
     lengths = np.linalg.norm(edges, axis=1)
     before = np.roll(edges, 1, axis=0)
@@ -104,9 +110,9 @@ def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[in
 
 
 def tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
-    """Finds the shortest way around that goes through all places, along the chord and back (the bitonic tour).
+    """Finds the shortest tour of all places, along the chord and back (bitonic).
 
-    - `places`: different ones, along the chord and across it, in chords.
+    - `places`: different places, along the chord and across it, in chords.
     """
     along = np.argsort(places[:, 0], kind="stable")
     column = np.cumsum(np.diff(places[along, 0], prepend=-np.inf) > SAME)

@@ -1,6 +1,7 @@
 """Smoothing along a wall: Sobolev gradients, vertex morphing.
 
-The solve stays on the host, with a factor made once; it is symmetric, so its transpose is itself.
+The solve stays on the host, with a factor that is made once. It is symmetric, and so is its
+transpose.
 """
 
 from typing import Any
@@ -22,7 +23,9 @@ from ._walls import face_arrays, wall_faces
 
 
 class Smoother(AbstractLinearShape):
-    """Solves (I + length^2 L) v = u on a wall, L its Laplace-Beltrami operator: waves much shorter than `length` vanish.
+    """Smooths along a wall: waves much shorter than `length` vanish.
+
+    It solves (I + length^2 L) v = u, where L is the wall's Laplace-Beltrami operator.
 
     With linear elements and lumped masses M, v = (M + length^2 K)^-1 M u. `smoother.apply(u)`
     filters displacements; its transpose, `smoother.sensitivities(gradient)`, filters sensitivities.
@@ -89,7 +92,7 @@ class Smoother(AbstractLinearShape):
         return jnp.zeros((len(self.masses), self.dimension))
 
     def at(self, x: Numbers) -> "SmoothOperator":
-        """Checks that positions (m, d) are the wall's in number; the operator is that of the wall as it was given."""
+        """Checks the number of positions (m, d); the operator is that of the given wall."""
         if positions(x).shape != self.neutral().shape:
             raise ValueError(f"`x` has shape {positions(x).shape}; this wall has {self.neutral().shape}.")
         return SmoothOperator(self)
@@ -117,7 +120,10 @@ class Smoother(AbstractLinearShape):
 
 
 def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
-    """Cuts faces into segments or triangles; a quad becomes its four corner triangles, each with half its weight."""
+    """Cuts faces into segments or triangles, with weights.
+
+    A quad becomes its four corner triangles with half their weight.
+    """
     pieces, d = [], points.shape[1]
     for ids in face_arrays(faces):
         if ids.ndim != 2 or ids.shape[1] not in ((2,) if d == 2 else (3, 4)) or ids.dtype.kind not in "iu":

@@ -53,7 +53,9 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
 
 @checked
 def wall_faces(mesh: Mesh, patch: str) -> list[Int[np.ndarray, "k corners"]]:
-    """Lists the faces of a wall, triangles and quads in 3-D, segments in 2-D, as the mesh's cells order them.
+    """Lists the faces of a wall as the mesh's cells order them.
+
+    They are triangles and quads in 3-D, segments in 2-D.
 
     **Arguments:**
 
@@ -75,7 +77,9 @@ def wall_faces(mesh: Mesh, patch: str) -> list[Int[np.ndarray, "k corners"]]:
 
 @checked
 def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
-    """Sums the areas of a wall's faces at its nodes: vectors from the body into the mesh, on the host.
+    """Sums the areas of a wall's faces at its nodes: vectors from the body into the mesh.
+
+    It runs on the host.
 
     A face gives each of its corners an equal share of its area. In 2-D a node has half the edges
     beside it: its vector is at right angles to the line between its two neighbours. Solvers decide
@@ -103,7 +107,7 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
 
 
 def face_arrays(faces: Any) -> list[np.ndarray]:
-    """Lists the arrays of faces: one array, or several."""
+    """Lists the arrays of faces that are one array or several."""
     is_list = isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2
     return [as_array("faces", ids) for ids in (faces if is_list else [faces])]
 
