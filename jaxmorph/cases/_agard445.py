@@ -35,7 +35,9 @@ REVISION = 1
 
 @checked
 def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None = None) -> jm.Mesh:
-    """Makes the half wing of the paper's section 3.2 in tetrahedra, in metres; needs gmsh (`pip install 'jaxmorph[cases]'`).
+    """Makes the half wing of the paper's section 3.2 in tetrahedra, in metres.
+
+    It needs gmsh (`pip install 'jaxmorph[cases]'`).
 
     x is streamwise, the span runs along +y from the plane y = 0, z is up. Sections are NACA 65A004
     (ordinates of NASA TM-100492, sharp trailing edge). The root chord is 0.558 m, the tip chord
@@ -168,7 +170,7 @@ def _file_name(points: int, gmsh_version: str) -> str:
 
 
 def _load(file: Path) -> dict[str, np.ndarray] | None:
-    """Reads the arrays of a file written by `_store`; None if there is no file, or it is damaged."""
+    """Reads the arrays of a file of `_store`; None for no file or a damaged file."""
     if not zipfile.is_zipfile(file):
         return None
     try:
@@ -181,7 +183,7 @@ def _load(file: Path) -> dict[str, np.ndarray] | None:
 
 
 def _store(file: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Writes all of the file or nothing: under a temporary name, then renamed. Warns if the directory refuses it."""
+    """Writes the whole file or nothing; warns if the directory refuses it."""
     content: dict[str, Any] = dict(arrays)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

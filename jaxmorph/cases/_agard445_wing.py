@@ -1,4 +1,7 @@
-"""The AGARD 445.6 wing's shape: planform and section, in metres (Yates, NASA TM-100492, 1987, "weakened model 3")."""
+"""The AGARD 445.6 wing's shape: planform and section, in metres.
+
+Yates, NASA TM-100492, 1987, "weakened model 3".
+"""
 
 from typing import Any
 
@@ -36,7 +39,10 @@ def half_thickness(x: np.ndarray) -> np.ndarray:
 
 
 def upper_contour(intervals: int) -> np.ndarray:
-    """Places (intervals + 1, 2) points of the upper contour from leading to trailing edge, evenly along its arc, in chords."""
+    """Places (intervals + 1, 2) points evenly along the arc of the upper contour, in chords.
+
+    They run from leading to trailing edge.
+    """
     x = np.linspace(0, 1, 20_001) ** 2
     z = half_thickness(x)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(z)))])

@@ -8,7 +8,7 @@ from .._host.package.arguments import between, checked
 from ._naca import naca4
 from ._structured import geometric, hexahedra, ids_of
 
-# Corners of a hexahedron, in VTK's order, that make each of its parts; 8 is its middle.
+# Corners of a hexahedron, in VTK's order, of the cells into which it is divided; 8 is its middle.
 PARTS = {
     "hexahedron": ((0, 1, 2, 3, 4, 5, 6, 7),),
     "wedge": ((0, 5, 1, 3, 6, 2), (0, 4, 5, 3, 7, 6)),
@@ -21,7 +21,7 @@ PARTS = {
 def wing(
     code: str = "6409", *, points: int = 2000, stations: int = 13, span: float = 2.0, first_cell: float = 1e-5
 ) -> jm.Mesh:
-    """Makes a swept and tapered wing of hexahedra between two planes, its first cell in chords of the root.
+    """Makes a swept and tapered wing of hexahedra between two planes.
 
     The C-grid of `naca4` is repeated at stations along y, from the root of chord 1 to the tip of
     chord 0.7. The tip's leading edge lies half a chord behind. Nodes on the wall lie much closer
@@ -60,7 +60,7 @@ def wing(
 
 @checked
 def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None = None) -> jm.Mesh:
-    """Makes the unit cube, divided into `cells` by `cells` by `cells` bricks, each of them divided into cells of one type.
+    """Makes the unit cube of `cells` by `cells` by `cells` bricks, divided into cells of a type.
 
     Patches: `floor` (z = 0), `lid` (z = 1), `sides`, which share nodes.
 
@@ -98,7 +98,10 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
 
 
 def _divided(points: np.ndarray, layers: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Divides bricks (k, 8) into cells of each type; adds the middles of bricks to the points where pyramids need them."""
+    """Divides bricks (k, 8) into cells of each type.
+
+    Where pyramids need them, the middles of bricks become points.
+    """
     cells = {}
     for kind, corners in layers.items():
         if kind == "pyramid":

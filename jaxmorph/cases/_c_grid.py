@@ -1,4 +1,4 @@
-"""C-grids of quadrilaterals around any airfoil section, its trailing edge blunt or sharp, in closed form."""
+"""C-grids of quads around any airfoil section, its trailing edge blunt or sharp."""
 
 from collections.abc import Callable
 from typing import NamedTuple, cast
@@ -35,7 +35,9 @@ REFERENCE = Counts(half=80, wake=50, normal=150, base=6)
 
 
 def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-5) -> jm.Mesh:
-    """Makes a C-grid around a section of unit chord: straight rays of 15 chords, a wake to x = 17 chords.
+    """Makes a C-grid around a section of unit chord.
+
+    It has straight rays of 15 chords, and a wake to x = 17 chords.
 
     The mesh has about as many points as asked for, and exactly as many for 39,666 (260 x 150 cells
     and 50 x 6 behind the base). Other numbers sample the same spacing laws along wall and wake, and
@@ -92,7 +94,10 @@ def _counts(points: int) -> Counts:
 
 
 def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
-    """Spaces nodes on the section (2 half + 1, 2), lower trailing edge first; computes their rays' angles in radians."""
+    """Spaces nodes on the section (2 half + 1, 2), and computes their rays' angles in radians.
+
+    The lower trailing edge is first.
+    """
     lower, upper = (_half(section, end, counts.half) for end in (-1.0, 1.0))
     t = np.concatenate([lower[::-1], upper[1:]])
     nodes = section(t)
@@ -117,7 +122,9 @@ def _half(section: Section, end: float, cells: int) -> np.ndarray:
 
 
 def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarray:
-    """Returns [0, 1] divided with given relative spacings at both ends were it into `cells`, sampled by `samples` cells.
+    """Divides [0, 1] with given relative spacings at both ends.
+
+    The spacings are those of `cells` cells; the result is sampled by `samples` cells.
 
     Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J.
     Comput. Phys. 50 (1983).
@@ -130,7 +137,10 @@ def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarra
 
 
 def _geometric(samples: int, cells: int, first: float) -> np.ndarray:
-    """Returns [0, 1] divided with a constant growth and a given first spacing were it into `cells`, sampled by `samples`."""
+    """Divides [0, 1] with a constant growth and a given first spacing.
+
+    The spacing is that of `cells` cells; the result is sampled by `samples` cells.
+    """
     growth = _root(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0)
     return np.expm1(growth * np.linspace(0, 1, samples + 1)) / np.expm1(growth)
 
@@ -140,7 +150,10 @@ def _root(function: Callable[[float], float], lower: float, upper: float) -> flo
 
 
 def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
-    """Makes the innermost line of the C: lower wake, wall, upper wake; and on each ray the wake distribution's weight."""
+    """Makes the innermost line of the C: lower wake, wall, upper wake.
+
+    The second array is each ray's weight of the wake distribution.
+    """
     first = TRAILING_EDGE_SPACING / (FARFIELD_X - 1)
     along = _geometric(counts.wake, REFERENCE.wake, first)[1:]
     rows = []
@@ -159,7 +172,10 @@ def _ray_lengths(weights: np.ndarray, cells: int, first_cell: float) -> np.ndarr
 
 
 def _wake_strip(inner: np.ndarray, counts: Counts) -> np.ndarray:
-    """Places nodes (base - 1, wake + 1, 2) strictly between lower and upper wake, from the trailing edge to the exit."""
+    """Places nodes (base - 1, wake + 1, 2) strictly between lower and upper wake.
+
+    They run from the trailing edge to the exit.
+    """
     lower, upper = inner[counts.wake :: -1], inner[-counts.wake - 1 :]
     across = np.linspace(0, 1, counts.base + 1)[1:-1, None, None]
     return lower + across * (upper - lower)

@@ -1,4 +1,7 @@
-"""Walls that nearly touch or come close: a valve, a blade's tip, bodies in a box. All are grids from which bodies are cut."""
+"""Walls that nearly touch: a valve, a blade's tip, bodies in a box.
+
+All are grids from which bodies are cut.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,7 +15,9 @@ from ._structured import geometric, hexahedra, ids_of, quads
 
 @checked
 def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
-    """Makes quads around a flat valve that stands above its seat: the right half of a port and of the chamber above it.
+    """Makes quads around a flat valve that stands above its seat.
+
+    It is the right half of a port and of the chamber above it.
 
     The port is 0.5 wide and 0.6 long, the chamber 1.5 wide and 1 high. The valve is 0.7 wide and
     0.15 thick: 0.2 of it hang over the seat, `lift` above. Patches: `valve`, `seat` (with the
@@ -51,7 +56,9 @@ def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
 
 @checked
 def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
-    """Makes hexahedra around a blade, a plate 0.5 long and 0.27 thick on a hub of radius 1, whose tip stands below a shroud.
+    """Makes hexahedra around a blade whose tip stands below a shroud.
+
+    The blade is a plate 0.5 long and 0.27 thick on a hub of radius 1.
 
     The shroud is the cylinder of radius 2 about x, the mesh a sector of 0.8 radians and 2 long. The
     tip has the radius 2 - gap. Patches: `blade`, `shroud`, `hub`, `inlet`, `outlet`, and the sides
@@ -84,7 +91,7 @@ def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
 def bodies(
     boxes: Mapping[str, Sequence[float]], *, box: Sequence[float] = (-8.0, 8.0, -4.0, 4.0), spacing: float = 0.25
 ) -> jm.Mesh:
-    """Makes squares around rectangular bodies in a rectangular box: for bodies that pass each other or part.
+    """Makes squares around rectangular bodies in a box, which may pass each other or part.
 
     Patches: each body by its name, and `farfield`.
 
@@ -129,7 +136,10 @@ def bodies(
 
 
 def _cut(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
-    """Makes the grid between axes, the last one running fastest, without cells whose middle is solid, and its cells."""
+    """Makes the grid between axes without cells whose middle is solid.
+
+    The last axis runs fastest.
+    """
     ids = ids_of(*map(len, axes))
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     cells = quads(ids) if len(axes) == 2 else hexahedra(ids)

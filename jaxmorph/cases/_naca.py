@@ -36,7 +36,7 @@ def naca0015(*, points: int = REFERENCE_POINTS) -> jm.Mesh:
 
 @checked
 def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6, sharp: bool = False) -> jm.Mesh:
-    """Makes a C-grid around an airfoil of the NACA 4-digit family, in chords: `cases.naca4("4412")`.
+    """Makes a C-grid around a NACA 4-digit airfoil, in chords: `cases.naca4("4412")`.
 
     Thickness is laid off normal to the camber line, and the trailing edge is blunt, as published
     (Jacobs, Ward and Pinkerton, NACA Report 460, 1933). Rays leave the wall as nearly along its
@@ -74,7 +74,10 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
 
 
 def _section(camber: float, place: float, thickness: float, last: float, t: np.ndarray) -> np.ndarray:
-    """Computes the contour, x = t^2 along the chord: t < 0 below, t > 0 above. Report 460, pages 4 and 5."""
+    """Computes the contour, x = t^2 along the chord: t < 0 below, t > 0 above.
+
+    Report 460, pages 4 and 5.
+    """
     x = t**2
     half = 5 * thickness * (0.2969 * np.abs(t) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - last * x**4)
     line, slope = np.zeros_like(x), np.zeros_like(x)

@@ -1,4 +1,4 @@
-"""Walls close to each other: a blade in the passage of a cascade, and a channel whose walls touch."""
+"""Walls close to each other: a blade in a passage, and a channel whose walls touch."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ OUTERMOST = 2.2  # the last ray node's radius about the blade's circle, before i
 def cascade(
     *, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pitch: float = 1.0, periodic: bool = False
 ) -> jm.Mesh:
-    """Makes an O-grid of quads around a cambered turbine blade of unit chord, in a passage `pitch` chords wide.
+    """Makes an O-grid of quads around a turbine blade in a passage `pitch` chords wide.
 
     The blade's trailing edge is sharp, at (1, 0); the passage is 1.7 chords long. Its sides run
     straight and half a pitch from the blade's middle: a blade that turns by 45 degrees comes close
@@ -60,7 +60,10 @@ def cascade(
 
 
 def _box(directions: np.ndarray, half: np.ndarray, periodic: bool) -> np.ndarray:
-    """Places complex points of a rectangle's boundary in the given directions; the nearest to each corner is put there."""
+    """Places complex points on a rectangle's boundary in given directions.
+
+    The nearest point to each corner is put on the corner.
+    """
     reach = np.minimum(half[0] / np.abs(np.real(directions)), half[1] / np.abs(np.imag(directions)))
     points = directions * reach
     corners = [complex(x, y) for x, y in half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])]
