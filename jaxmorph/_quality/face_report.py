@@ -76,7 +76,7 @@ class FaceQuality:
         return float(self._measure(name)[self.counted].max())
 
     def mean(self, name: str) -> float:
-        """Averages the measure called `name` by area or volume; non-orthogonality as checkMesh does."""
+        """Averages a measure by area or volume; non-orthogonality as checkMesh does."""
         if name == "non_orthogonality":
             return self.mean_non_orthogonality
         values, weight = self._measure(name)[self.counted], np.abs(self.volume[self.counted])

@@ -182,7 +182,7 @@ def _wake_strip(inner: np.ndarray, counts: Counts) -> np.ndarray:
 
 
 def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
-    """Makes the mesh of the C's nodes alone: upper wake and edge have the nodes of the lower wake."""
+    """Makes the mesh of the C's nodes alone; the upper wake has the nodes of the lower wake."""
     places = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
     places[0, -counts.wake - 1 :] = places[0, counts.wake :: -1]
     kept, ids = np.unique(places, return_inverse=True)
@@ -199,6 +199,8 @@ def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
 
 def _assemble(rays: np.ndarray, strip: np.ndarray, counts: Counts) -> jm.Mesh:
     """Makes the mesh of the C's nodes (normal + 1, rays, 2) and of the nodes between the wakes."""
+    # The C's nodes are numbered layer by layer from the wall, the strip's nodes follow. The strip
+    # behind the base has the innermost nodes of both wakes as its first and last line.
     ids = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
     between = ids.size + np.arange(strip.shape[0] * strip.shape[1]).reshape(strip.shape[:2])
     lower, upper = ids[0, counts.wake :: -1], ids[0, -counts.wake - 1 :]
