@@ -71,7 +71,7 @@ class InverseDistance(AbstractMethod):
         count = jnp.arange(len(surface)) < moving
         middle = jnp.sum(jnp.where(count[:, None], surface, 0), axis=0) / moving
         extent = root(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
-        extent = jnp.where(extent > 0, extent, 1)  # of one place: any length will do
+        extent = jnp.where(extent > 0, extent, 1)  # all nodes at one place: any length serves
         return _areas(faces, surface) if faces else jnp.ones(len(surface), surface.dtype), extent
 
     def field(self, ids, factors, surface, u):

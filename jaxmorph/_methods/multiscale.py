@@ -98,7 +98,7 @@ class Sweep(eqx.Module):
 class Hierarchy(eqx.Module):
     """The nearest node before each node, and the entries (row, column) of the system.
 
-    A node without a function has itself as the nearest one.
+    A node without a function is its own nearest node.
     """
 
     nearest: Int[Array, " b"]

@@ -180,7 +180,7 @@ def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[
 
 
 class WallRow(eqx.Module):
-    """Wall nodes of a point near a wall: nearest nodes in order, last one of another wall."""
+    """Wall nodes of a point near a wall: nearest nodes in order, then one of another wall."""
 
     nodes: Int[Array, "*n k"]
     reached: Bool[Array, "*n"]

@@ -1,6 +1,6 @@
 """Converters of the numbers of methods and bases to array leaves.
 
-A concrete number is checked, a traced one passes.
+A concrete number is checked, a traced number passes.
 """
 
 from collections.abc import Callable

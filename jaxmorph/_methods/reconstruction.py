@@ -21,8 +21,8 @@ class SurfaceReconstruction(AbstractPlacing):
     """Corrects a coarse field by its offset on the surface (eq. 5): the paper's method.
 
     u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine. The
-    surface is exact if the correction is exact on it. The correction is linear, so several steps of
-    it (section 3.2 of the paper) equal one.
+    surface is exact if the correction is exact on it. The correction is linear, so several steps
+    (section 3.2 of the paper) equal one step.
 
     **Arguments:**
 
@@ -42,7 +42,7 @@ class SurfaceReconstruction(AbstractPlacing):
     def published(cls, leaves: int = 64, fixed_leaves: int = 16) -> "SurfaceReconstruction":
         """Returns the paper's method: sources by a k-d tree, corrected by the Delaunay graph alone.
 
-        Its walls should be convex: a graph lays chords over concave ones.
+        Its walls should be convex: a graph lays chords over concave walls.
 
         **Arguments:**
 

@@ -121,7 +121,7 @@ def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Arra
     return _sum_p.bind(values, rows.weights, table.weights, *ids, turned=False, count=len(values))
 
 
-def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool, count: int):
+def _sum(values, weights, *table, turned: bool, count: int):
     """Sums weights[i, k] values[nodes[i, k]] over k for each row i.
 
     `turned`, it computes the transpose, for each column j.
@@ -130,7 +130,7 @@ def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool
     # has sorted the entries by column, in rows of fixed width. Each row is summed by gathers. The
     # rows of one column are neighbours, so that one sum over sorted segments adds them. Empty
     # places of the table have the weight 0.
-    k = weights.shape[1]
+    (sorted_weights, nodes, entries, owner), k = table, weights.shape[1]
     values = jax.lax.optimization_barrier(values)  # else what makes them is done again for each gather
     if not turned:
         return sum(weights[:, i, None] * _rows(values, nodes[:, i]) for i in range(k))

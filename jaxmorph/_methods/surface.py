@@ -83,7 +83,7 @@ class Surface:
     def once(self, key: Any, make: Callable[[], T]) -> T:
         """Makes a value that depends on the surface alone, once.
 
-        All surfaces `altered` from this one share it.
+        All surfaces that are `altered` from this surface share it.
 
         `key` names the value, with all that it depends on beside the surface.
         """

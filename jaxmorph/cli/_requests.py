@@ -12,7 +12,10 @@ from ._groups import WHAT_MOVES, Group, Job
 from ._parser import Fields, flag, part, positional, several, switch
 from ._parts import SEVERAL, Boundary, Gates, Method, Speech
 
-MESH = "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D (.xyz, .p3d), or an OpenFOAM case"
+MESH = (
+    "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med), PLOT3D (.xyz, .p3d), "
+    "or an OpenFOAM case"
+)
 
 
 def _output(name: str) -> Path:

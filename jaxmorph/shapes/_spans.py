@@ -77,29 +77,30 @@ class Blocks(eqx.Module):
         return _sum_p.bind(control, *jax.tree.leaves(self), turned=False, count=len(control))
 
 
-def _sum(values, outer, inner, controls, span, slot, point, *, turned: bool, count: int):
-    return (_turned if turned else _plain)(values, outer, inner, controls, span, slot, point, count)
+def _sum(values, *leaves, turned: bool, count: int):
+    blocks = Blocks(*leaves)
+    return _turned(values, blocks, count) if turned else _plain(values, blocks)
 
 
-def _plain(control, outer, inner, controls, span, slot, point, count):
-    (k, a, size), b, c = outer.shape, inner.shape[2], control.shape[1]
-    corners = control[controls].transpose(0, 2, 1, 3).reshape(len(controls), b, a * c)[span]
-    sums = jax.lax.dot_general(inner, corners, (((2,), (1,)), ((0,), (0,))))
-    total = functools.reduce(jnp.add, [outer[:, i, :, None] * sums[:, :, i * c : (i + 1) * c] for i in range(a)])
-    return total.reshape(k * size, c).at[slot].get(mode="promise_in_bounds", unique_indices=True)
+def _plain(control, blocks: Blocks):
+    (k, a, size), b, c = blocks.outer.shape, blocks.inner.shape[2], control.shape[1]
+    corners = control[blocks.controls].transpose(0, 2, 1, 3).reshape(len(blocks.controls), b, a * c)[blocks.span]
+    sums = jax.lax.dot_general(blocks.inner, corners, (((2,), (1,)), ((0,), (0,))))
+    total = functools.reduce(jnp.add, [blocks.outer[:, i, :, None] * sums[:, :, i * c : (i + 1) * c] for i in range(a)])
+    return total.reshape(k * size, c).at[blocks.slot].get(mode="promise_in_bounds", unique_indices=True)
 
 
-def _turned(cotangent, outer, inner, controls, span, slot, point, count):
+def _turned(cotangent, blocks: Blocks, count: int):
     # The transpose by blocks: cotangents of a block's points times both weights, summed over the
     # points by one product, then over the blocks of a span. Only the sums of spans are scattered,
     # to the control points.
-    (k, a, size), b, c = outer.shape, inner.shape[2], cotangent.shape[1]
-    columns = [cotangent[:, i].at[point].get(mode="promise_in_bounds").reshape(k, 1, size) for i in range(c)]
-    parts = (outer[:, :, None, :] * jnp.stack(columns, axis=2)).reshape(k, a * c, size)
-    sums = jax.lax.dot_general(parts, inner, (((2,), (1,)), ((0,), (0,)))).reshape(k, a * c * b)
-    spans = jax.ops.segment_sum(sums, span, len(controls), indices_are_sorted=True)
+    (k, a, size), b, c = blocks.outer.shape, blocks.inner.shape[2], cotangent.shape[1]
+    columns = [cotangent[:, i].at[blocks.point].get(mode="promise_in_bounds").reshape(k, 1, size) for i in range(c)]
+    parts = (blocks.outer[:, :, None, :] * jnp.stack(columns, axis=2)).reshape(k, a * c, size)
+    sums = jax.lax.dot_general(parts, blocks.inner, (((2,), (1,)), ((0,), (0,)))).reshape(k, a * c * b)
+    spans = jax.ops.segment_sum(sums, blocks.span, len(blocks.controls), indices_are_sorted=True)
     flat = spans.reshape(-1, a, c, b).swapaxes(2, 3).reshape(-1, c)
-    return jnp.zeros((count, c), flat.dtype).at[controls.ravel()].add(flat)
+    return jnp.zeros((count, c), flat.dtype).at[blocks.controls.ravel()].add(flat)
 
 
 _sum_p = linear_primitive(

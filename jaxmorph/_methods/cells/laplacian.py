@@ -1,4 +1,4 @@
-"""Laplace's equation for each component, and the biharmonic one (Helenbrook 2003)."""
+"""Laplace's equation and the biharmonic equation (Helenbrook 2003) for each component."""
 
 import equinox as eqx
 import jax

@@ -11,7 +11,7 @@ from .cells import AbstractCellMethod, all_pairs
 
 
 class SpringAnalogy(AbstractCellMethod):
-    """Holds each edge by a spring that acts alike in all directions (Batina 1990).
+    """Holds each edge by a spring that acts in all directions (Batina 1990).
 
     It needs the mesh's cells, of which it takes the edges alone.
 
@@ -99,7 +99,7 @@ def _triangle(corners: Float[Array, "3 2"], lineal: Float[Array, ""]) -> dict[tu
 def _tetrahedron(corners: Float[Array, "4 3"], lineal: Float[Array, ""]) -> dict[tuple[int, int], Float[Array, ""]]:
     """Computes the stiffness of a tetrahedron's six edges.
 
-    It has a lineal part, and one by the angle between the two faces opposite to the edge's ends.
+    The stiffness has a lineal part, and a part by the angle between the faces opposite to the ends.
     """
     parts = {}
     for i, j in all_pairs("tetra"):

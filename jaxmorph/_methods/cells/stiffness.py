@@ -33,7 +33,7 @@ class ByVolume(AbstractStiffness):
 
     **Arguments:**
 
-    - `exponent`: default 1. With 0 all cells are alike.
+    - `exponent`: default 1. With 0 all cells are equally stiff.
     """
 
     exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default_factory=lambda: np.asarray(1.0))

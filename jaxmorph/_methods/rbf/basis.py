@@ -80,7 +80,7 @@ class Gaussian(AbstractBasis):
 
     **Arguments:**
 
-    - `radius`: R in the mesh's units. A wide one makes the matrix ill-conditioned.
+    - `radius`: R in the mesh's units. A wide function makes the matrix ill-conditioned.
 
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """
@@ -96,7 +96,7 @@ class Multiquadric(AbstractBasis):
 
     **Arguments:**
 
-    - `radius`: R in the mesh's units. A wide one makes the matrix ill-conditioned.
+    - `radius`: R in the mesh's units. A wide function makes the matrix ill-conditioned.
 
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """

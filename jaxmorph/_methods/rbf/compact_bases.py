@@ -85,7 +85,7 @@ class WendlandC2(AbstractCompactBasis):
 
     **Arguments:**
 
-    - `support_radius`: R in the mesh's units. A larger one gives a smoother motion, and a worse
+    - `support_radius`: R in the mesh's units. A larger radius gives a smoother motion, and a worse
       condition.
 
     **Raises:** `ValueError` for a radius that is not positive and finite.

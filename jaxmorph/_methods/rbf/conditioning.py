@@ -24,7 +24,7 @@ USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
 """Relative changes of displacements by rounding: an error, a warning, one in float32."""
 
 NEAR = 1e-3
-"""Distance of two sources, relative to those around them, below which `prepare` warns of them."""
+"""Distance of two sources, relative to the distance of sources around, that is worth a warning."""
 
 
 def is_noticeable(error: float, dtype) -> bool:

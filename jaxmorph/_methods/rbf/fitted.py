@@ -34,7 +34,7 @@ class FittedRBF(AbstractMethod):
     It is a coarse field, made to be corrected.
 
     `RBF` takes the wall's displacement u at its sources. This method chooses the values v at the
-    moving sources; those at the fixed ones are u. The field c_v is then the best fit, in least
+    moving sources; at the fixed sources v is u. The field c_v is then the best fit, in least
     squares over nodes i and edges e of the moving walls:
 
         mean_i |c_v - u|^2  +  mean_e mu^2 |d/ds (c_v - u)|^2  +  mean_e ell^2 2 |dev sym grad c_v|^2
@@ -53,8 +53,8 @@ class FittedRBF(AbstractMethod):
 
     A thin plate spline turns abruptly behind a sharp trailing edge, within the first cell there. So
     in 2-D a sharp tip of a wall has a fixed source behind it: its displacement is the wall's own,
-    continued straight on. Six moving ones stand beside it, at 0.002 to 0.032 of the chord: cells
-    there are so small that a wavy field inverts them. Tips of less than 60 degrees are sharp.
+    continued straight on. Six moving sources stand beside the tip, at 0.002 to 0.032 of the chord.
+    Cells there are so small that a wavy field inverts them. Tips of less than 60 degrees are sharp.
 
     A free side is a side of the mesh that is neither moving, fixed nor a symmetry plane. A field
     that turns with the body would carry it out of its plane. A mesh with a free side gets the
@@ -63,13 +63,13 @@ class FittedRBF(AbstractMethod):
 
     **Arguments:**
 
-    - `rbf`: basis and sources. By default the moving sources are those of 16 leaves of a k-d tree,
+    - `rbf`: basis and sources. The default moving sources are those of 16 leaves of a k-d tree,
       32 if another boundary is near, and then the nodes farthest from them: 84 in 2-D, 400 in 3-D.
-    - `ell`: the length that weighs strain, in the mesh's units. A large one keeps the wall's lines
-      at right angles, a small one follows the skin. It is nowhere more than 0.05 of the distance to
-      the nearest node that is held or of another wall. Default 0.17 of each wall's mean chord, half
-      of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07 of half of the
-      wall's area over its span.
+    - `ell`: the length that weighs strain, in the mesh's units. A large length keeps the wall's
+      lines at right angles, a small length follows the skin. It is nowhere more than 0.05 of the
+      distance to the nearest node that is held or of another wall. Default 0.17 of each wall's mean
+      chord, half of its perimeter, but at most 2.25 of its mean thickness. In 3-D it is 0.07 of
+      half of the wall's area over its span.
     - `mu`: the length that weighs the slope along the wall, in the mesh's units. Default 0.1 of
       each wall's mean chord, and 0.5 within 0.03 chords of a sharp tip. In 3-D it is 0.4.
 

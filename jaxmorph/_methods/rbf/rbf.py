@@ -37,7 +37,7 @@ class RBF(AbstractMethod):
     """Interpolates by radial basis functions: c(x) = p(x) + sum_j beta_j phi(|x - x_j|), eq. (1).
 
     A source x_j is a node of the surface that carries a function: a control point, or centre, of
-    the field. Moving and fixed nodes are reduced to sources apart. With `AllPoints()` for both
+    the field. Moving and fixed nodes are reduced to sources separately. With `AllPoints()` for both
     reductions it is the classic method, exact on the surface. With fewer sources the surface
     follows approximately, and fixed nodes that are no sources move too; `SurfaceReconstruction`
     adds what is missing.

@@ -49,8 +49,8 @@ class Iterative(AbstractSolver):
       least in single precision.
     - `neighbours`: sources in each function's small system. More of them take fewer products, and
       more time and memory to prepare. Default 100.
-    - `dense`: the number of first sources that are solved densely. Default None: a sixth of them,
-      but 1,000 at least and 6,000 at most.
+    - `dense`: the number of first sources that are solved densely. Default None: a sixth of all
+      sources, but 1,000 at least and 6,000 at most.
 
     **Raises:** `ValueError` for a tolerance that is not between 0 and 1, and for fewer than 8
     neighbours or dense sources.

@@ -82,6 +82,6 @@ def symmetric_kernel_sum(
         back = jnp.where(i == j, 0, few_rows_times_transposed(split[:, j], kernel))
         return total.at[:, j].add(there).at[:, i].add(back), None
 
-    pairs = tuple(jnp.asarray(each, jnp.int32) for each in np.triu_indices(blocks))
+    pairs = tuple(jnp.asarray(ids, jnp.int32) for ids in np.triu_indices(blocks))
     total, _ = jax.lax.scan(step, jnp.zeros_like(split), pairs)
     return total.reshape(columns, -1)[:, :count]

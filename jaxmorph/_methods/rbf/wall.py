@@ -47,8 +47,8 @@ class WallIds(eqx.Module):
 
     - `moving`, `fixed`: the sources.
     - `nodes`, `edges`: rows and pairs of rows at which the field follows the wall.
-    - `held`: for each edge the nearest row that is fixed or of another wall, the edge's first one
-      where there is none.
+    - `held`: for each edge the nearest row that is fixed or of another wall, else the edge's first
+      row.
     - `ends`: for each edge two ends of its wall.
     - `far`: fixed sources so far away that more of them rest nearer to the walls, at the share
       `reach` of the way to them.
