@@ -25,10 +25,7 @@ from .._quality.wall_quality import wall_quality
 from .methods import METHODS
 
 MOST_POINTS = {2: 100_000, 3: 40_000}
-"""Points of a mesh, by dimension, up to which methods on its cells are tried.
-
-A trial takes some ten seconds.
-"""
+"""Points of a mesh, by dimension, up to which methods on its cells are tried."""
 
 MOST_PAIRS = 300_000_000
 """Points times nodes of the surface up to which inverse distances are tried."""

@@ -22,10 +22,7 @@ FAR_FIELD = jm.KDTree(2)
 """Six sources on the paper's far field."""
 
 LEAVES = (1, 2, 4, 8)
-"""Leaves of the wall's trees to compare, with four sources a leaf.
-
-The first number is the paper's.
-"""
+"""Leaves of the wall's trees to compare, with four sources a leaf."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,20 +135,14 @@ def _march(plan: jm.Plan, path: np.ndarray, rebuild: bool) -> tuple[Any, Any]:
 
 
 def rotation(points: np.ndarray, degrees: float) -> np.ndarray:
-    """Computes the displacements (m, 2) that turn points nose up about the quarter chord.
-
-    The sense is clockwise.
-    """
+    """Computes the displacements (m, 2) that turn points nose up about the quarter chord."""
     angle = -np.deg2rad(degrees)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return (points - QUARTER_CHORD) @ turn.T + QUARTER_CHORD - points
 
 
 def near_wall(mesh: jm.Mesh) -> np.ndarray:
-    """Lists cells in the inner 40 % of the layers round the airfoil, without the wake.
-
-    They are 160 x 60 on the paper's mesh.
-    """
+    """Lists cells in the inner 40 % of the layers round the airfoil, without the wake."""
     quads, wall = mesh.cells["quad"], mesh.patch("airfoil")
     wake, columns = wall[0], quads[0, 3] - 1
     base = len(wall) - (columns - 2 * wake)

@@ -29,10 +29,7 @@ REDUCED = ("#08306b", "#2171b5", "#6baed6", "#9ecae1")
 
 
 def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"]) -> None:
-    """Draws the deformed meshes of some methods side by side.
-
-    The whole airfoil is above, trailing edge and wake are below.
-    """
+    """Draws the deformed meshes of some methods side by side."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(13.33, 7.5), dpi=150, layout="constrained")
         axes = figure.subplots(2, len(outcomes), squeeze=False)

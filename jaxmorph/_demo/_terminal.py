@@ -38,10 +38,7 @@ def _silent(what: str) -> None:
 
 
 def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> str:
-    """Formats rows with a rule under the heads.
-
-    The first column is aligned to the left, all others to the right.
-    """
+    """Formats rows with a rule under the heads."""
     everything = [*heads, *rows]
     widths = [max(map(len, column)) for column in zip(*everything, strict=True)]
     lines = []

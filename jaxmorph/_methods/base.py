@@ -156,10 +156,7 @@ class AbstractMethod(Module):
 
 
 def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:
-    """Raises `ValueError` for an argument that is not an object of its kind.
-
-    The message has the call to make.
-    """
+    """Raises `ValueError` for an argument that is not an object of its kind."""
     if isinstance(value, kind) or (optional and value is None):
         return
     what = kind.__name__.removeprefix("Abstract").lower()

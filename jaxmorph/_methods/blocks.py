@@ -45,10 +45,7 @@ def carry_points(
     factors: PyTree,
     surface: Float[Array, "b d"],
 ) -> PyTree:
-    """Changes every point's place by the method's `carry_place`.
-
-    `rows` are points, ids, and their places.
-    """
+    """Changes every point's place by the method's `carry_place`."""
     points, ids, placed = rows
     if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return placed
@@ -60,10 +57,7 @@ def carry_points(
 
 
 def _mapped(function: Callable[..., PyTree], rows: tuple) -> PyTree:
-    """Applies a function of one point's rows to all points, in blocks.
-
-    Nothing of it is stored for the derivatives.
-    """
+    """Applies a function of one point's rows to all points, in blocks."""
     place = jax.checkpoint(jax.vmap(function))
     return by_platform(lambda rows, block: _placed(place, rows, block), rows, BLOCK)
 
@@ -139,10 +133,7 @@ def _joined(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> P
 
 
 def _add_rows(whole: Array, part: Array, start: Int[Array, ""]) -> Array:
-    """Adds rows to an array in place.
-
-    The transpose of an addition reads; that of a replacement also copies and clears.
-    """
+    """Adds rows to an array in place."""
     window = jax.lax.ScatterDimensionNumbers(
         update_window_dims=tuple(range(part.ndim)), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
     )
@@ -162,10 +153,7 @@ def is_rows(leaf: object) -> bool:
 
 
 def with_tables(placed: PyTree, count: int, parts: int = 1) -> PyTree:
-    """Gives each operator in `placed` a table of its transpose, on the host.
-
-    The table is for `count` surface nodes and `parts` devices.
-    """
+    """Gives each operator in `placed` a table of its transpose, on the host."""
     return _map_rows_of(lambda rows: rows.with_table(count, parts), placed)
 
 

@@ -116,10 +116,7 @@ class MultiscaleFactors(eqx.Module):
 
 
 def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b d"]) -> Float[Array, "b d"]:
-    """Solves for the functions' coefficients by a forward substitution.
-
-    The derivative and the transpose are such sweeps too.
-    """
+    """Solves for the functions' coefficients by a forward substitution."""
 
     def product(c):
         reached = entries[:, None] * c[ids.column]
@@ -154,10 +151,7 @@ def _swept(
 
 
 def _wendland(squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Evaluates the basis at a distance relative to the radius.
-
-    A radius of zero stands for no function and no entry.
-    """
+    """Evaluates the basis at a distance relative to the radius."""
     positive = squared_radius > 0
     return WendlandC2(1.0)(squared_distance / jnp.where(positive, squared_radius, 1))
 

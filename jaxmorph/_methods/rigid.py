@@ -16,10 +16,7 @@ from .numbers import length
 from .surface import Surface
 
 REFINED = 2
-"""Newton steps after the eigenvector: its derivatives come from them.
-
-They are right where other eigenvalues are equal, too.
-"""
+"""Newton steps after the eigenvector: its derivatives come from them."""
 
 
 class RigidBlend(AbstractMethod):

@@ -34,10 +34,7 @@ class Searched(eqx.Module):
 
 
 def squared_distance(a: Float[Array, "*k d"], b: Float[Array, "*m d"]) -> Float[Array, "*n"]:
-    """Computes squared distances without a derivative, component by component.
-
-    No array of differences is stored.
-    """
+    """Computes squared distances without a derivative, component by component."""
     a, b = jax.lax.stop_gradient((a, b))
     first, *others = ((a[..., axis] - b[..., axis]) ** 2 for axis in range(a.shape[-1]))
     return sum(others, start=first)

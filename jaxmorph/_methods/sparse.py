@@ -89,10 +89,7 @@ def _rounded(rows: int) -> int:
 
 
 class InterpolatedField(AbstractField):
-    """Interpolates displacements between surface nodes (eq. 8).
-
-    The weights are those of `method.place`.
-    """
+    """Interpolates displacements between surface nodes (eq. 8)."""
 
     method: AbstractPlacing
     factors: PyTree

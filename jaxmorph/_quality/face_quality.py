@@ -154,10 +154,7 @@ def _of_shape(
 def _across(
     block: Block, centre: Columns, area: Columns, middle: Columns, points: Columns
 ) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, " b"]]:
-    """Computes the skewness of faces, and cosines of area vectors with lines of centres.
-
-    The cosine is 1 without a line.
-    """
+    """Computes the skewness of faces, and cosines of area vectors with lines of centres."""
     owner, behind = block.owner, block.behind
     arm, size = _arm(centre, middle, owner), _size(area)
     across = [m.take(behind) - m.take(owner) for m in middle]  # anything where there is no cell behind

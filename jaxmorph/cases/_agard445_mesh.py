@@ -226,10 +226,7 @@ def _set_sizes(field: Any, sizes: Sizes, wing: list[int], edges: dict[str, list[
 
 
 def _read(mesh: Any, volume: int, patches: dict[str, list[int]]) -> dict[str, np.ndarray]:
-    """Reads coordinates and ids of nodes that tetrahedra use.
-
-    The centre of the sphere and points of the contours are not among them.
-    """
+    """Reads coordinates and ids of nodes that tetrahedra use."""
     tags, coordinates, _ = mesh.getNodes()
     tetra = mesh.getElementsByType(4, volume)[1].astype(np.int64).reshape(-1, 4)
     place = np.full(int(tags.max()) + 1, -1)

@@ -98,10 +98,7 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
 
 
 def _divided(points: np.ndarray, layers: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Divides bricks (k, 8) into cells of each type.
-
-    Where pyramids need them, the middles of bricks become points.
-    """
+    """Divides bricks (k, 8) into cells of each type."""
     cells = {}
     for kind, corners in layers.items():
         if kind == "pyramid":

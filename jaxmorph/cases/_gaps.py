@@ -1,7 +1,4 @@
-"""Walls that nearly touch: a valve, a blade's tip, bodies in a box.
-
-All are grids from which bodies are cut.
-"""
+"""Walls that nearly touch: a valve, a blade's tip, bodies in a box."""
 
 from collections.abc import Mapping, Sequence
 
@@ -136,10 +133,7 @@ def bodies(
 
 
 def _cut(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
-    """Makes the grid between axes without cells whose middle is solid.
-
-    The last axis runs fastest.
-    """
+    """Makes the grid between axes without cells whose middle is solid."""
     ids = ids_of(*map(len, axes))
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     cells = quads(ids) if len(axes) == 2 else hexahedra(ids)

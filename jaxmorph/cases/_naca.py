@@ -74,10 +74,7 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
 
 
 def _section(camber: float, place: float, thickness: float, last: float, t: np.ndarray) -> np.ndarray:
-    """Computes the contour, x = t^2 along the chord: t < 0 below, t > 0 above.
-
-    Report 460, pages 4 and 5.
-    """
+    """Computes the contour, x = t^2 along the chord: t < 0 below, t > 0 above."""
     x = t**2
     half = 5 * thickness * (0.2969 * np.abs(t) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - last * x**4)
     line, slope = np.zeros_like(x), np.zeros_like(x)

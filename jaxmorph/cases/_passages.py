@@ -60,10 +60,7 @@ def cascade(
 
 
 def _box(directions: np.ndarray, half: np.ndarray, periodic: bool) -> np.ndarray:
-    """Places complex points on a rectangle's boundary in given directions.
-
-    The nearest point to each corner is put on the corner.
-    """
+    """Places complex points on a rectangle's boundary in given directions."""
     reach = np.minimum(half[0] / np.abs(np.real(directions)), half[1] / np.abs(np.imag(directions)))
     points = directions * reach
     corners = [complex(x, y) for x, y in half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])]

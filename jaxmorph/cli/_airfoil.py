@@ -15,10 +15,7 @@ CHORD = ("nose", "tail", "up")
 
 
 def bumps(flag: str, source: str, mesh: Mesh, patches: tuple[str, ...]) -> dict[str, tuple[shapes.Chain, Any]]:
-    """Makes the shape of `--hicks-henne`: lists of [centre, height] by side.
-
-    It raises `ValueError` for anything else.
-    """
+    """Makes the shape of `--hicks-henne`: lists of [centre, height] by side."""
     table = _table(flag, source, ("width",))
     bumps = {side: _numbers(flag, table, side, (None, 2)) for side in SIDES if side in table}
     width = table.get("width", 3.0)
@@ -31,10 +28,7 @@ def bumps(flag: str, source: str, mesh: Mesh, patches: tuple[str, ...]) -> dict[
 def class_functions(
     flag: str, source: str, mesh: Mesh, patches: tuple[str, ...]
 ) -> dict[str, tuple[shapes.Chain, Any]]:
-    """Makes the shape of `--cst`: weights and the ordinate of the edge by side.
-
-    It raises `ValueError` for anything else.
-    """
+    """Makes the shape of `--cst`: weights and the ordinate of the edge by side."""
     table = _table(flag, source, ("exponents",))
     numbers = {side: _numbers(flag, table, side, (None,)) for side in SIDES if side in table}
     if any(len(weights) < 3 for weights in numbers.values()):

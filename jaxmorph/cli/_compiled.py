@@ -50,10 +50,7 @@ def keep_compiled() -> None:
 
 
 def _machine() -> str:
-    """Names the kind of processor.
-
-    Machines that share a home folder may not run each other's code.
-    """
+    """Names the kind of processor."""
     facts = [platform.machine(), platform.processor()]
     try:
         lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()

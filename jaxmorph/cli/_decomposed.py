@@ -23,10 +23,7 @@ from ._tables import faults, gate_facts, gate_table, table
 from ._told import check_files, described, write_job
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
-"""Variables that count the processes that mpiexec or srun started together.
-
-The launcher's own variables are first.
-"""
+"""Variables that count the processes that mpiexec or srun started together."""
 
 STARTED = (*COUNTS, "MPI_LOCALNRANKS", "PMIX_RANK", "PMI_RANK")
 """Variables that mpiexec and srun leave in the environment of the processes that they start."""

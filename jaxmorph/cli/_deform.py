@@ -127,10 +127,7 @@ def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, j
 
 @dataclasses.dataclass(frozen=True)
 class WallNumber:
-    """One number of the first grid line at the moving wall, before and after.
-
-    `place` is where an extreme is.
-    """
+    """One number of the first grid line at the moving wall, before and after."""
 
     name: str
     label: str

@@ -19,10 +19,7 @@ from ._requests import COMMANDS, Request
 
 
 def answer(words: Sequence[str], *, is_own: bool = False) -> int:
-    """Runs one command and returns its exit status, as `main` does.
-
-    `is_own` is True where the process has nothing else to do.
-    """
+    """Runs one command and returns its exit status, as `main` does."""
     top, parsers = parser(is_short="--help-all" not in words and "_ARGCOMPLETE" not in os.environ)
     _complete(top)
     if not words:

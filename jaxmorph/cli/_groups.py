@@ -82,10 +82,7 @@ def _angle(what: str, **settings: Any) -> Any:
 
 @dataclasses.dataclass
 class Group:
-    """Patches that move and their motion: `--moving` and the flags after it.
-
-    `flags` are the flags that have been read.
-    """
+    """Patches that move and their motion: `--moving` and the flags after it."""
 
     SECTION: ClassVar = "motion of the patches of the last --moving (one at least)"
 

@@ -1,7 +1,4 @@
-"""Job files: the flags of `jaxmorph deform` as TOML.
-
-They are read into flags, so one parser checks both.
-"""
+"""Job files: the flags of `jaxmorph deform` as TOML."""
 
 import argparse
 import dataclasses
@@ -200,10 +197,7 @@ def _is_said(key: Key, value: Any) -> bool:
 
 
 def _seen(key: Key, value: Any, folder: Path) -> Any:
-    """Makes the paths of a value relative to a folder, unless they are absolute.
-
-    A box in JSON becomes a table.
-    """
+    """Makes the paths of a value relative to a folder, unless they are absolute."""
     if key.name == "mode":
         return [(_seen(MOTION["displacement"], file, folder), amplitude) for file, amplitude in value]
     if key.kind not in ("path", "table"):

@@ -90,10 +90,7 @@ class Judged:
 
     @property
     def spoilt(self) -> np.ndarray:
-        """Ids of the cells that the motion has inverted, the worst first.
-
-        Without a motion they are all inverted cells.
-        """
+        """Ids of the cells that the motion has inverted, the worst first."""
         lost = self.inverted & ~self._old if self.by_faces else self._lost
         worst = self.report.worst(len(self.counted)) if lost.any() else np.zeros(0, dtype=int)
         return worst[lost[worst]]

@@ -192,10 +192,7 @@ def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
 
 
 def _symmetry(mesh: jm.Mesh, lists: set[str], planes: list[jm.Plane], file: object) -> tuple[list[str], list[jm.Plane]]:
-    """Lists the file's symmetry patches that are in no other list, and their planes.
-
-    They have to go with the other `planes`.
-    """
+    """Lists the file's symmetry patches that are in no other list, and their planes."""
     names, lying = [], []
     for name in io.symmetry(mesh):
         with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide

@@ -85,10 +85,7 @@ def _cases(request: Modes) -> list[Case]:
 
 
 def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
-    """Looks up the patches, before any work.
-
-    It raises `ValueError` for a request that is sure to fail.
-    """
+    """Looks up the patches, before any work."""
     patches = patches_of(request, mesh)
     if not np.isfinite(request.amplitude).all():
         raise ValueError("--amplitude needs finite numbers.")

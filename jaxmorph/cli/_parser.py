@@ -48,10 +48,7 @@ def part(fields: Fields) -> Any:
 
 
 def several(fields: Fields) -> Any:
-    """Makes a field for any number of instances of a dataclass of flags.
-
-    The actions of its flags list the instances in the namespace by the field's name.
-    """
+    """Makes a field for any number of instances of a dataclass of flags."""
     return dataclasses.field(default=(), metadata={"several": fields})
 
 
@@ -123,10 +120,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def one_of(kind: str, words: Iterable[str]) -> Callable[[str], str]:
-    """Makes the type of a flag whose value is one of some words.
-
-    Its error suggests the word that was perhaps meant.
-    """
+    """Makes the type of a flag whose value is one of some words."""
     known = tuple(words)
 
     def chosen(word: str) -> str:

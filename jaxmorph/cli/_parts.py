@@ -11,10 +11,7 @@ SEVERAL: dict[str, Any] = {"metavar": "NAME", "nargs": "+", "default": ()}
 """Settings of flags of several patches."""
 
 PRESETS = {"checkmesh": {"max_face_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
-"""Limits of OpenFOAM's checkMesh.
-
-Its names are `primitiveMesh::aspectThreshold_`, `nonOrthThreshold_` and `skewThreshold_`.
-"""
+"""Limits of OpenFOAM's checkMesh."""
 
 NAMES = [entry.name for entry in METHODS]
 

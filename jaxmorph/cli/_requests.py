@@ -1,7 +1,4 @@
-"""The request of each command: its flags as fields.
-
-The parser, job files and pages of help are built from the requests.
-"""
+"""The request of each command: its flags as fields."""
 
 import argparse
 import dataclasses

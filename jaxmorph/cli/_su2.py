@@ -27,10 +27,7 @@ SOURCES = {
     "VOLUME_SENS_FILENAME": "volume_sens",
     "SURFACE_SENS_FILENAME": "surface_sens",
 }
-"""Options that name a file of sensitivities, and SU2's default names.
-
-The first file that is there is read.
-"""
+"""Options that name a file of sensitivities, and SU2's default names."""
 
 
 def run(request: SU2, out: Output) -> int:

@@ -52,10 +52,7 @@ class Number:
 
 @dataclasses.dataclass(frozen=True)
 class Gate:
-    """A limit by the name of its flag, the extreme, and the cells beyond the limit.
-
-    `beyond` is their number, `worst` are the worst of them.
-    """
+    """A limit by the name of its flag, the extreme, and the cells beyond the limit."""
 
     flag: str
     limit: float
@@ -105,10 +102,7 @@ class Summary:
 
     @classmethod
     def from_judged(cls, judged: Judged, limits: Mapping[str, float], part: int | None = None) -> "Summary":
-        """Sums up a mesh, or part number `part`.
-
-        It raises `ValueError` for a limit on a measure that the cells do not have.
-        """
+        """Sums up a mesh, or part number `part`."""
         gates = tuple(Gate.from_judged(judged, flag, limit, part) for flag, limit in limits.items())
         spoilt = judged.spoilt
         number = "pyramid" if judged.by_faces else "jacobian_ratio"

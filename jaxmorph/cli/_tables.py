@@ -19,10 +19,7 @@ def steepest(slopes: np.ndarray) -> np.ndarray:
 
 
 def table(before: Summary | None, after: Summary, more: Sequence[str] = ()) -> str:
-    """Formats the numbers of a mesh, or before and after a motion, with the worst cells.
-
-    `more` rows come last.
-    """
+    """Formats the numbers of a mesh, or before and after a motion, with the worst cells."""
     parts = f" in {after.parts} parts" if after.parts else ""
     note = f", {after.degenerate} degenerate from the start" if after.degenerate else ""
     lines = [f"quality of {after.cells} cells{parts}, inverted by {after.rule}{note}"]

@@ -52,25 +52,22 @@ def animate(
 ) -> pathlib.Path:
     """Makes a film of a mesh that moves, one picture for each frame.
 
-    An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"),
-    plot.swing(mesh.points, extreme))`. All frames are seen as the first one is; in 3-D with room
-    for the others unless `draw` places the camera. The size is that of the figure or of the
-    plotter's window. A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the
-    system's or imageio-ffmpeg's.
+    An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"), plot.swing(mesh.points, extreme))`.
+    All frames are seen as the first one is; in 3-D with room for the others unless `draw` places the camera. The size is that of
+    the figure or of the plotter's window. A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the system's
+    or imageio-ffmpeg's.
 
     **Arguments:**
 
     - `path`: the file to write, ending in .gif or .mp4.
-    - `draw`: makes the picture of points (n, d), and returns its axes or its plotter, as all
-      pictures here do.
+    - `draw`: makes the picture of points (n, d), and returns its axes or its plotter, as all pictures here do.
     - `frames`: points (n, d) at successive times, as `swing` or `march` give them; 2 or more.
     - `rate`: frames a second. Default 12.
 
     **Returns:** the path of the file, which is there whole or not at all.
 
-    **Raises:** `ValueError` for another ending, a folder that is not there, and a rate that is not
-    positive. Also for fewer than 2 frames, or frames of different shapes. `ImportError` for what is
-    missing.
+    **Raises:** `ValueError` for another ending, a folder that is not there, and a rate that is not positive. Also for fewer than
+    2 frames, or frames of different shapes. `ImportError` for what is missing.
     """
     path = output_path(path, ".gif", ".mp4")
     frames = [np.asarray(points) for points in frames]

@@ -50,25 +50,24 @@ def page(
 ) -> pathlib.Path:
     """Makes an interactive page (.html) of the outside of a 3-D mesh, or of one patch, with a slider from undeformed to deformed.
 
-    Any browser with WebGL opens it from disk, without a network: all it needs is in the one file,
-    1.2 MB more than the surface takes. The mouse turns, moves and zooms. Between the two ends of
-    the slider nodes go in straight lines.
+    Any browser with WebGL opens it from disk, without a network: all it needs is in the one file, 1.2 MB more than the surface
+    takes. The mouse turns, moves and zooms. Between the two ends of the slider nodes go in straight lines.
 
     **Arguments:**
 
     - `path`: the file to write, ending in .html.
     - `mesh`: the undeformed mesh.
     - `points`: deformed positions (n, 3) of its nodes.
-    - `values`: one for each cell, which colours it wherever the slider stands. Default: the length
-      of each node's displacement, in the mesh's units.
+    - `values`: one for each cell, which colours it wherever the slider stands. Default: the length of each node's
+      displacement, in the mesh's units.
     - `limits`: the values at the light and at the dark end of the colours, as in `mesh`.
     - `label`: names the values.
     - `patch`: the patch to show. Default: the whole outside.
 
     **Returns:** the path of the file, which is there whole or not at all.
 
-    **Raises:** `ValueError` as `surface` does, and for another ending or a folder that is not
-    there. `ImportError` where k3d is missing.
+    **Raises:** `ValueError` as `surface` does, and for another ending or a folder that is not there. `ImportError` where k3d is
+    missing.
     """
     path = output_path(path, ".html", ".htm")
     try:

@@ -47,21 +47,18 @@ def mesh(
 
     - `mesh`: a mesh in 2-D.
     - `points`: positions (n, 2) of its nodes; the mesh's own by default.
-    - `values`: one for each cell, as `quality` gives. Where the file has polyhedra or polygons, one
-      for each whole cell will do, as `face_quality` gives. Without values only the lines are drawn.
-    - `limits`: the values at the light and at the dark end of the colours; (1, 0) for a measure
-      that is small where cells are bad.
+    - `values`: one for each cell, as `quality` gives. Where the file has polyhedra or polygons, one for each whole cell will do, as
+      `face_quality` gives. Without values only the lines are drawn.
+    - `limits`: the values at the light and at the dark end of the colours; (1, 0) for a measure that is small where cells are bad.
     - `label`: what the values are, beside the colour bar.
-    - `bar`: False leaves out the colour bar. For several axes that share one:
-      `figure.colorbar(ax.collections[0], ax=axes)`.
-    - `window`: ((left, right), (bottom, top)); by default the bodies and some room round them.
-      `whole(mesh.points)` shows all.
+    - `bar`: False leaves out the colour bar. For several axes that share one: `figure.colorbar(ax.collections[0], ax=axes)`.
+    - `window`: ((left, right), (bottom, top)); by default the bodies and some room round them. `whole(mesh.points)` shows all.
     - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes.
 
-    **Raises:** `ValueError` for a mesh in 3-D, for points of another shape than the mesh's, for
-    another number of values than of cells, and for a `label` without values.
+    **Raises:** `ValueError` for a mesh in 3-D, for points of another shape than the mesh's, for another number of values than of
+    cells, and for a `label` without values.
     """
     corners = _corners(mesh, points)
     if values is None and label is not None:
@@ -124,10 +121,8 @@ def graph(
 
     - `plan`: a plan in 2-D, with any method.
     - `u`: displacements (m, 2) of the moving nodes. Default None: the undeformed graph.
-    - `window`: ((left, right), (bottom, top)); the moving nodes and some room by default.
-      `whole(plan.points)` shows all.
-    - `interior`: True shows the nodes of the volume too, where the plan's method puts them. Default
-      False.
+    - `window`: ((left, right), (bottom, top)); the moving nodes and some room by default. `whole(plan.points)` shows all.
+    - `interior`: True shows the nodes of the volume too, where the plan's method puts them. Default False.
     - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes `ax`, or new ones.

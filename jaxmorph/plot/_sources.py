@@ -31,17 +31,15 @@ def sources(
 
     - `surface`: a plan, whose own sources and boxes are shown; or points (m, 2).
     - `reduction`: chooses the sources among points; not for a plan, which has its own.
-    - `fixed`: True shows the sources and boxes of a plan's fixed nodes too. They may be far away.
-      Default False.
-    - `search_points`: True marks the places in each box at which a source was looked for. Default
-      False.
+    - `fixed`: True shows the sources and boxes of a plan's fixed nodes too. They may be far away. Default False.
+    - `search_points`: True marks the places in each box at which a source was looked for. Default False.
     - `window`: ((left, right), (bottom, top)); all that is drawn by default.
     - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes.
 
-    **Raises:** `ValueError` for points in 3-D, for a plan whose method has no radial basis
-    functions, for points without a `reduction` and for a plan with one.
+    **Raises:** `ValueError` for points in 3-D, for a plan whose method has no radial basis functions, for points without a
+    `reduction` and for a plan with one.
     """
     picture = _picture(surface, reduction, fixed, dimension=2)
     ax = given_or_new(ax)
@@ -77,8 +75,7 @@ def sources_3d(
     **Arguments:**
 
     - `surface`, `reduction`, `fixed`, `search_points`: those of `sources`, in 3-D.
-    - `plotter`: pyvista's; a new one by default. A plotter from `plot.surface` shows the sources on
-      the body.
+    - `plotter`: pyvista's; a new one by default. A plotter from `plot.surface` shows the sources on the body.
 
     **Returns:** the plotter, or a new one, off screen.
 

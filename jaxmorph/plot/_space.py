@@ -43,8 +43,7 @@ def surface(
 ) -> Any:
     """Draws the outside of a 3-D mesh, or one patch of it, each face coloured by the value of its cell.
 
-    A surface without values is lit. With values it is not, so that its colours are those of the
-    bar.
+    A surface without values is lit. With values it is not, so that its colours are those of the bar.
 
     **Arguments:**
 
@@ -52,11 +51,9 @@ def surface(
     - `patch`: the patch to draw. Default: the whole outside.
     - `plotter`: pyvista's; a new one, off screen, by default.
 
-    **Returns:** the plotter, or a new one, off screen: `plotter.screenshot(path)` writes the
-    picture.
+    **Returns:** the plotter, or a new one, off screen: `plotter.screenshot(path)` writes the picture.
 
-    **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, for a `patch` that is not known, and
-    where there is no face.
+    **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, for a `patch` that is not known, and where there is no face.
     """
     return _draw(outside(mesh, points, values, patch), limits, label, bar, plotter)
 
@@ -123,8 +120,7 @@ def cut(
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
     """Returns the outer faces, or the faces of a patch, for pyvista; `node` is the id of each point.
 
-    VTK's own filter does it: pyvista has called it by several names. `ValueError` where there are
-    none.
+    VTK's own filter does it: pyvista has called it by several names. `ValueError` where there are none.
     """
     from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
 
@@ -211,8 +207,7 @@ def whole_view(
 ) -> Float[np.ndarray, " 10"]:
     """Places a camera: its position, what it looks at, upwards, half the height that it sees.
 
-    It has no perspective. All points are in a window of this width and height, left of a share
-    `kept` of the width.
+    It has no perspective. All points are in a window of this width and height, left of a share `kept` of the width.
     """
     axes = np.stack(view_axes(viewer))
     seen = points @ axes.T

@@ -10,10 +10,7 @@ SAME = 1e-9
 """Distance in chords within which two nodes stand at one place."""
 
 TIE = 1e-12
-"""Difference in chords within which two tours are equally long.
-
-The node that comes first is then taken.
-"""
+"""Difference in chords within which two tours are equally long."""
 
 AT = 1e-3
 """Share of an edge within which the nose or the tail is the node at its end."""

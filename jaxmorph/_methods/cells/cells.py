@@ -179,10 +179,7 @@ def _of_kind(corners, entry, flipped) -> CellIds:
 
 
 def _frame(normals: np.ndarray) -> np.ndarray:
-    """Completes the normals of planes to axes, the columns of a matrix.
-
-    Normals are parallel or at right angles.
-    """
+    """Completes the normals of planes to axes, the columns of a matrix."""
     d = normals.shape[1]
     axes: list[np.ndarray] = []
     for direction in (*normals, *np.eye(d)):

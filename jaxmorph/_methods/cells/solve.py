@@ -76,10 +76,7 @@ def symmetric_product(pairs, values, diagonal, x: Float[Array, "n d"]) -> Float[
 
 
 def solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves for the free unknowns on the host.
-
-    The derivatives are products and solves of the same kind.
-    """
+    """Solves for the free unknowns on the host."""
     free = ids.free
 
     def times(x):

@@ -73,10 +73,7 @@ def _system_rows(expansion: Expansion, sources, scale, points):
 
 
 def fault_of_iterations(expansion: Expansion, factors: RBFFactors, values: np.ndarray) -> str:
-    """Describes why conjugate gradients will not converge; empty if they promise to.
-
-    Some steps are taken for it.
-    """
+    """Describes why conjugate gradients will not converge; empty if they promise to."""
     cardinals = factors.cardinals
     assert cardinals is not None
     left, count, rounding = map(float, _left_after_trial(expansion, factors, jnp.asarray(values)))
@@ -134,10 +131,7 @@ def warn_of_close_sources(method: str, factors: RBFFactors, values: Float[np.nda
 
 
 def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -> None:
-    """Warns of nodes that nearly coincide.
-
-    An interpolation carries their difference over the distance to the next nodes.
-    """
+    """Warns of nodes that nearly coincide."""
     first, second = nearly_coincident(nodes, radius, NEAR)
     if len(first):
         distance = np.linalg.norm(nodes[first[0]] - nodes[second[0]])

@@ -114,10 +114,7 @@ class Expansion(Module):
         return lu, order
 
     def rows(self, sources, scale, points: Float[Array, "k d"]) -> Float[Array, "k t"]:
-        """Computes rows of the system at any points. Traced.
-
-        Times the coefficients, they give the field.
-        """
+        """Computes rows of the system at any points. Traced."""
         kernel = Radial(self.basis, scale)(squared_distances(points, sources))
         return jnp.concatenate([kernel, polynomial(points, self.degree)], axis=1)
 
@@ -132,10 +129,7 @@ class Expansion(Module):
         return RBFField(self.basis, self.degree, sources, centre, scale, beta, alpha)
 
     def _iterated(self, factors: RBFFactors, right: Float[Array, "t k"]) -> Float[Array, "t k"]:
-        """Solves the system without its matrix.
-
-        The derivatives are products and solves of the same kind.
-        """
+        """Solves the system without its matrix."""
         count, tail = len(factors.sources), polynomial(factors.sources, self.degree)
 
         def product(x):

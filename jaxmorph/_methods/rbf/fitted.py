@@ -114,10 +114,7 @@ class FittedRBF(AbstractMethod):
 
     @property
     def _denser(self) -> RBF:
-        """The field for meshes with free sides, and for points alone.
-
-        It has as many sources as an interpolation needs.
-        """
+        """The field for meshes with free sides, and for points alone."""
         reduction = self.rbf.reduction
         if isinstance(reduction, KDTree | Filled) and reduction.leaves is not None:
             reduction = dataclasses.replace(reduction, leaves=max(SOURCES_ALONE, reduction.leaves), crowded=None)

@@ -23,10 +23,7 @@ from .basis import AbstractBasis
 from .system import block_size, squared_distances
 
 MOST_FUSED = 48
-"""Columns of weights beyond which a product of matrices is faster.
-
-It is so although the functions are then written to memory.
-"""
+"""Columns of weights beyond which a product of matrices is faster."""
 
 
 class Radial(eqx.Module):

@@ -58,10 +58,7 @@ class OrderedIds(eqx.Module):
 
 
 class Cardinals(eqx.Module):
-    """Functions that are 1 at one source and 0 at the nearest sources before it.
-
-    The last r of the sources have such a function.
-    """
+    """Functions that are 1 at one source and 0 at the nearest sources before it."""
 
     earlier: Int[Array, "r q"]
     weights: Float[Array, "r q"]
@@ -172,10 +169,7 @@ class ConjugateGradients:
         return Progress(now.beta + share * now.direction, residual, direction, left, energy, now.count + 1)
 
     def is_far(self, now: Progress, size: Float[Array, ""]) -> Array:
-        """Checks whether the residual, or the error in the basis's norm, exceeds the tolerance.
-
-        NaN does not exceed it.
-        """
+        """Checks whether the residual, or the error in the basis's norm, exceeds the tolerance."""
         beyond = jnp.abs(now.left) > self.tolerance**2 * jnp.abs(now.energy)
         return (jnp.abs(now.residual).max() > self.tolerance * size) | beyond.any()
 
@@ -226,10 +220,7 @@ class ConjugateGradients:
         return jnp.minimum(MISSED * self.tolerance, jnp.maximum(self.tolerance, NOTICEABLE))
 
     def rounding(self, now: Progress, residual: Float[Array, "s k"]) -> Float[Array, ""]:
-        """Measures by another product what rounding has made of the residual.
-
-        The steps began at `residual`.
-        """
+        """Measures by another product what rounding has made of the residual."""
         again = self.without_polynomial(residual - self.product(now.beta))
         return jnp.abs(again - now.residual).max()
 

@@ -24,10 +24,7 @@ def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, 
 
 
 def squared_distances(a: Float[Array, "k d"], b: Float[Array, "s d"]) -> Float[Array, "k s"]:
-    """Computes squared distances by differences.
-
-    The expanded form loses the small distances of a boundary layer.
-    """
+    """Computes squared distances by differences."""
     return sum((a[:, None, k] - b[None, :, k]) ** 2 for k in range(a.shape[1]))  # pyright: ignore[reportReturnType]
 
 
