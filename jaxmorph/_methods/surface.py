@@ -70,7 +70,7 @@ class Surface:
 
     @property
     def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Finds the wall of each row (b,), two ends of each wall (w, 2), and its mean chord (w,)."""
+        """Finds each row's wall (b,), two ends of each wall (w, 2), and its mean chord (w,)."""
         return self.once("walls", self._walls)
 
     def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
