@@ -200,7 +200,7 @@ def test_a_planform_twists_and_scales_sections_about_its_axis():
         (lambda: shapes.NACA4(0.0, 0.4, 0.0), "`thickness` must be a real number above 0"),
         (lambda: shapes.NACA4(0.0, 0.4, 0.1)(AIRFOIL, [0.1]), "expected camber, place, thickness"),
         (lambda: shapes.upper_side(np.column_stack([np.linspace(0, 1, 9), np.zeros(9)])), "two sides"),
-        (lambda: shapes.fit_cst(AIRFOIL[::20], 8), "do not tell 10 numbers"),
+        (lambda: shapes.fit_cst(AIRFOIL[::20], 8), "do not determine 10 numbers"),
         (lambda: shapes.fit(shapes.CST(2), AIRFOIL, AIRFOIL[:3]), "row to row"),
         (lambda: shapes.fit(shapes.CST(2), AIRFOIL, AIRFOIL * np.nan), "121 of 121 rows of `targets` are not finite"),
         (lambda: shapes.fit(lambda x, a: x, AIRFOIL, AIRFOIL), "a plain function does not tell"),

@@ -63,7 +63,7 @@ def naca4(code: str, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-6
         raise ValueError(f"`code` is {code!r}; the NACA 4-digit family is written with four digits, such as '4412'.")
     camber, place, thickness = int(code[0]) / 100, int(code[1]) / 10, int(code[2:]) / 100
     if thickness == 0:
-        raise ValueError(f"`code` is {code!r}: its last two digits say that the section has no thickness.")
+        raise ValueError(f"`code` is {code!r}: by its last two digits the section has no thickness.")
     if camber > 0 and place == 0:
         raise ValueError(f"`code` is {code!r}: a cambered section needs a place of its largest camber, 1 to 9 tenths.")
     return c_grid(

@@ -40,7 +40,7 @@ class InGroup(argparse.Action):
             group.mode = [*group.mode, _mode(parser, values)]
             return
         if self.dest in group.flags:
-            parser.error(f"{option_string} twice for one --moving; name the patches by --moving again to go on.")
+            parser.error(f"{option_string} twice for one --moving. Begin another motion of the patches by --moving.")
         group.flags.add(self.dest)
         setattr(group, self.dest, values)
 

@@ -90,7 +90,7 @@ def _ids(mesh: Mesh) -> dict[str, np.ndarray]:
 def _check_same(request: Quality, mesh: Mesh, moved: Mesh) -> None:
     a, b = tuple(mesh.points.shape), tuple(moved.points.shape)
     if a != b:
-        raise ValueError(f"{request.moved} has points of shape {b}, {request.file} of {a}: not the same mesh.")
+        raise ValueError(f"{request.moved} has points of shape {b}, {request.file} of {a}: two different meshes.")
     ours, theirs = _ids(mesh), _ids(moved)
     if ours.keys() != theirs.keys() or not all(np.array_equal(ids, theirs[name]) for name, ids in ours.items()):
-        raise ValueError(f"{request.moved} has other cells than {request.file}: not the same mesh, moved.")
+        raise ValueError(f"{request.moved} has other cells than {request.file}: two different meshes.")

@@ -121,7 +121,7 @@ def _changes(path: Path, changes: Any) -> list[str]:
     for name, value in changes.items():
         values = value if isinstance(value, list) else [value]
         if not values or any(type(number) not in (int, float) for number in values):
-            raise ValueError(f"{path}: set.{name} is a number, or a list of such, found {reprlib.repr(value)}.")
+            raise ValueError(f"{path}: set.{name} is a number, or a list of numbers, found {reprlib.repr(value)}.")
         flags += ["--set", f"{name}={','.join(map(str, values))}"]
     return flags
 
@@ -154,7 +154,8 @@ def _words(path: Path, key: Key, value: Any) -> list[str]:
     is_number = key.kind == "number"
     values = value if isinstance(value, list) and key.is_list else [value]
     if not values or any(type(word) not in ((int, float) if is_number else (str, int)) for word in values):
-        what = f"{'a number' if is_number else 'text'}{', or a list of such' if key.is_list else ''}"
+        kinds = ("a number", "numbers") if is_number else ("text", "texts")
+        what = f"{kinds[0]}, or a list of {kinds[1]}" if key.is_list else kinds[0]
         raise ValueError(f"{path}: {key.name} is {what}, found {reprlib.repr(value)}.")
     words = [str(word) for word in values]
     wrong = [word for word in words if not is_number and (word.startswith("-") or "\0" in word)]

@@ -80,7 +80,7 @@ def _key(group: Group, others: Mapping[str, Any]) -> str:
     """Names a group by `--name` or by its patches, with a number if the name is taken."""
     name = group.name or "+".join(group.patches)
     if group.name in others:
-        raise ValueError(f"--name {group.name}: another --moving is called so.")
+        raise ValueError(f"--name {group.name}: another --moving has this name.")
     return next(key for key in (name, *(f"{name}{k}" for k in range(2, len(others) + 3))) if key not in others)
 
 

@@ -57,7 +57,7 @@ def _job_of(request: Sensitivity) -> Deform | None:
             raise ValueError("--set without --job: it names design variables of a job.")
         return None
     if (request.moving, request.boundary, request.method) != ((), Boundary(), Method()):
-        raise ValueError("--job says what moves and how; flags of patches and methods beside it make no sense.")
+        raise ValueError("--job names patches and method. Remove the flags of patches and methods.")
     job = request_of(["deform", str(request.file), str(request.file), "--job", str(request.job)])
     assert isinstance(job, Deform)
     return dataclasses.replace(job, set=(*job.set, *request.set))

@@ -36,7 +36,7 @@ def check_files(request: Deform, mesh: Mesh) -> None:
         except ValueError as error:
             raise ValueError(f"--save-job {error}") from error
         if job.resolve() == request.output.resolve():
-            raise ValueError(f"--save-job {job}: OUT goes there.")
+            raise ValueError(f"--save-job {job} is the file of OUT. Write the job to another file.")
 
 
 def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndarray, out: Output) -> None:

@@ -143,7 +143,7 @@ def moves(shape: AnyShape, x: Float[Array, "m d"], parameters: PyTree) -> Float[
     """
     check_parameters(parameters)
     if isinstance(shape, AbstractLinearShape) and parameters is None:
-        raise ValueError("`parameters` is None; `shape.neutral()` gives those that move nothing.")
+        raise ValueError("`parameters` is None; `shape.neutral()` gives parameters that move nothing.")
     if isinstance(shape, AbstractLinearShape):
         return shape.at(x)(parameters)
     moved = shape(x, parameters)

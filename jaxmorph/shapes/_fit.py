@@ -134,7 +134,7 @@ def fit_cst(
         raise ValueError(f"`wall` names {len(wall)} of {len(points)} points; all of them belong to the airfoil.")
     if min(upper.sum(), (~upper).sum()) < order + 2:
         raise ValueError(
-            f"{upper.sum()} nodes above and {(~upper).sum()} below do not tell {order + 2} numbers a side."
+            f"{upper.sum()} nodes above and {(~upper).sum()} below do not determine {order + 2} numbers a side."
         )
     shape = Together(*(Part(cst, side) for side in (upper, ~upper)))
     _, height = chord.coordinates(points)
