@@ -203,7 +203,7 @@ def test_a_planform_twists_and_scales_sections_about_its_axis():
         (lambda: shapes.fit_cst(AIRFOIL[::20], 8), "do not determine 10 numbers"),
         (lambda: shapes.fit(shapes.CST(2), AIRFOIL, AIRFOIL[:3]), "row to row"),
         (lambda: shapes.fit(shapes.CST(2), AIRFOIL, AIRFOIL * np.nan), "121 of 121 rows of `targets` are not finite"),
-        (lambda: shapes.fit(lambda x, a: x, AIRFOIL, AIRFOIL), "a plain function does not tell"),
+        (lambda: shapes.fit(lambda x, a: x, AIRFOIL, AIRFOIL), "a plain function has no neutral"),
         (lambda: shapes.FreeForm([0, 0], np.eye(2), (3, 3)).linked(groups=[[(0, 3)]]), "no control of"),
         (lambda: shapes.FreeForm([0, 0], [[1, 1], [0, 1]], (3, 3)).linked(mirror=0), "along no axis"),
         (lambda: shapes.FreeForm([0, 0], np.eye(2), (3, 3)).linked(free=np.zeros((3, 3), bool)), "left free"),
