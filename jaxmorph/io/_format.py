@@ -64,6 +64,8 @@ class Codec(Protocol):
 class Format:
     """Describes a format: its name, its endings, and the module of this package that reads and writes it.
 
+    `magic` are the first bytes of its files, for an ending that another format has too.
+
     The module is imported when it is needed, and with it the extra that it may stand on. A format that is a folder
     writes it complete or not at all by itself.
     """
@@ -73,6 +75,7 @@ class Format:
     module: str
     holds_arrays: bool = True
     is_folder: bool = False
+    magic: tuple[bytes, ...] = ()
 
     def codec(self) -> Codec:
         return cast(Codec, importlib.import_module(f"{__package__}.{self.module}"))
