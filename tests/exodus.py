@@ -27,7 +27,11 @@ def write(path, points, blocks, side_sets=(), node_sets=(), form="cdf1", real="f
     if is_joined:
         arrays, dimensions = {"coord": points.T.astype(real)}, {"coord": ["num_dim", "num_nodes"]}
     attributes = {}
-    for what, size, items in (("eb", "num_el_blk", blocks), ("ss", "num_side_sets", side_sets), ("ns", "num_node_sets", node_sets)):
+    for what, size, items in (
+        ("eb", "num_el_blk", blocks),
+        ("ss", "num_side_sets", side_sets),
+        ("ns", "num_node_sets", node_sets),
+    ):
         if items:
             arrays[f"{what}_status"] = np.array([len(each[-1]) > 0 for each in items], "i4")
             arrays[f"{what}_prop1"] = 10 * np.arange(1, len(items) + 1, dtype="i4")
@@ -115,8 +119,10 @@ def _cdf5(path, sizes, arrays, dimensions, attributes, form):
             + number(len(raw[name])) + number(places.get(name, 0))
             for name, array in arrays.items()
         ]  # fmt: skip
-        values = [text(name) + number(codes[np.asarray(value).dtype.str[1:]], 4) + number(1) + padded(np.asarray(value).byteswap().tobytes())
-                  for name, value in attributes[""].items()]  # fmt: skip
+        values = [
+            text(name) + number(codes[value.dtype.str[1:]], 4) + number(1) + padded(value.byteswap().tobytes())
+            for name, value in attributes[""].items()
+        ]
         size_list = listed(10, [text(name) + number(sizes[name]) for name in order])
         return b"CDF\5" + number(0) + size_list + listed(12, values) + listed(11, variables)
 
@@ -127,7 +133,7 @@ def _cdf5(path, sizes, arrays, dimensions, attributes, form):
 
 
 def of_vtk(path):
-    """Points and corners of all blocks, and points of each set, as VTK reads them: sets by name, with their points."""
+    """Corners of the cells of each block and set as VTK reads them, by what it is and its name: their places, and ids."""
     exodus = pytest.importorskip("vtkmodules.vtkIOExodus")
     from vtkmodules.util.numpy_support import vtk_to_numpy as numpy_of
     from vtkmodules.vtkCommonCore import vtkObject
@@ -136,6 +142,7 @@ def of_vtk(path):
     vtkObject.GlobalWarningDisplayOff()  # a file without steps of time
     reader = exodus.vtkExodusIIReader()
     reader.SetFileName(str(path))
+    reader.SetSqueezePoints(False)  # in single precision otherwise
     reader.UpdateInformation()
     kinds = {"blocks": reader.ELEM_BLOCK, "sides": reader.SIDE_SET, "nodes": reader.NODE_SET}
     for kind in kinds.values():
@@ -153,5 +160,6 @@ def of_vtk(path):
                 continue
             label = group.GetMetaData(k).Get(vtkCompositeDataSet.NAME())
             places = numpy_of(grid.GetPoints().GetData())
-            found[name, label.split(" ID:")[0]] = places, numpy_of(grid.GetCells().GetConnectivityArray())
+            corners = numpy_of(grid.GetCells().GetConnectivityArray())
+            found[name, label.split(" ID:")[0]] = places[corners], corners
     return found

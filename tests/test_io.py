@@ -196,7 +196,7 @@ def test_what_must_not_be_written(tmp_path):
     for path in (tmp_path / "a.su2", tmp_path / "link.su2", f"{tmp_path}/../{tmp_path.name}/a.su2"):
         with pytest.raises(ValueError, match="the mesh was read from this file"):
             io.write(path, read)
-    with pytest.raises(ValueError, match=r"unknown file ending '.stl'; known are .su2"):
+    with pytest.raises(ValueError, match=r"unknown file ending '.stl'; known are SU2"):
         io.write(tmp_path / "a.stl", mesh)
     with pytest.raises(ValueError, match="there is no folder"):
         io.write(tmp_path / "no" / "a.su2", mesh)

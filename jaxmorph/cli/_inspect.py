@@ -62,7 +62,10 @@ def _described(mesh: Mesh, name: str) -> tuple[list[str], dict[str, Any]]:
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     patches, kinds = {patch: len(nodes) for patch, nodes in mesh.patches.items()}, dict(mesh.kinds)
     facts = {"dimension": d, "points": n, "cells": cells, "low": low, "high": high, "patches": patches, "kinds": kinds}
-    lines = [f"{name}: {d}-D, {n} points", "cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items())]
+    lines = [
+        f"{name}: {d}-D, {n} points",
+        "cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items()),
+    ]
     for axis, least, most in zip("xyz", low, high, strict=False):
         lines.append(f"{axis:<9}{least:.6g} to {most:.6g}")
     lines.append("patches" if patches else "patches  none")

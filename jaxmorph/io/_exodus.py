@@ -122,9 +122,9 @@ def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iter
     if len(numbers) > len(names):
         raise ValueError(f"{len(numbers)} numbers of blocks, {len(names)} expected")
     for at, name in enumerate(names, start=1):
-        if f"connect{at}" not in file:
+        array = _array(file, "connect", at, "eb")
+        if array is None:
             continue
-        array = file[f"connect{at}"]
         kind, corners = _text(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
         width = corners.shape[1] if corners.ndim == 2 else 0
         if (kind.upper()[:3], width) not in TYPES:
@@ -145,10 +145,19 @@ def _sets(file: Mapping[str, Any], blocks: list[_Block]) -> Iterator[tuple[str, 
     for what, dimension, array in (("ss", "num_side_sets", "elem_ss"), ("ns", "num_node_sets", "node_ns")):
         numbers, names = _names(file, what, file[dimension].shape[0] if dimension in file else 0)
         for at, name in enumerate(names, start=1):
-            rows = file[f"{array}{at}"][()].astype(np.int64) - 1 if f"{array}{at}" in file else np.zeros(0, np.int64)
+            members = _array(file, array, at, what)
+            rows = np.zeros(0, np.int64) if members is None else members[()].astype(np.int64) - 1
             if what == "ss" and len(rows):
                 rows = _nodes(blocks, rows, file[f"side_ss{at}"][()].astype(np.int64) - 1)
             yield name or f"{'sides' if what == 'ss' else 'nodes'}_{_number(numbers, at)}", rows
+
+
+def _array(file: Mapping[str, Any], name: str, at: int, what: str) -> Any:
+    """Finds the array of a block or set, None for one that is empty: its status is 0, where the file says it."""
+    array, status = file.get(f"{name}{at}"), file.get(f"{what}_status")
+    if array is None and status is not None and status[()][at - 1]:
+        raise ValueError(f"there is no {name}{at}")
+    return array
 
 
 def _names(file: Mapping[str, Any], what: str, count: int) -> tuple[np.ndarray, list[str]]:

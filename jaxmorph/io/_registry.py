@@ -37,7 +37,8 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
     elif len(found) > 1 and path.is_file():
         with path.open("rb") as file:
             first = file.read(8)
-        found.sort(key=lambda candidate: not first.startswith(candidate.magic or (b"\0" * 9,)))
+        known = [candidate for candidate in found if first.startswith(candidate.magic)]
+        found = known or [candidate for candidate in found if not candidate.magic]
     found += [candidate for candidate in FORMATS if candidate.is_folder]
     if len(found) > 1 or path.is_dir() or path.suffix.strip(".0123456789") == "":
         return found[0]
