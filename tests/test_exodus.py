@@ -53,11 +53,11 @@ def test_blocks_and_sets_are_those_of_vtk(tmp_path, form, is_joined):
     for name, places in patches.items():
         assert rows(mesh.points[mesh.patch(name)]) == rows(places), name
     assert len(mesh.patches["none"]) == 0
-    assert not np.asarray(jm.inverted(mesh)).any()
+    assert int(jm.quality(mesh).inverted) == 0
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize(("real", "is_joined"), [("f8", False), ("f8", True), ("f4", False)])
+@pytest.mark.parametrize(("real", "is_joined"), [("f8", True), ("f4", False)])
 def test_coordinates_alone_change(tmp_path, form, real, is_joined):
     solid(tmp_path / "a.exo", form=form, real=real, is_joined=is_joined)
     mesh = io.read(tmp_path / "a.exo")
