@@ -7,11 +7,12 @@ import adf
 import cgns
 import foam
 import h5py
+import meshio
 import numpy as np
 import pytest
 from cgns import two_blocks, unstructured
 from foam import strip
-from meshes import bricks
+from meshes import bricks, square
 from plot3d import box
 from plot3d import write as write_plot3d
 
@@ -134,6 +135,10 @@ def test_every_format_has_the_nodes_of_its_file(tmp_path):
     mesh = io.read(tmp_path / "a.su2")
     np.testing.assert_array_equal(mesh.file_nodes, np.arange(len(mesh.points)))
     np.testing.assert_array_equal(mesh.in_file_order(mesh.points), mesh.points)
+    io.write(tmp_path / "a.vtu", square(2))
+    mesh = io.read(tmp_path / "a.vtu")
+    io.write(tmp_path / "b.vtu", mesh.moved(mesh.points * 2))
+    np.testing.assert_array_equal(mesh.in_file_order(mesh.points * 2), meshio.read(tmp_path / "b.vtu").points)
     with pytest.raises(ValueError, match="has shape"):
         mesh.in_file_order(mesh.points[:3])
 

@@ -12,7 +12,7 @@ from jaxmorph import Mesh
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, Source, own_source, stamp_of, unchanged_source
+from ._format import Arrays, FilePoints, Source, own_source, stamp_of, unchanged_source
 from ._meshio import meshio, to_mesh
 from .cgns.tree import copy, opened
 
@@ -38,18 +38,6 @@ TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _ExodusContent:
-    """The points of the file, and marks by which a changed file is found."""
-
-    points: np.ndarray
-    stamp: tuple[int, int]
-
-    def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Returns points with the z of the file where they have none."""
-        return np.concatenate([points, self.points[:, points.shape[1] :]], axis=1)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class _Block:
     """Elements of one type between `corners`, called `name`, and the corners of each of their sides."""
 
@@ -70,13 +58,13 @@ def read(path: pathlib.Path) -> Mesh:
         _check_count(file, "num_nodes", len(points))
         blocks = list(_blocks(path, file, points.shape[1]))
         _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
-        flags: dict[str, np.ndarray] = {}
+        flags: dict[str, Any] = {}
         for name, nodes in _sets(file, blocks):
             if len(nodes) and not 0 <= nodes.min() <= nodes.max() < len(points):
                 raise ValueError(f"{name} has nodes {nodes.min() + 1} to {nodes.max() + 1} of {len(points)}")
             flag = flags.setdefault(PREFIX + urllib.parse.quote(name), np.zeros(len(points), np.uint8))
             flag[nodes] = 1
-    content = _ExodusContent(points, stamp_of(path))
+    content = FilePoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, [(block.kind, block.corners) for block in blocks], point_data=flags)
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
 

@@ -104,6 +104,18 @@ def stamp_of(path: pathlib.Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class FilePoints:
+    """The points of a file, and marks by which a changed file is found."""
+
+    points: np.ndarray
+    stamp: tuple[int, int]
+
+    def in_file(self, points: np.ndarray) -> np.ndarray:
+        """Returns points with the z of the file where they have none."""
+        return np.concatenate([points, self.points[:, points.shape[1] :]], axis=1)
+
+
 def unchanged_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
     """Returns what `own_source` does; raises `ValueError` also when the file has changed since it was read.
 
