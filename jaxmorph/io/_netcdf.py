@@ -98,12 +98,14 @@ class _Header:
                 spans.append((at, at))
                 continue
             size = kind.itemsize * math.prod(sizes)
-            if stated != -(-size // 4) * 4 and size < _UNSTATED:
+            if stated not in (size, -(-size // 4) * 4) and size < _UNSTATED:
                 raise ValueError(f"{name} has {stated} bytes, {size} expected")
             variables.append((name, Variable(self.file, kind, tuple(sizes) or (1,), at, attributes)))
             spans.append((at, at + size))
         spans = sorted([(0, self.file.tell()), *spans])
-        if any(after < end for (_, end), (after, _) in itertools.pairwise(spans)) or spans[-1][1] > self.size:
+        if any(after < end for (_, end), (after, _) in itertools.pairwise(spans)) or any(
+            start < end and end > self.size for start, end in spans
+        ):
             raise ValueError("variables lie in one another, or beyond the end of the file")
         names = [name for name, _ in dimensions], [name for name, _ in variables]
         if any(len(set(several)) < len(several) for several in names):
