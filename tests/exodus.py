@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 import pytest
+from foam import mixed
 from scipy.io import netcdf_file
 
 FORMS = ("cdf1", "cdf2", "cdf5", "netcdf4")
@@ -59,6 +60,26 @@ def write(path, points, blocks, side_sets=(), node_sets=(), form="cdf1", real="f
         "file_size": np.int32(not is_joined),
     }
     {"netcdf4": _netcdf4, "cdf5": _cdf5}.get(form, _classic)(path, sizes, arrays, dimensions, attributes, form)
+
+
+CELLS = {
+    "hexahedron": [[0, 1, 2, 3, 4, 5, 6, 7]],
+    "wedge": [[1, 8, 2, 5, 9, 6]],
+    "pyramid": [[4, 5, 6, 7, 10]],
+    "tetra": [[6, 11, 7, 10]],
+}
+SIDES = [6, 5, 5, 4]
+"""How many sides each cell has."""
+
+
+def solid(path, **form):
+    """Cells of all types in blocks, shells on two of their faces, and a set of each side of each cell."""
+    points = mixed()[0]
+    blocks = [(f"all {kind}", kind, corners) for kind, corners in CELLS.items()]
+    blocks += [("skin", "quad", [[0, 3, 2, 1]]), ("tip", "triangle", [[6, 11, 10]])]
+    sets = [(f"side {cell} {side}", [cell], [side]) for cell, count in enumerate(SIDES) for side in range(count)]
+    sets += [("several", [0, 3, 1], [4, 0, 3]), ("of shells", [4, 4, 5, 5], [0, 3, 1, 4]), ("none", [], [])]
+    write(path, points, blocks, sets, [("floor", [0, 1, 2, 3, 8]), ("corner", [11])], **form)
 
 
 def _classic(path, sizes, arrays, dimensions, attributes, form):

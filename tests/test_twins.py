@@ -9,9 +9,7 @@ import exodus
 import h5py
 import numpy as np
 import pytest
-from su2 import PLAIN
-from test_exodus import solid
-from test_su2_boxes import BOX, CONTROL
+from su2 import BOX, CONTROL, PLAIN
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -93,7 +91,7 @@ def boxed(path):
 
 
 def netcdf(form):
-    return lambda path: solid(path, form=form)
+    return lambda path: exodus.solid(path, form=form)
 
 
 def of_cgns(path):

@@ -21,7 +21,6 @@ from foam import PATCHES, mixed, split, strip
 from meshes import bricks
 from plot3d import box
 from plot3d import write as write_plot3d
-from test_exodus import solid
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -131,7 +130,7 @@ def adf_files(folder: pathlib.Path) -> list[Seed]:
 
 def exodus_files(folder: pathlib.Path) -> list[Seed]:
     for form in exodus.FORMS:
-        solid(folder / f"{form}.e", form=form)
+        exodus.solid(folder / f"{form}.e", form=form)
     return [single(folder / f"{form}.e") for form in exodus.FORMS]
 
 
