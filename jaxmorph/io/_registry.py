@@ -28,8 +28,8 @@ FORMATS = (
 def format_of(path: pathlib.Path, source: object = None) -> Format:
     """Finds the format of a file by its ending, of a folder OpenFOAM.
 
-    An ending that two formats have is decided by `source`, the file that a mesh to be written was read from, or by the first bytes
-    of the file to be read. It raises `ValueError`, with the endings there are, for another one.
+    Two formats may have an ending. Then the format of `source` decides, from which a mesh to be written came, or the first bytes of
+    a file to be read. It raises `ValueError`, with the endings there are, for another one.
     """
     found = [candidate for candidate in FORMATS if path.suffix.lower() in candidate.suffixes]
     if len(found) > 1 and isinstance(source, Source):
