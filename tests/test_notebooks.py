@@ -30,7 +30,7 @@ SMALL = {
 OPTIMISED = "03_shape_optimisation.ipynb"
 """It takes twice as long where compiled code is not optimised (`.ci/run`); the others compile most of the time."""
 
-OFTEN = ("00_first_steps.ipynb", "07_extend.ipynb", "08_openfoam.ipynb")
+OFTEN = ("00_first_steps.ipynb", "07_extend.ipynb")
 """`.ci/run` runs these, `.ci/nightly` all of them."""
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
