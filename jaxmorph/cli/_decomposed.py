@@ -129,9 +129,9 @@ def _checked(request: Deform) -> io.Decomposed:
 
 def _check_flags(request: Deform) -> None:
     """Raises `ValueError` for flags that need the whole mesh."""
-    if request.picture is not None or request.chunk is not None:
-        flag = "--picture" if request.picture is not None else "--chunk"
-        raise ValueError(f"{flag} and --decomposed cannot be combined. Remove one of the two.")
+    for name in ("picture", "chunk", "zone"):
+        if getattr(request, name) is not None:
+            raise ValueError(f"--{name} and --decomposed cannot be combined. Remove one of the two.")
 
 
 def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray, str]:

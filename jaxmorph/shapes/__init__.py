@@ -33,7 +33,6 @@ from ._measures import curvature as curvature
 from ._measures import leading_edge_radius as leading_edge_radius
 from ._measures import trailing_edge_angle as trailing_edge_angle
 from ._measures import volume as volume
-from ._measures import wall_faces as wall_faces
 from ._measures import wall_loop as wall_loop
 from ._naca import NACA4 as NACA4
 from ._names import names as names

@@ -11,15 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.cells.topology import boundary_faces
+from .._boundary.outer_faces import boundary_faces
 from .._host.package.arguments import as_array, checked
 from .._kernels.values import is_known, slack
 from .._mesh.mesh import Mesh
 from ._arguments import Numbers, positions, rows_of, vector
-
-
-def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
-    return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
 
 
 @checked
@@ -35,8 +31,7 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
 
     **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or branches.
     """
-    nodes = mesh.patch(patch)
-    segments = boundary_faces(_cells(mesh), len(mesh.points), nodes).get("line", np.zeros((0, 2), int))
+    segments = boundary_faces(mesh, patch).get("line", np.zeros((0, 2), int))
     ends, degree = np.unique(segments, return_counts=True)
     if len(segments) == 0 or (degree != 2).any():
         where = f", first node {ends[degree != 2][0]}" if len(segments) else ""
@@ -53,28 +48,6 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
         raise ValueError(f"patch {patch!r} is several loops: {len(loop)} of its {len(ends)} nodes hang together.")
     ids = np.array(loop)
     return ids if float(area(np.asarray(mesh.points), ids)) > 0 else ids[::-1].copy()
-
-
-@checked
-def wall_faces(mesh: Mesh, patch: str) -> list[Int[np.ndarray, "k corners"]]:
-    """Lists the faces of a wall, triangles and quads in 3-D, segments in 2-D, as the mesh's cells order them.
-
-    **Arguments:**
-
-    - `mesh`: a `Mesh`.
-    - `patch`: the name of the wall's patch.
-
-    **Returns:** node ids, one array (k, 2), (k, 3) or (k, 4) for each type.
-
-    **Raises:** `ValueError` for a patch without faces.
-    """
-    faces = boundary_faces(_cells(mesh), len(mesh.points), mesh.patch(patch))
-    if mesh.points.shape[1] == 3:
-        faces.pop("line", None)
-    faces = {kind: ids for kind, ids in faces.items() if len(ids)}
-    if not faces:
-        raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
-    return list(faces.values())
 
 
 @checked

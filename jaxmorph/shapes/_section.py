@@ -86,7 +86,7 @@ def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None)
 
     - `points`: positions (m, d) of the airfoil's nodes; of a mesh, where `wall` names those of the airfoil.
     - `chord`: the airfoil's. Default `Chord.along` of its nodes.
-    - `wall`: ids of its nodes in order, as `wall_loop` finds them; its faces in 3-D, as `wall_faces` finds them.
+    - `wall`: ids of its nodes in order, as `wall_loop` finds them; its faces in 3-D, as `jaxmorph.boundary_faces` finds them.
 
     **Returns:** booleans (m,), False for nodes that are not the airfoil's.
 
