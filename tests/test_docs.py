@@ -65,7 +65,7 @@ def test_pages_are_narrow():
         text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
         for line in text.splitlines():
             is_row = line.startswith("|")
-            if not line.startswith("![") and (len(line) > (120 if is_row else 100) or is_row and line.count("|") > 7):
+            if not line.startswith("![") and (len(line) > (120 if is_row else 100) or (is_row and line.count("|") > 7)):
                 wide.append(f"{page.name}: {line[:70]}")
     assert not wide, "\n".join(wide)
 

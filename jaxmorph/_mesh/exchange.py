@@ -111,6 +111,10 @@ def parts(grid: Grid) -> Parts:
     if not finite.all():
         bad = int(np.argmin(finite))
         raise ValueError(f"point {bad} is not finite: {points[bad].tolist()}.")
+    for kind, corners in cells.items():
+        outside = corners[(corners < 0) | (corners >= len(points))]
+        if len(outside):
+            raise ValueError(f"a {kind} names node {outside[0]}, but there are {len(points)} points.")
     patches = _sets(grid) | _physical(grid)
     for name, values in grid.point_data.items():
         if name.startswith(PREFIX) and np.ndim(values) == 1:

@@ -109,8 +109,8 @@ class Mesh(Module):
     def in_file_order(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> np.ndarray:
         """Returns the coordinates (N, D) of all nodes of the file, in its order, when this mesh has `points` (n, d).
 
-        These are what `jaxmorph.io.write` writes. D is 3 also for a mesh in two coordinates of a CGNS, gmsh or OpenFOAM file that
-        has three. A node that has not moved stays as it was in each of its copies.
+        These are what `jaxmorph.io.write` writes. D is 3 also for a mesh in two coordinates of a file that has three. A node that
+        has not moved stays as it was in each of its copies.
 
         **Raises:** `ValueError` when the shape of `points` differs.
         """

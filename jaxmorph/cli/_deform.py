@@ -21,7 +21,7 @@ from ._output import Output, title
 from ._requests import Deform
 from ._summary import Summary, coordinates, count
 from ._tables import gate_facts, gate_table, table
-from ._told import check_files, described, wrapped, write_job
+from ._told import check_files, described, mesh_of, wrapped, write_job
 
 Chunks = Iterator[tuple[np.ndarray, jm.Plan]]
 """Nodes and plans of a mesh in chunks, one after the other."""
@@ -36,7 +36,7 @@ LARGE = 500_000
 def deform(request: Deform, out: Output) -> int:
     """Reads, moves, judges and writes a mesh; prints all. Returns the exit status."""
     with out.progress(f"reading {title(request.file)}"):
-        mesh = io.read(request.file)
+        mesh = mesh_of(request.file, request.zone)
     with quickly_compiled(len(mesh.points) * request.steps <= SMALL):
         return _deform(request, mesh, out)
 

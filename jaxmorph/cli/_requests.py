@@ -10,9 +10,10 @@ from ._parser import Fields, flag, part, positional, several, switch
 from ._parts import SEVERAL, Boundary, Gates, Method, Speech
 
 MESH = (
-    "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med), PLOT3D (.xyz, .p3d), "
+    "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med), Exodus (.exo, .e), PLOT3D (.xyz, .p3d), "
     "or an OpenFOAM case"
 )
+ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 
 
 def _output(name: str) -> Path:
@@ -73,6 +74,7 @@ class Deform:
         type=_output,
         everyday=True,
     )
+    zone: int | None = flag(ZONE, metavar="N", type=int)
     groups: tuple[Group, ...] = several(Group)
     boundary: Boundary = part(Boundary)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
@@ -203,6 +205,7 @@ class Quality:
 
     file: Path = positional(MESH, "FILE", type=Path)
     moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?", type=Path)
+    zone: int | None = flag("of SU2 files with several zones the zone IZONE= N", metavar="N", type=int)
     gates: Gates = part(Gates)
     speech: Speech = part(Speech)
 

@@ -15,6 +15,16 @@ from ._requests import Deform
 from ._summary import count
 
 
+def mesh_of(path: Path, zone: int | None) -> Mesh:
+    """Reads the mesh of a file, or zone number `zone` of an SU2 file. Raises `ValueError` for a zone that the file has not."""
+    if zone is None:
+        return io.read(path)
+    meshes = io.read_zones(path)
+    if not 1 <= zone <= len(meshes):
+        raise ValueError(f"--zone {zone}: {path} has {count(len(meshes), 'zone')}.")
+    return meshes[zone - 1]
+
+
 def check_files(request: Deform, mesh: Mesh) -> None:
     """Raises `ValueError` for patches without nodes, and for files beside the meshes."""
     for group in request.groups:

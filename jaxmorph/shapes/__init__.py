@@ -47,6 +47,5 @@ from ._shape import AbstractShape as AbstractShape
 from ._smooth import Smoother as Smoother
 from ._thickness import Stations as Stations
 from ._thickness import thickness as thickness
-from ._walls import wall_faces as wall_faces
 from ._walls import wall_loop as wall_loop
 from ._walls import wall_normals as wall_normals

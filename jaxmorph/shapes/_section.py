@@ -91,7 +91,7 @@ def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None)
       airfoil's nodes.
     - `chord`: the airfoil's. Default `Chord.along` of its nodes.
     - `wall`: ids of its nodes in order, as `wall_loop` finds them; its faces in 3-D, as
-      `wall_faces` finds them.
+      `jaxmorph.boundary_faces` finds them.
 
     **Returns:** booleans (m,), False for nodes that are not the airfoil's.
 

@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
 
+from .._host.cells.topology import boundary_faces
 from .._host.linear.solves import Factors
 from .._host.package.arguments import between, checked, rows_of
 from .._kernels.callback import host_call
 from .._mesh.mesh import Mesh
 from ._arguments import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, AbstractOperator
-from ._walls import face_arrays, wall_faces
+from ._walls import face_arrays
 
 
 class Smoother(AbstractLinearShape):
@@ -84,7 +85,10 @@ class Smoother(AbstractLinearShape):
         **Raises:** `ValueError` as the class does, and for a patch without faces.
         """
         nodes = mesh.patch(patch)
-        own_rows = [np.searchsorted(nodes, ids) for ids in wall_faces(mesh, patch)]
+        faces = boundary_faces({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, len(mesh.points), nodes)
+        if not faces:
+            raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
+        own_rows = [np.searchsorted(nodes, ids) for ids in faces.values()]
         return Smoother(np.asarray(mesh.points)[nodes], own_rows, length, held=held)
 
     def neutral(self) -> Float[Array, "m d"]:

@@ -5,15 +5,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._boundary.outer_faces import boundary_faces
 from .._host.cells.first_lines import areas, first_lines
-from .._host.cells.topology import boundary_faces
 from .._host.package.arguments import as_array, checked
 from .._mesh.mesh import Mesh
 from ._arguments import rows_of
-
-
-def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
-    return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
 
 
 @checked
@@ -30,8 +26,7 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
     **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or
     branches.
     """
-    nodes = mesh.patch(patch)
-    segments = boundary_faces(_cells(mesh), len(mesh.points), nodes).get("line", np.zeros((0, 2), int))
+    segments = boundary_faces(mesh, patch).get("line", np.zeros((0, 2), int))
     ends, degree = np.unique(segments, return_counts=True)
     if len(segments) == 0 or (degree != 2).any():
         where = f", first node {ends[degree != 2][0]}" if len(segments) else ""
@@ -49,30 +44,6 @@ def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
     ids = np.array(loop)
     x, y = np.asarray(mesh.points)[ids].T
     return ids if x @ np.roll(y, -1) > y @ np.roll(x, -1) else ids[::-1].copy()
-
-
-@checked
-def wall_faces(mesh: Mesh, patch: str) -> list[Int[np.ndarray, "k corners"]]:
-    """Lists the faces of a wall as the mesh's cells order them.
-
-    They are triangles and quads in 3-D, segments in 2-D.
-
-    **Arguments:**
-
-    - `mesh`: a `Mesh`.
-    - `patch`: the name of the wall's patch.
-
-    **Returns:** node ids, one array (k, 2), (k, 3) or (k, 4) for each type.
-
-    **Raises:** `ValueError` for a patch without faces.
-    """
-    faces = boundary_faces(_cells(mesh), len(mesh.points), mesh.patch(patch))
-    if mesh.points.shape[1] == 3:
-        faces.pop("line", None)
-    faces = {kind: ids for kind, ids in faces.items() if len(ids)}
-    if not faces:
-        raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
-    return list(faces.values())
 
 
 @checked
@@ -95,7 +66,8 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     **Raises:** `ValueError` for patches without faces on the boundary of the mesh's cells.
     """
     nodes, points = mesh.patch(*patches), np.asarray(mesh.points, float)
-    wall = first_lines(_cells(mesh), points, nodes)
+    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
+    wall = first_lines(cells, points, nodes)
     area = wall.sign[:, None] * areas(points[wall.faces])
     counted = np.ones(wall.faces.shape, bool)
     counted[:, -1] = wall.faces[:, -1] != wall.faces[:, -2]
