@@ -12,7 +12,8 @@ from scipy.interpolate import CubicSpline
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._boundary.slide import tracks_of, walls_of_patch
+from jaxmorph._boundary.slide import walls_of_patch
+from jaxmorph._boundary.tracks import tracks_of
 from jaxmorph._host.cells.topology import boundary_faces
 from jaxmorph._kernels.compile import UNTUNED
 
@@ -306,7 +307,7 @@ def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
     assert (judged.off_plane, judged.off_surface, judged.mismatch) == (0, 0, 0)
     for side, message in (
         ("top", "nodes of sliding patches have left"),
-        ("bottom", "nodes have left the symmetry plane"),
+        ("bottom", "nodes have left their symmetry plane"),
     ):
         torn = np.array(other.points)
         node = mesh.patch(side)[3]

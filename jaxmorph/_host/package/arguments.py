@@ -1,12 +1,12 @@
-"""Arguments of public callables, compared with their annotations: nonsense is answered in one sentence.
+"""Checks of arguments: against their annotations, and against ranges and shapes that no annotation says.
 
-An annotation says what an argument is: a class, a function, a whole number, an array of real numbers. What no annotation says
-(a range, the length of an array) is for the function to check.
+A wrong argument raises `ValueError` with one sentence.
 """
 
 import collections.abc
 import functools
 import inspect
+import itertools
 import numbers
 import os
 import reprlib
@@ -33,27 +33,23 @@ WORDS = {
 KINDS = {"Float": "fiuV", "Real": "fiuV", "Int": "iu", "Integer": "iu", "Bool": "b", "Shaped": "fiubcV"}
 """NumPy's letters for the numbers of an annotated array.
 
-Whole numbers count as real numbers. V is bfloat16 and its kin.
+Whole numbers count as real numbers. V is bfloat16 and similar types.
 """
 
 
 def checked(function: Function) -> Function:
-    """Compares the arguments of a function with its annotations at each call.
+    """Makes a function compare its arguments with its annotations at every call.
 
-    The function raises `ValueError` for an argument that is something else, and names it, what it is and the call to make.
+    The function then raises `ValueError` for a wrong argument, with its name, its value and the call to make.
     """
-    signature = inspect.signature(function)
-    rules = {name: each.annotation for name, each in signature.parameters.items() if _says(each.annotation)}
-    positional = tuple(signature.parameters)
-    rest = next((name for name, each in signature.parameters.items() if each.kind is each.VAR_POSITIONAL), None)
+    parameters = inspect.signature(function).parameters
+    rules = {name: parameter.annotation for name, parameter in parameters.items() if _says(parameter.annotation)}
+    rest = [name for name, parameter in parameters.items() if parameter.kind is parameter.VAR_POSITIONAL]
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
-        for k, value in enumerate(arguments):
-            name = positional[k] if k < len(positional) else rest
-            if name in rules:
-                check(name, value, rules[name], call)
-        for name, value in keywords.items():
+        names = itertools.chain(parameters, itertools.cycle(rest))
+        for name, value in itertools.chain(zip(names, arguments, strict=False), keywords.items()):
             if name in rules:
                 check(name, value, rules[name], call)
         return function(*arguments, **keywords)
@@ -62,7 +58,7 @@ def checked(function: Function) -> Function:
 
 
 def check_fields(instance: Any) -> None:
-    """Compares the fields of a dataclass with their annotations, as `checked` does the arguments of a function."""
+    """Compares the fields of a dataclass with their annotations, as `checked` compares arguments."""
     for name, annotation in _rules(type(instance)).items():
         check(name, getattr(instance, name), annotation, type(instance))
 
@@ -74,13 +70,13 @@ def _rules(cls: type) -> dict[str, Any]:
 
 
 def check(name: str, value: Any, annotation: Any, callee: Callable) -> None:
-    """Raises `ValueError` for a value that is not what its annotation says."""
+    """Raises `ValueError` for a value that does not fit its annotation."""
     if not _fits(value, annotation):
         raise ValueError(f"`{name}` must be {_words(annotation)}, not {shown(value)}. Call {_call(callee)}.")
 
 
 def shown(value: Any) -> str:
-    """Describes a value for a message: a class by its name, an array by its type and shape."""
+    """Describes a value for a message: a class by its name, an array by its shape and type."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     if np.ma.is_masked(value):
@@ -92,17 +88,14 @@ def shown(value: Any) -> str:
 
 
 def whole(name: str, value: Any, least: int = 1) -> int:
-    """Returns a whole number of at least `least`. Raises `ValueError` for anything else."""
+    """Returns a whole number of at least `least`. Raises `ValueError` for other values."""
     if not _fits(value, int) or value < least:
         raise ValueError(f"`{name}` must be a whole number of at least {least}, not {shown(value)}.")
     return int(value)
 
 
 def between(name: str, value: Any, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> None:
-    """Raises `ValueError` for a value that is no real number in an interval.
-
-    `ends` are the brackets of the interval, such as `"[)"`.
-    """
+    """Raises `ValueError` unless a value is a real number in an interval with the brackets `ends`, such as `"[)"`."""
     above = _fits(value, float) and (value > low or (ends[0] == "[" and value == low))
     if not (above and (value < high or (ends[1] == "]" and value == high))):
         raise ValueError(f"`{name}` must be a real number{_range(low, high, ends)}, not {shown(value)}.")
@@ -116,7 +109,7 @@ def _range(low: float | int, high: float | int, ends: str) -> str:
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
-    """Turns values into an array. Raises `ValueError` for rows of several lengths."""
+    """Makes an array of values. Raises `ValueError` for rows of several lengths."""
     try:
         return np.asarray(values)
     except ValueError:
@@ -124,7 +117,7 @@ def as_array(name: str, values: Any) -> np.ndarray:
 
 
 def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
-    """Returns ids as an array. Raises `ValueError` unless they are a list of ids below `count`."""
+    """Returns ids as an array. Raises `ValueError` unless they are whole numbers from 0 to `count` - 1."""
     array = as_array(name, ids) if isinstance(ids, list | tuple | range) or _has_type(ids) else None
     if array is not None and array.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -138,41 +131,44 @@ def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
 
 
 def check_patch(name: str, patch: Any) -> None:
-    """Raises `ValueError` unless the value is a patch name, several names, or ids of nodes."""
-    is_names = isinstance(patch, str) or (
-        isinstance(patch, list | tuple) and all(isinstance(name, str) for name in patch)
-    )
-    if not is_names:
+    """Raises `ValueError` unless a value is a patch name, several names, or node ids."""
+    names = patch if isinstance(patch, list | tuple) else [patch]
+    if not all(isinstance(entry, str) for entry in names):
         rows_of(name, patch, 2**62)
 
 
-def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
-    """Returns an array of floats, in their precision, of one of the shapes, in which None is any length."""
+def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
+    """Returns an array of floats of one of the shapes, in which None is any length. Floats keep their precision."""
     fits = isinstance(values, list | tuple) or _has_type(values)
     try:
         array = np.asarray(values) if fits and not np.ma.is_masked(values) else None
     except ValueError:
         array = None  # rows of several lengths
     words = " or ".join(
-        f"({', '.join('any' if n is None else str(n) for n in each)}{',' * (len(each) == 1)})" for each in shapes
+        f"({', '.join('any' if n is None else str(n) for n in shape)}{',' * (len(shape) == 1)})" for shape in shapes
     )
     if array is None or array.dtype.kind not in "fiu":
         raise ValueError(f"`{name}` must be an array of real numbers {words}, not {shown(values)}.")
-    same = [
-        len(each) == array.ndim and all(n in (None, m) for n, m in zip(each, array.shape, strict=False))
-        for each in shapes
-    ]
-    if not any(same):
+    if not any(
+        len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+        for shape in shapes
+    ):
         raise ValueError(f"`{name}` has shape {array.shape}; expected {words}.")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `{name}` are not finite.")
     return array if array.dtype.kind == "f" else array.astype(float)
 
 
-def _says(annotation: Any) -> bool:
-    """Checks whether an annotation says anything about a value.
+def finite_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
+    """Returns a `real_array`. Raises `ValueError` for numbers that are not finite."""
+    array = real_array(name, values, *shapes)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} numbers of `{name}` are not finite.")
+    return array
 
-    Annotations of trees, and names of classes that are defined later, say nothing.
+
+def _says(annotation: Any) -> bool:
+    """Checks whether an annotation restricts a value.
+
+    Annotations of trees, and names of classes that are defined later, do not.
     """
     is_silent = annotation in (Any, inspect.Parameter.empty, object) or isinstance(annotation, str | typing.TypeVar)
     return not is_silent and getattr(annotation, "__name__", "") != "PyTree"
@@ -200,10 +196,7 @@ def _fits(value: Any, annotation: Any) -> bool:
 
 
 def _fits_array(value: Any, annotation: Any) -> bool:
-    """Checks whether a value is an array of the right kind, without masked numbers.
-
-    The function that takes the array checks its shape.
-    """
+    """Checks whether a value is an array of the annotated kind of numbers, of any shape, without masked numbers."""
     try:
         array = value if _has_type(value) else np.asarray(value)
     except ValueError:
@@ -216,7 +209,7 @@ def _fits_array(value: Any, annotation: Any) -> bool:
 
 
 def _holds_traced(value: Any) -> bool:
-    """Checks whether a number in nested lists is traced by JAX."""
+    """Checks whether nested lists hold a number that JAX traces."""
     return any(map(_holds_traced, value)) if isinstance(value, list | tuple) else hasattr(value, "aval")
 
 
@@ -259,12 +252,12 @@ def _fits_one(value: Any, annotation: Any, beside_array: bool) -> bool:
 
 
 def _of_each(arguments: tuple[Any, ...], count: int) -> tuple[Any, ...]:
-    """Lists the annotation of each member of a tuple: `tuple[int, ...]` is of any length."""
+    """Lists the annotations of a tuple's members; `tuple[int, ...]` has any number of them."""
     return arguments[:1] * count if arguments[1:] == (...,) else arguments
 
 
 def _words(annotation: Any) -> str:
-    """Describes what an annotation asks for."""
+    """Describes the values that fit an annotation."""
     arrays, others = _members(annotation)
     others = [each for each in others if not (arrays and typing.get_origin(each) is collections.abc.Sequence)]
     words = dict.fromkeys(map(_word, (*arrays[:1], *others)))

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from ..package.errors import MeshError
-from ..package.rounding import roundoff
+from ..package.rounding import roundoff, spacing
 from ..sources.reduction import canonical_order
-from .simplices import cofactors, cross, smallest_height, smallest_weight
+from .simplices import cofactors, normals, smallest_height, smallest_weight
 
 JITTER = 1e-8
 """Relative to the distance of the nearest node: at 1e-9 location is five times slower, at 1e-7 weights go wrong."""
@@ -219,8 +219,7 @@ def _snapped(nodes: np.ndarray) -> np.ndarray:
     Qhull then gets the same bits whatever the last one of the mesh is. Jitter alone separates nodes on one sphere by no more
     than Qhull's own round-off.
     """
-    spacing = KDTree(nodes).query(nodes, k=2)[0][:, 1]
-    step = 2 ** np.floor(np.log2(SNAP * spacing) + BETWEEN)[:, None]
+    step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     return np.floor(nodes / step + BETWEEN) * step
 
 
@@ -230,13 +229,12 @@ def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     The function is a sine of very short wave length. Unlike random numbers it gives the same perturbation for the same mesh
     in any order, unit or place.
     """
-    spacing = KDTree(nodes).query(nodes, k=2)[0][:, 1]
     dimension = nodes.shape[1]
     waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]
     angle = sum(
         column[:, None] * wave for column, wave in zip(nodes.T, waves, strict=True)
     )  # the same bits on every processor
-    return nodes + JITTER * spacing[:, None] * np.sin(angle + np.arange(dimension) + phase)
+    return nodes + JITTER * spacing(nodes)[:, None] * np.sin(angle + np.arange(dimension) + phase)
 
 
 def _repair(
@@ -303,15 +301,13 @@ def _beyond_hull(graph: Delaunay, nodes: np.ndarray, targets: np.ndarray, flat: 
     corners = nodes[graph.convex_hull]
     height = smallest_height(corners)
     corners, height = corners[height > flat], height[height > flat]
-    edges = corners[:, 1:] - corners[:, :1]
-    normals = edges[:, 0, ::-1] * [1, -1] if nodes.shape[1] == 2 else cross(edges[:, 0], edges[:, 1])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    anchors = corners[:, 0]
-    normals *= np.sign(np.einsum("fd,fd->f", normals, anchors - nodes.mean(axis=0)))[:, None]
+    outward, anchors = normals(corners), corners[:, 0]
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    outward *= np.sign(np.einsum("fd,fd->f", outward, anchors - nodes.mean(axis=0)))[:, None]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    offsets = np.einsum("fd,fd->f", normals, anchors) + 4 * (JITTER * longest + flat) * np.maximum(1, 1 / height)
+    offsets = np.einsum("fd,fd->f", outward, anchors) + 4 * (JITTER * longest + flat) * np.maximum(1, 1 / height)
     parts = np.array_split(targets, 1 + len(targets) // 512)
-    return np.concatenate([(part @ normals.T - offsets).max(axis=1) for part in parts])
+    return np.concatenate([(part @ outward.T - offsets).max(axis=1) for part in parts])
 
 
 def _check_inside(points: np.ndarray, ids: np.ndarray, beyond: np.ndarray) -> None:
