@@ -9,7 +9,7 @@ from cases import body, few, motion, whole_and_part
 from meshes import lattice
 
 import jaxmorph as jm
-from jaxmorph._host.surface.graph import locate
+from jaxmorph._host.surface.locate import locate
 from jaxmorph._methods.sparse import Interpolation
 
 GRAPH = jm.DelaunayGraph()

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial import KDTree
 
+from ..package.orders import canonical_order
 from ..sources.farthest import farthest
-from ..sources.reduction import canonical_order
 
 
 def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:

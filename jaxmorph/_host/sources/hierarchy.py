@@ -7,9 +7,10 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from ..package.arguments import between
+from ..package.orders import canonical_order
 from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
 from .farthest import FarthestPoints
-from .reduction import AbstractReduction, canonical_order
+from .reduction import AbstractReduction
 
 BATCH = 256
 """Candidates for the next nodes that are examined together."""

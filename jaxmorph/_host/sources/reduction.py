@@ -11,7 +11,8 @@ import numpy as np
 import scipy.spatial
 
 from ..package.arguments import between, check_fields, finite_array, whole
-from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
+from ..package.orders import canonical_order
+from ..package.rounding import SAME, first_largest, nearest_of, roundoff
 
 
 class AbstractReduction(abc.ABC):
@@ -230,12 +231,6 @@ def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndar
     gaps = 1 + np.flatnonzero(np.diff(along) > SAME * (along[-1] - along[0]))
     middle = gaps[np.abs(gaps - len(members) / 2).argmin()]
     return members[:middle], members[middle:]
-
-
-def canonical_order(points: np.ndarray) -> np.ndarray:
-    """Sorts points by their coordinates, so that results do not depend on the order of the points."""
-    slack = SAME * float(np.ptp(points, axis=0).max())
-    return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
 
 
 def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from ..package.orders import morton_order
 from ..package.rounding import SAME, nearest_few
-from .graph import morton_order
 
 FEW = 16
 """Most walls for which every wall has a search tree of its own."""

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
+from ..package.orders import canonical_order, morton_order
 from ..package.rounding import SAME, distinct, first_largest, nearest_few, nearest_of, ranked, roundoff
 from ..sources.farthest import farthest
-from ..sources.reduction import canonical_order
-from .graph import morton_order
 
 FacesByType = Mapping[str, np.ndarray] | None
 
