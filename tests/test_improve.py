@@ -367,7 +367,7 @@ def test_progress_and_choice_of_fixed_nodes():
     ("change", "message"),
     [
         ({"points": np.zeros((3, 2))}, "shape"),
-        ({"fixed": [99]}, "1 ids in `fixed` are not nodes"),
+        ({"fixed": [99]}, "1 ids in `fixed` are not in"),
         ({"size_weight": 2.0}, "`size_weight` must be a real number of 0 or more and up to 1"),
         ({"max_steps": 0}, "at least 1"),
         ({"mesh": jm.Mesh(np.zeros((4, 2)), {})}, "nothing to improve"),

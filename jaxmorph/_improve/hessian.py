@@ -1,9 +1,9 @@
 """Second derivatives of an energy of |T|^2 and det T, with or without their negative part.
 
 T = U Sigma V^T, with U and V rotations and the last singular value signed. The derivatives then couple diagonal entries
-with diagonal entries, and an entry off the diagonal with its mirror image: the twists and flips of Smith, De Goes and
-Kim, Analytic eigensystems for isotropic distortion energies, ACM Trans. Graph. 38, 2019. Some eigenvalues are closed
-forms, the others belong to one matrix (d, d).
+with diagonal entries, and an entry off the diagonal with its mirror image. Some eigenvalues are closed forms, the others
+belong to one matrix (d, d). Source: twists and flips in Smith, De Goes and Kim, Analytic eigensystems for isotropic
+distortion energies, ACM Trans. Graph. 38, 2019.
 """
 
 import functools

@@ -18,8 +18,8 @@ class FarthestPoints(AbstractSeparated):
 
     The first is the farthest from the middle. The largest distance of a surface point from its nearest
     source is then at most twice that of the best choice of `count` sources, whatever the density of
-    the mesh (Gonzalez, Theoretical Computer Science 38, 1985). The result depends on the set of
-    points, not on their order. It costs n times `count` operations.
+    the mesh. The result depends on the set of points, not on their order. It costs n times `count`
+    operations (Gonzalez, Theoretical Computer Science 38, 1985).
 
     **Arguments:**
 

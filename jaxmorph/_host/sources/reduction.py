@@ -124,8 +124,8 @@ class KDTree(AbstractSeparated):
       derivatives. A fixed source is also dropped beside a moving source, by the smaller of both
       distances. Default 1e-3.
     - `extremes`: adds points on the bounding box: a blunt trailing edge, a wing's tip. Default False.
-    - `crowded`: number of leaves if the distance of the other boundary from a point is smaller than the
-      longest side of the bounding box, as in a passage or at a joint. Default None: `leaves`.
+    - `crowded`: number of leaves if the other boundary is near: nearer to a point than the longest side
+      of the bounding box. Default None: `leaves`.
 
     **Raises:** `ValueError` if no argument ends the splitting, and for values out of range.
     """
