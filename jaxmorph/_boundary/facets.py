@@ -30,7 +30,8 @@ class FlatFaces(Flat):
         areas = areas * jnp.where(jnp.matmul(areas, old) < 0, -1, 1)[:, None]  # both sides of a baffle add up
         total = jnp.sum(areas, axis=0)
         normal = total / norm(total)
-        # The usual wall is at right angles to an axis: an exact normal keeps the coordinate bit for bit.
+        # The usual wall is at right angles to an axis: an exact normal keeps the coordinate bit for
+        # bit.
         sharp = jnp.where(jnp.abs(normal) < ALONG_AXIS, 0, normal)
         normal = normal + jax.lax.stop_gradient(sharp / norm(sharp) - normal)
         return FlatFaces(normal, jnp.mean(patch, axis=0), self.nodes, patch, self.faces)
@@ -105,7 +106,8 @@ class Faceted(AbstractWall):
         distances = jnp.sum((places - x[None]) ** 2, axis=1)
         chosen = jnp.argmin(jax.lax.stop_gradient(distances))
         place, normal = places[chosen], _normal(corners[chosen])
-        # At a node several faces meet. There the tangent is at right angles to the mean normal of the faces.
+        # At a node several faces meet. There the tangent is at right angles to the mean normal of
+        # the faces.
         node, smooth = vertices[vertex], normals[vertex]
         size = jnp.max(jnp.sum((corners[:, 1] - corners[:, 0]) ** 2, axis=1))
         is_node = squared[vertex] <= 1e-20 * size

@@ -4,6 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay, QhullError
 
+from .._host.surface.gaps import distance_from_segment
+
 CONTINUES = 0.5
 """Least cosine, of 60 degrees, between a hole's new faces and the faces around it.
 
@@ -121,10 +123,8 @@ def rim(faces: Int[np.ndarray, "e d"]) -> Int[np.ndarray, "r c"]:
 def distance_from_edges(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Measures the distances (k,) of points from the nearest edge (r, 2, d), or end (r, 1, d)."""
     least = np.full(len(x), np.inf)
-    for first, *second in ends:
-        edge = second[0] - first if second else np.zeros_like(first)
-        along = np.clip((x - first) @ edge / max(float(edge @ edge), 1e-300), 0, 1)
-        least = np.minimum(least, np.linalg.norm(x - first - along[:, None] * edge, axis=1))
+    for edge in ends:
+        least = np.minimum(least, distance_from_segment(x, edge[0], edge[-1]))
     return least
 
 

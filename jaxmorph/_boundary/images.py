@@ -18,10 +18,9 @@ from .symmetry import Plane, facing, tolerance
 class Images(eqx.Module):
     """The own rows of a surface, extended by their images.
 
-    Extended row i is the image of own row `rows[i]` by the transform `kind[i]`:
-    x -> `matrices` x + `shifts`. Kind 0 is the identity. Own row j lies on plane k where
-    `on_plane[j, k]`. `pairings` pair own rows; `powers[t, q]` is the power of periodic transform q in
-    transform t.
+    Extended row i is the image of own row `rows[i]` by the transform `kind[i]`: x -> `matrices` x +
+    `shifts`. Kind 0 is the identity. Own row j lies on plane k where `on_plane[j, k]`. `pairings`
+    pair own rows; `powers[t, q]` is the power of periodic transform q in transform t.
     """
 
     normals: Float[Array, "p d"]
@@ -135,8 +134,8 @@ def copies(
     Parallel planes make no images. Of several rows and images at one place, one counts. The nearest
     images come first.
     """
-    # A transform is a power of every periodic transform, then a mirror flag of every plane. The sort
-    # by the sum of powers is stable.
+    # A transform is a power of every periodic transform, then a mirror flag of every plane. The
+    # sort by the sum of powers is stable.
     flags = list(itertools.product(*((False,) if is_facing else (False, True) for is_facing in facing(planes))))
     powers = [pairing.powers for pairing in pairings]
     elements = sorted(
@@ -184,8 +183,9 @@ def _numbered(
 
 def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], points: np.ndarray) -> np.ndarray:
     """Gives one number to images that coincide, for example where walls meet a periodic side."""
-    # Pairs of nearby places are sorted, own rows first, and the second place takes the number of the
-    # first. Two images by one transform keep their numbers: nodes that coincide in the mesh stay two.
+    # Pairs of nearby places are sorted, own rows first, and the second place takes the number of
+    # the first. Two images by one transform keep their numbers: nodes that coincide in the mesh
+    # stay two.
     numbers, first = np.unique(places, return_index=True)
     first = np.sort(first)  # own rows come before images
     kind = first // len(points)

@@ -21,8 +21,8 @@ INSIDE = "cyclic", "processor", "empty", "wedge"
 def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str]]:
     """Chooses fixed and symmetry patches by their kinds in the file, where a caller names moving patches alone.
 
-    Symmetry patches that lie in planes slide; all other patches with a kind are fixed. A warning names
-    the choice. Nothing is chosen without kinds, or where `moving` are no names.
+    Symmetry patches that lie in planes slide; all other patches with a kind are fixed. A warning
+    names the choice. Nothing is chosen without kinds, or where `moving` are no names.
     """
     names = names_in(moving)
     if not isinstance(mesh, Mesh) or names is None:

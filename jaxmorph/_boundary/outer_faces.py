@@ -53,7 +53,8 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
     **Returns:** ids (k, corners) by type: `line`, `triangle` and `quad`.
 
-    **Raises:** `ValueError` for a name that is no patch, and for a mesh without cells of its dimension.
+    **Raises:** `ValueError` for a name that is no patch, and for a mesh without cells of its
+    dimension.
     """
     outer = outer_faces(mesh)
     if outer is None:

@@ -76,7 +76,8 @@ class Pairing(eqx.Module):
             return self
         difference = points[self.second] - points[self.first]
         mean = jnp.mean(difference, axis=0)
-        # The median is the value of most pairs, free of round-off; the mean has a smooth derivative.
+        # The median is the value of most pairs, free of round-off; the mean has a smooth
+        # derivative.
         shift = mean + jax.lax.stop_gradient(jnp.median(difference, axis=0) - mean)
         shift = jnp.where(jnp.abs(shift) < ALONG_AXIS * jnp.max(jnp.abs(shift)), 0, shift)
         return dataclasses.replace(self, shift=shift)

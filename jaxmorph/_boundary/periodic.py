@@ -22,9 +22,9 @@ MISMATCH = 1e-4
 class Periodic:
     """Two patches of which the second repeats the first: passages of a cascade, sectors of a wheel, ends of a duct.
 
-    The transform repeats the surface before a method sees it, so that the field knows the neighbours.
-    Then every pair of nodes takes its mean displacement. Both patches move: they may change shape,
-    but stay copies of each other.
+    The transform repeats the surface before a method sees it, so that the field knows the
+    neighbours. Then every pair of nodes takes its mean displacement. Both patches move: they may
+    change shape, but stay copies of each other.
 
     Without `translation`, `rotation`, `about` and `axis`, the transform is the translation between
     the middles of the patches. If the patches do not match, it is a rotation about an axis of
@@ -32,14 +32,14 @@ class Periodic:
 
     **Arguments:**
 
-    - `patch`, `partner`: names of patches, or ids of their nodes. The transform leads from `patch` to
-      `partner`.
+    - `patch`, `partner`: names of patches, or ids of their nodes. The transform leads from `patch`
+      to `partner`.
     - `translation`: vector (d,), in the mesh's units. Default: found.
     - `rotation`: angle in radians. Default: found from the middles of the patches.
     - `about`: a point (d,) on the axis of the rotation. Default: the origin.
     - `axis`: direction (3,) of the rotation's axis, only in 3-D.
-    - `copies`: images of the surface on either side. Default 1. With 2, cells are a little better, and
-      work takes longer.
+    - `copies`: images of the surface on either side. Default 1. With 2, cells are a little better,
+      and work takes longer.
 
     **Raises:** `ValueError` for a translation with a rotation, and for less than one copy.
     """

@@ -31,10 +31,11 @@ class Revolution:
     - `axis`: direction (3,) of the axis, of any length; None in 2-D.
     - `origin`: a point (d,) on the axis, in 2-D the centre. Default: zero.
     - `profile`: points (k, 2) of the surface: ascending places along the axis from the origin, and
-      radii. A cubic spline joins the points. Default: a line if the patch's nodes lie on one (cylinder,
-      cone, disc), otherwise a spline through the nodes.
+      radii. A cubic spline joins the points. Default: a line if the patch's nodes lie on one
+      (cylinder, cone, disc), otherwise a spline through the nodes.
 
-    **Raises:** `ValueError` for an axis that is zero, and a profile that is not (k, 2) with ascending places.
+    **Raises:** `ValueError` for an axis that is zero, and a profile that is not (k, 2) with
+    ascending places.
     """
 
     axis: np.ndarray | None
@@ -57,18 +58,19 @@ class Revolution:
 class Slide:
     """Lets the nodes of a patch move along its surface: blade tips along a shroud, a body along the sides of its box.
 
-    Nodes between two sliding patches, or between a patch and a symmetry plane, stay on both. Corners
-    of the mesh, the apex of a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
+    Nodes between two sliding patches, or between a patch and a symmetry plane, stay on both.
+    Corners of the mesh, the apex of a cone, and fixed nodes do not move. Moving nodes of the patch
+    stay on it.
 
-    On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces the
-    motion has a kink where a node crosses an edge.
+    On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces
+    the motion has a kink where a node crosses an edge.
 
     **Arguments:**
 
     - `patch`: name of a patch, several names, or ids of nodes.
-    - `on`: the surface: a `Plane` (in 2-D a line), a `Revolution`, or None for the patch's own faces,
-      which needs a mesh. Faces in one plane make a plane. Edges that turn by more than 60 degrees
-      divide the faces, and keep their nodes. Default None.
+    - `on`: the surface: a `Plane` (in 2-D a line), a `Revolution`, or None for the patch's own
+      faces, which needs a mesh. Faces in one plane make a plane. Edges that turn by more than 60
+      degrees divide the faces, and keep their nodes. Default None.
     """
 
     patch: str | Sequence[str] | np.ndarray
@@ -96,8 +98,8 @@ def walls_of_patch(
 ) -> list[tuple[AbstractWall, np.ndarray]]:
     """Makes the walls of a sliding patch, with their nodes.
 
-    Own faces are divided at sharp edges, and filled up below bodies whose nodes are `moving`. Raises
-    `ValueError`, with the worst node, where nodes do not lie on their wall.
+    Own faces are divided at sharp edges, and filled up below bodies whose nodes are `moving`.
+    Raises `ValueError`, with the worst node, where nodes do not lie on their wall.
     """
     exact, dimension = points.astype(float), points.shape[1]
     if not len(nodes):

@@ -18,15 +18,16 @@ TOLERANCE = 1e-8
 class Plane(Module):
     """A symmetry plane: nodes on the plane stay in the plane.
 
-    Nodes within 1e-8 of the mesh's extent, or within the round-off of float32 coordinates, lie on the
-    plane. All other nodes are on one side. `Plane.through` finds a patch's plane.
+    Nodes within 1e-8 of the mesh's extent, or within the round-off of float32 coordinates, lie on
+    the plane. All other nodes are on one side. `Plane.through` finds a patch's plane.
 
     **Arguments:**
 
     - `normal`: direction (d,) of any length but zero.
     - `origin`: a point (d,) of the plane, in the mesh's units.
 
-    **Raises:** `ValueError` for a normal that is zero, and for different dimensions of normal and origin.
+    **Raises:** `ValueError` for a normal that is zero, and for different dimensions of normal and
+    origin.
     """
 
     normal: np.ndarray
@@ -55,7 +56,8 @@ class Plane(Module):
 
         **Returns:** a `Plane`.
 
-        **Raises:** `ValueError`, with the deviation and the worst node, if the nodes do not lie in one plane.
+        **Raises:** `ValueError`, with the deviation and the worst node, if the nodes do not lie in
+        one plane.
         """
         points = finite_array("points", points, (None, 2), (None, 3))
         nodes = rows_of("nodes", nodes, len(points))
@@ -102,8 +104,8 @@ def planes_through(
     """Finds the planes of a patch, front and back for example, by boundary faces (e, corners) of the mesh.
 
     The plane with most of the nodes comes first, then the plane with most of the remaining nodes.
-    Raises the error of `Plane.through` if `MOST` planes do not hold all nodes, or if other planes hold
-    as many nodes.
+    Raises the error of `Plane.through` if `MOST` planes do not hold all nodes, or if other planes
+    hold as many nodes.
     """
     try:
         return (Plane.through(points, nodes),)

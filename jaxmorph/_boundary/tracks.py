@@ -96,10 +96,11 @@ def tracks_of(
 ) -> tuple[tuple[Track, ...], np.ndarray]:
     """Groups the nodes of sliding patches by their walls, as tracks; also lists the nodes that cannot slide.
 
-    Corners and the apex of a cone cannot slide. Raises `ValueError` where two walls meet without an edge.
+    Corners and the apex of a cone cannot slide. Raises `ValueError` where two walls meet without an
+    edge.
     """
-    # A node has a row of flags: the walls and planes on which it lies. Nodes with equal rows are one
-    # track. A node on as many walls as there are dimensions cannot slide.
+    # A node has a row of flags: the walls and planes on which it lies. Nodes with equal rows are
+    # one track. A node on as many walls as there are dimensions cannot slide.
     n, dimension = points.shape
     flags = np.zeros((n, len(walls) + len(planes)), dtype=bool)
     is_apex = np.zeros(n, dtype=bool)

@@ -66,9 +66,10 @@ class Round(AbstractWall):
     """A circle in 2-D, a surface of revolution in 3-D. The profile is a line, or a cubic spline of the radius.
 
     - `axis`, `origin` (d,): the axis, zero in 2-D, and a point on it.
-    - `line` (3,): (a, b, c) with a z + b r = c and a^2 + b^2 = 1 at places z along the axis and radii r.
-    - `knots` (k + 1,), `spline` (4, k): places along the axis, and coefficients, the cubic ones first.
-      None for a line.
+    - `line` (3,): (a, b, c) with a z + b r = c and a^2 + b^2 = 1 at places z along the axis and
+      radii r.
+    - `knots` (k + 1,), `spline` (4, k): places along the axis, and coefficients, the cubic ones
+      first. None for a line.
     """
 
     axis: Float[Array | np.ndarray, " d"]

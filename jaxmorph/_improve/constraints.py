@@ -40,8 +40,8 @@ def constraints_of_mesh(mesh: Mesh, fixed, symmetry, sliding, periodic) -> Const
     tracks, edges = tracks_of(walls, (), np.asarray(mesh.points))
     ways = [nodes for _, nodes in walls]
     ways += [np.append(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
-    held = _boundary(mesh, ways) if fixed is None else np.asarray(fixed, dtype=int)
-    return Constraints(np.append(held, edges), tracks, pairings)
+    fixed_nodes = _boundary(mesh, ways) if fixed is None else np.asarray(fixed, dtype=int)
+    return Constraints(np.append(fixed_nodes, edges), tracks, pairings)
 
 
 def constraints_of_plan(plan: Plan, mesh: Mesh) -> Constraints:
@@ -56,8 +56,8 @@ def constraints_of_plan(plan: Plan, mesh: Mesh) -> Constraints:
     data = np.concatenate([boundary.moving, boundary.fixed])
     partners = [pairing.nodes for pairing in boundary.pairings]
     led = np.concatenate([data, sliding, *partners, *(nodes for _, nodes in flat)])
-    held = np.concatenate([_boundary(mesh, [led]), data, edges])
-    return Constraints(held, (*boundary.tracks, *tracks), boundary.pairings)
+    fixed_nodes = np.concatenate([_boundary(mesh, [led]), data, edges])
+    return Constraints(fixed_nodes, (*boundary.tracks, *tracks), boundary.pairings)
 
 
 def prepared(

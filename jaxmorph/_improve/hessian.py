@@ -1,9 +1,10 @@
 """Second derivatives of an energy of |T|^2 and det T, with or without their negative part.
 
-T = U Sigma V^T, with U and V rotations and the last singular value signed. The derivatives then couple diagonal entries
-with diagonal entries, and an entry off the diagonal with its mirror image. Some eigenvalues are closed forms, the others
-belong to one matrix (d, d). Source: twists and flips in Smith, De Goes and Kim, Analytic eigensystems for isotropic
-distortion energies, ACM Trans. Graph. 38, 2019.
+T = U Sigma V^T, with U and V rotations and the last singular value signed. The derivatives then
+couple diagonal entries with diagonal entries, and an entry off the diagonal with its mirror image.
+Some eigenvalues are closed forms, the others belong to one matrix (d, d). Source: twists and flips
+in Smith, De Goes and Kim, Analytic eigensystems for isotropic distortion energies, ACM Trans.
+Graph. 38, 2019.
 """
 
 import functools
@@ -112,8 +113,8 @@ def convex(
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Computes second derivatives of energy(|T|^2 / d, det T) by entries of U^T T V, with eigenvalues of at least `floor`.
 
-    It returns three matrices (d, d): derivatives by entries (i, i) and (j, j), by (i, j) twice, and by
-    (i, j) and (j, i).
+    It returns three matrices (d, d): derivatives by entries (i, i) and (j, j), by (i, j) twice, and
+    by (i, j) and (j, i).
     """
     d = len(sigma)
     curvature = _hessian(lambda s: energy(*_measures(s)), jnp.stack(sigma))

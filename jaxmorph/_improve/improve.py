@@ -41,8 +41,8 @@ class Improvement(Module):
     - `points`: the improved points (n, d).
     - `before`, `after`: number of inverted cells before and after, as `quality` counts them.
     - `energy`: mean distortion of a cell, 0 if all cells have the shape and size of their targets.
-    - `residual`: largest derivative of the summed distortion with respect to a node's place, in units
-      of the node's smallest cell. It is far below 1 at a minimum.
+    - `residual`: largest derivative of the summed distortion with respect to a node's place, in
+      units of the node's smallest cell. It is far below 1 at a minimum.
     - `steps`: steps of Newton's method, also rejected steps.
     - `cells`: number of cells.
     """
@@ -97,45 +97,47 @@ def improve(
         (1 - size_weight) |T|^2 / (d chi^(2/d)) + size_weight (1 + det^2 T) / (2 chi) - 1,
 
     with T from target to cell, and chi the determinant of T, regularised: finite on inverted cells.
-    Newton's method minimises the sum in five stages, in which the barrier at chi = 0 sharpens. SciPy
-    solves the sparse systems on the host.
+    Newton's method minimises the sum in five stages, in which the barrier at chi = 0 sharpens.
+    SciPy solves the sparse systems on the host.
 
     Traced in `points`. It is differentiable in both modes with respect to the places of the fixed
-    nodes, by the implicit function theorem at the minimum. Derivatives are as accurate as `residual`
-    is small; a lower `tolerance` makes them better. Derivatives with respect to the places of inner
-    nodes, where the search starts, are zero. Close over `mesh`; do not trace it. Use float64.
+    nodes, by the implicit function theorem at the minimum. Derivatives are as accurate as
+    `residual` is small; a lower `tolerance` makes them better. Derivatives with respect to the
+    places of inner nodes, where the search starts, are zero. Close over `mesh`; do not trace it.
+    Use float64.
 
-    Nodes of symmetry planes and sliding patches move along them, and keep the distance that `points`
-    has. The two nodes of a periodic pair move alike. Nodes between two walls stay on both walls.
-    Corners, and nodes on the axis of a rotation, do not move. A patch's own faces have a kink at every
-    edge, where the search may stop early. On a curved wall a node turns by less than 90 degrees from
-    its start; near 90 degrees, `residual` is infinite.
+    Nodes of symmetry planes and sliding patches move along them, and keep the distance that
+    `points` has. The two nodes of a periodic pair move alike. Nodes between two walls stay on both
+    walls. Corners, and nodes on the axis of a rotation, do not move. A patch's own faces have a
+    kink at every edge, where the search may stop early. On a curved wall a node turns by less than
+    90 degrees from its start; near 90 degrees, `residual` is infinite.
 
     Nothing is promised for a boundary that crosses itself: see `after`, or `str` of the result.
 
-    Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021; Teran et al., Robust
-    quasistatic finite elements and flesh simulation, SCA 2005.
+    Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021;
+    Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
     - `points`: moved points (n, d), in the unit of `mesh.points`.
-    - `fixed`: ids (f,) of nodes that stay at `points`, bit for bit. Default: all nodes of patches and of
-      the outer boundary that do not slide.
-    - `symmetry`, `periodic`, `sliding`: as `prepare` takes them, of the undeformed mesh. Default: none.
-    - `ideal`: the target is the equilateral cell (a cube, a square) of the undeformed volume. Default
-      False.
+    - `fixed`: ids (f,) of nodes that stay at `points`, bit for bit. Default: all nodes of patches
+      and of the outer boundary that do not slide.
+    - `symmetry`, `periodic`, `sliding`: as `prepare` takes them, of the undeformed mesh. Default:
+      none.
+    - `ideal`: the target is the equilateral cell (a cube, a square) of the undeformed volume.
+      Default False.
     - `size_weight`: weight of a change of size against a change of shape, 0 to 1, default 0.5.
-    - `tolerance`: the last stage ends when the root mean square motion of the nodes, in units of their
-      smallest cells, is smaller. Default 0.03.
+    - `tolerance`: the last stage ends when the root mean square motion of the nodes, in units of
+      their smallest cells, is smaller. Default 0.03.
     - `max_steps`: most Newton steps of a stage, default 60.
     - `progress`: the host calls `progress(softness, energy)` after every step. Default: none.
 
     **Returns:** an `Improvement`.
 
-    **Raises:** `ValueError` for a mesh without cells of its dimension, and when the shapes of `points`
-    and `mesh.points` differ. Also for node ids out of range, for `size_weight` outside of 0 to 1, and
-    for planes, periodic and sliding patches as `prepare` does.
+    **Raises:** `ValueError` for a mesh without cells of its dimension, and when the shapes of
+    `points` and `mesh.points` differ. Also for node ids out of range, for `size_weight` outside of
+    0 to 1, and for planes, periodic and sliding patches as `prepare` does.
     """
     start, options = jnp.asarray(points), Options(ideal, size_weight, tolerance, max_steps, progress)
     _check(mesh, start, fixed, options)

@@ -78,8 +78,9 @@ class Distortion(eqx.Module):
         The eigenvalues of a sample are at least `floor`.
         """
         # A sample has second derivatives by its edges. An edge is a sum of corners (`share`), which
-        # gives derivatives by corners. The last axis of the result runs over cells fastest, then over
-        # the second corner z, then over the first corner c, type after type: the order of `Pattern`.
+        # gives derivatives by corners. The last axis of the result runs over cells fastest, then
+        # over the second corner z, then over the first corner c, type after type: the order of
+        # `Pattern`.
         points, parts = self.points(y, base), []
         moves, d = self.scale * self.free, base.shape[1]
         # Derivatives of places by y, whose axis is the last; a partner moves by its first node's y.

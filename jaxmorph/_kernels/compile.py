@@ -14,9 +14,11 @@ import numpy as np
 from .values import is_known
 
 OPTIONS = {
-    # XLA's default is 256 bits, with which a kernel sum takes up to 50 % longer. No effect on smaller processors.
+    # XLA's default is 256 bits, with which a kernel sum takes up to 50 % longer. No effect on
+    # smaller processors.
     "xla_cpu_prefer_vector_width": 512,
-    # The newer emitters compile up to twice as long; programs here run as fast with the older emitters.
+    # The newer emitters compile up to twice as long; programs here run as fast with the older
+    # emitters.
     "xla_cpu_use_fusion_emitters": False,
 }
 
@@ -33,8 +35,8 @@ def compiled(function: Function) -> Function:
     """Compiles a function as `equinox.filter_jit` does, with `OPTIONS` for direct calls on a CPU.
 
     Within another transformation it is an ordinary jitted function: JAX takes options only for the
-    outermost program. Lists and tuples of numbers become arrays. Otherwise all numbers would be static
-    arguments, and new numbers would compile anew.
+    outermost program. Lists and tuples of numbers become arrays. Otherwise all numbers would be
+    static arguments, and new numbers would compile anew.
     """
     plain = eqx.filter_jit(function)
 

@@ -1,7 +1,8 @@
 """Sums of functions on NVIDIA's GPUs, as one kernel that writes only the sums to memory.
 
-XLA writes blocks of function values to memory, or reaches a tenth of the card's speed. Pallas, a part of JAX, keeps the sums
-in registers. Neither contracts a product and a sum into one instruction; `contracted` does, which halves the time.
+XLA writes blocks of function values to memory, or reaches a tenth of the card's speed. Pallas, a
+part of JAX, keeps the sums in registers. Neither contracts a product and a sum into one
+instruction; `contracted` does, which halves the time.
 """
 
 import contextlib
@@ -114,8 +115,8 @@ def fused_sum(
 ) -> Float[Array, "c k"]:
     """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA alone."""
     # A program of the kernel has a block of points, and, if there are few points, a part of the
-    # sources. All blocks have one size: the last block overlaps the block before it. A thread keeps the
-    # sums of its points in registers, and the loop runs over the sources.
+    # sources. All blocks have one size: the last block overlaps the block before it. A thread keeps
+    # the sums of its points in registers, and the loop runs over the sources.
     from jax.experimental import pallas as pl
     from jax.experimental.pallas import triton
 

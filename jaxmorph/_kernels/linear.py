@@ -9,15 +9,17 @@ import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-# `jax.custom_vjp` allows no forward derivatives, and `jax.custom_jvp` no hand-written transpose. A primitive has both, to any
-# order, and batching. `jax.extend.core` and `jax.interpreters` are public, but change between versions of JAX.
+# `jax.custom_vjp` allows no forward derivatives, and `jax.custom_jvp` no hand-written transpose. A
+# primitive has both, to any order, and batching. `jax.extend.core` and `jax.interpreters` are
+# public, but change between versions of JAX.
 
 
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
     """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c), column by column.
 
-    Its transpose is the primitive with other arguments. Derivatives by `others` are those of `compute`.
-    Under `vmap` of `values` alone the primitive gets more columns; if `others` vary, `compute` is mapped.
+    Its transpose is the primitive with other arguments. Derivatives by `others` are those of
+    `compute`. Under `vmap` of `values` alone the primitive gets more columns; if `others` vary,
+    `compute` is mapped.
 
     **Arguments:**
 

@@ -1,9 +1,9 @@
 """The float64 logarithm for CPUs, in operations that compile to vectors: XLA's own logarithm takes four times as long.
 
-The method is that of textbooks (Muller, Elementary Functions, chapter 11): x = 2^k m with m in [sqrt(1/2), sqrt(2)), and
-log m = 2 artanh(s) with s = (m - 1) / (m + 1). Newton's iteration computes the quotient, since a hardware division costs as
-much as ten multiplications. Coefficients interpolate at Chebyshev points. The largest error seen is 0.87 units in the last
-place.
+The method is that of textbooks (Muller, Elementary Functions, chapter 11): x = 2^k m with m in
+[sqrt(1/2), sqrt(2)), and log m = 2 artanh(s) with s = (m - 1) / (m + 1). Newton's iteration
+computes the quotient, since a hardware division costs as much as ten multiplications. Coefficients
+interpolate at Chebyshev points. The largest error seen is 0.87 units in the last place.
 """
 
 import jax
@@ -91,8 +91,9 @@ def _half_x_log_x_jvp(primals, tangents):
 def _not_zero(x):
     """Returns x, but at least the square of round-off at unit size.
 
-    A `where` on x > 0 is not safe. A compiler may compute the distance of a point from itself twice:
-    once as 0, and once, with a fused multiply-add, as a rounding error. Then condition and value differ.
+    A `where` on x > 0 is not safe. A compiler may compute the distance of a point from itself
+    twice: once as 0, and once, with a fused multiply-add, as a rounding error. Then condition and
+    value differ.
     """
     return jnp.maximum(x, float(jnp.finfo(x.dtype).eps) ** 2)
 

@@ -1,8 +1,9 @@
 """The product that ends a kernel sum: a few rows of weights, one a coordinate, times a large block of the kernel.
 
-The transpose contracts a few rows of a cotangent with the block's long axis. On a CPU it takes a quarter of the time as one
-matrix-vector product a row. With the rows of many displacements (`vmap`), one product of matrices is faster. Only a
-primitive can distinguish the two cases and stay bilinear.
+The transpose contracts a few rows of a cotangent with the block's long axis. On a CPU it takes a
+quarter of the time as one matrix-vector product a row. With the rows of many displacements
+(`vmap`), one product of matrices is faster. Only a primitive can distinguish the two cases and stay
+bilinear.
 """
 
 import functools
@@ -42,8 +43,8 @@ def _few_rows(rows, block, *, axis):
 def few_rows_in_one_loop(rows: Float[Array, "k s"], block: Float[Array, "..."], axis: int) -> Float[Array, "k c"]:
     """Computes the product of `_few_rows` as one reduction of all rows, for GPUs.
 
-    XLA computes an element of the block where it is summed, once for all rows. A library's product of
-    matrices would need the block in memory.
+    XLA computes an element of the block where it is summed, once for all rows. A library's product
+    of matrices would need the block in memory.
     """
     if len(rows) > MOST_ROWS:
         return _contract(rows, block, axis)

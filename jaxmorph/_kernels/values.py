@@ -15,9 +15,9 @@ Either = Any
 
 def namespace(array: Any) -> Any:
     """Returns NumPy for an array of NumPy, whose formulas need no compilation, and `jax.numpy` for other arrays."""
-    # A formula has two forms only where a first call gains a tenth of a process's time: `quality`, `inverted` and
-    # `wall_quality` gain 0.4 to 0.9 CPU seconds of 3.5 in 2-D, 0.9 to 3.6 in 3-D; the layer's width in `prepare` gains 1.1
-    # of 4.2. See "First calls" in benchmarks/README.md.
+    # A formula has two forms only where a first call gains a tenth of a process's time: `quality`,
+    # `inverted` and `wall_quality` gain 0.4 to 0.9 CPU seconds of 3.5 in 2-D, 0.9 to 3.6 in 3-D;
+    # the layer's width in `prepare` gains 1.1 of 4.2. See "First calls" in benchmarks/README.md.
     return np if isinstance(array, np.ndarray | np.generic) else jnp
 
 
@@ -29,7 +29,8 @@ def constant(values: Either) -> Either:
 def as_jax(tree: Any) -> Any:
     """Copies the NumPy arrays of a tree into arrays of JAX.
 
-    `jnp.asarray` compiles a program for every new shape, and may share memory that the caller changes later.
+    `jnp.asarray` compiles a program for every new shape, and may share memory that the caller
+    changes later.
     """
     return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jax.device_put(np.array(leaf)), tree)
 
@@ -81,8 +82,9 @@ def _largest(values, axis):
 
 @_largest.defjvp
 def _largest_jvp(axis, primals, tangents):
-    # JAX's own rule compares the values with their maximum. If XLA computes the values anew, their last bits may differ: then no
-    # value is equal, and the derivative would be zero. The place of the maximum is always found.
+    # JAX's own rule compares the values with their maximum. If XLA computes the values anew, their
+    # last bits may differ: then no value is equal, and the derivative would be zero. The place of
+    # the maximum is always found.
     (values,), (tangent,) = primals, tangents
     top, index = _largest(values, axis), jnp.argmax(values, axis=axis, keepdims=True)
     rows = jax.lax.broadcasted_iota(index.dtype, values.shape, axis % values.ndim)

@@ -158,7 +158,7 @@ def _marked(grid: Grid) -> dict[str, np.ndarray]:
     On points, 0 means inside.
     """
     levels = grid.levels
-    for name in sorted(filter(_is_marker, grid.cell_data), key=_rank):
+    for name in _markers(grid.cell_data):
         patches: dict[str, list[np.ndarray]] = {}
         for (_, corners), level, values in zip(grid.blocks, levels, grid.cell_data[name], strict=True):
             if 0 < level < max(levels) and _are_whole(values):
@@ -166,7 +166,7 @@ def _marked(grid: Grid) -> dict[str, np.ndarray]:
                     patches.setdefault(f"{name}_{int(number)}", []).append(corners[values == number].ravel())
         if patches:
             return _joined(patches)
-    for name in sorted(filter(_is_marker, grid.point_data), key=_rank):
+    for name in _markers(grid.point_data):
         values = np.asarray(grid.point_data[name])
         if _are_whole(values) and values.any():
             return {f"{name}_{int(v)}": np.flatnonzero(values == v) for v in np.unique(values[values != 0]).tolist()}
@@ -177,12 +177,9 @@ def _joined(patches: dict[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate(nodes) for name, nodes in patches.items()}
 
 
-def _is_marker(name: str) -> bool:
-    return name.lower() in MARKERS
-
-
-def _rank(name: str) -> int:
-    return MARKERS.index(name.lower())
+def _markers(arrays: Arrays) -> list[str]:
+    """Lists the names of arrays that are `MARKERS`, in the order of `MARKERS`."""
+    return sorted((name for name in arrays if name.lower() in MARKERS), key=lambda name: MARKERS.index(name.lower()))
 
 
 def _are_whole(values: Any) -> bool:

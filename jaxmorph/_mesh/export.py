@@ -88,8 +88,8 @@ def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -
 
 def _dealt(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.ndarray]:
     """Reorders arrays from the order of `mesh.cells` to cells of the types `kinds`; a cell of another type gets NaN."""
-    # Cells of one type have one order in both meshes. `place` is the row of a cell in the arrays, or -1
-    # for a cell of another type, which takes the row of NaN at the end.
+    # Cells of one type have one order in both meshes. `place` is the row of a cell in the arrays,
+    # or -1 for a cell of another type, which takes the row of NaN at the end.
     if not arrays:
         return {}
     place = np.full(len(kinds), -1)

@@ -1,7 +1,8 @@
 """Cells made of OpenFOAM's faces: tetrahedra, pyramids, wedges and hexahedra, numbered as VTK numbers them.
 
-OpenFOAM's files hold polygons and the two cells beside them. The type of a cell follows from the number of its faces and
-their corners. Its numbering follows from one face, the base, and from the edges that leave the base.
+OpenFOAM's files hold polygons and the two cells beside them. The type of a cell follows from the
+number of its faces and their corners. Its numbering follows from one face, the base, and from the
+edges that leave the base.
 """
 
 import dataclasses
@@ -88,8 +89,8 @@ class Faces:
 
         `~f` stands for face f if the cell is its neighbour.
         """
-        # A sparse matrix sorts the sides of faces by cell: its columns are sides, its rows cells. The
-        # conversion from columns to rows is a counting sort in linear time.
+        # A sparse matrix sorts the sides of faces by cell: its columns are sides, its rows cells.
+        # The conversion from columns to rows is a counting sort in linear time.
         inner = np.flatnonzero(self.neighbour >= 0).astype(np.int32)
         cells = np.concatenate([self.owner, self.neighbour[inner]]).astype(np.int32, copy=False)
         columns = np.arange(len(cells) + 1, dtype=np.int32)
@@ -132,8 +133,8 @@ def joined_faces(parts: list[Faces]) -> Faces:
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Finds the tetrahedra, pyramids, wedges and hexahedra: corner ids (k, corners) and cell ids (k,) by type.
 
-    The cell ids have an entry `polyhedron` for other cells. Numbers of faces, triangles and quads select
-    candidates; `_typed` numbers their corners and refuses cells with other connections.
+    The cell ids have an entry `polyhedron` for other cells. Numbers of faces, triangles and quads
+    select candidates; `_typed` numbers their corners and refuses cells with other connections.
     """
     ordered, starts = faces.of_cells()
     counts = np.diff(starts)
@@ -154,9 +155,9 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
 
 def open_cells(faces: Faces) -> np.ndarray:
     """Finds the cells that are not closed: one of their edges belongs to an odd number of their faces."""
-    # A node has a random number. An edge has the squared difference of its two numbers, which is zero
-    # if a corner comes twice. In a closed cell every edge comes an even number of times, so that an
-    # "exclusive or" over the edges of its faces leaves zero.
+    # A node has a random number. An edge has the squared difference of its two numbers, which is
+    # zero if a corner comes twice. In a closed cell every edge comes an even number of times, so
+    # that an "exclusive or" over the edges of its faces leaves zero.
     number = np.random.default_rng(0).integers(2**64, size=int(faces.labels.max(initial=0)) + 1, dtype=np.uint64)
     of_face = np.empty(len(faces.owner), np.uint64)
     for at in range(0, len(of_face), BLOCK):
@@ -175,8 +176,8 @@ def open_cells(faces: Faces) -> np.ndarray:
 
 def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, starts: np.ndarray):
     """Numbers the corners of cells whose faces begin at `starts`, and marks the cells with the shape of their type."""
-    # Blocks of cells keep memory small. The faces of a pyramid or a wedge are sorted so that the base
-    # comes first: the quad of a pyramid, a triangle of a wedge.
+    # Blocks of cells keep memory small. The faces of a pyramid or a wedge are sorted so that the
+    # base comes first: the quad of a pyramid, a triangle of a wedge.
     corners = np.empty((len(starts), _LAST[kind]), faces.labels.dtype)
     good = np.empty(len(starts), bool)
     for at in range(0, len(starts), BLOCK):
@@ -193,9 +194,9 @@ def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, star
 def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Numbers cells from their first face, the base, seen from inside; marks the cells with the shape of their type."""
     # A wall, another face that touches the base, shares an edge with it. On a walk round the wall,
-    # exactly one edge leaves the base: its foot is a corner of the base, its head the corner above. A
-    # cell has the shape of its type if every corner of the base has exactly one head, and the heads are
-    # one apex or all different.
+    # exactly one edge leaves the base: its foot is a corner of the base, its head the corner above.
+    # A cell has the shape of its type if every corner of the base has exactly one head, and the
+    # heads are one apex or all different.
     c = _BASE[kind]
     base = faces.corners(around[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3

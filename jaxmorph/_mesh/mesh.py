@@ -24,14 +24,14 @@ class Mesh(Module):
 
     - `points`: coordinates (n, d) with d = 2 or 3, in the units of the file.
     - `cells`: corner ids (k, corners) by type, numbered as VTK numbers them. Types are `triangle`,
-      `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron`; `tri`, `tet`, `prism` and `hex` are other
-      names. Types are kept in alphabetical order, so that arrays per cell have one order, also under
-      `jit`. Default: none.
+      `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron`; `tri`, `tet`, `prism` and `hex` are
+      other names. Types are kept in alphabetical order, so that arrays per cell have one order,
+      also under `jit`. Default: none.
     - `patches`: node ids by name, without repetition. Default: none.
     - `source`: the file's content, for `jaxmorph.io.write`. Default: none.
 
-    **Raises:** `ValueError` for an unknown cell type, for corner or patch ids outside of `points`, and
-    for wrong shapes.
+    **Raises:** `ValueError` for an unknown cell type, for corner or patch ids outside of `points`,
+    and for wrong shapes.
     """
 
     points: Float[Array | np.ndarray, "n d"]
@@ -69,8 +69,8 @@ class Mesh(Module):
     def patch(self, *names: str) -> np.ndarray:
         """Lists the node ids of one patch or of several patches, ascending, without repetition.
 
-        A name is the name of a patch, of a group, or a regular expression for whole names of patches,
-        `"motorBike.*"`.
+        A name is the name of a patch, of a group, or a regular expression for whole names of
+        patches, `"motorBike.*"`.
 
         **Raises:** `ValueError`, with all names of the mesh, for a name without a patch.
         """
@@ -99,8 +99,8 @@ class Mesh(Module):
     def file_nodes(self) -> np.ndarray:
         """The node (N,) of this mesh for every node of its file, in the file's order.
 
-        Common nodes of the zones of a CGNS or PLOT3D file are one node of the mesh. In an OpenFOAM case
-        in 2-D, the two nodes in front and at the back are one node.
+        Common nodes of the zones of a CGNS or PLOT3D file are one node of the mesh. In an OpenFOAM
+        case in 2-D, the two nodes in front and at the back are one node.
         """
         nodes = getattr(self.source, "file_nodes", None)
         return np.arange(len(self.points)) if nodes is None else nodes
@@ -109,8 +109,9 @@ class Mesh(Module):
     def in_file_order(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> np.ndarray:
         """Computes the coordinates (N, D) of all nodes of the file, in its order, from `points` (n, d) of this mesh.
 
-        `jaxmorph.io.write` writes these coordinates. D is 3 if the file has three coordinates, also for a
-        mesh in 2-D. A node that has not moved keeps the file's coordinates in all of its copies.
+        `jaxmorph.io.write` writes these coordinates. D is 3 if the file has three coordinates, also
+        for a mesh in 2-D. A node that has not moved keeps the file's coordinates in all of its
+        copies.
 
         **Raises:** `ValueError` when the shape of `points` differs.
         """
@@ -133,8 +134,8 @@ class Mesh(Module):
     def between(self) -> np.ndarray | None:
         """The faces (k, corners), edges in 2-D, between this part of a mesh and other parts; or None.
 
-        Rows have -1 behind the last corner. These faces are no boundary: their nodes are inner nodes. No
-        measure compares the cells on their two sides.
+        Rows have -1 behind the last corner. These faces are no boundary: their nodes are inner
+        nodes. No measure compares the cells on their two sides.
         """
         return getattr(self.source, "between", None)
 
@@ -167,13 +168,14 @@ class Mesh(Module):
     def from_meshio(mesh: Any) -> "Mesh":
         """Makes a mesh of a `meshio.Mesh`: its cells of highest dimension, in two coordinates if all z are equal.
 
-        Patches are cell sets of lower dimension, gmsh's physical groups and point arrays `patch:NAME`.
-        Without them, the whole numbers of an array `patch`, `marker`, `boundary` ..., on the boundary's
-        cells or on points, name patches. Without such an array the one patch is `boundary`. Point ids
-        stay. `to_meshio` of the result knows the `meshio.Mesh`.
+        Patches are cell sets of lower dimension, gmsh's physical groups and point arrays
+        `patch:NAME`. Without them, the whole numbers of an array `patch`, `marker`, `boundary` ...,
+        on the boundary's cells or on points, name patches. Without such an array the one patch is
+        `boundary`. Point ids stay. `to_meshio` of the result knows the `meshio.Mesh`.
 
-        **Raises:** `ValueError` for types of cells that are not supported (polyhedra, cells with nodes
-        between corners). Also for points that are not finite, and for a mesh without area or volume.
+        **Raises:** `ValueError` for types of cells that are not supported (polyhedra, cells with
+        nodes between corners). Also for points that are not finite, and for a mesh without area or
+        volume.
         """
         return Mesh(*exchange.parts(exchange.of_meshio(mesh)), source=exchange.Origin(mesh))
 
@@ -191,7 +193,8 @@ class Mesh(Module):
         - `cell_data`: arrays to add, one row a cell, in the order of `cells`. Other cells of the
           `meshio.Mesh` get NaN. Default: none.
 
-        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where meshio is missing.
+        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where meshio is
+        missing.
         """
         return export.to_meshio(self._parts, self.source, point_data, cell_data)
 
@@ -219,7 +222,8 @@ class Mesh(Module):
 
         - `point_data`, `cell_data`: as `to_meshio` takes them.
 
-        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where PyVista is missing.
+        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where PyVista is
+        missing.
         """
         return export.to_pyvista(self._parts, self.source, point_data, cell_data)
 

@@ -27,8 +27,8 @@ class Polyhedra:
 def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cuts the faces `chosen` into triangles (t, 3), in the sense of the face; also returns the face's place in `chosen`.
 
-    A face is a fan about the corner that makes its smallest triangle largest. So both cells of a face
-    see equal triangles.
+    A face is a fan about the corner that makes its smallest triangle largest. So both cells of a
+    face see equal triangles.
     """
     sizes = faces.sizes[chosen]
     parts, owners = [], []
@@ -56,8 +56,8 @@ def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
 def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cuts cells into tetrahedra (t, 4) between a node, the apex, and the triangles of faces away from it.
 
-    It also returns the cell of every tetrahedron. The apex is the first node whose smallest piece is no
-    sliver, or, if there is none, the node whose smallest piece is largest.
+    It also returns the cell of every tetrahedron. The apex is the first node whose smallest piece
+    is no sliver, or, if there is none, the node whose smallest piece is largest.
     """
     ordered, starts = faces.of_cells()
     parts, owners = [np.zeros((0, 4), faces.labels.dtype)], [np.zeros(0, np.int64)]
@@ -109,8 +109,8 @@ class _Pieces:
 
     def best_apex(self) -> np.ndarray:
         """Chooses the apex of all cells: one node a cell."""
-        # The nodes of all cells are sorted by cell. Round `turn` tries node number `turn` of every cell
-        # whose best node is not yet good enough.
+        # The nodes of all cells are sorted by cell. Round `turn` tries node number `turn` of every
+        # cell whose best node is not yet good enough.
         count = int(self.cell[-1]) + 1
         pairs = np.unique(np.stack([np.repeat(self.cell, 3), self.corners.ravel()], axis=1), axis=0)
         first = np.searchsorted(pairs[:, 0], np.arange(count + 1))

@@ -27,7 +27,8 @@ def carry(
 ) -> Plan:
     """Moves a plan to the mesh that one of its own steps left; a piece needs the whole moved surface.
 
-    The solve is made anew, and every point keeps its place in the graph. A layer over a wall is laid anew.
+    The solve is made anew, and every point keeps its place in the graph. A layer over a wall is
+    laid anew.
     """
     return _fitted(plan, points, surface, carried=True)
 

@@ -45,12 +45,13 @@ def prepare_in_chunks(
 
     **Arguments:**
 
-    - `mesh`, `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare` takes them.
+    - `mesh`, `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare`
+      takes them.
     - `size`: most inner nodes of a chunk, beside all nodes of the surface. None makes one chunk.
 
     **Raises:** `ValueError` for a size below 1, and where `prepare` does. With a size, also for a
-    method that solves on cells. A wrong point raises with its chunk; a `MeshError` names nodes of the
-    whole mesh.
+    method that solves on cells. A wrong point raises with its chunk; a `MeshError` names nodes of
+    the whole mesh.
     """
     if size is not None:
         whole("size", size)

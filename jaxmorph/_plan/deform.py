@@ -52,7 +52,8 @@ def pullback(
 
     **Returns:** dJ/du (m, d).
 
-    **Raises:** `ValueError` when the shape of `u` is not (m, d), or the shape of `cotangent` not (n, d).
+    **Raises:** `ValueError` when the shape of `u` is not (m, d), or the shape of `cotangent` not
+    (n, d).
     """
     cotangent = jnp.asarray(cotangent, plan.points.dtype)
     if cotangent.shape != plan.points.shape:

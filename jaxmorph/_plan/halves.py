@@ -37,7 +37,8 @@ class SurfaceHalf:
     `jm.save`, `jm.load` and pickle keep its bits. Two pieces, also of two processes, move a common
     point alike, to round-off. Common points of the surface are equal bit for bit.
 
-    - `plan`: the plan of the surface's nodes alone, for `inspect`, `plan.offset` and `plan.sources`.
+    - `plan`: the plan of the surface's nodes alone, for `inspect`, `plan.offset` and
+      `plan.sources`.
     - `nodes` (k,): ids of the plan's points in the whole mesh.
     - `faces`: boundary faces between rows of `plan.surface_nodes` by type, or None if unknown.
     - `is_open`: whether some side of the mesh is free.
@@ -83,12 +84,12 @@ class SurfaceHalf:
 
         **Returns:** a `Plan` of n points, for `march` and `replay`, but not for `refit`.
 
-        **Raises:** `ValueError` for a surface node that is named twice, or lies elsewhere than in the
-        half. Also for points outside of the hull, and for points that are not finite.
+        **Raises:** `ValueError` for a surface node that is named twice, or lies elsewhere than in
+        the half. Also for points outside of the hull, and for points that are not finite.
         """
         # A method connects to one list of points: the n points of the piece, then the half's points
-        # that the piece lacks. So tolerances are those of the whole mesh. Then the rows from n on are
-        # cut off; their numbers stay in the plan, for surface nodes that other pieces have.
+        # that the piece lacks. So tolerances are those of the whole mesh. Then the rows from n on
+        # are cut off; their numbers stay in the plan, for surface nodes that other pieces have.
         plan, points = self.plan, checked_points(points)
         if points.shape[1] != plan.points.shape[1]:
             raise ValueError(f"`points` has shape {points.shape}; the surface has {plan.points.shape[1]} dimensions.")
@@ -187,15 +188,15 @@ def prepare_surface(
     - `mesh`: a `Mesh`, or points (n, d). All surface nodes must be in it, and the outermost nodes
       should be. Other points set tolerances and show free sides. The nodes of two parallel symmetry
       planes are needed too: they are guided.
-    - `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare` takes them;
-      ids are rows of `mesh`.
-    - `nodes`: ids (n,) of the points in the whole mesh, by which pieces name them; -1 for points that
-      no piece names. Default: 0 to n - 1.
-    - `is_open`: whether the whole mesh has a side that is neither moving, fixed nor a symmetry plane.
-      Default None: decided by `faces`, or by `mesh`, which must then be whole.
+    - `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare` takes
+      them; ids are rows of `mesh`.
+    - `nodes`: ids (n,) of the points in the whole mesh, by which pieces name them; -1 for points
+      that no piece names. Default: 0 to n - 1.
+    - `is_open`: whether the whole mesh has a side that is neither moving, fixed nor a symmetry
+      plane. Default None: decided by `faces`, or by `mesh`, which must then be whole.
     - `faces`: boundary faces (k, corners) of the whole mesh by type, as rows of `mesh`, seen from
-      outside; in 2-D `line`s. With them, pieces move as the whole mesh does. Default None: the faces
-      of the mesh's cells, if it has cells.
+      outside; in 2-D `line`s. With them, pieces move as the whole mesh does. Default None: the
+      faces of the mesh's cells, if it has cells.
 
     **Returns:** a `SurfaceHalf`.
 

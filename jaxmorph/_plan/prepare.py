@@ -47,20 +47,21 @@ def prepare(
 
     **Arguments:**
 
-    - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see the
-      boundary faces, patches may be named, and boundary faces in no list cause a warning. Precision
-      and device are those of the points: float64 needs JAX's x64 mode.
-    - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both lists moves. Nodes
-      in no list follow. If nothing but moving patches is named, the `kinds` of the other patches
-      decide: symmetry planes slide, all others are fixed. A warning names them.
+    - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see
+      the boundary faces, patches may be named, and boundary faces in no list cause a warning.
+      Precision and device are those of the points: float64 needs JAX's x64 mode.
+    - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both lists moves.
+      Nodes in no list follow. If nothing but moving patches is named, the `kinds` of the other
+      patches decide: symmetry planes slide, all others are fixed. A warning names them.
     - `method`: `SurfaceReconstruction()` by default.
-    - `symmetry`: planes, or names of patches that lie in one or several planes. Nodes on a plane stay
-      in it, also moving nodes.
-    - `periodic`: pairs of patches of which one repeats the other. The two nodes of a pair move alike.
+    - `symmetry`: planes, or names of patches that lie in one or several planes. Nodes on a plane
+      stay in it, also moving nodes.
+    - `periodic`: pairs of patches of which one repeats the other. The two nodes of a pair move
+      alike.
     - `sliding`: patches whose nodes stay on their surface and move along it. A name stands for the
       patch's own faces.
-    - `free`: node ids or names of patches whose nodes may follow like inner nodes, without a warning.
-      Default: none.
+    - `free`: node ids or names of patches whose nodes may follow like inner nodes, without a
+      warning. Default: none.
 
     **Returns:** a `Plan`.
 
@@ -97,8 +98,8 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundar
     """Checks the planes, and guides the nodes of parallel planes, except for methods on cells.
 
     Two parallel mirrors have endless images. A field with some of the images has a step beside the
-    plane, by which cells invert. So parallel planes make no images. A field without images guides the
-    nodes of the planes, which then are data of the mesh's field.
+    plane, by which cells invert. So parallel planes make no images. A field without images guides
+    the nodes of the planes, which then are data of the mesh's field.
     """
     if boundary.planes:
         check_planes(boundary.planes, boundary.points)

@@ -41,8 +41,8 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     large motion, points have left their simplices and extrapolate.
 
     The patches' own faces, and translations of periodic pairs, are taken from the new points.
-    Symmetry planes, surfaces given to `jm.Slide`, and rotations stay. Points that do not lie on them
-    are refused, unless the points are traced.
+    Symmetry planes, surfaces given to `jm.Slide`, and rotations stay. Points that do not lie on
+    them are refused, unless the points are traced.
 
     **Arguments:**
 
@@ -52,10 +52,10 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
     **Returns:** a `Plan`.
 
     **Raises:** `ValueError` when the shape of `points` differs from the plan's. Also where nodes
-    leave a symmetry plane or a given surface, and where periodic pairs match no more: with the number
-    and the worst node. Also where nodes have come within the radius of `CompactRBF` or
-    `LocalCorrection`, so that the ids serve no more; in traced code the result is then NaN. Also for a
-    plan of a piece: prepare the new surface, and attach the piece to it.
+    leave a symmetry plane or a given surface, and where periodic pairs match no more: with the
+    number and the worst node. Also where nodes have come within the radius of `CompactRBF` or
+    `LocalCorrection`, so that the ids serve no more; in traced code the result is then NaN. Also
+    for a plan of a piece: prepare the new surface, and attach the piece to it.
     """
     if plan.is_piece:
         raise ValueError(

@@ -1,7 +1,8 @@
 """Plans in files: arrays, and a description of the tree that holds the arrays.
 
-A file is a NumPy archive (.npz) of plain arrays and of one array of bytes, the description in JSON. The description names
-classes. `load` looks the names up among the package's classes and the caller's, fills in the fields, and runs no code.
+A file is a NumPy archive (.npz) of plain arrays and of one array of bytes, the description in JSON.
+The description names classes. `load` looks the names up among the package's classes and the
+caller's, fills in the fields, and runs no code.
 """
 
 import dataclasses
@@ -68,8 +69,8 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
 
     - `path`: the file.
     - `classes`: your own classes that the plan may hold: a basis, a method and its factors, a
-      reduction. Default: none. A file can name only these and jaxmorph's classes, so that a file from
-      elsewhere does no harm.
+      reduction. Default: none. A file can name only these and jaxmorph's classes, so that a file
+      from elsewhere does no harm.
 
     **Returns:** the `Plan`, a tuple of plans, or the `SurfaceHalf`.
 
@@ -128,9 +129,9 @@ class _Writer:
         if isinstance(value, jax.Array | np.ndarray | np.generic):
             return self._array(value, where)
         if isinstance(value, tuple | list) and type(value) in (tuple, list):
-            return {type(value).__name__: [self.node(each, f"{where}[{i}]") for i, each in enumerate(value)]}
+            return {type(value).__name__: [self.node(item, f"{where}[{i}]") for i, item in enumerate(value)]}
         if type(value) is dict and all(type(key) is str for key in value):
-            return {"dict": {key: self.node(each, f"{where}[{key!r}]") for key, each in value.items()}}
+            return {"dict": {key: self.node(item, f"{where}[{key!r}]") for key, item in value.items()}}
         if isinstance(value, enum.Enum):
             return {"enum": self._name(type(value), where), "member": value.name}
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -139,7 +140,7 @@ class _Writer:
                     f"{where} is laid over devices: save the plan that `prepare` returned, and `shard` the loaded plan."
                 )
             fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-            described = {name: self.node(each, f"{where}.{name}") for name, each in fields.items()}
+            described = {name: self.node(item, f"{where}.{name}") for name, item in fields.items()}
             return {"class": self._name(type(value), where), "fields": described}
         kind = type(value).__name__
         raise ValueError(
@@ -187,7 +188,7 @@ class _Reader:
         if kind in ("tuple", "list"):
             return (tuple if kind == "tuple" else list)(map(self.node, content))
         if kind == "dict":
-            return {name: self.node(each) for name, each in content.items()}
+            return {name: self.node(item) for name, item in content.items()}
         if kind == "enum":
             return self._class(content, enum.Enum)[node["member"]]
         return self._object(node["class"], node["fields"])

@@ -23,23 +23,25 @@ def march(
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
     """Follows a path of total surface displacements, and refits the plan on the moved mesh before every step.
 
-    Radial basis functions are solved for anew at every step. A Delaunay graph stays on the undeformed mesh.
+    Radial basis functions are solved for anew at every step. A Delaunay graph stays on the
+    undeformed mesh.
 
     **Arguments:**
 
     - `plan`: what `prepare` returned.
-    - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` displaces the moving nodes from the
-      plan's base coordinates to the end of step j. So a rotation is a path of rotated positions, not a
-      straight line.
+    - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` displaces the moving nodes from
+      the plan's base coordinates to the end of step j. So a rotation is a path of rotated
+      positions, not a straight line.
     - `rebuild`: choose the ids (sources, graph) again before every step, as the paper does. Default
       False. The result then jumps, by as much as a step, wherever the graph of the moved surface
       changes. A line search or a finite difference meets cliffs.
-    - `mesh`: the plan's mesh, for `rebuild`: methods see its cells and boundary faces again. Default:
-      points alone, which methods on cells refuse.
+    - `mesh`: the plan's mesh, for `rebuild`: methods see its cells and boundary faces again.
+      Default: points alone, which methods on cells refuse.
 
     **Returns:** the plans of all steps, for `replay`, and the points (n, d) at the end.
 
-    **Raises:** `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where `prepare` does.
+    **Raises:** `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where
+    `prepare` does.
     """
     if mesh is not None and tuple(mesh.points.shape) != plan.points.shape:
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
@@ -66,7 +68,8 @@ def march(
 def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]) -> Float[Array, "n d"]:
     """Repeats the steps of a `march` with the recorded ids. Traced and differentiable; the points are equal.
 
-    It is differentiable with respect to `path`, and to the base coordinates through `refit(plans[0], points)`.
+    It is differentiable with respect to `path`, and to the base coordinates through
+    `refit(plans[0], points)`.
 
     **Arguments:**
 

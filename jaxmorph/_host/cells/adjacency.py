@@ -19,14 +19,15 @@ def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]
 
     **Returns:**
 
-    Two arrays with one entry a face: cells in the order of `cells`, faces of a cell in the order of `FACES`.
+    Two arrays with one entry a face: cells in the order of `cells`, faces of a cell in the order of
+    `FACES`.
 
     - The id of the neighbour, -1 on the boundary and where more than two cells meet.
     - True where the neighbour is numbered with the opposite handedness.
     """
-    # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins` sorts
-    # all rows, so that equal faces stand side by side: the twin's cell is the neighbour. Two cells of
-    # one handedness run round their common face in opposite senses.
+    # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`
+    # sorts all rows, so that equal faces stand side by side: the twin's cell is the neighbour. Two
+    # cells of one handedness run round their common face in opposite senses.
     columns, turns, owners, first = [], [], [], 0
     width = max((len(face) for kind in cells for face in FACES[kind]), default=2)
     for kind, corners in cells.items():
@@ -70,8 +71,8 @@ def handedness(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the orientation sign of all cells, and their connected parts.
 
-    Cells that faces connect have equal signs if their numbering has one handedness. Ids alone decide,
-    no coordinates. A part that cannot be oriented (a Moebius strip) has sign 1 throughout.
+    Cells that faces connect have equal signs if their numbering has one handedness. Ids alone
+    decide, no coordinates. A part that cannot be oriented (a Moebius strip) has sign 1 throughout.
 
     **Arguments:**
 

@@ -12,8 +12,8 @@ from .topology import DIMENSION, EDGES, FACES
 class Lines(NamedTuple):
     """First grid lines of w wall nodes, and the faces of the wall.
 
-    - `nodes`, `ends`, `beside` (w,): ids of the wall nodes, of the other ends of their lines, and of
-      neighbours on the wall.
+    - `nodes`, `ends`, `beside` (w,): ids of the wall nodes, of the other ends of their lines, and
+      of neighbours on the wall.
     - `faces` (f, c): sides of cells on the wall; a triangle repeats its last corner.
     - `rows` (f, c): the corners as rows of `nodes`; w for a repeated corner, which does not count.
     - `sign` (f,): 1 or -1. An area vector times its sign points into the mesh.
@@ -46,9 +46,9 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
     counted[:, -1] = faces[:, -1] != faces[:, -2]
     normal, beside = np.zeros(points.shape), np.full(len(points), -1)
     for corner in range(faces.shape[1]):
-        held = counted[:, corner]
-        np.add.at(normal, faces[held, corner], (sign[:, None] * area)[held])
-        beside[faces[held, corner]] = faces[held, corner - 1]
+        is_corner = counted[:, corner]
+        np.add.at(normal, faces[is_corner, corner], (sign[:, None] * area)[is_corner])
+        beside[faces[is_corner, corner]] = faces[is_corner, corner - 1]
     start, end = _edges_off(cells, on_wall)
     start, end = start[beside[start] >= 0], end[beside[start] >= 0]
     along = points[end] - points[start]
@@ -77,10 +77,10 @@ def _sides(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.nda
     width = {2: 2, 3: 4}[max((DIMENSION[kind] for kind in cells), default=2)]
     for kind, corners in cells.items():
         for side in FACES[kind]:
-            held = np.flatnonzero(on_wall[corners[:, side]].all(axis=1))
+            rows = np.flatnonzero(on_wall[corners[:, side]].all(axis=1))
             padded = (*side, *side[-1:] * (width - len(side)))
-            faces.append(corners[held][:, np.array(padded)])
-            apexes.append(corners[held, min(set(range(corners.shape[1])) - set(side))])
+            faces.append(corners[rows][:, np.array(padded)])
+            apexes.append(corners[rows, min(set(range(corners.shape[1])) - set(side))])
     if not faces:
         return np.zeros((0, width), dtype=np.int64), np.zeros(0, dtype=np.int64)
     joined, apex = np.concatenate(faces), np.concatenate(apexes)

@@ -14,8 +14,8 @@ def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
     Columns of -1 follow, up to the `width`.
     """
     columns = list(nodes)
-    # Neighbouring columns swap entries until every row ascends. For few columns this is several times
-    # faster than a sort of rows.
+    # Neighbouring columns swap entries until every row ascends. For few columns this is several
+    # times faster than a sort of rows.
     for sweep in range(len(columns)):
         for low in range(sweep % 2, len(columns) - 1, 2):
             a, b = columns[low], columns[low + 1]
@@ -54,11 +54,11 @@ def is_single(columns: Sequence[np.ndarray]) -> np.ndarray:
 def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndarray]]:
     """Drops faces that surely come twice: faces whose first node has only pairs of equal faces.
 
-    A mesh has few other faces, so that exact work on them is fast. A part has the nodes of its faces
-    by column; there are n nodes.
+    A mesh has few other faces, so that exact work on them is fast. A part has the nodes of its
+    faces by column; there are n nodes.
     """
-    # A face has a random number, made of its nodes in any order. The numbers of two equal faces cancel
-    # each other in an "exclusive or" over all faces of their first node.
+    # A face has a random number, made of its nodes in any order. The numbers of two equal faces
+    # cancel each other in an "exclusive or" over all faces of their first node.
     random = np.random.default_rng(n).integers(0, 2**64, n, dtype=np.uint64)
     left, firsts = np.zeros(n, np.uint64), []
     for columns in parts:
@@ -99,8 +99,9 @@ def _equals_next(columns: Sequence[np.ndarray], order: np.ndarray) -> np.ndarray
 def _keys(columns: Sequence[np.ndarray]) -> np.ndarray:
     """Packs a face into one integer: its first node in the upper bits, a hash of its other nodes in the lower bits.
 
-    One sort of integers then replaces a sort by columns. Keys of a mesh ascend almost as its faces do,
-    which makes the sort fast. Faces with one key are equal, except by an accident that `_ordered` sees.
+    One sort of integers then replaces a sort by columns. Keys of a mesh ascend almost as its faces
+    do, which makes the sort fast. Faces with one key are equal, except by an accident that
+    `_ordered` sees.
     """
     first = columns[0].astype(np.int64)
     digest = np.zeros(len(first), np.uint64)

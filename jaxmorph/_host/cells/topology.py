@@ -105,7 +105,8 @@ def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
         for side in FACES.get(kind, ()):
             columns = [nodes[corner] for corner in side]
             if is_candidate is not None:
-                # The two copies of an inner face pass or fail together: no face becomes single here.
+                # The two copies of an inner face pass or fail together: no face becomes single
+                # here.
                 passes = np.logical_and.reduce([is_candidate[column] for column in columns])
                 columns = [column[passes] for column in columns]
             sides.setdefault(len(side), []).append(columns)

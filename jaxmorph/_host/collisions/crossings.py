@@ -26,7 +26,8 @@ def crossing_faces(
 
     - `points`, `moved`: coordinates (b, d) before and after.
     - `faces`: segments (f, 2) in 2-D, triangles (f, 3) in 3-D, as rows of `points`.
-    - `place`: a number (b,) for every row. Faces that share a number are neighbours, and do not count.
+    - `place`: a number (b,) for every row. Faces that share a number are neighbours, and do not
+      count.
     """
     is_moving = (points != moved).any(axis=1)[faces].any(axis=1)
     if not is_moving.any():

@@ -61,9 +61,9 @@ def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
 def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
     """Solves (H + diag(shift)) x = right for a step that descends.
 
-    `right` is (n, d), and H the sum of `blocks` (d, d, pairs). A small matrix is factored; for a large
-    matrix, conjugate gradients with the diagonal blocks as preconditioner run to 1 % of the right
-    side. The matrix is damped if H is not positive. The result is zero if H is not finite.
+    `right` is (n, d), and H the sum of `blocks` (d, d, pairs). A small matrix is factored; for a
+    large matrix, conjugate gradients with the diagonal blocks as preconditioner run to 1 % of the
+    right side. The matrix is damped if H is not positive. The result is zero if H is not finite.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, None)
 

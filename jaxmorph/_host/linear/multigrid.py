@@ -1,7 +1,8 @@
 """A multigrid cycle for large sparse positive matrices: pyamg's levels, with sweeps of SciPy's products.
 
-pyamg's Gauss-Seidel sweeps need as many steps, and two to three times as long: see `benchmarks/README.md`. Its polynomials
-take their bounds from random vectors, so that no two runs would agree.
+pyamg's Gauss-Seidel sweeps need as many steps, and two to three times as long: see
+`benchmarks/README.md`. Its polynomials take their bounds from random vectors, so that no two runs
+would agree.
 """
 
 import dataclasses
@@ -18,8 +19,9 @@ SPREAD = 10
 STRONG = 0.3
 """Least entry, relative to the most negative entry of its row, by which unknowns are joined.
 
-In a thin layer of hexahedra, a node's neighbour across the layer has the entry -16/36, the nodes beside that neighbour
--4/36, and the nodes beside the node itself a positive entry. So only lines across the layer are joined.
+In a thin layer of hexahedra, a node's neighbour across the layer has the entry -16/36, the nodes
+beside that neighbour -4/36, and the nodes beside the node itself a positive entry. So only lines
+across the layer are joined.
 """
 
 COARSEST = 90
@@ -30,8 +32,8 @@ COARSEST = 90
 class Level:
     """A matrix (k, k) of the cycle, and the way to the next matrix.
 
-    - `prolongation` (k, coarse), `restriction` (coarse, k): the interpolation from the next level, and
-      its transpose.
+    - `prolongation` (k, coarse), `restriction` (coarse, k): the interpolation from the next level,
+      and its transpose.
     - `inverse` (k,): one over the diagonal.
     - `top`: a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles.
     """

@@ -10,9 +10,9 @@ from ..sources.farthest import farthest
 def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Orders points (n, d) so that the next is far from its predecessors, and finds near predecessors.
 
-    Returns ids (n,), and places in their order (n - first, count). A row begins with the point's own
-    place. The nearest earlier places follow; its own place fills up the row. The result depends on the
-    set of points, not on their order.
+    Returns ids (n,), and places in their order (n - first, count). A row begins with the point's
+    own place. The nearest earlier places follow; its own place fills up the row. The result depends
+    on the set of points, not on their order.
     """
     canonical = canonical_order(points)
     order = canonical[farthest(points[canonical], len(points), 0.0)]
@@ -38,13 +38,13 @@ def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
     distance, nearest = _query(points, points[start:], min(len(points), 2 * count + 2))
     distance = np.where(nearest < place, distance, np.inf)
     short = np.flatnonzero((distance < np.inf).sum(axis=1) < count)
-    best, kept = _smallest(distance, nearest, count)
+    best, chosen = _smallest(distance, nearest, count)
     if short.size:
         distances = np.where(nearest[short] >= start, distance[short], np.inf)
         more, older = _query(points[:start], points[start + short], min(start, count))
-        both = np.concatenate([distances, more], axis=1), np.concatenate([nearest[short], older], axis=1)
-        best[short], kept[short] = _smallest(*both, count)
-    return np.where(best < np.inf, kept, place)
+        candidates = np.concatenate([distances, more], axis=1), np.concatenate([nearest[short], older], axis=1)
+        best[short], chosen[short] = _smallest(*candidates, count)
+    return np.where(best < np.inf, chosen, place)
 
 
 def _query(points: np.ndarray, at: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,9 @@
 """The two solvers of a sparse symmetric system: by factors, and by conjugate gradients.
 
-SciPy's conjugate gradients stop at the residual alone. Its sums of products are those of a BLAS, whose threads wait in a
-loop for the next sum, at the cost of a second core. Sums of products are NumPy's own here. `benchmarks/README.md` compares
-these solvers with SciPy's conjugate gradients and pyamg's cycle.
+SciPy's conjugate gradients stop at the residual alone. Its sums of products are those of a BLAS,
+whose threads wait in a loop for the next sum, at the cost of a second core. Sums of products are
+NumPy's own here. `benchmarks/README.md` compares these solvers with SciPy's conjugate gradients and
+pyamg's cycle.
 """
 
 from collections.abc import Callable
@@ -23,7 +24,8 @@ def is_factored(unknowns: int, dimension: int) -> bool:
 class Factors:
     """Factors of a sparse symmetric matrix, by pivots on the diagonal.
 
-    Pivots are taken in an order of minimum degree, or, with `is_ordered`, in the order of the matrix.
+    Pivots are taken in an order of minimum degree, or, with `is_ordered`, in the order of the
+    matrix.
     """
 
     def __init__(self, matrix: Any, *, is_ordered: bool = False):
@@ -65,7 +67,8 @@ def conjugate_gradients(
     - `is_enough`: decides from the solution, the residual and the residual's image under `inverse`.
     - `limit`: most steps.
 
-    **Returns:** x (k,), and True if it `is_enough`. If the first direction has negative curvature, x is the direction.
+    **Returns:** x (k,), and True if it `is_enough`. If the first direction has negative curvature,
+    x is the direction.
     """
     x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
     for _ in range(limit):

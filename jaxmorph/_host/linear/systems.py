@@ -37,14 +37,17 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
     **Arguments:**
 
     - `pairs` (e, 2): nodes i and j of each pair, no pair twice.
-    - `values` (e,) or (e, d, d): the matrix's entries in row i and column j; those in row j are their transposes.
+    - `values` (e,) or (e, d, d): the matrix's entries in row i and column j; those in row j are
+      their transposes.
     - `diagonal` (n,) or (n, d, d): entries of a node with itself.
-    - `masses` (n,) or (0,): with masses M, the matrix is K M^-1 K, where K is the matrix described above.
+    - `masses` (n,) or (0,): with masses M, the matrix is K M^-1 K, where K is the matrix described
+      above.
     - `free` (n, d): unknowns to solve for.
     - `right` (n, k): k = d columns.
     - `multigrid`: whether conjugate gradients use multigrid: for equations on cells.
 
-    **Returns:** x (n, d), in the precision of `right`; NaN if a system is not finite, not positive, or not solved.
+    **Returns:** x (n, d), in the precision of `right`; NaN if a system is not finite, not positive,
+    or not solved.
     """
     key = (pairs, values, diagonal, masses, free, np.array(multigrid))
     with _lock:
@@ -113,8 +116,8 @@ def _scalar(pairs, values, diagonal, n) -> sparse.csr_matrix:
 
 def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
     """Assembles the matrix of the nodes `rows` block by block; unknowns that are not `used` have a one on the diagonal."""
-    # The blocks of pairs, of their transposes and of the diagonal are listed one after the other, and
-    # sorted by row and column. Rows and columns of unused unknowns are cleared.
+    # The blocks of pairs, of their transposes and of the diagonal are listed one after the other,
+    # and sorted by row and column. Rows and columns of unused unknowns are cleared.
     d = used.shape[1]
     number = np.full(len(diagonal), -1)
     number[rows] = np.arange(len(rows))
@@ -169,9 +172,9 @@ def iterated(
 ) -> np.ndarray:
     """Solves for one right side (k,); NaN if conjugate gradients do not converge, or the matrix is not positive.
 
-    The wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as the
-    error. The residual alone says too little: one that is small beside stiff cells moves soft cells far.
-    Without a cycle, it must be enough.
+    The wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as
+    the error. The residual alone says too little: one that is small beside stiff cells moves soft
+    cells far. Without a cycle, it must be enough.
     """
     enough = ACCURACY**2 * dot(right, right)
 
@@ -192,7 +195,8 @@ def _largest(x: np.ndarray) -> float:
 def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Makes the multigrid cycle of a matrix; for blocks, one cycle for every component, of the blocks' diagonal entries.
 
-    The diagonal entries are equivalent to the matrix (Korn's inequality), with a ninth of its entries.
+    The diagonal entries are equivalent to the matrix (Korn's inequality), with a ninth of its
+    entries.
     """
     if scaled.format != "bsr":
         return hierarchy(scaled, 1 / scale)

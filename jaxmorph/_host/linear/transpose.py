@@ -16,13 +16,14 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
     - `used`: a mask of rows (n,), or of entries (n, k), that count.
     - `count`: number of columns.
 
-    **Returns:** `entries` (r, WIDTH), positions in the flattened (n, k), -1 for padding; and `owner`
-    (r,), the column of a row of the table, ascending.
+    **Returns:** `entries` (r, WIDTH), positions in the flattened (n, k), -1 for padding; and
+    `owner` (r,), the column of a row of the table, ascending.
 
     **Raises:** `ValueError` for more entries than 32 bits count.
     """
-    # Used entries are sorted by column. A column of s entries fills ceil(s / WIDTH) rows of the table;
-    # its last row is padded. The shift of an entry is the padding of all columns before its own.
+    # Used entries are sorted by column. A column of s entries fills ceil(s / WIDTH) rows of the
+    # table; its last row is padded. The shift of an entry is the padding of all columns before its
+    # own.
     k = nodes.shape[1]
     if len(nodes) * k >= 2**31:
         raise ValueError(f"{len(nodes)} points are too many for one device; lay the plan over several with `shard`.")

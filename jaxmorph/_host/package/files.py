@@ -18,7 +18,8 @@ import numpy as np
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
     """Checks the name of a file or a folder to read; returns it as a path, also where nothing exists.
 
-    It raises `ValueError` for a device or a pipe, for which a reader would wait, and for a name with a null byte.
+    It raises `ValueError` for a device or a pipe, for which a reader would wait, and for a name
+    with a null byte.
     """
     path = _without_null(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
@@ -48,8 +49,8 @@ def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
 def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = False) -> pathlib.Path:
     """Checks the name of a file, or of a folder, to write, before any work; returns it as a path.
 
-    It raises `ValueError` for a name without one of the `endings`, if there are any, and if the parent
-    folder does not exist. Also for a folder, a device or a pipe, which no file can replace.
+    It raises `ValueError` for a name without one of the `endings`, if there are any, and if the
+    parent folder does not exist. Also for a folder, a device or a pipe, which no file can replace.
     """
     path = _without_null(path) if folder else file_path(path)
     if endings and path.suffix.lower() not in endings:
@@ -63,8 +64,8 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
     """Reads the arrays of an NPZ file by name, without objects.
 
-    It raises `ValueError` for a file that is damaged or not `what` is expected, `OSError` for a file
-    that cannot be opened.
+    It raises `ValueError` for a file that is damaged or not `what` is expected, `OSError` for a
+    file that cannot be opened.
     """
     with path.open("rb") as file:
         try:
@@ -98,9 +99,10 @@ def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> 
 def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = True) -> Iterator[pathlib.Path]:
     """Yields a temporary file or folder beside `path`, which replaces `path` at the end; a failure leaves nothing.
 
-    The temporary file is new, and its name is unique: no link is followed, and no file is overwritten.
-    If `path` is a symbolic link, its target is replaced. The new file gets the permissions of the old
-    file. Temporary files of `path` that killed writers of this machine left are removed.
+    The temporary file is new, and its name is unique: no link is followed, and no file is
+    overwritten. If `path` is a symbolic link, its target is replaced. The new file gets the
+    permissions of the old file. Temporary files of `path` that killed writers of this machine left
+    are removed.
 
     Raises `FileNotFoundError` if the parent folder does not exist, and `ValueError` if `path` is a
     folder, a device or a pipe. An `OSError` of the writer names `path`, not the temporary file. A

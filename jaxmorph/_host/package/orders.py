@@ -16,8 +16,8 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
 
 def morton_order(points: np.ndarray) -> np.ndarray:
     """Sorts points along Morton's curve, so that successive points are close to each other."""
-    # A point has an integer coordinate on every axis. The key interleaves their bits: bit 0 of x, y and
-    # z, then bit 1 of x, y and z. Points with equal upper bits lie in one box.
+    # A point has an integer coordinate on every axis. The key interleaves their bits: bit 0 of x, y
+    # and z, then bit 1 of x, y and z. Points with equal upper bits lie in one box.
     dimension = points.shape[1]
     bits = 62 // dimension
     low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0

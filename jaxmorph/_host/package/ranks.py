@@ -73,8 +73,8 @@ class Agreement:
 
     def __call__(self, ids: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Returns the common values (k, d) of ids (k,). All processes call it, also without nodes."""
-        # The keeper of an id is the process `id % size`. Every process sends ids and values to their
-        # keepers, which add new ids and answer with the values that they keep.
+        # The keeper of an id is the process `id % size`. Every process sends ids and values to
+        # their keepers, which add new ids and answer with the values that they keep.
         keeper = ids % self.ranks.size
         rows = [np.flatnonzero(keeper == rank) for rank in range(self.ranks.size)]
         received = self.ranks.alltoall([(ids[row], values[row]) for row in rows])

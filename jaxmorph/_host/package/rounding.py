@@ -1,7 +1,8 @@
 """Decisions that do not depend on round-off: numbers within `SAME` count as equal, and the first of equals is taken.
 
-A mesh with flat sides, even spacings or a plane of symmetry has many equal lengths. Computed lengths differ in the last bit,
-and differently on different processors. A plain comparison would follow that bit.
+A mesh with flat sides, even spacings or a plane of symmetry has many equal lengths. Computed
+lengths differ in the last bit, and differently on different processors. A plain comparison would
+follow that bit.
 """
 
 import numpy as np
@@ -56,8 +57,9 @@ def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.nd
 
 def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarray:
     """Finds, for every point, the `count` nearest `chosen` places (k, count), nearest first; ties go to the first place."""
-    # Distances are ranked: a distance within the slack of the one before has its rank. The sort is by
-    # rank, then by number. If the last rank reaches the end of the search, more places are searched.
+    # Distances are ranked: a distance within the slack of the one before has its rank. The sort is
+    # by rank, then by number. If the last rank reaches the end of the search, more places are
+    # searched.
     tree, slack = KDTree(chosen), max(roundoff(points), roundoff(chosen))
     nearest, left = np.zeros((len(points), count), dtype=np.int64), np.arange(len(points))
     looked = min(count - 1 + TIES, len(chosen))

@@ -16,18 +16,18 @@ ENOUGH = {2: 84, 3: 400}
 class FarthestPoints(AbstractSeparated):
     """Chooses `count` points one by one, always the farthest from all chosen points.
 
-    The first is the farthest from the middle. The largest distance of a surface point from its nearest
-    source is then at most twice that of the best choice of `count` sources, whatever the density of
-    the mesh. The result depends on the set of points, not on their order. It costs n times `count`
-    operations (Gonzalez, Theoretical Computer Science 38, 1985).
+    The first is the farthest from the middle. The largest distance of a surface point from its
+    nearest source is then at most twice that of the best choice of `count` sources, whatever the
+    density of the mesh. The result depends on the set of points, not on their order. It costs n
+    times `count` operations (Gonzalez, Theoretical Computer Science 38, 1985).
 
     **Arguments:**
 
     - `count`: number of points, at least 1; fewer if `separation` leaves no more.
-    - `separation`: the least distance between two sources, as a share of the diagonal of all points,
-      from 0 to 1. Default 1e-3.
-    - `extremes`: begin with the points on the bounding box, as `KDTree` does: a blunt trailing edge, a
-      wing's tip. Default False.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all
+      points, from 0 to 1. Default 1e-3.
+    - `extremes`: begin with the points on the bounding box, as `KDTree` does: a blunt trailing
+      edge, a wing's tip. Default False.
 
     **Raises:** `ValueError` for a count below one, and for a separation that is not from 0 to 1.
     """
@@ -51,8 +51,9 @@ class FarthestPoints(AbstractSeparated):
 class Filled(AbstractReduction):
     """Chooses the sources of a k-d tree with `extremes`, then the farthest points from them.
 
-    The tree follows the density of the mesh: it is finer at edges. The farthest points leave no part
-    of a wall without sources. There are 84 sources in 2-D and 400 in 3-D, or more if the tree has more.
+    The tree follows the density of the mesh: it is finer at edges. The farthest points leave no
+    part of a wall without sources. There are 84 sources in 2-D and 400 in 3-D, or more if the tree
+    has more.
 
     **Arguments:**
 
@@ -90,8 +91,8 @@ def farthest(
 ) -> np.ndarray:
     """Picks the ids of `count` points, always the farthest from all chosen points; `first` come first.
 
-    It ends early if all points are within `closest` of chosen points. With `reach` (n,), distances are
-    relative to a point's own reach, and it ends when all points are within reach.
+    It ends early if all points are within `closest` of chosen points. With `reach` (n,), distances
+    are relative to a point's own reach, and it ends when all points are within reach.
     """
     columns = np.ascontiguousarray(points.T)
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))

@@ -18,24 +18,24 @@ SHARE = {2: 0.25, 3: 0.5}
 class Graded(AbstractSeparated):
     """Chooses points so that the distance of every point from a source is at most `share` of its distance from the other boundary.
 
-    It is made for the fixed boundary. Where the moving boundary is near, the field must vanish within
-    the gap, and few sources would leave it wavy. A far field needs a few dozen sources at most, however
-    fine its mesh.
+    It is made for the fixed boundary. Where the moving boundary is near, the field must vanish
+    within the gap, and few sources would leave it wavy. A far field needs a few dozen sources at
+    most, however fine its mesh.
 
-    The distance is measured to the nearest source of the other boundary. It is at least the distance
-    of that source from its own nearest source: where boundaries touch, the spacing changes gradually.
-    Without another boundary it is the diagonal of all points.
+    The distance is measured to the nearest source of the other boundary. It is at least the
+    distance of that source from its own nearest source: where boundaries touch, the spacing changes
+    gradually. Without another boundary it is the diagonal of all points.
 
-    A fixed wall whose distance is larger than its length, a body for example, may come near later. It
-    gets its sources as if there were no other boundary, at most 512 on all such walls. Walls are found
-    by the faces of the mesh.
+    A fixed wall whose distance is larger than its length, a body for example, may come near later.
+    It gets its sources as if there were no other boundary, at most 512 on all such walls. Walls are
+    found by the faces of the mesh.
 
     **Arguments:**
 
     - `share`: relative, above 0; 0.25 in 2-D and 0.5 in 3-D by default.
     - `most`: most sources; the most needed sources come first; 512 by default.
-    - `separation`: least distance between sources, relative to the diagonal of all points, from 0 to 1;
-      1e-3 by default.
+    - `separation`: least distance between sources, relative to the diagonal of all points, from 0
+      to 1; 1e-3 by default.
 
     **Raises:** `ValueError` for values that are not in these ranges.
     """

@@ -49,9 +49,9 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
         radius[picked], distance[picked] = distance[picked], 0
         around = tree.query_ball_point(ordered[picked], radius[picked])
         near, node = _joined(around), np.repeat(picked, [len(ids) for ids in around])
-        apart = np.linalg.norm(ordered[near] - ordered[node], axis=1)
-        inside = apart < radius[node] * (1 - SAME)
-        _approach(distance, nearest, near[inside], node[inside], apart[inside])
+        gap = np.linalg.norm(ordered[near] - ordered[node], axis=1)
+        inside = gap < radius[node] * (1 - SAME)
+        _approach(distance, nearest, near[inside], node[inside], gap[inside])
     nearest[radius == 0] = np.flatnonzero(radius == 0)
     order = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
     return rank[order], rank[nearest[place]]
@@ -79,9 +79,9 @@ def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.
         for here, there in ((order[shift:], order[:-shift]), (order[:-shift], order[shift:])):
             same = images[here] == images[there]
             here, there = here[same], there[same]
-            apart = np.linalg.norm(points[here] - points[there], axis=1)
-            closer = apart < (1 - SAME) * distance[here]
-            distance[here[closer]], nearest[here[closer]] = apart[closer], there[closer]
+            gap = np.linalg.norm(points[here] - points[there], axis=1)
+            closer = gap < (1 - SAME) * distance[here]
+            distance[here[closer]], nearest[here[closer]] = gap[closer], there[closer]
     return distance, nearest
 
 
@@ -111,15 +111,15 @@ def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
 
 def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.ndarray:
     """Selects the nodes of a batch whose distance does not change by earlier nodes of the batch."""
-    apart = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
-    return batch[apart.min(axis=1) >= distance[batch] * (1 - SAME)]
+    gap = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
+    return batch[gap.min(axis=1) >= distance[batch] * (1 - SAME)]
 
 
-def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, apart: np.ndarray) -> None:
-    """Updates, in place, distances and nearest nodes: node `near[k]` has the distance `apart[k]` from `node[k]`."""
-    closer = np.flatnonzero(apart < (1 - SAME) * distance[near])
-    np.minimum.at(distance, near[closer], apart[closer])
-    closer = closer[apart[closer] <= (1 + SAME) * distance[near[closer]]]
+def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, gap: np.ndarray) -> None:
+    """Updates, in place, distances and nearest nodes: node `near[k]` has the distance `gap[k]` from `node[k]`."""
+    closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
+    np.minimum.at(distance, near[closer], gap[closer])
+    closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
     closer = closer[np.argsort(-node[closer], kind="stable")]  # the first of equals is written last
     nearest[near[closer]] = node[closer]
 
@@ -155,7 +155,8 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarr
 Sweep = tuple[np.ndarray, np.ndarray]
 """The order in which a triangular system is solved: s steps of r rows. A row adds up to `WIDTH` entries of its owner.
 
-The first array (s, r, WIDTH) has positions in the list of entries, -1 for padding; the second array (s, r) has the owners.
+The first array (s, r, WIDTH) has positions in the list of entries, -1 for padding; the second array
+(s, r) has the owners.
 """
 
 
@@ -177,9 +178,9 @@ def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Swee
 
 def _sweep(owner: np.ndarray, level: np.ndarray) -> Sweep:
     """Lays entries (e,), sorted by level and owner, into steps of rows."""
-    # The entries of one owner within a level fill rows of `WIDTH`. All steps have equally many rows, a
-    # quarter of the mean number of rows of a level. A level begins with a new step and takes as many
-    # steps as it needs; the rest of its last step stays empty.
+    # The entries of one owner within a level fill rows of `WIDTH`. All steps have equally many
+    # rows, a quarter of the mean number of rows of a level. A level begins with a new step and
+    # takes as many steps as it needs; the rest of its last step stays empty.
     if not owner.size:
         return np.zeros((0, 1, WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
     order = np.lexsort((owner, level))

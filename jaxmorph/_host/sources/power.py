@@ -16,15 +16,15 @@ NOISE = 1e-13
 class PGreedy(AbstractSeparated):
     """Chooses points one after the other, always where the power function of the chosen points is largest.
 
-    The method is that of De Marchi, Schaback and Wendland (Advances in Computational Mathematics 23,
-    2005). It depends on places alone, not on a motion. The basis is Wendland's C2 with a radius as
-    large as the extent of the points. The factors grow by one column a point (Newton's basis).
+    The method is that of De Marchi, Schaback and Wendland (Advances in Computational Mathematics
+    23, 2005). It depends on places alone, not on a motion. The basis is Wendland's C2 with a radius
+    as large as the extent of the points. The factors grow by one column a point (Newton's basis).
 
     **Arguments:**
 
     - `count`: number of points; fewer if `separation` leaves no more.
-    - `separation`: the least distance between two sources, as a share of the diagonal of all points,
-      from 0 to 1. Default 1e-3.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all
+      points, from 0 to 1. Default 1e-3.
 
     **Raises:** `ValueError` for a count below 1, and a separation that is not from 0 to 1.
     """

@@ -20,9 +20,9 @@ class AbstractReduction(abc.ABC):
 
     Your own reduction is a frozen (hashable) dataclass with one method, `__call__`.
 
-    A choice is discontinuous in the coordinates: as nodes move, another node becomes a source. In the
-    library's own reductions, round-off decides nothing: lengths within a relative 1e-9 are equal, and
-    the first of equals in the order of coordinates counts.
+    A choice is discontinuous in the coordinates: as nodes move, another node becomes a source. In
+    the library's own reductions, round-off decides nothing: lengths within a relative 1e-9 are
+    equal, and the first of equals in the order of coordinates counts.
     """
 
     most_on_far_walls: ClassVar[int] = 0
@@ -106,10 +106,10 @@ class AllPoints(AbstractReduction):
 class KDTree(AbstractSeparated):
     """The paper's explicit reduction by a k-d tree (section 2.1), in five steps.
 
-    The box with the most points is split at the median of its longest side; points at one coordinate
-    stay together. A leaf's box bounds its own points. The mesh points closest to the search points of
-    the leaves become sources, without repetition. The result depends on the set of points, not on
-    their order.
+    The box with the most points is split at the median of its longest side; points at one
+    coordinate stay together. A leaf's box bounds its own points. The mesh points closest to the
+    search points of the leaves become sources, without repetition. The result depends on the set of
+    points, not on their order.
 
     **Arguments:**
 
@@ -117,15 +117,16 @@ class KDTree(AbstractSeparated):
       `largest_box` is needed.
     - `search_points`: places in a box; `Corners()` by default, or `Centre()` or `GaussPoints()`.
     - `points_per_leaf`: a box with more points is split. Default None: no limit.
-    - `smallest_box`, `largest_box`: lengths in the mesh's units. A box no longer than the first stays
-      whole, a box longer than the second is split. Defaults 0 and infinity.
-    - `separation`: the least distance between two sources, as a share of the diagonal of all points,
-      from 0 to 1. Closer sources are dropped: they ruin the condition of the solve and of its
-      derivatives. A fixed source is also dropped beside a moving source, by the smaller of both
+    - `smallest_box`, `largest_box`: lengths in the mesh's units. A box no longer than the first
+      stays whole, a box longer than the second is split. Defaults 0 and infinity.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all
+      points, from 0 to 1. Closer sources are dropped: they ruin the condition of the solve and of
+      its derivatives. A fixed source is also dropped beside a moving source, by the smaller of both
       distances. Default 1e-3.
-    - `extremes`: adds points on the bounding box: a blunt trailing edge, a wing's tip. Default False.
-    - `crowded`: number of leaves if the other boundary is near: nearer to a point than the longest side
-      of the bounding box. Default None: `leaves`.
+    - `extremes`: adds points on the bounding box: a blunt trailing edge, a wing's tip. Default
+      False.
+    - `crowded`: number of leaves if the other boundary is near: nearer to a point than the longest
+      side of the bounding box. Default None: `leaves`.
 
     **Raises:** `ValueError` if no argument ends the splitting, and for values out of range.
     """
@@ -178,7 +179,8 @@ class KDTree(AbstractSeparated):
 
         **Arguments:**
 
-        - `count`: number of sources, at least d + 1. Not all numbers are possible: the nearest is taken.
+        - `count`: number of sources, at least d + 1. Not all numbers are possible: the nearest is
+          taken.
         - `points`: coordinates (n, d) of the moving nodes.
 
         **Returns:** a `KDTree`.

@@ -15,8 +15,8 @@ def share_left(
     """Measures the share (b,) of the gap at every row that a motion leaves; infinite without a gap.
 
     The gap before is the smaller of two: at the row, and at the corners of the face that is nearest
-    afterwards. So walls that slide along each other keep their gap. Distances up to `touching` count
-    as no gap.
+    afterwards. So walls that slide along each other keep their gap. Distances up to `touching`
+    count as no gap.
     """
     first, second = gaps(before, wall, faces)[0], gaps(after, wall, faces)
     narrowest = np.minimum(first, first[second[1]].min(axis=1))
@@ -28,7 +28,8 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.nd
     """Finds the nearest face (b, d) of another wall for every row of `points`, and its distance (b,).
 
     The distance is infinite without other walls. `wall` (b,) numbers the walls; `faces` are rows of
-    `points`, segments (f, 2) in 2-D and triangles (f, 3) in 3-D. A face between two walls does not count.
+    `points`, segments (f, 2) in 2-D and triangles (f, 3) in 3-D. A face between two walls does not
+    count.
     """
     labels = wall[faces]
     whole = (labels == labels[:, :1]).all(axis=1)
@@ -65,7 +66,7 @@ def _distance(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Measures the distances (k,) of points (k, d) from their segments (k, 2, d) or triangles (k, 3, d)."""
     count = corners.shape[1]
     sides = [(corners[:, k], corners[:, (k + 1) % count]) for k in range(count if count > 2 else 1)]
-    nearest = np.min([_to_segment(x, *side) for side in sides], axis=0)
+    nearest = np.min([distance_from_segment(x, *side) for side in sides], axis=0)
     if count == 2:
         return nearest
     first, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -78,8 +79,9 @@ def _distance(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.where((u >= 0) & (v >= 0) & (u + v <= 1), above, nearest)
 
 
-def _to_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    along = end - start
+def distance_from_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Measures the distances (k,) of points (k, d) from segments, one for all points or one a point."""
+    along = np.broadcast_to(end - start, x.shape)
     squared = np.maximum(np.einsum("kd,kd->k", along, along), 1e-300)
     share = np.clip(np.einsum("kd,kd->k", x - start, along) / squared, 0, 1)
     return np.linalg.norm(x - start - share[:, None] * along, axis=1)

@@ -1,8 +1,9 @@
 """The Delaunay graph of a surface (section 2.3 of the paper, step 1).
 
-Real surfaces are full of cospherical and coplanar nodes, which qhull turns into simplices without volume. So the coordinates
-for qhull are moved by 1e-8 of the local spacing, by a fixed function of place. Everything computed from the graph uses the
-true coordinates, and all weights are checked against them.
+Real surfaces are full of cospherical and coplanar nodes, which qhull turns into simplices without
+volume. So the coordinates for qhull are moved by 1e-8 of the local spacing, by a fixed function of
+place. Everything computed from the graph uses the true coordinates, and all weights are checked
+against them.
 """
 
 import contextlib
@@ -37,7 +38,8 @@ class Graph:
     - `unit` (b, d): the surface's nodes relative to `centre`, over `size`.
     - `unique` (k,), `nodes` (k, d): ids of the distinct nodes, and their places.
     - `delaunay`: the simplices between the distinct nodes.
-    - `flat`: the height below which a simplex holds no point; `slack`: round-off of the coordinates.
+    - `flat`: the height below which a simplex holds no point; `slack`: round-off of the
+      coordinates.
     """
 
     centre: np.ndarray
@@ -73,8 +75,8 @@ def graph_of(surface: np.ndarray) -> Graph:
 class _Graph(Delaunay):
     """A triangulation with a closed form of the barycentric transforms.
 
-    SciPy calls LAPACK for every simplex, whose threads cost twenty times more than the work. It fails
-    for the flattest simplices, and then `find_simplex` searches through all simplices.
+    SciPy calls LAPACK for every simplex, whose threads cost twenty times more than the work. It
+    fails for the flattest simplices, and then `find_simplex` searches through all simplices.
     """
 
     @functools.cached_property
@@ -115,8 +117,8 @@ def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
 def _snapped(nodes: np.ndarray) -> np.ndarray:
     """Rounds coordinates to about `SNAP` of the distance of the nearest node.
 
-    So the last bits of the mesh do not reach qhull. Jitter alone separates nodes on one sphere by no
-    more than qhull's own round-off.
+    So the last bits of the mesh do not reach qhull. Jitter alone separates nodes on one sphere by
+    no more than qhull's own round-off.
     """
     step = 2 ** np.floor(np.log2(SNAP * spacing(nodes)) + BETWEEN)[:, None]
     return np.floor(nodes / step + BETWEEN) * step
@@ -125,8 +127,8 @@ def _snapped(nodes: np.ndarray) -> np.ndarray:
 def _jittered(nodes: np.ndarray, phase: int) -> np.ndarray:
     """Moves nodes by `JITTER` of the distance of their nearest nodes, by a function of place alone.
 
-    The function is a sine of very short wave length. Unlike random numbers, it does not depend on the
-    order of the nodes, on units, or on the place of the mesh.
+    The function is a sine of very short wave length. Unlike random numbers, it does not depend on
+    the order of the nodes, on units, or on the place of the mesh.
     """
     dimension = nodes.shape[1]
     waves = 1e6 * np.sqrt(np.array([[2.0, 3.0, 5.0], [7.0, 11.0, 13.0], [17.0, 19.0, 23.0]]))[:dimension, :dimension]

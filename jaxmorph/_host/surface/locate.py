@@ -93,10 +93,10 @@ def _inwards(
 
 def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Finds better simplices for points that the search missed: their ids, and the smallest weights."""
-    # A point is inside of a simplex if its smallest weight is not negative, so that the best simplex
-    # has the largest one. First a point moves a little towards the middle, out of the flat simplices
-    # along a plane side of the hull, and is searched again. Then a point without a good simplex walks
-    # from simplex to neighbour as long as its weight grows.
+    # A point is inside of a simplex if its smallest weight is not negative, so that the best
+    # simplex has the largest one. First a point moves a little towards the middle, out of the flat
+    # simplices along a plane side of the hull, and is searched again. Then a point without a good
+    # simplex walks from simplex to neighbour as long as its weight grows.
     simplex = np.maximum(simplex, 0)
     best = graph.smallest_weight(simplex, points)
     middle = graph.nodes.mean(axis=0)

@@ -34,15 +34,16 @@ def near_walls(
     """Finds the points near a wall, and the ids (k, count + 1) of the surface nodes near them.
 
     `reach` (b,) is the distance to which a node's wall reaches into the volume. A row holds the
-    `count` nearest nodes of the nearest wall, nearest first; ties go to the first node. Its last entry
-    is the nearest node of another wall within eight times the reach, or the first entry again. A point
-    that is nearer to another wall is left out.
+    `count` nearest nodes of the nearest wall, nearest first; ties go to the first node. Its last
+    entry is the nearest node of another wall within eight times the reach, or the first entry
+    again. A point that is nearer to another wall is left out.
 
     `once(key, make)` caches results that depend on the surface and its walls alone.
     """
-    # A search finds the nearest node of a point within reach. The `count` nearest nodes of the point
-    # are then among 2 `count` neighbours of that node on its wall, which are found once a node, not
-    # once a point. Then the points of a wall are compared with the nodes of all other walls.
+    # A search finds the nearest node of a point within reach. The `count` nearest nodes of the
+    # point are then among 2 `count` neighbours of that node on its wall, which are found once a
+    # node, not once a point. Then the points of a wall are compared with the nodes of all other
+    # walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
     order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
@@ -88,7 +89,8 @@ def _nearest_within(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the nearest surface node within whose reach a point lies, and its distance, infinite without a node.
 
-    Nodes of similar reach are searched together: a bound that is far too large costs ten times as much.
+    Nodes of similar reach are searched together: a bound that is far too large costs ten times as
+    much.
     """
     bounded = []
     for members in searched_together(wall, np.flatnonzero(reach > 0)):
@@ -101,8 +103,8 @@ def _nearest_within(
 def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
     """Divides rows of the surface by their walls, unless there are more than `FEW` walls.
 
-    A search in a plane is fast from any distance. A tree of several planes has boxes that reach from
-    plane to plane: a search from the middle of a cube then takes fifty times longer.
+    A search in a plane is fast from any distance. A tree of several planes has boxes that reach
+    from plane to plane: a search from the middle of a cube then takes fifty times longer.
     """
     labels = wall[rows]
     walls = np.unique(labels)

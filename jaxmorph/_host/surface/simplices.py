@@ -10,7 +10,8 @@ def smallest_weight(
 ) -> np.ndarray:
     """Computes the smallest barycentric coordinate of every point in its simplex.
 
-    It is -inf where the simplex is -1 or not higher than `flat`. Blocks of points keep memory small.
+    It is -inf where the simplex is -1 or not higher than `flat`. Blocks of points keep memory
+    small.
     """
     smallest = np.empty(len(points))
     for start in range(0, len(points), 65536):

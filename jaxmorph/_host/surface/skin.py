@@ -8,6 +8,7 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 from ..package.orders import canonical_order, morton_order
 from ..package.rounding import SAME, distinct, first_largest, nearest_few, nearest_of, ranked, roundoff
 from ..sources.farthest import farthest
+from .walls import outward
 
 FacesByType = Mapping[str, np.ndarray] | None
 
@@ -27,8 +28,8 @@ APART = {2: 0.6, 3: 0.8}
 def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndarray:
     """Lists pairs (e, 2) of neighbouring rows among the first `moving` rows of the surface, no pair twice.
 
-    Pairs are the sides of the `faces`; without faces, neighbours by distance. Pairs that coincide are
-    left out.
+    Pairs are the sides of the `faces`; without faces, neighbours by distance. Pairs that coincide
+    are left out.
     """
     pairs = _sides(faces, moving)
     if not len(pairs):
@@ -76,8 +77,8 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
 def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> tuple[np.ndarray, np.ndarray]:
     """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,).
 
-    In 2-D the mean chord is half of the wall's length. In 3-D it is half of the wall's area over the
-    distance of the two nodes: a wing's chord, and about the diameter of a sphere or a fuselage.
+    In 2-D the mean chord is half of the wall's length. In 3-D it is half of the wall's area over
+    the distance of the two nodes: a wing's chord, and about the diameter of a sphere or a fuselage.
     """
     count = int(wall.max(initial=-1)) + 1
     size, ends = np.zeros(count), np.zeros((count, 2), dtype=np.int32)
@@ -122,7 +123,7 @@ def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
         for column in corners.T:
-            np.add.at(share, column, _measure(points[corners]) / corners.shape[1])
+            np.add.at(share, column, np.linalg.norm(outward(points[corners]), axis=1) / corners.shape[1])
     left = np.flatnonzero(share == 0)
     count = min(2 if points.shape[1] == 2 else 6, len(points) - 1)
     if not left.size or count < 1:
@@ -130,12 +131,6 @@ def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
     distance = np.asarray(KDTree(points).query(points[left], k=count + 1)[0])[:, 1:]
     share[left] = distance.mean(axis=1) if points.shape[1] == 2 else np.pi * distance[:, -1] ** 2 / (count + 0.5)
     return share
-
-
-def _measure(corners: np.ndarray) -> np.ndarray:
-    if corners.shape[1] == 2:
-        return np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-    return np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]), axis=1) / 2
 
 
 def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -154,7 +149,8 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
 def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
     """Finds distant fixed sources, and the shares of the way to them at which the field comes to rest.
 
-    The way begins at the middle of the moving sources. Few directions, with their mirror images, are enough.
+    The way begins at the middle of the moving sources. Few directions, with their mirror images,
+    are enough.
     """
     centre = surface[moving].mean(axis=0)
     rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
@@ -170,14 +166,14 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
 def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
     """Checks whether a flat side of the surface's hull holds points that are not on the surface.
 
-    `surface` (b, d) has the images in symmetry planes; `is_free` (n,) marks the `points` (n, d) that
-    are not on the surface.
+    `surface` (b, d) has the images in symmetry planes; `is_free` (n,) marks the `points` (n, d)
+    that are not on the surface.
     """
     try:
         hull = ConvexHull(surface)
     except QhullError:
         return False
-    size = _measure(surface[hull.simplices])
+    size = np.linalg.norm(outward(surface[hull.simplices]), axis=1)
     plane = np.unique(np.round(hull.equations, 6), axis=0, return_inverse=True)[1].ravel()
     area = np.bincount(plane, size)
     largest = np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]

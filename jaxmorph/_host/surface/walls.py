@@ -8,6 +8,7 @@ from scipy.spatial import KDTree
 from ..cells.pairs import parts_of
 from ..package.rounding import SAME, distinct, nearest_of
 from ..sources.farthest import farthest
+from .simplices import normals
 
 SHARP = np.cos(np.deg2rad(45))
 """Cosine of the angle at a concave corner from which on its two faces belong to different walls."""
@@ -33,16 +34,16 @@ def walls(
 ) -> np.ndarray:
     """Numbers the walls, and returns the wall (b,) of every surface node; the first `moving` nodes move.
 
-    Moving and fixed nodes are on different walls, even where they touch. `faces` are rows of `points`,
-    counterclockwise as seen from outside of the mesh. With faces, a wall continues from a face to its
-    neighbours, but not round a corner of less than 135 degrees with the mesh inside. So floor and side
-    of a box are two walls, and both sides of an airfoil are one wall.
+    Moving and fixed nodes are on different walls, even where they touch. `faces` are rows of
+    `points`, counterclockwise as seen from outside of the mesh. With faces, a wall continues from a
+    face to its neighbours, but not round a corner of less than 135 degrees with the mesh inside. So
+    floor and side of a box are two walls, and both sides of an airfoil are one wall.
 
     Without faces, two nodes are on one wall if a chain of nearest neighbours (2 in 2-D, 8 in 3-D)
-    joins them. In structured 3-D meshes a chain may stay within one section of a wing. So parts that
-    are curves are joined to the parts beside them. Walls that are closer to each other than their own
-    nodes then become one wall. Nodes of symmetry planes, marked by `in_planes` (b,), take the wall of
-    the nearest other node.
+    joins them. In structured 3-D meshes a chain may stay within one section of a wing. So parts
+    that are curves are joined to the parts beside them. Walls that are closer to each other than
+    their own nodes then become one wall. Nodes of symmetry planes, marked by `in_planes` (b,), take
+    the wall of the nearest other node.
     """
     label = np.full(len(points), -1)
     groups = [_in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
@@ -71,15 +72,15 @@ def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> di
     """Reverses all faces of a closed boundary if they enclose a negative area or volume: the cells are numbered clockwise."""
     origin, enclosed = points.mean(axis=0), 0.0
     for corners in faces.values():
-        enclosed += np.einsum("kd,kd->", *_outward(points[corners] - origin))
+        x = points[corners] - origin
+        enclosed += np.einsum("kd,kd->", outward(x), x.mean(axis=1))
     return {kind: corners[:, ::-1] for kind, corners in faces.items()} if enclosed < 0 else dict(faces)
 
 
 def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
     """Finds the wall of every node (b,) by its faces; -1 for a node without faces."""
-    normal, middle = (
-        np.concatenate(parts) for parts in zip(*(_outward(points[group]) for group in groups), strict=True)
-    )
+    normal = np.concatenate([outward(points[group]) for group in groups])
+    middle = np.concatenate([points[group].mean(axis=1) for group in groups])
     first, second, agree = _beside(groups)
     unit = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
     closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
@@ -88,8 +89,8 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     joined = (fixed[first] == fixed[second]) & ~sharp
     part = parts_of(first[joined], second[joined], len(fixed))
     label, starts = np.full(len(points), -1), np.cumsum([0, *map(len, groups)])
-    # A moving node at the rim may have moving and fixed faces; its moving faces must name its wall, and
-    # a fixed node's fixed faces. So these faces write last.
+    # A moving node at the rim may have moving and fixed faces; its moving faces must name its wall,
+    # and a fixed node's fixed faces. So these faces write last.
     for of_own_kind in (False, True):
         for group, start in zip(groups, starts, strict=False):
             face = slice(start, start + len(group))
@@ -99,13 +100,11 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     return label
 
 
-def _outward(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Computes normals and middles of faces (k, corners, d); a normal's length is the face's area."""
+def outward(corners: np.ndarray) -> np.ndarray:
+    """Computes outward normals (k, d) of faces (k, corners, d), as long as the face's area, or length in 2-D."""
     if corners.shape[1] == 2:
-        along = corners[:, 1] - corners[:, 0]
-        return np.stack([along[:, 1], -along[:, 0]], axis=1), corners.mean(axis=1)
-    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
-    return normal, corners.mean(axis=1)
+        return normals(corners)
+    return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -151,8 +150,9 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
 def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pairs every part that is a curve with the next part of its wall, on both sides.
 
-    A wall is a surface, so that a curve of nodes has a part beside it: beside the plane of a section,
-    or beside a straight line. Most nodes of a sample of the curve must find one part there.
+    A wall is a surface, so that a curve of nodes has a part beside it: beside the plane of a
+    section, or beside a straight line. Most nodes of a sample of the curve must find one part
+    there.
     """
     tree, pairs = KDTree(points), []
     for curve in range(label.max() + 1):
@@ -187,10 +187,10 @@ def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: n
     return pairs
 
 
-def _across(curve: np.ndarray, apart: np.ndarray, distance: np.ndarray) -> np.ndarray:
+def _across(curve: np.ndarray, offsets: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """Finds the direction across a curve: the normal of its plane; for a straight curve, towards the nearest other node."""
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
     if size[1] > 0.01 * size[0]:
         return axes[-1]
     sample, node = np.argwhere(distance <= (1 + SAME) * distance.min())[0]
-    return apart[sample, node] / distance[sample, node]
+    return offsets[sample, node] / distance[sample, node]
