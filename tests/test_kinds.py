@@ -81,7 +81,7 @@ def test_other_patches_are_taken_from_their_kinds(tmp_path):
     plan, (first, second) = prepared(mesh)
     assert first == (
         "No patches beside `moving` are named. By their kinds in the file `fixed` are 'far' (BCFarfield) and `symmetry` are "
-        "'mirror' (BCSymmetryPlane). Name them to say so."
+        "'mirror' (BCSymmetryPlane). Name the patches to choose otherwise."
     )
     assert "'unknown'" in second
     assert "'mirror'" not in second

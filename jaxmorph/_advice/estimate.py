@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import ArrayLike, Int
 
-from .._boundary.boundary import node_ids
+from .._boundary.names import node_ids
 from .._host.cells.topology import FACES
 from .._host.package.arguments import checked, whole
 from .._mesh.mesh import Mesh

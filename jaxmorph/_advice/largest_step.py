@@ -15,7 +15,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from .._host.package.arguments import between, checked, finite_array
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 from .._quality import measures
 from .._quality.quality import places, standards_of
 from .._quality.vector import corners

@@ -4,7 +4,8 @@ import numpy as np
 import scipy.spatial
 from jaxtyping import Float
 
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 
 RESTS = 1e-3
 """Share of the largest displacement below which a part of the surface rests."""

@@ -18,7 +18,8 @@ from .._boundary.boundary import Boundary
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._methods.inverse_distance import InverseDistance
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 from .._plan.prepare import plan_of
 from .._quality.quality import quality
 from .._quality.wall_quality import wall_quality

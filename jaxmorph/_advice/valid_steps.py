@@ -13,7 +13,8 @@ from .._host.package.arguments import between, checked
 from .._kernels.callback import host_call
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 from .._quality.quality import places
 from .largest_step import Corners
 

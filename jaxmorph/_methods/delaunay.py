@@ -5,7 +5,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.linear.products import determinant
-from .._host.surface.graph import graph_of, locate
+from .._host.surface.graph import graph_of
+from .._host.surface.locate import locate
 from .._kernels.values import as_jax
 from .base import Located
 from .placing import AbstractPlacing

@@ -16,7 +16,8 @@ from .._host.package.arguments import between, checked, finite_array, whole
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 from .._quality.quality import places
 from ._arguments import Numbers
 
