@@ -83,7 +83,7 @@ def test_a_film_in_3d_keeps_its_camera_and_holds_all_frames(tmp_path):
 
     film = list(frames_of(plot.animate(tmp_path / "m.gif", draw, [mesh.points, raised(mesh, 3), raised(mesh, -0.3)])))
     assert len(film) == 3
-    film = [picture[:222] for picture, _ in film]  # above axes and scale
+    film = [picture[:223] for picture, _ in film]  # above axes and scale
     for picture in film:
         assert (picture[0] > 250).all()
         assert (picture[-1, 30:] > 250).all()  # beside the axes
