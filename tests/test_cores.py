@@ -132,8 +132,10 @@ def test_a_surface_without_extent_is_refused_beside_other_work(monkeypatch, coun
 def test_tables_of_the_transpose_are_made_for_derivatives_alone(monkeypatch):
     from jaxmorph._methods import sparse
 
-    made, table = [], sparse._table
-    monkeypatch.setattr(sparse, "_table", lambda *arguments: made.append(arguments) or table(*arguments))
+    made, tabled = [], sparse.Interpolation._tabled
+    monkeypatch.setattr(
+        sparse.Interpolation, "_tabled", lambda *arguments: made.append(arguments) or tabled(*arguments)
+    )
     mesh = body(2)
     plan = jm.prepare(mesh.points, mesh.moving, mesh.fixed)
     u, w = motion(mesh.points)[mesh.moving], np.random.default_rng(0).normal(size=mesh.points.shape)

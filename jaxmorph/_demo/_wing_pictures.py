@@ -1,4 +1,4 @@
-"""Pictures of the wing: its surface before and after, and cuts through the mesh, coloured by what became of the cells."""
+"""Pictures of the wing: its surface before and after, and cuts through the mesh."""
 
 import pathlib
 from collections.abc import Sequence
@@ -11,6 +11,7 @@ from jaxmorph import plot  # before matplotlib: it says what to install
 
 # isort: split
 import matplotlib
+import pyvista
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -59,7 +60,10 @@ def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome:
 
 
 def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"], motion: Any) -> None:
-    """Draws the cells that a plane across the wing cuts, by each method: above the aspect ratio, below the change of volume."""
+    """Draws the cells that a plane across the wing cuts, by each method.
+
+    The aspect ratio is above, the change of volume below.
+    """
     plane = jm.Plane((0, 1, 0), (0, _span_of_cut(mesh), 0))
     kinds = (ASPECT_RATIO, "aspect ratio"), (CHANGE_OF_VOLUME, "|V/V0 - 1|")
     with matplotlib.rc_context(STYLE):
@@ -71,7 +75,9 @@ def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"], motion
             titles = outcome.study.name, f"smallest V/V0 of all cells {float(report.min_volume_ratio):.2f}"
             camera = _across(mesh, outcome.points)
             for axis, shown, (limits, _), title in zip(column, values, kinds, titles, strict=True):
-                plotter = plot.cut(mesh, outcome.points, plane=plane, values=shown, limits=limits, bar=False)
+                window = pyvista.Plotter(off_screen=True)  # one that is given shows all that is cut
+                drawn = {"values": shown, "limits": limits, "bar": False, "plotter": window}
+                plotter = plot.cut(mesh, outcome.points, plane=plane, **drawn)
                 _show(axis, plotter, camera, HALF_CUT, title)
         for row, (limits, label) in zip(axes, kinds, strict=True):
             _bar(figure, row, limits, label)
@@ -91,7 +97,10 @@ def _span_of_cut(mesh: jm.Mesh) -> float:
 
 
 def whole(points: np.ndarray, viewer: tuple[float, float, float]) -> tuple[tuple, tuple[float, float]]:
-    """Places a camera in the direction `viewer` that sees all (n, 3) points, z up; half the width and height that it takes."""
+    """Places a camera in the direction `viewer` that sees all points (n, 3), z up.
+
+    It returns also half the width and height of the picture.
+    """
     towards = np.asarray(viewer) / np.linalg.norm(viewer)
     right = np.cross((0, 0, 1), towards)
     right /= np.linalg.norm(right)
@@ -104,7 +113,7 @@ def whole(points: np.ndarray, viewer: tuple[float, float, float]) -> tuple[tuple
 
 
 def _show(axis: Any, plotter: Any, camera: tuple, half: tuple[float, float], title: str) -> None:
-    """Puts a 3-D picture on a 2-D axis, without perspective, so that sizes compare; `half` its width and height."""
+    """Puts a 3-D picture on a 2-D axis, without perspective; `half` is half its size."""
     plotter.window_size = round(HEIGHT * half[0] / half[1]), HEIGHT
     plotter.set_background("white")
     plotter.camera_position = [tuple(map(float, vector)) for vector in camera]

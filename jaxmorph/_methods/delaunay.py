@@ -1,4 +1,4 @@
-"""Delaunay graph mapping (Liu, Qin and Xia, J. Comput. Phys. 211, 2006; section 2.3 of the paper, eqs. 6 to 9)."""
+"""Delaunay graph mapping (Liu, Qin and Xia 2006; section 2.3 of the paper, eqs. 6 to 9)."""
 
 import jax
 import jax.numpy as jnp
@@ -7,24 +7,29 @@ from jaxtyping import Array, Float
 
 from .._host.linear.products import determinant
 from .._host.package.cores import Beside
-from .._host.surface.graph import Graph, graph_of, locate
+from .._host.surface.graph import Graph, graph_of
+from .._host.surface.locate import locate
 from .._kernels.values import as_jax
-from .base import AbstractMethod, Located, Surface
+from .base import AbstractMethod, Located
 from .placing import AbstractPlacing
 from .sparse import InterpolatedField, Interpolation
+from .surface import Surface
 
 
 class DelaunayGraph(AbstractPlacing):
-    """Moves each point linearly with the simplex of surface nodes that holds it (eq. 8): Delaunay graph mapping.
+    """Moves each point with the simplex of surface nodes that holds it (eq. 8).
 
-    The graph stands on the undeformed surface and carries displacements, so that the map is one linear operator for any
-    motion. A surface node follows itself alone, whatever the graph does around it; of several coincident nodes the
-    first one (moving before fixed) stands for all in the graph.
+    The graph stands on the undeformed surface and carries displacements, so that the map is one
+    linear operator for any motion. A surface node follows itself alone, whatever the graph does
+    around it; of several coincident nodes the first one (moving before fixed) stands for all in the
+    graph.
 
-    The graph is discontinuous in the base coordinates: nodes on one circle or sphere can be joined in several ways, and change
-    from one to another. Coordinates are rounded far below the distance of nodes first, so round-off does not choose.
+    The graph is discontinuous in the base coordinates: nodes on one circle or sphere can be joined
+    in several ways, and change from one to another. Coordinates are rounded far below the distance
+    of nodes first, so round-off does not choose.
 
-    **Raises:** `prepare` raises a `ValueError` for points outside of the convex hull of the surface.
+    **Raises:** `prepare` raises a `ValueError` for points outside of the convex hull of the
+    surface.
     """
 
     def connect(self, surface: Surface, points):
@@ -51,11 +56,11 @@ class DelaunayGraph(AbstractPlacing):
 def begin_graph(method: AbstractMethod, surface: Surface, count: int) -> None:
     """Begins the graph of a surface beside what comes next, where a method is or has a `DelaunayGraph`.
 
-    It stands idle if none of the `count` points is off the surface.
+    It does nothing unless some of the `count` points are off the surface.
     """
 
-    def is_graph(each: object) -> bool:
-        return isinstance(each, DelaunayGraph)
+    def is_graph(leaf: object) -> bool:
+        return isinstance(leaf, DelaunayGraph)
 
     if count > (surface.nodes >= 0).sum() and any(map(is_graph, jax.tree.leaves(method, is_leaf=is_graph))):
         _begun(surface)
@@ -66,7 +71,10 @@ def _begun(surface: Surface) -> Beside[Graph]:
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Computes barycentric coordinates e of x (eqs. 6 and 7, and their like in 3-D) in closed form; (1, 0, ...) `at_node`."""
+    """Computes barycentric coordinates e of x in closed form; (1, 0, ...) `at_node`.
+
+    These are eqs. 6 and 7, and their like in 3-D.
+    """
     edges = [corner - corners[0] for corner in corners[1:]]
     inner = x - corners[0]
     whole = determinant(edges)

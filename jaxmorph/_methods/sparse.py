@@ -1,7 +1,7 @@
-"""Points that follow a few surface nodes each: a sparse operator, with its transpose as fast as itself.
+"""A sparse operator from surface nodes to points, with its transpose as fast as itself.
 
-XLA transposes a gather into a scatter, which is many times slower on a CPU. A linear primitive in two forms, each the
-transpose of the other, avoids that.
+XLA transposes a gather into a scatter, which is many times slower on a CPU. A linear primitive in
+two forms, each the transpose of the other, avoids that.
 """
 
 import weakref
@@ -21,9 +21,12 @@ from .placing import AbstractPlacing
 
 
 class Table(eqx.Module):
-    """Locates the entries of each column in the flattened weights (n, k); see `jaxmorph._host.linear.transpose.tabulate`.
+    """The entries of each column in the flattened weights (n, k), as `tabulate` sorts them.
 
-    `weights` are those entries, gathered once per base mesh: that gather costs more than all else in a transpose.
+    `jaxmorph._host.linear.transpose.tabulate` describes the order.
+
+    `weights` are the entries themselves, gathered once per base mesh. The gather costs more than
+    all else in a transpose.
     """
 
     entries: Int[Array, "r width"]
@@ -34,8 +37,9 @@ class Table(eqx.Module):
 class Interpolation(AbstractRows):
     """Interpolates points' displacements from surface nodes: weighted sums by a sparse operator.
 
-    For one point, `nodes` and `weights` are (k,); for many (n, k), where a table of the transpose may be added. Where `reached`
-    is given and False, the row, or the entry, is empty for good, whatever the coordinates.
+    For one point, `nodes` and `weights` are (k,); for many (n, k), to which a table of the transpose
+    may be added.
+    A row or entry where `reached` is False is empty, whatever the coordinates.
     """
 
     nodes: Int[Array, "*n k"]
@@ -48,9 +52,25 @@ class Interpolation(AbstractRows):
             return self
         key = id(self.weights), count, parts
         if key not in _made:
-            table = _table(self, count, parts)
-            _made[key] = table, weakref.ref(self.weights, lambda _: _made.pop(key, None))
+            _made[key] = self._tabled(count, parts), weakref.ref(self.weights, lambda _: _made.pop(key, None))
         return Interpolation(self.nodes, self.weights, self.reached, _made[key][0])
+
+    def _tabled(self, count: int, parts: int) -> Table:
+        nodes = np.asarray(self.nodes)
+        reached = np.ones(len(nodes), dtype=bool) if self.reached is None else np.asarray(self.reached)
+        size = -(-len(nodes) // parts)
+        starts = [min(k * size, len(nodes) - size) for k in range(parts)]  # the last share overlaps the one before it
+        shares = [slice(start, start + size) for start in starts]
+        tables = [tabulate(nodes[share], reached[share], count) for share in shares]
+        # all shares get tables of one length: rows that are added hold no entry, and belong to the
+        # last column
+        longest = _rounded(max(len(owner) for _, owner in tables))
+        entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
+        owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
+        weights = np.asarray(self.weights)
+        gathered = [np.where(at < 0, 0, weights[share].ravel()[at]) for at, share in zip(entries, shares, strict=True)]
+        with jax.ensure_compile_time_eval():  # also where JAX traces a call with a plan that is known
+            return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
 
     def without_table(self) -> "Interpolation":
         return Interpolation(self.nodes, self.weights, self.reached)
@@ -64,11 +84,11 @@ class Interpolation(AbstractRows):
 
 
 _made: dict[tuple[int, int, int], tuple[Table, weakref.ref]] = {}
-"""Tables by the weights they are of, each as long as these are there: a plan does not change, so it has one set of tables."""
+"""Tables by the weights that they are of, each as long as these exist."""
 
 
 class Reach(eqx.Module):
-    """The nodes whose functions of compact support reach a point; where not `reached`, there is none."""
+    """The nodes whose functions reach a point; an entry that is not `reached` is empty."""
 
     nodes: Int[Array, "*n k"]
     reached: Bool[Array, "*n k"]
@@ -78,30 +98,14 @@ class Reach(eqx.Module):
         return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
 
 
-def _table(rows: Interpolation, count: int, parts: int) -> Table:
-    nodes = np.asarray(rows.nodes)
-    reached = np.ones(len(nodes), dtype=bool) if rows.reached is None else np.asarray(rows.reached)
-    size = -(-len(nodes) // parts)
-    starts = [min(k * size, len(nodes) - size) for k in range(parts)]  # the last share overlaps the one before it
-    shares = [slice(start, start + size) for start in starts]
-    tables = [tabulate(nodes[share], reached[share], count) for share in shares]
-    longest = _rounded(max(len(owner) for _, owner in tables))
-    entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
-    owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
-    weights = np.asarray(rows.weights)
-    gathered = [np.where(at < 0, 0, weights[share].ravel()[at]) for at, share in zip(entries, shares, strict=True)]
-    with jax.ensure_compile_time_eval():  # also where JAX traces a call with a plan that is known
-        return Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
-
-
 def _rounded(rows: int) -> int:
-    """Rounds up by 3 % at most: alike parts of a mesh then have tables of one shape, and compiled code in common."""
+    """Rounds up by 3 % at most, so that similar parts of a mesh share compiled code."""
     step = 2 ** max(0, rows.bit_length() - 6)
     return -(-rows // step) * step
 
 
 class InterpolatedField(AbstractField):
-    """Displacements interpolated between surface nodes (eq. 8), with the weights that `method.place` gives."""
+    """Interpolates displacements between surface nodes (eq. 8)."""
 
     method: AbstractPlacing
     factors: PyTree
@@ -121,7 +125,7 @@ class InterpolatedField(AbstractField):
 
 
 def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Array, "n c"]:
-    """Applies the operator to values at the b surface nodes. Its transpose takes the table of `rows`, or scatters without one."""
+    """Applies the operator to values at the b surface nodes. Without a table of `rows`, its transpose scatters."""
     table = rows.table
     if table is None:
         none = jnp.zeros((0, WIDTH), jnp.int32)
@@ -130,12 +134,16 @@ def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Arra
     return _sum_p.bind(values, rows.weights, table.weights, *ids, turned=False, count=len(values))
 
 
-def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool, count: int):
-    """Computes weights[i, k] values[nodes[i, k]], summed over k, for each row i; `turned`, the transpose, for each column j."""
-    # The transpose by a scatter adds each entry to its column one by one. With a table, `tabulate` has sorted the entries by
-    # column, in rows of fixed width. Each row is summed by gathers. The rows of one column are neighbours, so that one sum
-    # over sorted segments adds them. Empty places of the table have the weight 0.
-    k = weights.shape[1]
+def _sum(values, weights, *table, turned: bool, count: int):
+    """Sums weights[i, k] values[nodes[i, k]] over k for each row i.
+
+    `turned`, it computes the transpose, for each column j.
+    """
+    # The transpose by a scatter adds each entry to its column one by one. With a table, `tabulate`
+    # has sorted the entries by column, in rows of fixed width. Each row is summed by gathers. The
+    # rows of one column are neighbours, so that one sum over sorted segments adds them. Empty
+    # places of the table have the weight 0.
+    (sorted_weights, nodes, entries, owner), k = table, weights.shape[1]
     values = jax.lax.optimization_barrier(values)  # else what makes them is done again for each gather
     if not turned:
         return sum(weights[:, i, None] * _rows(values, nodes[:, i]) for i in range(k))

@@ -10,7 +10,7 @@ from jaxmorph import Mesh
 from jaxmorph._host.cells.topology import CORNERS, VTK
 
 from . import _legacy
-from ._format import Arrays, Source
+from ._format import Arrays, FilePoints, Source, stamp_of
 from ._meshio import load, meshio, to_mesh
 
 NAME = "VTK"
@@ -27,7 +27,8 @@ def read(path: pathlib.Path) -> Mesh:
             _check_counts(path)
     else:
         mesh = _legacy.read(path)
-    return to_mesh(path, mesh, Source(path, NAME, mesh))
+    places = FilePoints(np.asarray(mesh.points, float), stamp_of(path))
+    return to_mesh(path, mesh, Source(path, NAME, mesh, in_file=places.in_file))
 
 
 def _check_counts(path: pathlib.Path) -> None:

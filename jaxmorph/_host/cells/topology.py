@@ -8,10 +8,10 @@ import numpy as np
 from .pairs import columns_of, is_single, sorted_columns, unpaired
 
 CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
-"""Corners of each type; names are meshio's."""
+"""Number of corners by type; names are meshio's."""
 
 VTK = {"line": 3, "triangle": 5, "quad": 9, "tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14}
-"""VTK's number of each type, and SU2's."""
+"""Numbers of the types in VTK and SU2."""
 
 DIMENSION = {"line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wedge": 3, "hexahedron": 3}
 
@@ -19,15 +19,15 @@ _ALIASES = {"tri": "triangle", "tet": "tetra", "tetrahedron": "tetra", "prism": 
 
 
 def canonical_type(name: str) -> str:
-    """Returns the name used here for a cell type; raises `ValueError` for one that is not known."""
+    """Returns meshio's name of a cell type. Raises `ValueError` for an unknown type."""
     name = _ALIASES.get(name, name)
     if name not in CORNERS:
-        raise ValueError(f"unknown cell type {name!r}; known are {', '.join(CORNERS)}.")
+        raise ValueError(f"unknown cell type {name!r}; known types are {', '.join(CORNERS)}.")
     return name
 
 
 def filling(cells: Mapping[str, Any]) -> dict[str, Any]:
-    """Selects the cells of the highest dimension; none where that is below two."""
+    """Selects the cells of the highest dimension; no cells if it is below two."""
     highest = max((DIMENSION[kind] for kind, corners in cells.items() if len(corners)), default=0)
     return {kind: corners for kind, corners in cells.items() if DIMENSION[kind] == highest >= 2}
 
@@ -41,7 +41,7 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
-"""Faces of each type (edges of a 2-D cell), each seen counterclockwise from outside."""
+"""Faces by type (edges of a 2-D cell), counterclockwise as seen from outside."""
 
 EDGES: dict[str, tuple[tuple[int, int], ...]] = {
     "line": ((0, 1),),
@@ -68,14 +68,14 @@ FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
         *((4, 7, 5, 0), (5, 4, 6, 1), (6, 5, 7, 2), (7, 6, 4, 3)),
     ),
 }
-"""Corner and the ends of the edges that leave it, right-handed: where the corner Jacobians are taken. One for a simplex."""
+"""Corners with the ends of their edges, right-handed, by type: there corner Jacobians are taken. A simplex has one."""
 
 SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
 """Types of faces by their number of corners."""
 
 
 def solid(cells: Mapping[str, Any], dimension: int) -> dict[str, Any]:
-    """Selects the cells that fill the space: boundary elements and types without cells are left out."""
+    """Selects the cells that fill the space, without boundary elements and empty types."""
     return {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == dimension and len(ids)}
 
 
@@ -90,12 +90,10 @@ def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
     **Arguments:**
 
     - `cells`: corner ids (k, corners) by type.
-    - `n`: how many nodes the mesh has.
-    - `among`: node ids. With them, only faces all of whose nodes are among them are returned.
+    - `n`: number of nodes of the mesh.
+    - `among`: node ids. With them, only faces with all nodes among them are returned.
 
-    **Returns:**
-
-    Node ids (f, corners) of the faces by type, each seen counterclockwise from outside.
+    **Returns:** node ids (f, corners) by type, counterclockwise as seen from outside.
     """
     is_candidate = None
     if among is not None:
@@ -107,7 +105,8 @@ def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
         for side in FACES.get(kind, ()):
             columns = [nodes[corner] for corner in side]
             if is_candidate is not None:
-                # both copies of an inner face pass or fail together, so that counting candidates is counting all
+                # The two copies of an inner face pass or fail together: no face becomes single
+                # here.
                 passes = np.logical_and.reduce([is_candidate[column] for column in columns])
                 columns = [column[passes] for column in columns]
             sides.setdefault(len(side), []).append(columns)

@@ -1,74 +1,43 @@
-"""The transpose of `deform`. A direct call on a CPU runs in shares of points, which all cores take one after the other."""
+"""The transpose of `deform` by shares of the points, which all cores compute one after the other."""
 
 import functools
-from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Literal
-from jaxtyping import Array, ArrayLike, Float, PyTree, Real
+from jaxtyping import Array, Float, PyTree
 
-from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .devices import rows_from
-from .plan import Plan, Shared, VolumePart, deform, move, shared_of
-from .slabs import share_of, shares
+from .plan import Plan, Shared, VolumePart, extended, move, shared_by
+from .slabs import share_of
 from .transposes import with_transposes
 
 
-@checked
-def pullback(
-    plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any], cotangent: Real[ArrayLike, "n d"] | Sequence[Any]
-) -> Float[Array, "m d"]:
-    """Pulls sensitivities with respect to all points back to the moving ones.
-
-    This is the transpose of `deform`, for an adjoint solver that gives dJ/d(points); often called warpDeriv.
-
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) of the moving nodes. Where `plan.is_linear`, it only sets the shape: the result does not
-      depend on its value.
-    - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
-
-    **Returns:** dJ/du (m, d).
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d) or that of `cotangent` not (n, d).
-    """
-    number = shares(plan, u, cotangent) if isinstance(plan, Plan) and plan.layout is None else 1
-    if number < 2:
-        return _pullback(with_transposes(plan), u, cotangent)
-    plan, cotangent = with_transposes(plan, number), _of_points(plan, cotangent)
+def pulled_back(plan: Plan, u: Any, cotangent: Float[Array, "n d"], number: int) -> Float[Array, "m d"]:
+    """Pulls sensitivities back to the moving nodes, by `number` shares of the points."""
+    plan = with_transposes(plan, number)
     shared, varying = _shared_by(plan, u, "traced")
     parts = tuple(_share(shared, varying, plan.volume, cotangent, np.int32(k), number) for k in range(number))
     return _put_together(plan, u, varying, parts)
 
 
-@compiled
-def _pullback(plan: Plan, u: Any, cotangent: Any) -> Float[Array, "m d"]:
-    _, transpose = jax.vjp(lambda u: deform(plan, u), jnp.asarray(u, plan.points.dtype))
-    return transpose(_of_points(plan, cotangent))[0]
-
-
-def _of_points(plan: Plan, cotangent: Any) -> Float[Array, "n d"]:
-    cotangent = jnp.asarray(cotangent, plan.points.dtype)
-    if cotangent.shape != plan.points.shape:
-        raise ValueError(f"`cotangent` has shape {cotangent.shape}; this plan's points have {plan.points.shape}.")
-    return cotangent
+def _shared(plan: Plan, u: Any) -> Shared:
+    return shared_by(plan, extended(plan, u))
 
 
 @compiled
 def _shared_by(plan: Plan, u: Any, _: str) -> tuple[Shared, str]:
     """Computes what all points share, and which of its leaves depend on `u`: 1 or 0 for each. The string makes both static."""
-    return shared_of(plan, u), _varying(plan, u)
+    return _shared(plan, u), _varying(plan, u)
 
 
 def _varying(plan: Plan, u: Any) -> str:
     # A leaf depends on u if an operation between the two does, of all that JAX traces. Sources and scales of a field do not:
     # derivatives in them cost more than all else, and nobody asks for them.
-    traced = jax.make_jaxpr(lambda u: jax.tree.leaves(shared_of(plan, u)))(jnp.asarray(u, plan.points.dtype)).jaxpr
+    traced = jax.make_jaxpr(lambda u: jax.tree.leaves(_shared(plan, u)))(jnp.asarray(u, plan.points.dtype)).jaxpr
     varies = set(traced.invars)
     for step in traced.eqns:
         if any(not isinstance(value, Literal) and value in varies for value in step.invars):
@@ -103,4 +72,4 @@ def _put_together(plan: Plan, u: Any, varying: str, parts: PyTree) -> Float[Arra
     """Sums the shares, always in one order, and pulls the sum back to `u`."""
     total = functools.reduce(lambda first, other: jax.tree.map(jnp.add, first, other), parts)
     u = jnp.asarray(u, plan.points.dtype)
-    return jax.vjp(lambda u: _leaves(shared_of(plan, u), varying), u)[1](total)[0]
+    return jax.vjp(lambda u: _leaves(_shared(plan, u), varying), u)[1](total)[0]
