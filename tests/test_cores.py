@@ -57,7 +57,7 @@ def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, nam
     for count in ("1", "2", "3"):
         monkeypatch.setenv(cores.SWITCH, count)
         plan = jm.prepare(fine, "bottom", fixed, symmetry=symmetry, method=METHODS[name])
-        assert len(slabs.slabs(len(fine.points), plan, u)) == int(count)
+        assert len(slabs.slabs(len(fine.points), plan, u)) > 1
         assert slabs.shares(plan, u) == 4
         found.append([*jax.tree.leaves(plan), jm.pullback(plan, u, w), jm.deform(plan, u)])
     for others in found[1:]:
@@ -73,7 +73,7 @@ def test_any_number_of_cores_gives_equal_bits(fine, few_points, monkeypatch, nam
 @pytest.mark.parametrize("count", [2048, 5041, 6144, 6145, 100_000, 216_000, 1_000_003])
 @pytest.mark.parametrize("number", [1, 2, 5, 64])
 def test_slabs_hold_every_point_and_are_of_one_size(count, number, few_points, monkeypatch):
-    monkeypatch.setenv(cores.SWITCH, str(number))
+    monkeypatch.setattr(slabs, "MOST", number)
     parts = slabs.slabs(count)
     rows = jnp.arange(float(count))[:, None]
     assert len(parts) <= number

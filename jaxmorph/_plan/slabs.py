@@ -1,4 +1,4 @@
-"""A direct call on a CPU in slabs of points, one for each core, that run beside each other.
+"""A direct call on a CPU in slabs of points, which all cores compute beside each other.
 
 XLA splits the loop over a program's blocks among threads operation by operation, and they wait for each other at each. Programs
 of one slab each have nothing to wait for: JAX runs programs that it has begun on threads of its own.
@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from .._host.package.cores import cores
 from .._kernels.compile import compiled, is_direct
 from .._methods.blocks import is_rows
 
@@ -20,7 +19,7 @@ LEAST = 2**15
 """Points of a slab below which a program of its own costs more than it gains."""
 
 MOST = 64
-"""Shares of a sum: more cores than these would not make it faster."""
+"""Slabs of all points, and shares of a sum: more cores than these would not make a call faster."""
 
 STEP = 1536
 """Slabs begin at multiples of this, as blocks of points do: results in a block depend on its size, by a last bit."""
@@ -29,13 +28,13 @@ STEP = 1536
 def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
     """Divides points into slabs: the first row of each, and how many rows; none where calls are traced or points few.
 
-    All have one size, and so one program; some overlap. Results do not depend on the number of slabs, one included.
+    All have one size, and so one program; some overlap. The number of cores does not change them: results have equal bits.
     """
     if count < 2 * LEAST or not is_direct(arguments):
         return []
     # Every slab ends with the points that are left over when all are divided into steps, as the last slab has to. What a slab
     # overlaps its successor by is cut off.
-    rest, number = count % STEP, min(cores(), count // LEAST)
+    rest, number = count % STEP, min(MOST, count // LEAST)
     stride = -(-(count - rest) // (number * STEP)) * STEP
     size = stride + rest
     return [(np.asarray(start, np.int32), size) for start in [*range(0, count - size, stride), count - size]]
