@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PyTree
 from .._kernels.compile import compiled, is_direct
 from .._methods.blocks import is_rows
 
-LEAST = 2**15
+LEAST = 2**16
 """Points of a slab below which a program of its own costs more than it gains."""
 
 MOST = 64
@@ -34,7 +34,7 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
         return []
     # Every slab ends with the points that are left over when all are divided into steps, as the last slab has to. What a slab
     # overlaps its successor by is cut off.
-    rest, number = count % STEP, min(MOST, count // LEAST)
+    rest, number = count % STEP, min(MOST, count // LEAST // 2 * 2)
     stride = -(-(count - rest) // (number * STEP)) * STEP
     size = stride + rest
     return [(np.asarray(start, np.int32), size) for start in [*range(0, count - size, stride), count - size]]
