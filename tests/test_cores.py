@@ -115,7 +115,7 @@ def test_a_call_beside_returns_or_raises_where_its_result_is_asked_for(monkeypat
     assert len(names) == 1
     assert (names[0] == threading.current_thread().name) == (count == "1")
     failing = cores.Beside(jm.prepare, np.zeros((3, 2)), [7])
-    with pytest.raises(ValueError, match="are not nodes of the mesh"):
+    with pytest.raises(ValueError, match="are not in 0 to 2"):
         failing.result()
 
 
