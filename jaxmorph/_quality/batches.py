@@ -1,5 +1,6 @@
 """Measures of many cells, some at a time."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +21,9 @@ def in_blocks(xp: Any, function: Callable, *rows: Any) -> Any:
     The last axis of each of `rows` runs over cells, and so does that of what `function` returns. Reverse mode computes
     each block anew.
     """
-    k, block = jax.tree.leaves(rows)[0].shape[-1], CACHED if xp is np else BLOCK
+    leaves = jax.tree.leaves(rows)
+    width = max(math.prod(leaf.shape[:-1]) for leaf in leaves)  # many values a cell, fewer cells
+    k, block = leaves[0].shape[-1], max((CACHED if xp is np else BLOCK) * 9 // max(width, 9), 64)
     if k <= block:
         return function(*rows)
 
