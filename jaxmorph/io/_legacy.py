@@ -215,7 +215,7 @@ def _cells(scanner: _Scanner, count: int, size: int) -> _Cells:
 
 
 def _begins(cells: _Cells, types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds where the nodes of each cell begin, and how many they are: their number follows from the type, and what the file says must agree."""
+    """Finds where the nodes of each cell begin, and their number: it follows from the type, and what the file says must agree."""
     strange = sorted({*types.tolist()} - {*KINDS})
     if strange:
         told = ", ".join(f"{OTHERS.get(number, 'others')} (type {number})" for number in strange)

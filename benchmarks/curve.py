@@ -1,0 +1,154 @@
+"""Curving straight meshes of order 3: `jm.curve` against gmsh's optimisers, on the same meshes with the same wall nodes.
+
+python benchmarks/curve.py [airfoil] [wing] [sphere]
+
+Each row: invalid cells by gmsh's own Bernstein bounds (minDetJac), its smallest scaled Jacobian (minSICN), and seconds.
+"""
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import gmsh
+import jax
+import numpy as np
+from _measure import about
+
+import jaxmorph as jm
+from jaxmorph import io
+
+ORDER = 3
+FIRST = 1e-4
+"""Height of the first cell at the wall, in chords."""
+
+
+def naca(count: int = 60) -> np.ndarray:
+    """Points round NACA 0012 from the trailing edge over the upper side, closed and sharp."""
+    x = 0.5 * (1 + np.cos(np.linspace(0, np.pi, count)))
+    y = 0.6 * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)
+    return np.concatenate([np.column_stack([x, y]), np.column_stack([x, -y])[-2:0:-1]])
+
+
+def airfoil() -> tuple[int, list[int]]:
+    """NACA 0012 in a circle of 10 chords, quads at the wall from a height of 1e-4 chords on. Returns dimension and wall."""
+    geo = gmsh.model.geo
+    places = naca()
+    points = [geo.addPoint(x, y, 0) for x, y in places]
+    nose = len(places) // 2
+    lines = [geo.addSpline(points[: nose + 1]), geo.addSpline([*points[nose:], points[0]])]
+    centre = geo.addPoint(0.5, 0, 0)
+    ends = [geo.addPoint(0.5 + sign * 10, 0, 0) for sign in (1, -1)]
+    circle = [geo.addCircleArc(ends[0], centre, ends[1]), geo.addCircleArc(ends[1], centre, ends[0])]
+    face = geo.addPlaneSurface([geo.addCurveLoop(circle), geo.addCurveLoop(lines)])
+    geo.synchronize()
+    for line in lines:
+        gmsh.model.mesh.setTransfiniteCurve(line, 21, "Bump", 0.2)
+    for arc in circle:
+        gmsh.model.mesh.setTransfiniteCurve(arc, 9)
+    field = gmsh.model.mesh.field.add("BoundaryLayer")
+    gmsh.model.mesh.field.setNumbers(field, "CurvesList", lines)
+    gmsh.model.mesh.field.setNumbers(field, "FanPointsList", [points[0]])
+    for name, value in {"Size": FIRST, "Ratio": 1.5, "Thickness": 0.04, "Quads": 1}.items():
+        gmsh.model.mesh.field.setNumber(field, name, value)
+    gmsh.model.mesh.field.setAsBoundaryLayer(field)
+    gmsh.model.addPhysicalGroup(1, lines, name="wall")
+    gmsh.model.addPhysicalGroup(1, circle, name="far")
+    gmsh.model.addPhysicalGroup(2, [face], name="fluid")
+    return 2, lines
+
+
+def wing() -> tuple[int, list[int]]:
+    """The airfoil extruded over half a chord in two layers, with its quads: hexahedra and wedges."""
+    airfoil()
+    gmsh.model.mesh.generate(2)
+    geo = gmsh.model.geo
+    (face,) = (tag for _, tag in gmsh.model.getEntities(2))
+    gmsh.model.removePhysicalGroups()
+    made = geo.extrude([(2, face)], 0, 0, 0.5, [2], recombine=True)
+    geo.synchronize()
+    sides = [tag for dimension, tag in made if dimension == 2]
+    gmsh.model.addPhysicalGroup(3, [tag for dimension, tag in made if dimension == 3], name="fluid")
+    gmsh.model.addPhysicalGroup(2, sides[-2:], name="wall")
+    gmsh.model.addPhysicalGroup(2, sides[1:-2], name="far")
+    gmsh.model.addPhysicalGroup(2, [face, sides[0]], name="ends")
+    return 3, sides[-2:]
+
+
+def sphere() -> tuple[int, list[int]]:
+    """A sphere in a box, coarse tetrahedra, cells at the wall a fifth of its radius."""
+    occ = gmsh.model.occ
+    volume, _ = occ.cut([(3, occ.addBox(-3, -3, -3, 6, 6, 6))], [(3, occ.addSphere(0, 0, 0, 1))])
+    occ.synchronize()
+    sides = [tag for _, tag in gmsh.model.getBoundary(volume, oriented=False)]
+    wall = [tag for tag in sides if gmsh.model.getType(2, tag) == "Sphere"]
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 2)
+    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 8)
+    gmsh.model.addPhysicalGroup(3, [volume[0][1]], name="fluid")
+    gmsh.model.addPhysicalGroup(2, wall, name="wall")
+    gmsh.model.addPhysicalGroup(2, [tag for tag in sides if tag not in wall], name="far")
+    return 3, wall
+
+
+def judged(dimension: int) -> tuple[int, float]:
+    """Counts the invalid cells of gmsh's mesh by its bounds, and finds its smallest scaled Jacobian."""
+    tags = np.concatenate(gmsh.model.mesh.getElements(dimension)[1])
+    bounds = gmsh.model.mesh.getElementQualities(tags, "minDetJac")
+    return int((bounds <= 0).sum()), float(gmsh.model.mesh.getElementQualities(tags, "minSICN").min())
+
+
+def row(name: str, dimension: int, seconds: float) -> None:
+    invalid, worst = judged(dimension)
+    print(f"| {name} | {invalid} | {worst:.3f} | {seconds:.1f} |", flush=True)
+
+
+def compare(case) -> None:
+    gmsh.clear()
+    gmsh.option.restoreDefaults()
+    gmsh.option.setNumber("General.Terminal", 0)
+    dimension, _ = case()
+    gmsh.model.mesh.generate(dimension)
+    with tempfile.TemporaryDirectory() as folder:
+        files = {name: str(Path(folder) / f"{name}.msh") for name in ("linear", "straight", "curved", "moved")}
+        gmsh.write(files["linear"])
+        for name, straight in (("straight", 1), ("curved", 0)):
+            gmsh.open(files["linear"]) if False else None
+            gmsh.option.setNumber("Mesh.SecondOrderLinear", straight)
+            gmsh.model.mesh.setOrder(1)
+            gmsh.model.mesh.setOrder(ORDER)
+            gmsh.write(files[name])
+        start, goal = io.read(files["straight"]), io.read(files["curved"])
+        cells = sum(map(len, start.cells.values()))
+        print(f"\n{case.__name__}: {cells} cells, {len(start.points)} nodes\n\n| | invalid | smallest | s |\n|-|-|-|-|")
+        row("gmsh, not optimised", dimension, 0)
+        for name in ("HighOrder", "HighOrderElastic", "HighOrderFastCurving"):
+            gmsh.model.mesh.setOrder(1)
+            gmsh.model.mesh.setOrder(ORDER)
+            begin = time.perf_counter()
+            try:
+                gmsh.model.mesh.optimize(name)
+            except Exception as error:  # gmsh raises nothing else
+                print(f"| gmsh {name} | {str(error)[:60]} | | |")
+                continue
+            row(f"gmsh {name}", dimension, time.perf_counter() - begin)
+        nodes = start.patch("wall")
+        symmetry = ("ends",) if "ends" in start.patches else ()
+        methods = {"jm.curve": None, "jm.curve, LinearElasticity": jm.LinearElasticity(), "InverseDistance": jm.InverseDistance()}
+        for name, method in methods.items():
+            begin = time.perf_counter()
+            curved = jm.curve(start, goal.points[nodes], nodes, "far", method=method, symmetry=symmetry)
+            seconds = time.perf_counter() - begin
+            io.write(files["moved"], curved)
+            gmsh.open(files["moved"])
+            row(name, dimension, seconds)
+            report = jm.quality(curved)
+            print(f"    jm: {int(report.inverted)}")
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    about()
+    gmsh.initialize(interruptible=False)
+    for case in (airfoil, wing, sphere):
+        if not sys.argv[1:] or case.__name__ in sys.argv[1:]:
+            compare(case)
