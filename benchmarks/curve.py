@@ -14,6 +14,7 @@ import gmsh
 import jax
 import numpy as np
 from _measure import about
+from scipy.spatial import KDTree
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -30,8 +31,8 @@ def naca(count: int = 60) -> np.ndarray:
     return np.concatenate([np.column_stack([x, y]), np.column_stack([x, -y])[-2:0:-1]])
 
 
-def airfoil() -> tuple[int, list[int]]:
-    """NACA 0012 in a circle of 10 chords, quads at the wall from a height of 1e-4 chords on. Returns dimension and wall."""
+def airfoil() -> int:
+    """NACA 0012 in a circle of 10 chords, quads at the wall from a height of 1e-4 chords on."""
     geo = gmsh.model.geo
     places = naca()
     points = [geo.addPoint(x, y, 0) for x, y in places]
@@ -55,27 +56,10 @@ def airfoil() -> tuple[int, list[int]]:
     gmsh.model.addPhysicalGroup(1, lines, name="wall")
     gmsh.model.addPhysicalGroup(1, circle, name="far")
     gmsh.model.addPhysicalGroup(2, [face], name="fluid")
-    return 2, lines
+    return 2
 
 
-def wing() -> tuple[int, list[int]]:
-    """The airfoil extruded over half a chord in two layers, with its quads: hexahedra and wedges."""
-    airfoil()
-    gmsh.model.mesh.generate(2)
-    geo = gmsh.model.geo
-    (face,) = (tag for _, tag in gmsh.model.getEntities(2))
-    gmsh.model.removePhysicalGroups()
-    made = geo.extrude([(2, face)], 0, 0, 0.5, [2], recombine=True)
-    geo.synchronize()
-    sides = [tag for dimension, tag in made if dimension == 2]
-    gmsh.model.addPhysicalGroup(3, [tag for dimension, tag in made if dimension == 3], name="fluid")
-    gmsh.model.addPhysicalGroup(2, sides[-2:], name="wall")
-    gmsh.model.addPhysicalGroup(2, sides[1:-2], name="far")
-    gmsh.model.addPhysicalGroup(2, [face, sides[0]], name="ends")
-    return 3, sides[-2:]
-
-
-def sphere() -> tuple[int, list[int]]:
+def sphere() -> int:
     """A sphere in a box, coarse tetrahedra, cells at the wall a fifth of its radius."""
     occ = gmsh.model.occ
     volume, _ = occ.cut([(3, occ.addBox(-3, -3, -3, 6, 6, 6))], [(3, occ.addSphere(0, 0, 0, 1))])
@@ -87,7 +71,7 @@ def sphere() -> tuple[int, list[int]]:
     gmsh.model.addPhysicalGroup(3, [volume[0][1]], name="fluid")
     gmsh.model.addPhysicalGroup(2, wall, name="wall")
     gmsh.model.addPhysicalGroup(2, [tag for tag in sides if tag not in wall], name="far")
-    return 3, wall
+    return 3
 
 
 def judged(dimension: int) -> tuple[int, float]:
@@ -102,47 +86,80 @@ def row(name: str, dimension: int, seconds: float) -> None:
     print(f"| {name} | {invalid} | {worst:.3f} | {seconds:.1f} |", flush=True)
 
 
+def meshes(case, folder: Path) -> tuple[jm.Mesh, jm.Mesh]:
+    """Lets gmsh make a mesh of order 3 twice: straight, and with the nodes of its boundary on the geometry."""
+    dimension = case()
+    gmsh.model.mesh.generate(dimension)
+    made = []
+    for name, straight in (("straight", 1), ("curved", 0)):
+        gmsh.option.setNumber("Mesh.SecondOrderLinear", straight)
+        gmsh.model.mesh.setOrder(1)
+        gmsh.model.mesh.setOrder(ORDER)
+        gmsh.write(str(folder / f"{name}.msh"))
+        made.append(io.read(folder / f"{name}.msh"))
+    return made[0], made[1]
+
+
+def wing(folder: Path) -> tuple[jm.Mesh, np.ndarray]:
+    """The airfoil's mesh extruded over half a chord in two layers: hexahedra and wedges; and places of the wall's nodes."""
+    straight, curved = meshes(airfoil, folder)
+    n, layers = len(straight.points), 3
+    solid, sections = {}, np.arange(layers - 1)[:, None, None] * n
+    for kind, ids in straight.cells.items():
+        corners = ids[:, : {"triangle10": 3, "quad16": 4}[kind]]
+        both = np.concatenate([corners, corners + n], axis=1)
+        solid["wedge" if kind == "triangle10" else "hexahedron"] = (both + sections).reshape(-1, both.shape[1])
+    points = np.concatenate([np.column_stack([straight.points, np.full(n, 0.25 * k)]) for k in range(layers)])
+    names = {name: np.concatenate([nodes + k * n for k in range(layers)]) for name, nodes in straight.patches.items()}
+    used = np.unique(np.concatenate([ids.ravel() for ids in solid.values()]))
+    place = np.full(len(points), -1)
+    place[used] = np.arange(len(used))
+    patches = {name: place[nodes][place[nodes] >= 0] for name, nodes in names.items()}
+    patches["ends"] = np.flatnonzero(np.isin(points[used, 2], (0, 0.5)))
+    mesh = jm.elevate(jm.Mesh(points[used], {kind: place[ids] for kind, ids in solid.items()}, patches), ORDER)
+    wall, section = mesh.points[mesh.patch("wall")], straight.patch("wall")
+    nearest = KDTree(straight.points[section]).query(wall[:, :2])[1]
+    return mesh, np.column_stack([curved.points[section][nearest], wall[:, 2]])
+
+
 def compare(case) -> None:
     gmsh.clear()
     gmsh.option.restoreDefaults()
     gmsh.option.setNumber("General.Terminal", 0)
-    dimension, _ = case()
-    gmsh.model.mesh.generate(dimension)
-    with tempfile.TemporaryDirectory() as folder:
-        files = {name: str(Path(folder) / f"{name}.msh") for name in ("linear", "straight", "curved", "moved")}
-        gmsh.write(files["linear"])
-        for name, straight in (("straight", 1), ("curved", 0)):
-            gmsh.open(files["linear"]) if False else None
-            gmsh.option.setNumber("Mesh.SecondOrderLinear", straight)
-            gmsh.model.mesh.setOrder(1)
-            gmsh.model.mesh.setOrder(ORDER)
-            gmsh.write(files[name])
-        start, goal = io.read(files["straight"]), io.read(files["curved"])
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if case is wing:
+            start, places = wing(folder)
+        else:
+            start, curved = meshes(case, folder)
+            places = curved.points[start.patch("wall")]
+        nodes, dimension = start.patch("wall"), start.points.shape[1]
         cells = sum(map(len, start.cells.values()))
-        print(f"\n{case.__name__}: {cells} cells, {len(start.points)} nodes\n\n| | invalid | smallest | s |\n|-|-|-|-|")
-        row("gmsh, not optimised", dimension, 0)
-        for name in ("HighOrder", "HighOrderElastic", "HighOrderFastCurving"):
-            gmsh.model.mesh.setOrder(1)
-            gmsh.model.mesh.setOrder(ORDER)
+        print(
+            f"\n{case.__name__}: {cells} cells, {len(start.points)} nodes\n\n| | invalid | smallest | s |\n|-|-|-|-|",
+            flush=True,
+        )
+        moved = np.array(start.points)
+        moved[nodes] = places
+        io.write(folder / "wall.msh", jm.Mesh(moved, start.cells, start.patches))
+        gmsh.open(str(folder / "wall.msh"))
+        row("the wall's nodes alone", dimension, 0)
+        symmetry = ("ends",) if "ends" in start.patches else ()
+        for name, method in {"jm.curve": None, "jm.curve, LinearElasticity()": jm.LinearElasticity()}.items():
+            begin = time.perf_counter()
+            result = jm.curve(start, places, nodes, "far", method=method, symmetry=symmetry)
+            seconds = time.perf_counter() - begin
+            io.write(folder / "moved.msh", jm.Mesh(result.points, start.cells, start.patches))
+            gmsh.open(str(folder / "moved.msh"))
+            row(name, dimension, seconds)
+        for name in ("HighOrderElastic", "HighOrder"):
+            gmsh.open(str(folder / "wall.msh"))
             begin = time.perf_counter()
             try:
                 gmsh.model.mesh.optimize(name)
-            except Exception as error:  # gmsh raises nothing else
-                print(f"| gmsh {name} | {str(error)[:60]} | | |")
-                continue
-            row(f"gmsh {name}", dimension, time.perf_counter() - begin)
-        nodes = start.patch("wall")
-        symmetry = ("ends",) if "ends" in start.patches else ()
-        methods = {"jm.curve": None, "jm.curve, LinearElasticity": jm.LinearElasticity(), "InverseDistance": jm.InverseDistance()}
-        for name, method in methods.items():
-            begin = time.perf_counter()
-            curved = jm.curve(start, goal.points[nodes], nodes, "far", method=method, symmetry=symmetry)
-            seconds = time.perf_counter() - begin
-            io.write(files["moved"], curved)
-            gmsh.open(files["moved"])
-            row(name, dimension, seconds)
-            report = jm.quality(curved)
-            print(f"    jm: {int(report.inverted)}")
+                row(f"gmsh {name}", dimension, time.perf_counter() - begin)
+            except Exception as error:  # gmsh has no other kind
+                print(f"| gmsh {name}: {str(error)[:60]} | | | |")
 
 
 if __name__ == "__main__":
