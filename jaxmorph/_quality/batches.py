@@ -14,13 +14,13 @@ CACHED = 1 << 12
 """Cells that NumPy measures together: what it computes on the way stays in the processor's cache."""
 
 
-def in_blocks(xp: Any, function: Callable, *rows: Any) -> Any:
+def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) -> Any:
     """Applies `function`, which computes with NumPy or `jax.numpy`, to some cells at a time: memory is that of one block.
 
     The last axis of each of `rows` runs over cells, and so does that of what `function` returns. Reverse mode computes
-    each block anew.
+    each block anew. A block has `size` cells; by default `CACHED` for NumPy, and `BLOCK` for JAX.
     """
-    k, block = jax.tree.leaves(rows)[0].shape[-1], CACHED if xp is np else BLOCK
+    k, block = jax.tree.leaves(rows)[0].shape[-1], size or (CACHED if xp is np else BLOCK)
     if k <= block:
         return function(*rows)
 

@@ -149,7 +149,7 @@ def multiplied(first: Space, second: Space, a: list[Any], b: list[Any], product:
     sums: list[Any] = []
     for i, rows in enumerate(table):
         parts = product(a, [component[i][None] for component in b])
-        sums = sums or [np.zeros((size, a[0].shape[-1])) for _ in parts]
+        sums = sums or [np.zeros((size, part.shape[-1]), part.dtype) for part in parts]
         for total, part in zip(sums, parts, strict=True):
             total[rows] += part
     return sums

@@ -97,15 +97,17 @@ class Form:
             squares = products.dot(column, column) / bernstein.multinomials(space)[:, None] ** 2
             lengths.append(np.sqrt(squares.max(axis=0)))
         reach = np.sqrt(len(x)) * np.max([np.abs(component).max(axis=0) for component in x], axis=0)
-        growth = max(np.abs(matrix / bernstein.multinomials(space)[:, None]).sum(axis=1).max() for space, matrix in self._rows)
-        error, whole = growth * reach, functools.reduce(np.multiply, lengths)
+        error, whole = self._growth * reach, functools.reduce(np.multiply, lengths)
         others = [functools.reduce(np.multiply, lengths[:i] + lengths[i + 1 :]) for i in range(len(lengths))]
         terms = len(x[0]) + sum(map(bernstein.count, self.spaces)) + 16 * len(self.space) + 16
         return 4 * terms * np.finfo(float).eps * (whole + error * functools.reduce(np.add, others))
 
-    @property
-    def _rows(self) -> list[tuple[Space, np.ndarray]]:
-        return list(zip(self.spaces, self.matrices, strict=True))
+    @functools.cached_property
+    def _growth(self) -> float:
+        """The largest sum of entries in a row of the matrices that make coefficients of the columns."""
+        each = zip(self.spaces, self.matrices, strict=True)
+        rows = [np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in each]
+        return float(max(row.max() for row in rows))
 
     def mean(self, coefficients: Either) -> Float[Either, " k"]:
         """Computes the mean of det J over the reference cell: the cell's volume over that of the reference cell."""
@@ -116,15 +118,16 @@ class Form:
             shares = np.kron(np.full(below, 1 / below), layers)
         return bernstein.contracted(shares[None].astype(coefficients.dtype), coefficients)[0]
 
-    def at(self, x: list[np.ndarray], places: Float[np.ndarray, "f k"]) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluates k cells with nodes x, each at its place among the factors: points (k, d), and det J (k,) of the columns."""
-        weights = bernstein.terms(self.map_space, places) * bernstein.multinomials(self.map_space)[:, None]
-        points = [((self.control @ component) * weights).sum(axis=0) for component in x]
-        columns = [
-            [(component * bernstein.terms(space, places)).sum(axis=0) for component in column]
-            for space, column in zip(self.spaces, self.columns(x), strict=True)
-        ]
-        return np.stack(points, axis=1), products.determinant(columns)
+    def places(self, x: list[np.ndarray], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "k d"]:
+        """Computes where the map of k cells with nodes x takes a place among the factors, one for each cell."""
+        weights = bernstein.terms(self.map_space, at) * bernstein.multinomials(self.map_space)[:, None]
+        return np.stack([((self.control @ component) * weights).sum(axis=0) for component in x], axis=1)
+
+    def values(self, columns: list[list[np.ndarray]], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, " k"]:
+        """Evaluates det J at a place among the factors of each of k cells, as the determinant of the columns there."""
+        each = zip(self.spaces, columns, strict=True)
+        weights = [(bernstein.terms(space, at), column) for space, column in each]
+        return products.determinant([[(b * weight).sum(axis=0) for b in column] for weight, column in weights])
 
     def reference(self, places: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "d k"]:
         """Computes places in the reference cell, without the time."""
