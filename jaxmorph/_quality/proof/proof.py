@@ -97,6 +97,7 @@ def _report(mesh: Mesh, joined: dict[str, np.ndarray], types: Any, depth: int, h
         near=joined["near"].T,
         time=joined["time"] if has_time else None,
         counted=counted,
+        ids=np.asarray(mesh.cell_ids),
         types=types,
         depth=depth,
     )

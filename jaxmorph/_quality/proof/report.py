@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ..._host.package.arguments import checked, whole
 
@@ -27,6 +27,7 @@ class Proof:
     - `reference`, `near`: where det J is `upper`, in the reference cell and in space (k, d).
     - `time`: when, from 0 at `base` to 1 at `points`; None without `base`. Bounds then hold for the whole motion.
     - `types`: type and number of cells; `depth`: how often cells were cut where the sign was open.
+    - `ids`: the file's number of each cell, `Mesh.cell_ids`, by which tables and messages name it.
     - `counted`: False for boundary elements, which have no det J; their numbers are NaN.
 
     Reference cells have corners at 0 and 1: a triangle or tetrahedron is below the diagonal, a pyramid's apex is above its first
@@ -43,6 +44,7 @@ class Proof:
     near: Float[np.ndarray, "k d"]
     time: Float[np.ndarray, " k"] | None
     counted: Bool[np.ndarray, " k"]
+    ids: Int[np.ndarray, " k"]
     types: tuple[tuple[str, int], ...]
     depth: int
 
@@ -106,11 +108,12 @@ class Proof:
         start = f", {self.from_start} from the start" if self.from_start else ""
         cure = "Try smaller steps or `improve`." if self.invalid else "Try a larger `depth`."
         raise ValueError(
-            f"{self.invalid} of {self.count} cells fold inside{start}, {self.unknown} are not proven, first cell {first} "
-            f"({self._type(first)}) near {_tuple(self.near[first])}. {cure}"
+            f"{self.invalid} of {self.count} cells fold inside{start}, {self.unknown} are not proven, first cell {self.ids[first]} "
+            f"({self.type_of(first)}) near {_tuple(self.near[first])}. {cure}"
         )
 
-    def _type(self, cell: int | np.integer) -> str:
+    def type_of(self, cell: int | np.integer) -> str:
+        """Names the type of a cell."""
         ends = np.cumsum([count for _, count in self.types])
         return self.types[int(np.searchsorted(ends, cell, side="right"))][0]
 
@@ -132,7 +135,7 @@ class Proof:
             time = "" if self.time is None else f"{self.time[cell]:<6.3g}"
             inside = " ".join(f"{x:.2g}" for x in self.reference[cell] + 0.0)
             numbers = f"{self.lower[cell] / size:>9.2g}{self.upper[cell] / size:>9.2g}"
-            lines.append(f"{cell:<9}{self._type(cell):<11}{numbers}  {time}{inside:<16}{_tuple(self.near[cell])}")
+            lines.append(f"{self.ids[cell]:<9}{self.type_of(cell):<11}{numbers}  {time}{inside:<16}{_tuple(self.near[cell])}")
         return "\n".join(lines)
 
 
