@@ -56,19 +56,20 @@ def proof(
     **Raises:** `ValueError` for a mesh without cells of its own dimension, for a shape of `points` or `base` other than that of
     `mesh.points`, and for traced points.
     """
-    now, start = places(mesh, points), None if base is None else places(mesh, base, "base")
     whole("depth", depth, 0)
-    if not is_known(now, start, mesh.points, tuple(mesh.cells.values())):
+    given = {"points": mesh.points if points is None else points} | ({} if base is None else {"base": base})
+    for name, x in given.items():
+        places(mesh, x, name)
+    if not is_known(given, mesh.points, tuple(mesh.cells.values())):
         raise ValueError("`proof` speaks on the host and takes no traced points. `proven_margin` is traced.")
     check_solid(mesh)
-    reference, end = np.asarray(mesh.points, dtype=float), np.asarray(now, dtype=float)
-    ends = (end,) if start is None else (np.asarray(start, dtype=float), end)
+    reference, ends = np.asarray(mesh.points, float), tuple(np.asarray(x, float) for x in list(given.values())[::-1])
     with np.errstate(all="ignore"):  # coordinates may be NaN
         signs = own_signs(mesh) if points is None and base is None else {}
         columns = [_proven(kind, ids, reference, ends, depth, signs.get(kind)) for kind, ids in mesh.cells.items()]
     joined = {name: np.concatenate([each[name] for each in columns], axis=-1) for name in columns[0]}
     types = tuple((kind, len(ids)) for kind, ids in mesh.cells.items())
-    return _report(mesh, joined, types, depth, start is not None)
+    return _report(mesh, joined, types, depth, base is not None)
 
 
 def check_solid(mesh: Mesh) -> None:
@@ -124,15 +125,16 @@ def _bounded(
     x = [np.concatenate(parts) for parts in zip(*(nodes_of(end, ids) for end in ends), strict=True)]
     columns = form.columns(x)
     found = bounds(form.space, sign * form.determinant(columns), form.round_off(x, columns), depth)
+    at = form.inside(found.at)
     nodes = [np.concatenate([end[ids, axis] for end in ends]) for axis in range(reference.shape[1])]
     return {
         "lower": found.lower,
         "upper": found.upper,
         "size": np.abs(mean),
-        "value": sign * form.values(columns, found.at),
+        "value": sign * form.values(columns, at),
         "is_flat": found.is_flat.astype(float),
-        "time": found.at[0],
+        "time": at[0],
         "counted": np.ones(ids.shape[1]),
-        "reference": form.reference(found.at),
-        "near": form.places(nodes, found.at).T,
+        "reference": form.reference(at),
+        "near": form.places(nodes, at).T,
     }

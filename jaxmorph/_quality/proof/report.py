@@ -109,7 +109,7 @@ class Proof:
         cure = "Try smaller steps or `improve`." if self.invalid else "Try a larger `depth`."
         raise ValueError(
             f"{self.invalid} of {self.count} cells fold inside{start}, {self.unknown} are not proven, first cell {self.ids[first]} "
-            f"({self.type_of(first)}) near {_tuple(self.near[first])}. {cure}"
+            f"({self.type_of(first)}) near ({', '.join(_numbers(self.near[first]))}). {cure}"
         )
 
     def type_of(self, cell: int | np.integer) -> str:
@@ -129,16 +129,17 @@ class Proof:
             lines.append(f"{flat} of the unknown have det J = 0 within round-off: no depth decides them.")
         lines.append(f"{what} over the undeformed cell's, at depth {self.depth}; cells with the least:")
         time = "" if self.time is None else f"{'time':<6}"
-        lines.append(f"{'cell':<9}{'type':<11}{'at least':>9}{'at most':>9}  {time}{'inside':<16}near")
+        lines.append(f"{'cell':<8}{'type':<11}{'at least':>9}{'at most':>9}  {time}{'inside':<15}near")
         for cell in self.worst():
             size = self.size[cell] if self.size[cell] > 0 else 1
             time = "" if self.time is None else f"{self.time[cell]:<6.3g}"
-            inside = " ".join(f"{x:.2g}" for x in self.reference[cell] + 0.0)
+            inside = " ".join(f"{x:.2g}".removeprefix("0") or "0" for x in self.reference[cell] + 0.0)
             numbers = f"{self.lower[cell] / size:>9.2g}{self.upper[cell] / size:>9.2g}"
-            lines.append(f"{self.ids[cell]:<9}{self.type_of(cell):<11}{numbers}  {time}{inside:<16}{_tuple(self.near[cell])}")
+            name, near = f"{self.ids[cell]:<8}{self.type_of(cell):<11}", " ".join(_numbers(self.near[cell]))
+            lines.append(f"{name}{numbers}  {time}{inside:<15}{near}")
         return "\n".join(lines)
 
 
-def _tuple(place: np.ndarray) -> str:
+def _numbers(place: np.ndarray) -> list[str]:
     place = np.where(np.abs(place) < 1e-4 * np.abs(place).max(), 0.0, place)
-    return "(" + ", ".join(f"{x:.3g}" for x in place.tolist()) + ")"
+    return [f"{x:.3g}" for x in place.tolist()]
