@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._boundary.slide import tracks_of, walls_of_patch
-from jaxmorph._host.cells.topology import boundary_faces
+from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._kernels.compile import UNTUNED
 
 TPS = full(jm.ThinPlateSpline(), 1)

@@ -8,6 +8,7 @@ import numpy as np
 
 from .._host.cells import topology
 from .._host.cells.pairs import is_among
+from .._host.cells.pieces import boundary_sides, linear_cells, owners
 from .._host.package.arguments import checked
 from .._host.surface.walls import seen_from_outside
 from .._mesh.mesh import Mesh
@@ -19,7 +20,7 @@ class OuterFaces:
     """Holds the boundary faces of the cells of highest dimension (edges in 2-D), seen from outside.
 
     - `corners`: node ids (k, corners) by type.
-    - `ids`: the number (k,) of the file's face that each of them is, or is a triangle of.
+    - `ids`: the number (k,) of the file's face that each of them is, or is a piece of.
     """
 
     corners: dict[str, np.ndarray]
@@ -47,7 +48,7 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
     """Lists the boundary faces of a mesh, or of some of its patches, as arrays of node ids (edges in 2-D).
 
     A face is of the patches when all of its nodes are. Seen from outside of the mesh its nodes go round counterclockwise.
-    Faces of polyhedra with more than four corners are cut into triangles.
+    Faces of polyhedra with more than four corners are cut into triangles, faces of curved cells into pieces between their nodes.
 
     **Arguments:**
 
@@ -77,10 +78,10 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
         return None
     if mesh.polyhedra is not None and points.shape[1] == 3:
         return _of_polyhedra(mesh.polyhedra, points, mesh.between)
-    corners = seen_from_outside(points, topology.boundary_faces(cells, len(points)))
+    sides = boundary_sides(cells, len(points))
     if mesh.between is not None:
-        corners = {kind: each[~is_among(each, mesh.between)] for kind, each in corners.items()}
-    return OuterFaces.numbered(corners)
+        sides = {kind: each[~is_among(each, mesh.between)] for kind, each in sides.items()}
+    return OuterFaces(seen_from_outside(points, linear_cells(sides)), owners(sides))
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:

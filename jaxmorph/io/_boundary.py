@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxmorph import Mesh
-from jaxmorph._host.cells.topology import boundary_faces
+from jaxmorph._host.cells.pieces import boundary_faces
 
 
 def patch_faces(mesh: Mesh) -> dict[str, dict[str, np.ndarray]]:

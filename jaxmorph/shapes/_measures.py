@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.cells.topology import boundary_faces
+from .._host.cells.pieces import boundary_faces
 from .._host.package.arguments import as_array, checked
 from .._kernels.values import is_known, slack
 from .._mesh.mesh import Mesh

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._host.cells.orders import GMSH, MESHIO, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 
 from .._boundary import patch_faces
 from .._format import Arrays, Source, source_of
-from .._meshio import meshio, to_mesh
+from .._meshio import Block, Blocks, meshio, to_mesh
 from ..text.sections import Section, replace_numbers
 from .parts import Elements, elements, entities, nodes
 from .sections import Form, Stream, form_of, physical_names, runs, sections
@@ -92,7 +93,7 @@ def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
     return numbered
 
 
-def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int], str]) -> meshio.Mesh:
+def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int], str]) -> Blocks:
     """Makes a mesh with a set of cells for each physical group."""
     sets: dict[str, Any] = {}
     for k, block in enumerate(cells):
@@ -100,7 +101,8 @@ def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int]
             name = names.get((DIMENSION.get(block.kind, 0), tag), f"physical_{tag}")
             members = sets.setdefault(name, [None] * len(cells))
             members[k] = np.arange(len(block.corners)) if rows is None else rows
-    return meshio.Mesh(points, [(block.kind, block.corners) for block in cells], cell_sets=sets)
+    blocks = [Block(block.kind, reordered(block.kind, block.corners, GMSH, MESHIO)) for block in cells]
+    return Blocks(points, blocks, cell_sets=sets)
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:

@@ -5,12 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmorph._host.cells.topology import DIMENSION
+from jaxmorph._host.cells.topology import DIMENSION, NODES
 
 from .._meshio import meshio
 from .sections import Stream, whole
 
-TYPES, CORNERS_OF = meshio.gmsh.common._gmsh_to_meshio_type, meshio._mesh.num_nodes_per_cell
+TYPES = meshio.gmsh.common._gmsh_to_meshio_type | {118: "pyramid30", 119: "pyramid55"}
+CORNERS_OF = meshio._mesh.num_nodes_per_cell | NODES
 RUN = 1 << 16
 """Rows of varying width that are looked at together."""
 
