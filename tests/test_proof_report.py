@@ -59,7 +59,7 @@ def test_a_motion_folds_cells_that_are_sound_where_it_begins_and_ends():
     assert report.from_start == 0
     with pytest.raises(ValueError, match=r"9 of 9 cells fold inside, 0 are not proven, first cell \d \(quad\) near"):
         report.raise_if_unproven()
-    assert "det J during the motion" in str(report)
+    assert "least det J during the motion over" in str(report)
 
 
 def test_a_motion_from_a_folded_mesh_is_told():
@@ -112,7 +112,7 @@ def test_a_thin_layer_far_from_the_origin_is_proven():
     points = np.asarray(mesh.points) * np.array([1.0, 1.0, 1e-7]) @ turn(0.5, 3).T @ np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
     report = jm.proof(mesh.moved(points))
     assert report.valid == 27
-    np.testing.assert_allclose(report.margin, 1, rtol=1e-6)
+    np.testing.assert_allclose(report.margin, 1, rtol=1e-5)
 
 
 @pytest.mark.parametrize("make", [lambda: bricks(2), wedges, mixed])
@@ -233,7 +233,7 @@ def test_curved_cells_of_a_mesh_are_judged_whole(kind):
     assert (report.valid, report.unknown) == (1, 0)
     np.testing.assert_allclose([report.min_margin, report.size[0]], 1, rtol=1e-9)
     points = np.array(cell.reference)
-    points[cell.corners] += 0.7 * (points.mean(axis=0) - points[cell.corners])
+    points[cell.corners] += 3 * (points.mean(axis=0) - points[cell.corners])
     bent = jm.proof(mesh, points)
     assert bent.invalid == 1
     value = np.linalg.det(points.T @ shape_functions.derivatives(kind, collapsed(cell.shape, bent.reference))[0])

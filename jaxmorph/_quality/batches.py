@@ -22,7 +22,7 @@ def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) 
     each block anew. A block has `size` cells. By default it has `CACHED` for NumPy and `BLOCK` for JAX, fewer of
     cells with many values.
     """
-leaves = jax.tree.leaves(rows)
+    leaves = jax.tree.leaves(rows)
     width = max(math.prod(leaf.shape[:-1]) for leaf in leaves)  # many values a cell, fewer cells
     k, block = leaves[0].shape[-1], size or max((CACHED if xp is np else BLOCK) * 9 // max(width, 9), 64)
     if k <= block:

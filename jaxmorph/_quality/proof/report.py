@@ -1,6 +1,7 @@
 """The report of `proof`."""
 
 import dataclasses
+import re
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -121,23 +122,28 @@ class Proof:
         return f"Proof({self.valid} valid, {self.invalid} invalid, {self.unknown} unknown)"
 
     def __str__(self) -> str:
-        what = "det J" if self.time is None else "det J during the motion"
+        when = "" if self.time is None else " during the motion"
         lines = [f"{self.count} cells: {self.valid} proven valid, {self.invalid} invalid, {self.unknown} unknown"]
         if self.from_start:
             lines.append(f"{self.from_start} of them are invalid from the start of the motion.")
         if flat := int((self.is_flat & self.counted).sum()):
-            lines.append(f"{flat} of the unknown have det J = 0 within round-off: no depth decides them.")
-        lines.append(f"{what} over the undeformed cell's, at depth {self.depth}; cells with the least:")
-        time = "" if self.time is None else f"{'time':<6}"
-        lines.append(f"{'cell':<8}{'type':<11}{'at least':>9}{'at most':>9}  {time}{'inside':<15}near")
+            lines.append(f"{flat} of the unknown have det J = 0 to round-off: no depth decides them.")
+        lines.append(f"least det J{when} over the undeformed cell's mean, at depth {self.depth}:")
+        time = "" if self.time is None else f"{'time':<5}"
+        lines.append(f"{'cell':<8}{'type':<10}{'at least':>9}{'at most':>9} {time}{'inside':<15}near")
         for cell in self.worst():
             size = self.size[cell] if self.size[cell] > 0 else 1
-            time = "" if self.time is None else f"{self.time[cell]:<6.3g}"
-            inside = " ".join(f"{x:.2g}".removeprefix("0") or "0" for x in self.reference[cell] + 0.0)
+            time = "" if self.time is None else f"{_short(self.time[cell]):<5}"
+            inside, near = " ".join(map(_short, self.reference[cell])), " ".join(_numbers(self.near[cell]))
             numbers = f"{self.lower[cell] / size:>9.2g}{self.upper[cell] / size:>9.2g}"
-            name, near = f"{self.ids[cell]:<8}{self.type_of(cell):<11}", " ".join(_numbers(self.near[cell]))
-            lines.append(f"{name}{numbers}  {time}{inside:<15}{near}")
+            kind = re.sub("^(tri|tet|hex)[a-z]*", r"\1", self.type_of(cell))
+            lines.append(f"{self.ids[cell]:<8}{kind:<10}{numbers} {time}{inside:<15}{near}")
         return "\n".join(lines)
+
+
+def _short(share: float) -> str:
+    """Writes a number from 0 to 1 without a leading zero."""
+    return f"{share + 0.0:.2g}".removeprefix("0") or "0"
 
 
 def _numbers(place: np.ndarray) -> list[str]:

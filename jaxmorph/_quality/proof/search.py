@@ -19,7 +19,7 @@ class Bounds:
 
     - `at`: places (f, k) among the factors of the space.
     - `lower`, `upper`: beyond round-off.
-    - `is_flat`: the least coefficients are zero to round-off: no subdivision decides the sign.
+    - `is_flat`: the least coefficient and the least value are zero to round-off: no subdivision decides the sign.
     """
 
     lower: Float[np.ndarray, " k"]
@@ -38,7 +38,7 @@ def bounds(
     corners = [np.broadcast_to(each, (*each.shape[:2], k)) for each in corners]
     search.look(_Parts(coefficients, np.arange(k), corners), 0)
     lower, upper = search.lower - round_off, search.upper + round_off
-    return Bounds(lower, upper, search.at, (np.abs(search.lower) <= round_off) & (upper >= 0))
+    return Bounds(lower, upper, search.at, (np.abs(search.lower) <= round_off) & (np.abs(search.upper) <= round_off))
 
 
 def _dimension(space: Space) -> int:
@@ -89,8 +89,10 @@ class _Search:
     def look(self, parts: _Parts, level: int) -> None:
         """Looks at the coefficients of parts, and into those whose sign is open; a cell with a negative value needs no more."""
         cell, least = parts.cell, parts.coefficients.min(axis=0)
-        self._compare(parts)
-        is_open = (least < -self.round_off[cell]) & ~(self.upper[cell] < -self.round_off[cell])
+        lowest, slack = self._compare(parts), self.round_off[cell]
+        # where a corner is zero to round-off, closer bounds cannot be positive: only what may be negative is of interest
+        is_open = (least < -slack) | ((least <= slack) & (lowest > slack))
+        is_open &= ~(self.upper[cell] < -slack)
         if level == self.depth:
             is_open[:] = False
         np.minimum.at(self.lower, cell[~is_open], least[~is_open])
@@ -98,14 +100,15 @@ class _Search:
         for start in range(0, len(rows), size):
             self.look(parts[rows[start : start + size]].halved(self.space), level + 1)
 
-    def _compare(self, parts: _Parts) -> None:
-        """Compares the values at corners with the least ones found."""
+    def _compare(self, parts: _Parts) -> Float[np.ndarray, " p"]:
+        """Compares the values at corners with the least ones found, and returns the least of each part."""
         values = parts.coefficients[bernstein.corners(self.space)]
         corner, least = values.argmin(axis=0), values.min(axis=0)
         before = self.upper.copy()
         np.minimum.at(self.upper, parts.cell, least)
         rows = np.flatnonzero((least == self.upper[parts.cell]) & (least < before[parts.cell]))
         self.at[:, parts.cell[rows]] = parts[rows].place(corner[rows])
+        return least
 
     @functools.cached_property
     def _size(self) -> int:
