@@ -115,7 +115,9 @@ def jacobians_inside(shape: str, order: int, lattice: np.ndarray, nodes: np.ndar
         return slope
 
     def cube(x):
-        return x if shape != "pyramid" else np.column_stack([x[:, :2] / np.where(x[:, 2:] < 1, 1 - x[:, 2:], 1), x[:, 2]])
+        return (
+            x if shape != "pyramid" else np.column_stack([x[:, :2] / np.where(x[:, 2:] < 1, 1 - x[:, 2:], 1), x[:, 2]])
+        )
 
     slopes = np.stack([values(cube(places), axis) for axis in range(d)], axis=2)
     functions = np.linalg.inv(values(cube(lattice / order)))

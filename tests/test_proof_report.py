@@ -106,17 +106,26 @@ def test_a_collapsed_cell_is_flat_and_a_nan_is_invalid():
     assert jm.proof(mesh, points).invalid == 1
 
 
-def test_a_thin_layer_far_from_the_origin_is_proven():
-    """Cells of 1e-7 by 1 in a rotated frame, where coordinates have three digits less."""
+def test_a_thin_tilted_layer_is_proven():
+    """Cells of 1e-7 by 1, whose nodes are known to nine digits of the height."""
     mesh = bricks(3)
-    points = np.asarray(mesh.points) * np.array([1.0, 1.0, 1e-7]) @ turn(0.5, 3).T @ np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
+    tilt = np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
+    points = np.asarray(mesh.points) * np.array([1.0, 1.0, 1e-7]) @ turn(0.5, 3).T @ tilt
     report = jm.proof(mesh.moved(points))
     assert report.valid == 27
     np.testing.assert_allclose(report.margin, 1, rtol=1e-5)
 
 
-@pytest.mark.parametrize("make", [lambda: bricks(2), wedges, mixed])
-@pytest.mark.parametrize("options", [{}, {"depth": 1}, {"base": True}, {"sharpness": 40.0}])
+@pytest.mark.parametrize(
+    ("make", "options"),
+    [
+        (lambda: bricks(2), {}),
+        (lambda: bricks(1), {"depth": 1}),
+        (wedges, {"sharpness": 40.0}),
+        (mixed, {"base": True}),
+        (mixed, {"sharpness": 40.0}),
+    ],
+)
 def test_the_margin_is_traced_and_has_derivatives(make, options):
     mesh = make()
     points, way = shaken(mesh, 0.03), np.random.default_rng(1).normal(size=mesh.points.shape)
@@ -140,8 +149,9 @@ def test_the_margin_is_traced_and_has_derivatives(make, options):
             assert (np.asarray(eager) >= exact - np.log(27) / 40 - 1e-9).all()
         else:
             np.testing.assert_allclose(eager, exact, atol=1e-10)
-    both = jax.vmap(lambda x: jm.proven_margin(mesh, x, **options))(np.stack([points, mesh.points]))
-    np.testing.assert_allclose(both[0], eager, rtol=1e-10, atol=1e-12)
+    if make is mixed:
+        both = jax.vmap(lambda x: jm.proven_margin(mesh, x, **options))(np.stack([points, mesh.points]))
+        np.testing.assert_allclose(both[0], eager, rtol=1e-10, atol=1e-12)
 
 
 def test_no_sample_of_a_proven_motion_folds():
@@ -189,7 +199,9 @@ def test_a_step_from_an_unproven_mesh_is_refused():
     plan = jm.prepare(mesh.points, mesh.patch("floor"), method=jm.InverseDistance())
     folded = mesh.moved(shaken(mesh, 0.4))
     u = np.zeros((plan.n_moving, 3))
-    with pytest.raises(ValueError, match=r"\d of 8 cells of the undeformed mesh are not proven valid, first cell \d.*proven=False"):
+    with pytest.raises(
+        ValueError, match=r"\d of 8 cells of the undeformed mesh are not proven valid, first cell \d.*proven=False"
+    ):
         jm.largest_step(plan, u, u, folded, proven=True)
 
 
@@ -241,7 +253,9 @@ def test_curved_cells_of_a_mesh_are_judged_whole(kind):
     assert value < 0
     near = shape_functions.values(kind, collapsed(cell.shape, bent.reference)) @ points
     np.testing.assert_allclose(bent.near, near, atol=1e-9)
-    np.testing.assert_allclose(jm.proven_margin(mesh, points, depth=0), jm.proof(mesh, points, depth=0).margin, rtol=1e-6)
+    np.testing.assert_allclose(
+        jm.proven_margin(mesh, points, depth=0), jm.proof(mesh, points, depth=0).margin, rtol=1e-6
+    )
 
 
 def collapsed(shape: str, places: np.ndarray) -> np.ndarray:

@@ -1,7 +1,6 @@
 """The largest step that keeps whole cells above a bound, by Bernstein coefficients that are polynomials in the step."""
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int

@@ -192,7 +192,9 @@ def _improved(
     moved = moved if distortion.ways is None else distortion.ways.matched(start, moved)
     before, after = (quality(mesh, at).inverted for at in (start, moved))
     unproven = jnp.sum(~(proven_margin(mesh, moved, depth=1) > 0))
-    return Improvement(moved, before, after, unproven, value / cells, jnp.max(jnp.abs(slope)), jnp.asarray(count), cells)
+    return Improvement(
+        moved, before, after, unproven, value / cells, jnp.max(jnp.abs(slope)), jnp.asarray(count), cells
+    )
 
 
 @compiled

@@ -22,7 +22,6 @@ from ..._kernels.values import Either, namespace
 Space = tuple[tuple[int, int], ...]
 
 
-
 @functools.cache
 def indices(dimension: int, degree: int) -> np.ndarray:
     """Lists the multi-indices (n, dimension + 1) of one factor, the corner of lambda_0 first."""
@@ -108,7 +107,9 @@ def halving(dimension: int, degree: int) -> np.ndarray:
         rows = indices(dimension, high)
         up = rows_of_products(((dimension, high - 1),), ((dimension, 1),))
         which, new = (rows > 0).argmax(axis=1), np.zeros((2**dimension, len(rows), len(rows)))
-        before = np.empty(len(rows), dtype=np.int64)  # the row whose index is less by one at the first corner that it has
+        before = np.empty(
+            len(rows), dtype=np.int64
+        )  # the row whose index is less by one at the first corner that it has
         for corner in range(dimension + 1):
             before[up[corner]] = np.where(which[up[corner]] == corner, np.arange(up.shape[1]), before[up[corner]])
         for corner in range(dimension + 1):

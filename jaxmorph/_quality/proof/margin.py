@@ -69,7 +69,12 @@ def proven_margin(
 
 
 def _joined(
-    kinds: tuple[str, ...], cells: tuple[Any, ...], reference: Either, ends: tuple[Either, ...], depth: int, sharpness: Any
+    kinds: tuple[str, ...],
+    cells: tuple[Any, ...],
+    reference: Either,
+    ends: tuple[Either, ...],
+    depth: int,
+    sharpness: Any,
 ) -> Float[Either, " k"]:
     xp, d, margins = namespace(reference), reference.shape[1], []
     for kind, ids in zip(kinds, cells, strict=True):

@@ -77,7 +77,9 @@ def check_solid(mesh: Mesh) -> None:
     d = mesh.points.shape[1]
     if not any(DIMENSION[kind] == d and len(ids) for kind, ids in mesh.cells.items()):
         types = ", ".join(mesh.cells) or "none"
-        raise ValueError(f"the mesh has no cells that fill {d}-D space (cells: {types}): det J is defined for these alone.")
+        raise ValueError(
+            f"the mesh has no cells that fill {d}-D space (cells: {types}): det J is defined for these alone."
+        )
 
 
 def _report(mesh: Mesh, joined: dict[str, np.ndarray], types: Any, depth: int, has_time: bool) -> Proof:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -141,7 +142,7 @@ class Proof:
         return "\n".join(lines)
 
 
-def _short(share: float) -> str:
+def _short(share: Any) -> str:
     """Writes a number from 0 to 1 without a leading zero."""
     return f"{share + 0.0:.2g}".removeprefix("0") or "0"
 
