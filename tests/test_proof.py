@@ -37,7 +37,7 @@ def bounded(kind: str, nodes: np.ndarray, depth: int = 4):
 def cells_near_the_limit(cell, count: int, seed: int = 0) -> np.ndarray:
     """Random cells of one type that are about to fold: nodes (count, nodes, d)."""
     rng = np.random.default_rng(seed)
-    places, more = samples(cell.shape, 5), 4 * count  # not every direction leads to a fold
+    places, more = samples(cell.shape, 2 * cell.order + 3), 4 * count  # not every direction leads to a fold
     noise = rng.normal(size=(more, *cell.lattice.shape)) / cell.order
 
     def is_folded(share):

@@ -32,7 +32,7 @@ def proven_margin(
     *,
     base: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
     depth: int = 0,
-    sharpness: Any = None,
+    sharpness: float | None = None,
 ) -> Float[Array, " k"]:
     """Computes a lower bound on det J of each whole cell, over its mean on the undeformed mesh: above 0 no cell folds.
 
