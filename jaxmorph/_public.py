@@ -91,6 +91,9 @@ from ._plan.velocity import velocity as velocity
 from ._quality.distortion import distortion as distortion
 from ._quality.face_quality import face_quality as face_quality
 from ._quality.face_report import FaceQuality as FaceQuality
+from ._quality.proof.margin import proven_margin as proven_margin
+from ._quality.proof.proof import proof as proof
+from ._quality.proof.report import Proof as Proof
 from ._quality.quality import inverted as inverted
 from ._quality.quality import quality as quality
 from ._quality.report import QualityReport as QualityReport

@@ -29,6 +29,7 @@ from .._mesh.mesh import Mesh
 from .._plan.plan import Plan
 from .._plan.prepare import boundary_of
 from .._quality.distortion import node_scales, target
+from .._quality.proof.margin import proven_margin
 from .._quality.quality import quality
 from .._quality.vector import corners
 from .newton import Distortion, HessianSolver, ProjectedNewton
@@ -49,6 +50,7 @@ class Improvement(Module):
 
     - `points`: the improved points (n, d).
     - `before`, `after`: how many of the `cells` were and are inverted, as `quality` counts them.
+    - `unproven`: how many bounds on det J now leave open whether they fold inside: `proven_margin` at depth 1 is not positive.
     - `energy`: mean distortion of a cell, 0 where all have their target's shape and size.
     - `residual`: largest derivative of the sum over the cells with respect to a node's place, in units of its smallest
       cell. It is far below 1 at a minimum.
@@ -59,6 +61,7 @@ class Improvement(Module):
     points: Float[Array, "n d"]
     before: Int[Array, ""]
     after: Int[Array, ""]
+    unproven: Int[Array, ""]
     energy: Float[Array, ""]
     residual: Float[Array, ""]
     steps: Int[Array, ""]
@@ -66,8 +69,10 @@ class Improvement(Module):
 
     def __str__(self) -> str:
         how = "at a minimum" if float(self.residual) < 1e-2 else f"stopped early, residual {float(self.residual):.1g}"
+        unproven = int(self.unproven)
+        proven = "proven to fold nowhere inside" if unproven == 0 else f"proven to fold nowhere but for {unproven}"
         return (
-            f"{int(self.before)} of {self.cells} cells were inverted, {int(self.after)} are now; "
+            f"{int(self.before)} of {self.cells} cells were inverted, {int(self.after)} are now, {proven}; "
             f"mean distortion {float(self.energy):.3g} after {int(self.steps)} steps, {how}"
         )
 
@@ -117,7 +122,8 @@ def improve(
     Faces have a kink at each edge: where nodes slide on these, the search may stop early. On a curved wall a node turns by less
     than 90 degrees from where it starts; near that, `residual` is infinite.
 
-    Nothing is promised for a boundary that crosses itself: `after`, or `str` of the result, says what is left.
+    Nothing is promised for a boundary that crosses itself: `after`, or `str` of the result, says what is left. Between the
+    corners cells are checked at the end: `unproven` counts those that may fold there.
 
     Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021; Teran et al., Robust
     quasistatic finite elements and flesh simulation, SCA 2005.
@@ -185,7 +191,10 @@ def _improved(
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
     moved = moved if distortion.ways is None else distortion.ways.matched(start, moved)
     before, after = (quality(mesh, at).inverted for at in (start, moved))
-    return Improvement(moved, before, after, value / cells, jnp.max(jnp.abs(slope)), jnp.asarray(count), cells)
+    unproven = jnp.sum(~(proven_margin(mesh, moved, depth=1) > 0))
+    return Improvement(
+        moved, before, after, unproven, value / cells, jnp.max(jnp.abs(slope)), jnp.asarray(count), cells
+    )
 
 
 @compiled

@@ -197,6 +197,7 @@ class Quality:
 
     file: Path = positional(MESH, "FILE", type=Path)
     moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?", type=Path)
+    proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
     gates: Gates = part(Gates)
     speech: Speech = part(Speech)
 
