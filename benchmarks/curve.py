@@ -60,7 +60,7 @@ def airfoil() -> int:
 
 
 def sphere() -> int:
-    """A sphere in a box, coarse tetrahedra, twelve round the sphere; with eight a cell has two faces on it, which none can curve."""
+    """A sphere in a box, tetrahedra, twelve round it. With eight a cell has two faces on the sphere, which none can curve."""
     occ = gmsh.model.occ
     volume, _ = occ.cut([(3, occ.addBox(-3, -3, -3, 6, 6, 6))], [(3, occ.addSphere(0, 0, 0, 1))])
     occ.synchronize()

@@ -51,11 +51,13 @@ def curve(
 
     **Returns:** the mesh with other points.
 
-    **Raises:** `ValueError` for a mesh of linear cells alone, for places of another shape or that are not finite, and for a
-    surface that is farther from a node than the wall's face is long. A warning tells of cells that were invalid before.
+    **Raises:** `ValueError` for a mesh of linear cells alone, and for places of another shape or that are not finite. Also
+    for a surface that is farther from a node than the wall's face is long. A warning tells of cells that were invalid before.
     """
     if not mesh.is_curved:
-        raise ValueError(f"{mesh} has linear cells alone, which stay straight: `elevate(mesh, 2)` gives it nodes to curve.")
+        raise ValueError(
+            f"{mesh} has linear cells alone, which stay straight: `elevate(mesh, 2)` gives it nodes to curve."
+        )
     is_named = isinstance(moving, str) or (len(moving) and all(isinstance(each, str) for each in moving))
     names = (moving,) if isinstance(moving, str) else moving
     nodes = mesh.patch(*names) if is_named else node_ids(moving, "moving", len(mesh.points))

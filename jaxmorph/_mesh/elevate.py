@@ -40,7 +40,9 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     cells, first = {}, 0
     for kind, ids in mesh.cells.items():
         k, new = keys[kind].shape[:2]
-        cells[targets[kind].name] = np.column_stack([np.asarray(ids), n + number[first : first + k * new].reshape(k, new)])
+        cells[targets[kind].name] = np.column_stack(
+            [np.asarray(ids), n + number[first : first + k * new].reshape(k, new)]
+        )
         first += k * new
     corners, weights = nodes[:, ::2], nodes[:, 1::2]
     old = np.asarray(mesh.points)
@@ -61,7 +63,9 @@ def _keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
     weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
     order = np.argsort(np.where(weights[None] > 0, ids[:, None], -1), axis=2, kind="stable")
     weights = np.take_along_axis(np.broadcast_to(weights, (len(ids), *weights.shape)), order, axis=2)
-    corners = np.where(weights > 0, np.take_along_axis(np.repeat(ids[:, None], weights.shape[1], axis=1), order, axis=2), 0)
+    corners = np.where(
+        weights > 0, np.take_along_axis(np.repeat(ids[:, None], weights.shape[1], axis=1), order, axis=2), 0
+    )
     keys = np.zeros((*weights.shape[:2], 16), np.int64)
     keys[:, :, 16 - 2 * weights.shape[2] :] = np.stack([corners, weights], axis=3).reshape(*weights.shape[:2], -1)
     return keys

@@ -262,7 +262,7 @@ def _blocks(cells: _Cells, types: np.ndarray, n: int) -> tuple[list, np.ndarray]
     blocks = []
     for rows in np.split(np.arange(len(types)), ends) if len(types) else []:
         kind = KINDS[int(types[rows[0]])]
-        corners = cells.nodes[begins[rows][:, None] + np.arange(sizes[rows[0]])]
+        corners = cells.nodes[begins[rows][:, None] + np.arange(int(sizes[rows[0]]))]
         if corners.min() < 0 or corners.max() >= n:
             raise ValueError(f"nodes {corners.min()} to {corners.max()} in cells, of {n} points")
         blocks.append((kind, corners[:, ORDER.get(kind, slice(None))]))

@@ -28,9 +28,10 @@ def read(path: pathlib.Path) -> Mesh:
     if path.suffix.lower() == ".vtu":
         data = path.read_bytes()
         version = re.search(rb'<VTKFile[^>]*\sversion="(\d+)\.(\d+)"', data[:4096])
-        number = tuple(map(int, version.groups())) if version else (0, 1)
-        mesh = load(path, ".vtu", meshio.vtu.read if number < (2, 0) else functools.partial(_read_newer, data, version))
-        if number < (2, 2):
+        number = 10 * int(version[1]) + int(version[2]) if version else 1
+        is_known = version is None or number < 20
+        mesh = load(path, ".vtu", meshio.vtu.read if is_known else functools.partial(_read_newer, data, version.span()))
+        if number < 22:
             for block in mesh.cells:
                 block.data = swapped_edges(block.type, block.data)
         if b'"ascii"' in data:
@@ -40,11 +41,11 @@ def read(path: pathlib.Path) -> Mesh:
     return to_mesh(path, mesh, Source(path, NAME, mesh))
 
 
-def _read_newer(data: bytes, version: re.Match, _: str) -> Any:
+def _read_newer(data: bytes, head: tuple[int, int], _: str) -> Any:
     """Reads a file of a version that meshio does not know: 2.3, which differs for us in the order of hexahedra alone."""
     with tempfile.TemporaryDirectory() as folder:
         older = pathlib.Path(folder) / "older.vtu"
-        older.write_bytes(data[: version.start(1)] + b"1.0" + data[version.end(2) :])
+        older.write_bytes(re.sub(rb'(\sversion=")[\d.]+"', rb'\g<1>1.0"', data[: head[1]]) + data[head[1] :])
         return meshio.vtu.read(str(older))
 
 
@@ -81,12 +82,12 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes in double precision, .vtu compressed. A mesh that came from such a file keeps its other cells and arrays."""
-    out, is_legacy = (
+    made, is_legacy = (
         mesh.to_meshio(point_data=dict(point_data), cell_data=dict(cell_data)),
         path.suffix.lower() == ".vtk",
     )
-    blocks = [(block.type, swapped_edges(block.type, block.data)) for block in out.cells]
-    out = meshio.Mesh(out.points, blocks, out.point_data, out.cell_data, field_data=out.field_data)
+    blocks: Any = [(block.type, swapped_edges(block.type, block.data)) for block in made.cells]
+    out: Any = meshio.Mesh(made.points, blocks, made.point_data, made.cell_data, field_data=made.field_data)
     ends = np.cumsum([len(block.data) for block in out.cells])[:-1]
     name_of = _quoted if is_legacy else str
     out.point_data = {name_of(name): _storable(values, is_legacy) for name, values in out.point_data.items()}

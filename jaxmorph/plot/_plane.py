@@ -251,9 +251,7 @@ def _edges(ax: Axes, corners: Float[np.ndarray, "k c 2"], window: Window, colour
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (right - left)
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     quarter = corners.shape[1] // 4
-    (a, b), (c, d) = (
-        (corners[:, k + 2 * quarter] - corners[:, k]).T for k in (0, quarter)
-    )
+    (a, b), (c, d) = ((corners[:, k + 2 * quarter] - corners[:, k]).T for k in (0, quarter))
     across = np.abs(a * d - b * c) / 2 / np.maximum(edges, np.finfo(float).tiny)
     widths = np.clip(across * to_points / 6, THINNEST, THICKEST)
     outlines = PolyCollection(list(corners), facecolors="none", edgecolors=colour, linewidths=widths, rasterized=True)

@@ -69,7 +69,7 @@ def _rows(shape: str, order: int) -> np.ndarray:
     return grid[_is_inner(shape, order, grid)]
 
 
-def _is_inner(shape: str, order: int, at: np.ndarray) -> np.ndarray:
+def _is_inner(shape: str, order: int, at: np.ndarray) -> Any:
     inner = (at > 0).all(axis=1)
     if shape in ("triangle", "tetra"):
         return inner & (at.sum(axis=1) < order)
