@@ -29,8 +29,10 @@ def read(path: pathlib.Path) -> Mesh:
         data = path.read_bytes()
         version = re.search(rb'<VTKFile[^>]*\sversion="(\d+)\.(\d+)"', data[:4096])
         number = 10 * int(version[1]) + int(version[2]) if version else 1
-        is_new = version is not None and number >= 20
-        mesh = load(path, ".vtu", functools.partial(_read_newer, data, version.end()) if is_new else meshio.vtu.read)
+        reader = meshio.vtu.read
+        if version is not None and number >= 20:
+            reader = functools.partial(_read_newer, data, version.end())
+        mesh = load(path, ".vtu", reader)
         if number < 22:
             for block in mesh.cells:
                 block.data = swapped_edges(block.type, block.data)
