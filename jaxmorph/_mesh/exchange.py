@@ -76,7 +76,9 @@ def of_pyvista(grid: Any) -> Grid:
     shapes = {number: shape for shape, number in VTK_LAGRANGE.items()}
     pyvista = imported("pyvista", "plot")
     _refuse_unknown(
-        kinds.get(n) or pyvista.CellType(n).name.lower() for n in np.unique(numbers).tolist() if n and n not in shapes
+        kinds.get(n) or pyvista.CellType(n).name.lower()
+        for n in np.unique(numbers).tolist()
+        if n and n not in shapes
     )
     sizes, starts, ids = np.diff(grid.offset), np.asarray(grid.offset), np.asarray(grid.cell_connectivity)
     blocks, masks = [], []
