@@ -2,7 +2,7 @@
 
 python -m benchmarks.championship [--points 2000] [--case C-grid ...] [--method default ...] [--json championship.json]
                                   [--entry NAME=FOLDER ...] [--write FOLDER] [--peers]
-                                  [--join championship.json ...] [--picture championship.png]
+                                  [--join championship.json ...] [--picture championship.png] [--csv championship.csv]
 
 `--peers` adds others to the same table: SciPy's `RBFInterpolator` with every node of the surface as a source, torchrbf's likewise
 and mmgpy's `propagate_displacement` on triangles, quads and tetrahedra where they are installed, and OpenFOAM's
@@ -11,7 +11,7 @@ planes. `move` of OpenFOAM is the CPU time of the whole program, files included;
 which they do anew for each motion.
 
 `--join` takes over the rows of earlier runs, for cases and methods that do not run now. `--picture` draws all methods against
-all motions.
+all motions. `--csv` writes all rows as a table with four digits.
 
 `--write FOLDER` writes, for another tool, each case and motion as CASE/MOTION.npz: `points` (n, d), `moving` (m,) and `fixed` (f,)
 node ids, `u` (m, d), and `cells_TYPE` (k, corners). `--entry NAME=FOLDER` reads that tool's CASE/MOTION.npz, each with `points`
@@ -27,6 +27,7 @@ error of <w, J v> against a central difference. `error` says why a method refuse
 """
 
 import argparse
+import csv
 import json
 import pathlib
 import resource
@@ -275,6 +276,17 @@ def draw(rows: list[dict], file: pathlib.Path) -> None:
     figure.savefig(file, dpi=90)
 
 
+def save(rows: list[dict], file: pathlib.Path) -> None:
+    """Writes the rows with four digits, case by case; the cost of a row stays in the JSON file, which says where it ran."""
+    keys = ["case", "motion", "method", "inverted", "max_skewness", "mean_skewness", "min_jacobian", "angle", "limit", "error"]
+    with file.open("w", newline="") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(keys)
+        for row in sorted(rows, key=lambda row: [row[key] for key in keys[:3]]):
+            values = [row[key] for key in keys]
+            writer.writerow([f"{value:.4g}" if isinstance(value, float) else value for value in values])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=2000)
@@ -286,6 +298,7 @@ def main() -> None:
     parser.add_argument("--peers", action="store_true")
     parser.add_argument("--join", nargs="+", type=pathlib.Path, default=[])
     parser.add_argument("--picture", type=pathlib.Path)
+    parser.add_argument("--csv", type=pathlib.Path)
     asked = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore")
@@ -317,6 +330,8 @@ def main() -> None:
     rows += [each for each in earlier if (each["case"], each["method"]) not in now]
     if asked.picture:
         draw(rows, asked.picture)
+    if asked.csv:
+        save(rows, asked.csv)
     heads = (
         "method",
         "rows",

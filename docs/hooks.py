@@ -2,7 +2,7 @@
 
 - README.md, CONTRIBUTING.md, CHANGELOG.md and benchmarks/README.md are pages as they stand.
 - Each notebook is a page with its pictures, as it ran.
-- `commands.md` holds what `jaxmorph --help` and the help of each command print.
+- `python docs/hooks.py` writes `pages/commands.md`: what `jaxmorph --help` and the help of each command print.
 - A link of a page to a file of the project leads to the page made from that file. The same link works on a code host.
 - A fenced block `math` becomes MathML, which browsers draw without a script.
 
@@ -33,8 +33,8 @@ DOCUMENTS = {
 
 
 def on_config(config):
-    """Lists the notebooks in the navigation, watches the sources, and sets how equations are written."""
-    notebooks = [f"notebooks/{file.stem}.md" for file in sorted((ROOT / "notebooks").glob("*.ipynb"))]
+    """Lists the notebooks after the first in the navigation, watches the sources, and sets how equations are written."""
+    notebooks = [f"notebooks/{file.stem}.md" for file in sorted((ROOT / "notebooks").glob("*.ipynb"))[1:]]
     for entry in config.nav:
         if isinstance(entry, dict) and "Notebooks" in entry:
             entry["Notebooks"] = notebooks
@@ -45,15 +45,14 @@ def on_config(config):
 
 
 def on_files(files, config):
-    """Adds the generated pages and the pictures."""
-    for picture in sorted((ROOT / "docs").glob("*.png")):
-        files.append(File.generated(config, picture.name, abs_src_path=str(picture)))
+    """Adds the generated pages, the pictures, and the table behind the championship."""
+    for file in sorted(file for file in (ROOT / "docs").iterdir() if file.suffix in (".png", ".gif", ".webp", ".csv")):
+        files.append(File.generated(config, file.name, abs_src_path=str(file)))
     for document, page in DOCUMENTS.items():
         files.append(File.generated(config, page, content=linked((ROOT / document).read_text(), document, page)))
     for file in sorted((ROOT / "notebooks").glob("*.ipynb")):
         for name, content in notebook(file).items():
             files.append(File.generated(config, f"notebooks/{name}", content=content))
-    files.append(File.generated(config, "commands.md", content=commands()))
     return files
 
 
@@ -73,7 +72,7 @@ def linked(text: str, document: str, page: str) -> str:
         if re.match(r"\w+:", address) or not path:
             return link[0]
         file = posixpath.normpath(posixpath.join(posixpath.dirname(document), path))
-        if not (ROOT / file).exists() and file != "docs/pages/commands.md":
+        if not (ROOT / file).exists():
             raise PluginError(f"{document} links to {address}, which is not there.")
         goal = DOCUMENTS.get(file, re.sub(r"^docs/(pages/)?", "", file).replace(".ipynb", ".md"))
         if goal == file and file.split("/")[0] != "notebooks":
@@ -126,3 +125,7 @@ def mathml(source, language, css_class, options, md, **_) -> str:
     number = re.search(r"\\tag\{(\w+)\}", source)
     equation = convert(source.replace(number[0], "") if number else source, display="block")
     return f'<div class="{css_class}">{equation}<span>{f"({number[1]})" if number else ""}</span></div>'
+
+
+if __name__ == "__main__":
+    (ROOT / "docs" / "pages" / "commands.md").write_text(commands() + "\n")

@@ -27,6 +27,8 @@ from ._host.sources.reduction import Centre as Centre
 from ._host.sources.reduction import Corners as Corners
 from ._host.sources.reduction import GaussPoints as GaussPoints
 from ._host.sources.reduction import KDTree as KDTree
+from ._improve.curve import curve as curve
+from ._mesh.elevate import elevate as elevate
 from ._mesh.mesh import Mesh as Mesh
 from ._methods.base import AbstractField as AbstractField
 from ._methods.base import AbstractMethod as AbstractMethod

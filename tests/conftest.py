@@ -27,6 +27,11 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         os.environ[option.upper()] = str(value)
         jax.config.update(option, value)
 
+if "JAX_DISABLE_MOST_OPTIMIZATIONS" not in os.environ:
+    # most programs run once, on small meshes: compiling takes longer than running. .ci/nightly runs them as users have them
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "true"
+    jax.config.update("jax_disable_most_optimizations", True)
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 MEMORY = {}

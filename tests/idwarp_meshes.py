@@ -38,19 +38,60 @@ def write_structured(path):
     """Two blocks that meet at x = 1/2; the family of a side is called as the side, and says what it is."""
     grid = cube()
     with h5py.File(path, "w", track_order=True) as file:
-        base = cgns.base(file, 3, 3)
-        for side in SIDES:
-            family = cgns.node(base, side, "Family_t")
-            cgns.node(family, "FamilyBC", "FamilyBC_t", CONDITIONS.get(side, "BCFarfield"))
-        for name, part in (("left", grid[:3]), ("right", grid[2:])):
-            zone = cgns.zone(base, name, [part[..., k] for k in range(3)])
-            for side, (axis, place) in SIDES.items():
-                is_on = np.all(part[..., axis] == place, axis=tuple(k for k in range(3) if k != axis))
-                if is_on.any():
-                    low, high = np.ones(3, int), np.array(part.shape[:3])
-                    low[axis] = high[axis] = 1 + np.flatnonzero(is_on)[0]
-                    cgns.condition(zone, f"{side} of {name}", np.stack([low, high], axis=1).T, family=side)
+        write_zones(cgns.base(file, 3, 3), {"left": grid[:3], "right": grid[2:]}, CONDITIONS)
     return np.concatenate([part.reshape(-1, 3, order="F") for part in (grid[:3], grid[2:])])
+
+
+def write_zones(base, blocks, conditions, suffix="", shift=(0, 0, 0)):
+    """Blocks of the cube as zones; the family of a side is called as the side with a suffix, and says what it is."""
+    for side in SIDES:
+        family = cgns.node(base, side + suffix, "Family_t")
+        cgns.node(family, "FamilyBC", "FamilyBC_t", conditions.get(side, "BCFarfield"))
+    for name, part in blocks.items():
+        zone = cgns.zone(base, name, [part[..., k] + shift[k] for k in range(3)])
+        for side, (axis, place) in SIDES.items():
+            is_on = np.all(part[..., axis] == place, axis=tuple(k for k in range(3) if k != axis))
+            if is_on.any():
+                low, high = np.ones(3, int), np.array(part.shape[:3])
+                low[axis] = high[axis] = 1 + np.flatnonzero(is_on)[0]
+                cgns.condition(zone, f"{side} of {name}", np.stack([low, high], axis=1).T, family=side + suffix)
+
+
+OVERSET = {"wing.00000": (0, 0, 0), "wing.00001": (0, 0, 0), "tip.00000": (0, 0.5, 0), "far.00000": (0.2, 0.3, 0.4)}
+"""Zones of the file of `write_overset`, and where each cube stands."""
+
+
+def overset_blocks():
+    grid = cube()
+    return {"wing.00000": grid[:3], "wing.00001": grid[2:], "tip.00000": grid, "far.00000": grid}
+
+
+def overset_nodes():
+    """Nodes of the file of `write_overset`, in its order."""
+    blocks = overset_blocks().items()
+    return np.concatenate([part.reshape(-1, 3, order="F") + OVERSET[zone] for zone, part in blocks])
+
+
+def overset_floors():
+    """Faces of the lowest side of each zone, four corners each, and the zone of each face."""
+    turns, corners, zones = ((0, 0), (1, 0), (1, 1), (0, 1)), [], []
+    for zone, (name, part) in enumerate(overset_blocks().items()):
+        for i, j in np.ndindex(part.shape[0] - 1, part.shape[1] - 1):
+            corners += [part[i + a, j + b, 0] + OVERSET[name] for a, b in turns]
+            zones.append(zone)
+    return np.array(corners), np.array(zones)
+
+
+def write_overset(path):
+    """Three cubes that overlap, as cgns_utils joins them: two with a floor, in three zones, and one without."""
+    parts = overset_blocks()
+    with h5py.File(path, "w", track_order=True) as file:
+        base = cgns.base(file, 3, 3)
+        for name in ("wing", "tip", "far"):
+            own = {zone: part for zone, part in parts.items() if zone.startswith(name)}
+            conditions = {} if name == "far" else {"floor": "BCWallViscous", "sym0": "BCSymmetryPlane"}
+            write_zones(base, own, conditions, f"_{name}", OVERSET[next(iter(own))])
+    return overset_nodes()
 
 
 def write_unstructured(path, names=None):

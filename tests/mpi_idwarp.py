@@ -7,7 +7,7 @@ import idwarp_meshes as meshes
 import numpy as np
 from mpi4py import MPI
 
-from jaxmorph.integrations.idwarp import USMesh
+from jaxmorph.integrations.idwarp import MultiUSMesh, USMesh
 
 folder, comm = pathlib.Path(sys.argv[1]), MPI.COMM_WORLD
 
@@ -33,11 +33,17 @@ def by_place(points, values):
     return summed(points, values) / summed(points, np.ones_like(values))
 
 
-for kind, name in (("structured", "grid.cgns"), ("openfoam", "case")):
-    planes = [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]
-    options = {"gridFile": str(folder / name)}  # OpenFOAM's types of patches say the rest, in each part too
-    if kind == "structured":
-        options |= {"specifiedSurfaces": ["floor"], "symmetryPlanes": planes}
+PLANES = {"symmetryPlanes": [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]}
+QUICK = {"useRotations": False} | PLANES
+GRIDS = {
+    "structured": ("grid.cgns", {"specifiedSurfaces": ["floor"]} | PLANES),
+    "unstructured": ("mesh.cgns", {"specifiedSurfaces": ["floor"]} | QUICK),
+    "plot3d": ("grid.xyz", {"specifiedSurfaces": ["kmin"]} | QUICK),
+    "openfoam": ("case", {}),  # the types of its patches say the rest, in each part too
+}
+
+for kind, (name, options) in GRIDS.items():
+    options = {"gridFile": str(folder / name)} | options
     mesh = USMesh(options=options, comm=comm)
     start = mesh.getCommonGrid()
     count = len(start)
@@ -74,3 +80,26 @@ for kind, name in (("structured", "grid.cgns"), ("openfoam", "case")):
         np.savez(folder / f"{kind}-{comm.size}.npz", **found)
     if kind == "openfoam" and comm.size > 1:
         mesh.writeGrid(str(folder / "moved"))
+
+# grids that overlap: each process has the nodes of the other, and faces of its half of the zones
+nodes = meshes.overset_nodes()
+grid = MultiUSMesh(
+    str(folder / "overset.cgns"), {"wing": {"useRotations": False}, "tip": {"useRotations": False}}, comm
+)
+share = np.array_split(np.arange(len(nodes)), comm.size)[-1 - comm.rank][::-1]
+grid.setExternalMeshIndices((3 * share[:, None] + np.arange(3)).ravel())
+points, zones = meshes.overset_floors()
+own = np.array_split(np.arange(len(zones)), comm.size)[comm.rank]
+corners = (4 * own[:, None] + np.arange(4)).ravel()
+grid.setSurfaceDefinition(points[corners], np.arange(len(corners)), np.full(len(own), 4), zones[own])
+grid.setSurfaceCoordinates(meshes.bump(points[corners]))
+grid.warpMesh()
+moved, change = np.zeros_like(nodes), np.zeros_like(nodes)
+back = np.zeros_like(points)
+back[corners] = grid.warpDeriv(np.cos(7 * nodes[share]).ravel())
+moved[share] = grid.getSolverGrid().reshape(-1, 3)
+change[share] = grid.warpDerivFwd(np.sin(5 * points[corners])).reshape(-1, 3)
+found = {name: np.sum(comm.allgather(each), axis=0) for name, each in (("grid", moved), ("change", change))}
+found["dXs"] = summed(points[corners], back[corners])
+if comm.rank == 0:
+    np.savez(folder / f"overset-{comm.size}.npz", **found)

@@ -133,6 +133,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes": {"points": X, "faces": LOOP, "loop": np.arange(4), "wall": np.arange(4)},
     "plot": {"path": FOLDER / "a.png", "patch": "floor", "reduction": jm.AllPoints()},
     "io": {"path": FOLDER / "a.vtu"},
+    "jm.curve": {"mesh": Lazy(lambda: jm.elevate(MESH, 2)), "surface": np.asarray(MESH.points)[WALL]},
     "jm.Mesh": {"cells": {"quad": np.asarray(MESH.cells["quad"])}, "patches": {"a": [0, 1]}},
     "jm.Mesh.from_meshio": {"mesh": Lazy(MESH.to_meshio)},
     "jm.Mesh.from_pyvista": {"grid": Lazy(MESH.to_pyvista)},

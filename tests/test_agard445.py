@@ -238,7 +238,7 @@ def test_other_resolutions_are_refused():
         agard445(points=5_000)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("points", [64_943, 16_000])
 def test_finer_meshes(points, tmp_path):
     mesh = agard445(points=points, cache_directory=tmp_path)

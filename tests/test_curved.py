@@ -103,9 +103,10 @@ def test_cells_are_the_curved_cells_that_gmsh_evaluates(tmp_path, kind, order):
     (name,) = mesh.cells
     cell = lagrange_types()[name]
     assert (cell.shape, cell.order) == (kind, order)
-    number = gmsh.model.mesh.getElementType({"wedge": "Prism", "quad": "Quadrangle", "tetra": "Tetrahedron"}.get(kind, kind.capitalize()), order)
+    names = {"wedge": "Prism", "quad": "Quadrangle", "tetra": "Tetrahedron"}
+    number = gmsh.model.mesh.getElementType(names.get(kind, kind.capitalize()), order)
     x = local(cell.dimension)
-    jacobians, dets, places = gmsh.model.mesh.getJacobians(number, of_gmsh(kind, x).ravel())
+    _, _, places = gmsh.model.mesh.getJacobians(number, of_gmsh(kind, x).ravel())
     evaluated = np.einsum("sn,knd->ksd", values(name, x), mesh.points[mesh.cells[name]])
     expected = places.reshape(-1, len(x), 3)[:, :, : cell.dimension]
     np.testing.assert_allclose(evaluated, expected, atol=1e-12)

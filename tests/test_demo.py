@@ -106,7 +106,7 @@ def test_progress_speaks_on_a_terminal_alone(capsys, monkeypatch):
     assert said.out == ""
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_figure_6_of_the_paper():
     mesh = cases.naca0015()
     start = jm.quality(mesh)

@@ -34,7 +34,7 @@ def check_pictures(output):
         assert (red - blue > 0.3).mean() > 0.01, "no cell is coloured"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys):
     output = tmp_path / "made" / "for it"
     assert run("agard445", output, points=6_500) == 0
@@ -61,7 +61,7 @@ def test_the_demo_leaves_tables_pictures_and_meshes(tmp_path, capsys):
         np.testing.assert_allclose(to_look_at.cell_data["aspect_ratio"][0], expected, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sources_are_counted():
     mesh = cases.agard445(points=6_500)
     wing, far = mesh.patch("wing"), mesh.patch("farfield")

@@ -48,11 +48,30 @@ def test_the_reference_names_all_that_is_public(name):
 
 
 def test_links_of_pages_lead_to_files():
-    """On a code host as well as on the site: each relative link is a file of the project, or the page of commands."""
+    """On a code host as well as on the site: each relative link is a file of the project."""
     documents = ["README.md", "CONTRIBUTING.md", "benchmarks/README.md", *(ROOT / "docs" / "pages").rglob("*.md")]
     for document in documents:
         file = ROOT / document
         for address in re.findall(r"\[[^\]]*\]\(([^)\s]+)\)", file.read_text()):
             path = address.partition("#")[0]
             if path and not re.match(r"\w+:", address):
-                assert (file.parent / path).exists() or path.endswith("commands.md"), f"{document}: {address}"
+                assert (file.parent / path).exists(), f"{document}: {address}"
+
+
+def test_pages_are_narrow():
+    """Prose of at most 100 characters a line, tables of at most 120 and six columns."""
+    wide = []
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "README.md", *PAGES.glob("*.md")):
+        text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+        for line in text.splitlines():
+            is_row = line.startswith("|")
+            if not line.startswith("![") and (len(line) > (120 if is_row else 100) or is_row and line.count("|") > 7):
+                wide.append(f"{page.name}: {line[:70]}")
+    assert not wide, "\n".join(wide)
+
+
+@pytest.mark.slow
+def test_the_page_of_commands_is_what_they_print(monkeypatch):
+    pytest.importorskip("mkdocs")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    assert importlib.import_module("hooks").commands() + "\n" == (PAGES / "commands.md").read_text(), "python docs/hooks.py"

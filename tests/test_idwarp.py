@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 
+import adf
 import idwarp_meshes as meshes
 import jax
 import numpy as np
@@ -18,7 +19,7 @@ from jaxmorph import cases, io
 MPI = pytest.importorskip("mpi4py.MPI")
 pytest.importorskip("h5py")
 idwarp = pytest.importorskip("jaxmorph.integrations.idwarp")
-USMesh = idwarp.USMesh
+USMesh, MultiUSMesh = idwarp.USMesh, idwarp.MultiUSMesh
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PLANES = {
     1: [[[0, 0, 0], [1, 0, 0]]],
@@ -100,6 +101,86 @@ def test_a_cube_inflates(grids):
     np.testing.assert_allclose(mesh.getCommonGrid(), (grids["structured"][1] * [1.1, 1.2, 1.3]).ravel(), atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["structured", "plot3d", "openfoam"])
+def test_the_calls_of_idwarps_own_test(grids, kind, capsys):
+    """Its options, in the spelling of its versions, then a shear along the span: to the letter what its test calls."""
+    file, name, _ = (str(grids[kind][0]), meshes.FILES[kind][1], None)
+    options = {"gridFile": None, "aExp": 3.0, "bExp": 5.0, "LdefFact": 1.0, "alpha": 0.25, "errTol": 0.0005}
+    options |= {"evalMode": "fast", "symmTol": 1e-6, "useRotations": True, "bucketSize": 8, "fileType": None}
+    options.update({"gridFile": file, "fileType": name.lower(), "symmetryPlanes": [[[0, 0, 0], [1, 0, 0]]]})
+    if kind == "plot3d":
+        options["specifiedSurfaces"] = ["kmin"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mesh = USMesh(options=options, comm=MPI.COMM_SELF, debug=True)
+    coords = mesh.getSurfaceCoordinates()
+    start = mesh.getCommonGrid().reshape(-1, 3)
+    new = coords.copy()
+    for i in range(len(coords)):
+        new[i, 1] += 0.05 * coords[i, 0]
+    mesh.setSurfaceCoordinates(new)
+    mesh.warpMesh()
+    moved = mesh.getWarpGrid().reshape(-1, 3)
+    wall = meshes.on(start, "floor")
+    np.testing.assert_allclose(moved[wall, 1], start[wall, 1] + 0.05 * start[wall, 0], atol=1e-15)
+    assert np.array_equal(moved[meshes.on(start, "sym0"), 0], start[meshes.on(start, "sym0"), 0])
+    seed = np.linspace(0, 1.0, mesh.warp.griddata.warpmeshdof)
+    mesh.warpDeriv(seed, solverVec=False)
+    assert mesh.getdXs().shape == coords.shape
+    assert np.isfinite(mesh.getdXs()).all()
+    worst = mesh.verifyWarpDeriv(seed, solverVec=False, dofStart=0, dofEnd=5)
+    assert worst < 1e-6
+    assert capsys.readouterr().out.count("surface coordinate") == 5
+    if kind == "openfoam":
+        with pytest.raises(ValueError, match="fileName"):
+            mesh.writeGrid()
+
+
+def test_options_are_those_of_baseclasses(grids, capsys):
+    mesh = opened(grids, "structured", symmetryPlanes=PLANES[1])
+    assert mesh.getOption("SYMMTOL") == 1e-6
+    assert mesh.getOption("filetype") == "CGNS"
+    mesh.setOption("useRotations", True)
+    mesh.setOption("errtol", 1e-3)
+    mesh.printOptions()
+    told = capsys.readouterr().out
+    assert "useRotations: True" in told
+    assert "errTol: 0.001" in told
+    surface = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(meshes.bump(surface))
+    mesh.warpMesh()
+    turning = opened(grids, "structured", symmetryPlanes=PLANES[1], useRotations=True)
+    turning.setSurfaceCoordinates(meshes.bump(turning.getSurfaceCoordinates()))
+    turning.warpMesh()
+    assert np.array_equal(mesh.getCommonGrid(), turning.getCommonGrid())
+    for name, value, message in (
+        ("useRotations", False, "surface is defined"),
+        ("gridFile", "other.cgns", "grid is read"),
+        ("errTol", "small", "errTol"),
+        ("nonsense", 1, "no option nonsense"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            mesh.setOption(name, value)
+    with pytest.raises(ValueError, match="no option nonsense"):
+        mesh.getOption("nonsense")
+
+
+def test_planes_that_face_each_other_as_dafoam_gives_them(grids):
+    """Normals of whatever length; of an airfoil both sides of one layer of cells are symmetry planes."""
+    nodes = grids["openfoam"][1]
+    planes = [[[0, 0, 0], [0.1, 0, 0]], [[1, 0, 0], [0.1, 0, 0]]]
+    mesh = opened(grids, "openfoam", symmetryPlanes=planes, specifiedSurfaces=None)
+    surface = mesh.getSurfaceCoordinates()
+    mesh.setSurfaceCoordinates(surface + 0.1 * np.sin(np.pi * surface[:, 1:2]) * [0, 0, 1])
+    mesh.warpMesh()
+    moved = mesh.getCommonGrid().reshape(-1, 3)
+    for name in ("sym0", "xmax"):
+        rows = meshes.on(nodes, name)
+        assert np.array_equal(moved[rows, 0], nodes[rows, 0])
+        assert np.abs(moved[rows] - nodes[rows]).max() > 0.05
+    dot_is_equal(mesh)
+
+
 @pytest.mark.parametrize("is_turning", [True, None])
 def test_the_method_is_idwarps_or_the_default(grids, is_turning):
     """`useRotations` asks for IDWarp's; without it the mesh moves as `prepare` moves it."""
@@ -174,7 +255,7 @@ def test_points_that_are_no_nodes_move_the_wall_by_a_linear_map(grids, count, ha
 
 def test_closest_points_of_triangles_are_those_of_a_fine_search():
     """Oracle: the nearest of many points of each triangle; long triangles among short ones."""
-    from jaxmorph.integrations._definition import Definition
+    from jaxmorph.integrations.idwarp._definition import Definition
 
     random = np.random.default_rng(5)
     points = random.normal(size=(30, 3)) * [5, 1, 0.2]
@@ -212,6 +293,87 @@ def test_a_definition_from_a_file_of_blocks(grids, tmp_path):
     np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3)[wall], nodes[wall] + [0, 0, 0.1], atol=1e-8)
 
 
+def test_several_grids_of_one_file_move_each_by_itself(tmp_path):
+    """Oracle: each grid alone in a file. The third has no options and stays; its faces on the surface move nothing."""
+    path = tmp_path / "overset.cgns"
+    nodes = meshes.write_overset(path)
+    sizes = [len(meshes.cube()[:3].reshape(-1, 3))] * 2 + [len(meshes.cube().reshape(-1, 3))] * 2
+    first = np.cumsum([0, *sizes])
+    options = {"tip": {"useRotations": False, "gridFile": "elsewhere"}, "wing": {"useRotations": True}}
+    mesh = MultiUSMesh(str(path), options, comm=MPI.COMM_SELF)
+    assert len(mesh.meshes) == 2
+    indices = np.random.default_rng(3).permutation(nodes.size)
+    mesh.setExternalMeshIndices(indices)
+    assert np.array_equal(mesh.getSolverGrid(), nodes.ravel()[indices])
+    points, zones = meshes.overset_floors()
+    mesh.setSurfaceDefinition(points, np.arange(len(points)).reshape(-1, 4), np.full(len(zones), 4), zones)
+    assert np.array_equal(mesh.getSurfaceCoordinates(), points)
+    motion = lambda x: x + 0.1 * np.sin(2 * x[:, :1]) * [0, 0, 1] + 0.05 * x[:, 1:2] * [1, 0, 0] * x[:, :1]  # noqa: E731
+    mesh.setSurfaceCoordinates(motion(points))
+    mesh.warpMesh()
+    moved = np.empty(nodes.size)
+    moved[indices] = mesh.getSolverGrid()
+    moved = moved.reshape(-1, 3)
+    assert np.array_equal(moved[first[3] :], nodes[first[3] :])
+    grids, count = mesh.getWarpGrid()
+    assert count == 3 * first[3]
+    for grid, name in zip(grids, ("wing", "tip"), strict=True):
+        rows = slice(0, first[2]) if name == "wing" else slice(first[2], first[3])
+        assert np.array_equal(grid.reshape(-1, 3), moved[rows])
+        start = nodes[rows]
+        floor = np.flatnonzero(start[:, 2] == 0)
+        np.testing.assert_allclose(moved[rows][floor], motion(start[floor]), atol=1e-14)
+        rest = np.flatnonzero(start[:, 2] == 1)
+        assert np.array_equal(moved[rows][rest], start[rest])
+        alone = io.read(path)
+        part = np.unique(alone.file_nodes[np.arange(len(nodes))[rows]])
+        planes = [jm.Plane([1, 0, 0], [0, 0, 0])]
+        base = np.asarray(alone.points)[part]
+        wall = np.flatnonzero(base[:, 2] == 0)
+        sides = (base[:, 2] == 1) | (base[:, 0] == 1) | np.isin(base[:, 1], [start[:, 1].min(), start[:, 1].max()])
+        corners = np.asarray(alone.cells["hexahedron"])
+        corners = corners[np.isin(corners, part).all(axis=1)]
+        base = jm.Mesh(base, {"hexahedron": np.searchsorted(part, corners)})
+        method = jm.InverseDistance(rotations=name == "wing")
+        plan = jm.prepare(base, wall, np.setdiff1d(np.flatnonzero(sides), wall), method=method, symmetry=planes)
+        expected = np.asarray(jm.deform(plan, motion(np.asarray(plan.moving_points)) - plan.moving_points))
+        found = np.empty_like(expected)
+        found[np.searchsorted(part, alone.file_nodes[np.arange(len(nodes))[rows]])] = moved[rows]
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+    random = np.random.default_rng(0)
+    tangent, seed = random.normal(size=points.shape), random.normal(size=nodes.size)
+    change, back = mesh.warpDerivFwd(tangent), mesh.warpDeriv(seed)
+    assert np.array_equal(back, mesh.getdXs())
+    assert abs(change @ seed - np.vdot(tangent, back)) < 1e-12 * np.linalg.norm(change) * np.linalg.norm(seed)
+    mesh.writeGrid(str(tmp_path / "moved"))
+    written = io.read(tmp_path / "moved.cgns")
+    assert np.array_equal(written.in_file_order(written.points), moved)
+    adf.twin(path, tmp_path / "older.cgns")
+    older = MultiUSMesh(str(tmp_path / "older.cgns"), {"tip": options["tip"]}, MPI.COMM_SELF)
+    assert np.array_equal(older.getWarpGrid()[0][0], nodes[first[2] : first[3]].ravel())
+
+
+def test_several_grids_refuse_nonsense(tmp_path):
+    path = str(tmp_path / "overset.cgns")
+    meshes.write_overset(path)
+    for grids, message in (({"hull": {}}, "no grid hull; it has wing, tip, far"), ({}, "optionsDict")):
+        with pytest.raises(ValueError, match=message):
+            MultiUSMesh(path, grids, MPI.COMM_SELF)
+    with pytest.raises(ValueError, match="dtype"):
+        MultiUSMesh(path, {"tip": {}}, MPI.COMM_SELF, dtype="D")
+    mesh = MultiUSMesh(path, {"tip": {}}, MPI.COMM_SELF)
+    square = np.array([[0.0, 0.5, 0], [1, 0.5, 0], [1, 1.5, 0], [0, 1.5, 0]])
+    for call, message in (
+        (mesh.getSolverGrid, "setExternalMeshIndices"),
+        (mesh.getSurfaceCoordinates, "setSurfaceDefinition"),
+        (lambda: mesh.setSurfaceDefinition(square, [0, 1, 2, 3], [4], [7]), "cgnsBlockIDs"),
+        (lambda: mesh.setSurfaceDefinition(square, [0, 1, 2, 3], [4]), "cgnsBlockIDs"),
+        (lambda: mesh.warpDeriv(np.zeros(3), solverVec=False), "solverVec"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
 @pytest.mark.parametrize("kind", ["openfoam", "structured"])
 def test_walls_and_planes_of_the_file_are_the_default(grids, kind):
     """Types of OpenFOAM's patches, and of CGNS's families, say what they are."""
@@ -238,6 +400,19 @@ def test_nodes_between_overset_grids_are_free(tmp_path):
     others = np.concatenate([meshes.on(nodes, name) for name in ("lid", "ymax", "floor", "sym1")])
     assert (change[np.setdiff1d(meshes.on(nodes, "xmax"), others), 2] > 1e-3).all()
     assert not change[np.setdiff1d(meshes.on(nodes, "ymax"), meshes.on(nodes, "floor"))].any()
+
+
+def test_a_grid_between_overset_patches_turns_with_its_wall(tmp_path):
+    """Nothing is fixed there: a turn of the wall about a line in it, and a shift, are those of the grid."""
+    names = {name: f"overset_{k}" for k, name in enumerate(meshes.SIDES)} | {"floor": "wing_wall"}
+    nodes = meshes.write_unstructured(tmp_path / "mesh.cgns", names)
+    mesh = USMesh({"gridFile": str(tmp_path / "mesh.cgns")}, MPI.COMM_SELF)
+    turn = np.array([[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]])
+    motion = lambda x: x @ turn.T + [0.1, 0.2, 0.3]  # noqa: E731
+    mesh.setSurfaceCoordinates(motion(mesh.getSurfaceCoordinates()))
+    mesh.warpMesh()
+    np.testing.assert_allclose(mesh.getCommonGrid().reshape(-1, 3), motion(nodes), atol=1e-12)
+    dot_is_equal(mesh)
 
 
 def test_planes_hold_nodes_within_symmtol(grids):
@@ -341,17 +516,15 @@ def test_nonsense_is_refused_by_name(grids, tmp_path):
 
 def test_the_adapter_stands_on_public_names():
     """What it imports of the package outside of `integrations` has no private part."""
-    room = ROOT / "jaxmorph" / "integrations"
-    files = [
-        room / f"{name}.py" for name in ("idwarp", "_definition", "_follower", "_grid", "_idwarp_options", "_walls")
-    ]
+    files = sorted((ROOT / "jaxmorph" / "integrations" / "idwarp").glob("*.py"))
+    assert len(files) > 5
     for file in files:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and not node.level:
                 names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
                 assert "jaxmorph" not in names[:1] or not any(name.startswith("_") for name in names), file
             if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__"):
-                assert ast.unparse(node.value) in ("self", "Grid"), (file, node.attr)
+                assert ast.unparse(node.value) in ("self", "mesh", "Grid", "USMesh"), (file, node.attr)
 
 
 def test_the_extra_says_what_else_it_needs():
@@ -371,14 +544,17 @@ def test_two_processes_have_what_one_has(grids, tmp_path):
         pytest.skip("no mpiexec beside this python: another one may belong to another MPI than mpi4py")
     meshes.write_openfoam(tmp_path / "case", parts=True)
     meshes.write_structured(tmp_path / "grid.cgns")
+    meshes.write_unstructured(tmp_path / "mesh.cgns")
+    meshes.write_plot3d(tmp_path / "grid.xyz")
+    meshes.write_overset(tmp_path / "overset.cgns")
     for count in (1, 2):
         run = [str(command), "-n", str(count), sys.executable, str(ROOT / "tests" / "mpi_idwarp.py"), str(tmp_path)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-        done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=600, check=False)
+        done = subprocess.run(run, capture_output=True, text=True, env=environment, timeout=900, check=False)
         assert done.returncode == 0, done.stderr
-    for kind in ("structured", "openfoam"):
+    for kind in ("structured", "unstructured", "plot3d", "openfoam", "overset"):
         one, two = (np.load(tmp_path / f"{kind}-{count}.npz") for count in (1, 2))
-        assert set(one) == set(two) == {"grid", "solver", "dXs", "change"}
+        assert set(one) == set(two) == {"grid", "dXs", "change", *(["solver"] if kind != "overset" else [])}
         for name in one:
             np.testing.assert_allclose(two[name], one[name], rtol=0, atol=1e-10 * np.abs(one[name]).max(), err_msg=name)
     old, new = io.Decomposed(tmp_path / "case"), io.Decomposed(tmp_path / "moved")

@@ -225,7 +225,7 @@ def test_improving_keeps_a_surface_inside_of_the_mesh_where_it_was_sent():
     np.testing.assert_allclose(wall, mesh.points[moving] + turned(steps.fraction), atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("by", ["sliding", "periodic", "symmetry"])
 def test_improving_lets_the_boundary_of_a_plan_slide_and_repeat(by):
     """As `improve` does when it is told the same: nodes move along the line x = 0, or as their partners on x = 8 do."""

@@ -30,7 +30,7 @@ SMALL = {
 OPTIMISED = "03_shape_optimisation.ipynb"
 """It takes twice as long where compiled code is not optimised (`.ci/run`); the others compile most of the time."""
 
-OFTEN = ("00_first_steps.ipynb", "07_extend.ipynb", "08_openfoam.ipynb")
+OFTEN = ("00_first_steps.ipynb", "07_extend.ipynb")
 """`.ci/run` runs these, `.ci/nightly` all of them."""
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -217,11 +217,12 @@ def check_coupling(said):
 
 
 def check_wave_drag(said):
-    """The gradient is that of differences, and the drag falls at the wanted lift and the first area; no cell is inverted."""
+    """The gradient is that of differences, and the drag falls at the wanted lift and first area; no cell nearly inverts."""
     assert float(re.search(r"largest relative difference (\S+)", said)[1]) < 1e-5
-    rows = re.findall(r"step +\d+: drag (\S+), lift (\S+), area (\S+), (\d+) inverted", said)
-    assert {inverted for *_, inverted in rows} == {"0"}
-    assert float(rows[-1][2]) >= float(rows[0][2]) - 2e-5
+    rows = re.findall(r"step +\d+: drag (\S+), lift (\S+), area (\S+) of the first, Jacobian ratio (\S+)", said)
+    assert len(rows) > 2
+    assert min(float(ratio) for *_, ratio in rows) >= 0.1
+    assert float(rows[-1][2]) >= 1 - 2e-4
     (first, last) = re.findall(r"^ +832 +(\S+) +(\S+) +\S+%$", said, re.MULTILINE)[0]
     assert float(last) < 0.8 * float(first)
 

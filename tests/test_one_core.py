@@ -87,7 +87,7 @@ def test_it_ends_on_one_core(name):
 
 
 @ONE
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_it_ends_each_time(name):
     for _ in range(5):

@@ -120,24 +120,25 @@ def change(name, method, alone, seeds=(0, 1)):
     return max(np.abs(moved(noisy(points, seed)) - still).max() for seed in seeds) / np.abs(u).max()
 
 
-@pytest.mark.parametrize("alone", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["mesh", "points"])
+@pytest.mark.parametrize("alone", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["mesh", "points"])
 @pytest.mark.parametrize("name", MESHES)
 def test_the_default(name, alone):
     assert change(name, "default", alone) < LEAST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "default"])
 def test_every_choice_on_a_wedge(method):
     assert change("wedge", method, True, seeds=(0,)) < LEAST
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", ["KDTree", "KDTree by size", "extremes", "Graded", "Multiscale"])
 def test_every_choice_beside_a_square(method):
     assert change("body", method, True, seeds=(0,)) < LEAST
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("method", ["extremes", "PGreedy", "motions", "Multiscale", "LocalCorrection"])
 def test_every_choice_beside_a_cube(method):
     assert change("cube", method, True, seeds=(0,)) < LEAST

@@ -366,6 +366,14 @@ def test_one_process_says_the_warnings_of_all(capsys):
     assert capsys.readouterr().err.count("warning: ") == 2
 
 
+class WithoutLibrary:
+    """Stands for mpi4py where there is no MPI library."""
+
+    @property
+    def MPI(self):
+        raise RuntimeError("cannot load MPI library")
+
+
 @pytest.mark.parametrize("name", ["SLURM_STEP_NUM_TASKS", "OMPI_COMM_WORLD_SIZE"])
 def test_processes_that_cannot_meet_do_not_write_one_case_twice(name, monkeypatch):
     """Two processes of srun without MPI, or of another MPI library than mpi4py's: each would take itself for the only one."""
@@ -376,8 +384,10 @@ def test_processes_that_cannot_meet_do_not_write_one_case_twice(name, monkeypatc
     monkeypatch.setenv(name, "1")
     assert isinstance(_ranks(), Alone)
     monkeypatch.setenv(name, "2")
-    with pytest.raises(ImportError, match="srun started this process, but mpi4py is missing"):
-        _ranks()
+    for module in (None, WithoutLibrary()):
+        monkeypatch.setitem(sys.modules, "mpi4py", module)
+        with pytest.raises(ImportError, match="srun started this process, but mpi4py or its MPI library is missing"):
+            _ranks()
     one = types.SimpleNamespace(MPI=types.SimpleNamespace(COMM_WORLD=types.SimpleNamespace(size=1)))
     monkeypatch.setitem(sys.modules, "mpi4py", one)
     with pytest.raises(ValueError, match=r"2 processes were started, and mpi4py sees 1:.*srun --mpi="):

@@ -62,7 +62,10 @@ INCOMPRESSIBLE = {
 }
 
 
-@pytest.mark.parametrize("name", INCOMPRESSIBLE)
+@pytest.mark.parametrize(
+    "name",
+    [name if "naca" in name else pytest.param(name, marks=pytest.mark.nightly) for name in INCOMPRESSIBLE],
+)
 def test_tutorials_in_2d(tmp_path, capsys, name):
     moving, motion = INCOMPRESSIBLE[name]
     case, new = tutorial(tmp_path / "case", f"incompressible/{name}"), tmp_path / "new"
@@ -82,6 +85,7 @@ def test_tutorials_in_2d(tmp_path, capsys, name):
         assert float(re.findall(r"Continuity error = (\S+)", said)[-1]) < 1e-4
 
 
+@pytest.mark.nightly
 def test_a_tutorial_in_3d(tmp_path, capsys):
     """A square duct with a bend of 180 degrees, 112,000 hexahedra: its walls pushed aside at the bend."""
     case = tutorial(tmp_path / "case", "compressible/rhoSimpleFoam/squareBend")
@@ -127,6 +131,7 @@ def test_a_solver_runs_on_a_moved_cyclic_channel(tmp_path):
     assert np.isfinite(list(map(float, re.findall(r"Courant Number mean: \S+ max: (\S+)", said)))).all()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("form", [name for name in foam.FORMS if "big-endian" not in name])
 def test_openfoam_reads_the_forms_that_the_tests_write(tmp_path, form):
     """So that what jaxmorph reads of them is what OpenFOAM would; it reads no other byte order than its machine's."""

@@ -69,8 +69,13 @@ def by_smooth_measures(mesh, points, solid):
     return values | ({"distortion": jm.distortion(mesh, points, softness=1e-2)} if solid else {})
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [*SOLIDS, *SURFACES])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in ("triangle", "line") else pytest.mark.nightly)
+        for name in (*SOLIDS, *SURFACES)
+    ],
+)
 def test_component_by_component(name):
     """Forward, reverse and differences agree on sound and inverted cells; all are finite where there is no derivative.
 

@@ -55,6 +55,8 @@ FLAT = (
     ),
 )
 SOLID = ("extruded circle, 3 over 1", "wing", "box, tetra", "sphere", "rod on a held floor")
+OFTEN = ("C-grid 0015", "O-grid, sharp", "wing", "sphere")
+"""`.ci/run` has these, `.ci/nightly` all of them."""
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +75,10 @@ def named(rows, name):
     return next(case for case in rows.all_cases() if case.name == name)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [*FLAT, *SOLID])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in OFTEN else pytest.mark.nightly) for name in (*FLAT, *SOLID)],
+)
 def test_the_default_never_loses(rows, name):
     """It inverts no cell where one of the others inverts none, and keeps 0.85 of their best smallest Jacobian ratio."""
     with warnings.catch_warnings():
@@ -104,7 +108,7 @@ def test_points_alone_are_interpolated():
     assert float(report.min_jacobian_ratio) > 0.8
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_too_few_sources_are_told_with_a_number_that_is_enough(rows):
     case = named(rows, "extruded circle, 3 over 1")
     u = case.motions["lobes 6"](case.base, 1.0)

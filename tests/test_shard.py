@@ -49,7 +49,7 @@ print(json.dumps(found))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_equal_to_the_whole_with_one_all_reduce_outside_of_loops():
     """Points bit for bit but for the order of sums; gradients as far as the solve's conditioning lets them.
 

@@ -84,7 +84,7 @@ def test_a_flat_patch_slides_as_its_plane_does():
     assert not jm.inspect(plan, 0.1 * u, mesh=mesh).warnings
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("shape", ["cylinder", "cone", "bell"])
 def test_a_shroud_between_sliding_lids(shape, tmp_path):
     """Nodes stay on the surface, on the lids, and on both at the rim; the hub's ends, which move, stay on the lids."""
@@ -393,7 +393,7 @@ def pushed(plan, u, v):
     return jax.jvp(lambda u: jm.deform(plan, u), (u,), (v,))[1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", [name for name, dimension in NAMES if dimension == 3 and name not in ALIKE])
 def test_methods_between_a_shroud_lids_and_periodic_sides(name, tmp_path):
     """In 3-D, whatever the method: nodes stay on the cylinder, the planes, and a quarter turn from their partner."""

@@ -232,13 +232,14 @@ def test_boxes_in_3d(folder, continuity):
     check_box(case, LISTED, length=2.0, fixed=fixed.get(continuity, ((), (), ())))
 
 
-def test_positions_from_a_file(folder):
+@pytest.mark.parametrize("option", ["DV_FILENAME", "MOTION_FILENAME"])
+def test_positions_from_a_file(folder, option):
     mesh = io.read(folder / "airfoil.su2")
     nodes, rng = mesh.patch("airfoil"), np.random.default_rng(0)
     target = np.asarray(mesh.points)[nodes] + 0.01 * rng.normal(size=(len(nodes), 2))
     rows = [f"{node}\t{x!r}\t{y!r}" for node, (x, y) in zip(nodes.tolist(), target.tolist(), strict=True)]
     (folder / "wall.dat").write_text("\n".join(rows[::-1]) + "\n")
-    case = config(folder, "SURFACE_FILE", "( 1.0 )", "1.0", "DV_FILENAME= wall.dat\nDEFORM_NONLINEAR_ITER= 3\n")
+    case = config(folder, "SURFACE_FILE", "( 1.0 )", "1.0", f"{option}= wall.dat\nDEFORM_NONLINEAR_ITER= 3\n")
     x, after = moved(case)
     np.testing.assert_allclose(after, target, atol=1e-16)
     np.testing.assert_allclose(case.path[1], (target - x) * 2 / 3, atol=1e-16)

@@ -145,7 +145,7 @@ def test_thin_layers_beside_two_parallel_planes():
     assert plan.is_linear
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_transpose_and_pieces_between_two_parallel_planes():
     mesh, body, ends, planes, u = body_in_a_channel()
     plan, points = jm.prepare(mesh, body, ends, symmetry=planes), mesh.points

@@ -192,7 +192,7 @@ def test_whole_cells_are_measured_as_checkmesh_does(tmp_path, dimension):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_snapped_mesh_is_judged_as_checkmesh_does(tmp_path, capsys):
     """OpenFOAM's flange, 19,314 cells of which 1,544 are polyhedra and some have collapsed corners: moved, and not refused."""
     foam.need_openfoam()

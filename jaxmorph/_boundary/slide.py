@@ -280,13 +280,13 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> list
     elements = elements[is_whole].astype(np.int32)
     part = _smooth_parts(elements, normals[is_whole] / lengths[is_whole, None])
     if part.max() == 0 or np.isin(np.arange(len(nodes)), elements, invert=True).any():  # nodes of no face belong to all
-        return [(Faceted(nodes, points[nodes], elements, _around(elements, len(nodes))), nodes)]
+        return [(Faceted(nodes, points[nodes], elements, faces_around(elements, len(nodes))), nodes)]
     walls = []
     for number in range(part.max() + 1):
         rows = np.unique(elements[part == number])
         corners, ids = np.searchsorted(rows, elements[part == number]).astype(np.int32), nodes[rows]
         flat = _flat(ids, points, corners)
-        walls.append((flat or Faceted(ids, points[ids], corners, _around(corners, len(ids))), ids))
+        walls.append((flat or Faceted(ids, points[ids], corners, faces_around(corners, len(ids))), ids))
     return walls
 
 
@@ -311,7 +311,7 @@ def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "
     return parts_of(beside.row[joined], beside.col[joined], len(elements))
 
 
-def _around(elements: np.ndarray, count: int) -> np.ndarray:
+def faces_around(elements: np.ndarray, count: int) -> np.ndarray:
     """Lists the faces (count, w) at each vertex and at its neighbours; the last ones are repeated."""
     ids = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)), shape=(count, len(elements)))

@@ -334,7 +334,7 @@ def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[
 
 
 def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
-    return {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()}
+    return {kind: np.asarray(ids) for kind, ids in solid(mesh.linear.cells, mesh.points.shape[1]).items()}
 
 
 def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:

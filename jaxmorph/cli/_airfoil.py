@@ -31,8 +31,11 @@ def class_functions(
     """Makes the shape of `--cst`: weights and the ordinate of the edge by side. Raises `ValueError` for anything else."""
     table = _table(flag, source, ("exponents",))
     given = {side: _numbers(flag, table, side, (None,)) for side in SIDES if side in table}
-    if any(len(weights) < 3 for weights in given.values()):
-        raise ValueError(f"--{flag}: a side has two weights or more, and the ordinate of the edge.")
+    for side, weights in given.items():
+        if len(weights) < 3:
+            raise ValueError(
+                f"--{flag}: {side} has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
+            )
     exponents = tuple(_numbers(flag, {"exponents": table.get("exponents", [0.5, 1.0])}, "exponents", (2,)).tolist())
     chord, masks = _sides(flag, table, mesh, patches)
     parts = {side: shapes.CST(len(weights) - 2, exponents, chord=chord) for side, weights in given.items()}

@@ -105,9 +105,10 @@ def _ranks() -> Ranks:
         return Alone()
     try:
         from mpi4py import MPI
-    except ImportError as error:
+    except (ImportError, RuntimeError) as error:  # the latter where mpi4py is there and no MPI library
         raise ImportError(
-            "mpiexec or srun started this process, but mpi4py is missing: pip install 'jaxmorph[mpi]', or start one process."
+            "mpiexec or srun started this process, but mpi4py or its MPI library is missing: "
+            "pip install 'jaxmorph[mpi]' mpich, or start one process."
         ) from error
     world: Any = MPI.COMM_WORLD
     if size is not None and world.size != size:

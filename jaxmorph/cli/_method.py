@@ -126,7 +126,7 @@ class Patches:
     def half(self, choice: NamedMethod) -> jm.SurfaceHalf:
         """Prepares the surface of a mesh in parts, which `mesh` is. Raises as `chunks` does."""
         try:
-            named = self._boundary(choice, OuterFaces.numbered(self.mesh.cells))
+            named = self._boundary(choice, OuterFaces.numbered(self.mesh.linear.cells))
             return half_of(named, choice.method, io.global_nodes(self.mesh))
         except jm.MeshError as error:
             raise self.explained(error) from None

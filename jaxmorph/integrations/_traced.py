@@ -57,6 +57,18 @@ class TracedComponent(om.ExplicitComponent):
                 d_inputs[key] += np.asarray(slopes[key]).reshape(d_inputs[key].shape)
 
 
+class Deformed(eqx.Module):
+    """Computes `deform` of a plan from the input `name`: displacements of its moving nodes, or their positions."""
+
+    plan: jm.Plan
+    name: str = eqx.field(static=True)
+    is_position: bool = eqx.field(static=True, default=False)
+
+    def __call__(self, values: Values) -> Array:
+        u = jnp.reshape(values[self.name], self.plan.moving_points.shape)
+        return jm.deform(self.plan, u - self.plan.moving_points if self.is_position else u)
+
+
 class MovedMesh(TracedComponent):
     """Moves a mesh by the option `plan`, and judges its cells where the option `mesh` knows them."""
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, PyTree
 import jaxmorph as jm
 from jaxmorph._host.package.arguments import check
 
-from ._traced import MovedMesh, TracedComponent
+from ._traced import Deformed, MovedMesh, TracedComponent
 from .openmdao import add_parameters, first_parameters, from_inputs
 
 SURFACE = MPhysVariables.Aerodynamics.Surface
@@ -124,9 +124,9 @@ class Volume(MovedMesh):
         self.add_input(SURFACE.COORDINATES, wall.ravel(), distributed=True, units="m", tags=["mphys_coordinates"])
         self.add_output(VOLUME, points.ravel(), distributed=True, units="m", tags=tags)
 
-    def traced(self) -> "_Followed":
+    def traced(self) -> Deformed:
         """Returns `deform` of the plan by positions."""
-        return _Followed(self.options["plan"])
+        return Deformed(self.options["plan"], SURFACE.COORDINATES, is_position=True)
 
 
 class _Moved(eqx.Module):
@@ -136,11 +136,3 @@ class _Moved(eqx.Module):
     def __call__(self, values: dict[str, Any]) -> Float[Array, " k"]:
         x = jnp.reshape(values[SURFACE.Geometry.COORDINATES_INPUT], (-1, 3))
         return self.shape(x, from_inputs(self.parameters, values)).ravel()
-
-
-class _Followed(eqx.Module):
-    plan: jm.Plan
-
-    def __call__(self, values: dict[str, Any]) -> Float[Array, " k"]:
-        u = jnp.reshape(values[SURFACE.COORDINATES], (-1, 3)) - self.plan.moving_points
-        return jm.deform(self.plan, u).ravel()

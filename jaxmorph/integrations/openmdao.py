@@ -12,7 +12,7 @@ import jaxmorph as jm
 from jaxmorph import shapes
 from jaxmorph._host.package.arguments import shown
 
-from ._traced import MovedMesh, TracedComponent
+from ._traced import Deformed, MovedMesh, TracedComponent
 
 
 class MeshDeformation(MovedMesh):
@@ -52,9 +52,9 @@ class MeshDeformation(MovedMesh):
         self.add_input("displacements", val=rest.ravel() if flat else rest, units=units)
         self.add_output("points", val=points.ravel() if flat else points, units=units)
 
-    def traced(self) -> "_Deformed":
+    def traced(self) -> Deformed:
         """Returns `deform` of the plan."""
-        return _Deformed(self.options["plan"])
+        return Deformed(self.options["plan"], "displacements")
 
 
 class ShapeDisplacement(TracedComponent):
@@ -127,14 +127,6 @@ def from_inputs(parameters: PyTree, values: dict[str, Any]) -> PyTree:
 def _inputs(parameters: PyTree) -> list[tuple[str, Any]]:
     paths = jax.tree_util.tree_flatten_with_path(parameters)[0]
     return [(jax.tree_util.keystr(path, simple=True, separator=":") or "parameters", leaf) for path, leaf in paths]
-
-
-class _Deformed(eqx.Module):
-    plan: jm.Plan
-
-    def __call__(self, values: dict[str, Any]) -> Float[Array, "n d"]:
-        u = jnp.reshape(values["displacements"], (self.plan.n_moving, self.plan.points.shape[1]))
-        return jm.deform(self.plan, u)
 
 
 class _Displaced(eqx.Module):

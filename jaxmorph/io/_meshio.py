@@ -16,6 +16,9 @@ import numpy as np
 
 from jaxmorph import Mesh
 
+for _kind in ("pyramid13", "wedge15"):  # types that meshio reads and writes, and whose dimension it lacks
+    meshio._mesh.topological_dimension.setdefault(_kind, 3)
+
 
 class Block(NamedTuple):
     """Holds cells of one type, as meshio's blocks do."""

@@ -8,6 +8,9 @@ from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 
+from .._host.cells.lagrange import PLACES
+from .._host.cells.shape_functions import values as shape_values
+from .._host.cells.topology import SHAPES
 from .._host.package.arguments import checked, finite_array
 from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, cell_values, colour_scale, finite
 
@@ -27,6 +30,9 @@ ROOM = 0.4
 """Margin of a picture around the bodies, relative to their extent, unless a window is given."""
 
 FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
+
+ALONG_EDGE = 8
+"""Straight pieces that draw an edge of a curved cell."""
 
 
 @checked
@@ -151,10 +157,10 @@ def given_or_new(ax: Axes | None) -> Axes:
     return plt.subplots(layout="constrained")[1] if ax is None else ax
 
 
-def _corners(mesh: jm.Mesh, points: Any) -> Float[np.ndarray, "k 4 2"]:
-    """Returns the corners of all cells in the order of `mesh.cells`.
+def _corners(mesh: jm.Mesh, points: Any) -> Float[np.ndarray, "k c 2"]:
+    """Returns the corners of all cells in the order of `mesh.cells`, points along the edges where cells are curved.
 
-    Corners of a triangle or a line are repeated.
+    Corners of a triangle or a line are repeated, so that all cells have as many.
     """
     if mesh.points.shape[1] != 2:
         raise ValueError(
@@ -163,8 +169,19 @@ def _corners(mesh: jm.Mesh, points: Any) -> Float[np.ndarray, "k 4 2"]:
     if not sum(map(len, mesh.cells.values())):
         raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
     points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-    ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.cells.items()]
-    return points[np.concatenate(ids)]
+    if not mesh.is_curved:
+        return points[np.concatenate([np.asarray(ids)[:, FOUR_CORNERS[kind]] for kind, ids in mesh.cells.items()])]
+    most = 4 * ALONG_EDGE
+    outlines = [np.einsum("sn,knd->ksd", _outline(kind), points[np.asarray(ids)]) for kind, ids in mesh.cells.items()]
+    return np.concatenate([np.pad(each, ((0, 0), (0, most - each.shape[1]), (0, 0)), "edge") for each in outlines])
+
+
+def _outline(kind: str) -> Float[np.ndarray, "s n"]:
+    """Returns the shape functions at places along the edges of a cell."""
+    corners = np.array(PLACES[SHAPES[kind]], dtype=float)
+    t = np.arange(ALONG_EDGE)[:, None] / ALONG_EDGE
+    edges = [(1 - t) * corner + t * after for corner, after in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    return shape_values(kind, np.concatenate(edges))
 
 
 def flat(points: Any, other: str | None = None) -> Float[np.ndarray, "n 2"]:
@@ -221,19 +238,20 @@ def show(ax: Axes, window: Window) -> Window:
     return window
 
 
-def _inside(corners: Float[np.ndarray, "k 4 2"], window: Window) -> Int[np.ndarray, " s"]:
+def _inside(corners: Float[np.ndarray, "k c 2"], window: Window) -> Int[np.ndarray, " s"]:
     """Returns the ids of the cells that may be seen."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     (left, right), (bottom, top) = window
     return np.flatnonzero((high >= (left, bottom)).all(axis=1) & (low <= (right, top)).all(axis=1))
 
 
-def _edges(ax: Axes, corners: Float[np.ndarray, "k 4 2"], window: Window, colour: str) -> None:
+def _edges(ax: Axes, corners: Float[np.ndarray, "k c 2"], window: Window, colour: str) -> None:
     """Draws the outlines of cells, thinner where cells are thin."""
     left, right = window[0]
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (right - left)
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    (a, b), (c, d) = (corners[:, 2] - corners[:, 0]).T, (corners[:, 3] - corners[:, 1]).T
+    quarter = corners.shape[1] // 4
+    (a, b), (c, d) = ((corners[:, k + 2 * quarter] - corners[:, k]).T for k in (0, quarter))
     across = np.abs(a * d - b * c) / 2 / np.maximum(edges, np.finfo(float).tiny)
     widths = np.clip(across * to_points / 6, THINNEST, THICKEST)
     outlines = PolyCollection(list(corners), facecolors="none", edgecolors=colour, linewidths=widths, rasterized=True)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
+from jaxmorph._host.cells.pieces import owners
 from jaxmorph._host.cells.topology import VTK
 from jaxmorph._host.package.arguments import checked
 
@@ -147,9 +148,11 @@ def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     if mesh.points.shape[1] != 3:
         raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
     points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-    grid = pyvista().UnstructuredGrid({VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
+    pieces = {VTK[kind]: np.asarray(ids) for kind, ids in mesh.linear.cells.items()}
+    grid = pyvista().UnstructuredGrid(pieces, points)
     if values is not None:
-        grid.cell_data["values"] = cell_values(mesh, values)
+        rows = owners(mesh.cells)
+        grid.cell_data["values"] = cell_values(mesh, values)[np.concatenate([rows[kind] for kind in sorted(rows)])]
     return grid
 
 

@@ -22,7 +22,7 @@ COUNT, SEED = int(os.environ.get("JAXMORPH_FUZZ", "200")) // 100, int(os.environ
 SIZES = (1, 2, 3, 4, 6, 17, 60)
 """Numbers of points: few, since each compiles anew."""
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 @dataclasses.dataclass(frozen=True)

@@ -42,7 +42,7 @@ FORMATS = (
 )
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.nightly,
     pytest.mark.skipif(
         not sys.platform.startswith("linux"), reason="processes are forked, and /dev/full is written to"
     ),

@@ -5,15 +5,16 @@ A cell of order p has nodes on a lattice of step 1 / p in a reference cell. The 
 - triangle and tetrahedron: the origin and the unit vectors; quadrilateral and hexahedron: the unit square and cube;
 - wedge: the triangle times the unit interval; pyramid: the unit square, and its apex (0, 0, 1) above corner 0.
 
-The canonical order of nodes is: corners in the order of the linear cell, then inner nodes of the edges, edge by edge as
-`EDGES` lists them, from the edge's first corner to its second. Then inner nodes of the faces, face by face as `FACES` lists
-them: rows along the face's first edge, from its first corner towards its last one. At the end inner nodes of the cell, the
-first coordinate fastest. A face (an edge) of a cell so has its own canonical order.
+In the canonical order corners come first, as in the linear cell. Inner nodes of the edges follow, edge by edge as `EDGES`
+lists them, from the edge's first corner to its second. Then come inner nodes of the faces, face by face as `FACES` lists them.
+They go in rows along the face's first edge, from its first corner towards its last one. At the end come inner nodes of the
+cell, the first coordinate fastest.
 """
 
 import dataclasses
 import functools
 import itertools
+from typing import Any
 
 import numpy as np
 
@@ -110,7 +111,7 @@ class Lagrange:
         return complete.name, matrix
 
 
-def is_inside(shape: str, order: int, at: np.ndarray) -> np.ndarray:
+def is_inside(shape: str, order: int, at: np.ndarray) -> Any:
     """Finds which places (k, d) of a lattice are in a cell: a mask (k,)."""
     inside = (at >= 0).all(axis=1) & (at <= order).all(axis=1)
     if shape in ("triangle", "tetra"):

@@ -69,7 +69,7 @@ def _rows(shape: str, order: int) -> np.ndarray:
     return grid[_is_inner(shape, order, grid)]
 
 
-def _is_inner(shape: str, order: int, at: np.ndarray) -> np.ndarray:
+def _is_inner(shape: str, order: int, at: np.ndarray) -> Any:
     inner = (at > 0).all(axis=1)
     if shape in ("triangle", "tetra"):
         return inner & (at.sum(axis=1) < order)
@@ -130,6 +130,60 @@ VTK_ORDER = NodeOrder(
     _rows,
 )
 """The order of VTK's quadratic and Lagrange cells, from VTK 9 on: its classes' parametric coordinates."""
+
+
+def _spirals(shape: str, order: int) -> np.ndarray:
+    """Lists the inner lattice as CGNS does: layer by layer, and round and round in each layer of a square."""
+    rows = _rows(shape, order)
+    if shape == "quad":
+        return _spiral(rows)
+    if shape in ("pyramid", "hexahedron"):
+        layers = [rows[rows[:, 2] == z] for z in range(1, order)]
+        return np.concatenate([rows[:0], *(_spiral(layer) for layer in layers)])
+    return rows
+
+
+def _spiral(square: np.ndarray) -> np.ndarray:
+    """Orders the places of a square from its border inwards, each ring from its least corner along the first coordinate."""
+    low, high = 1, square[:, :2].max(initial=0)
+    x, y = square[:, 0], square[:, 1]
+    ring = np.minimum.reduce([x - low, high - x, y - low, high - y])
+    size, x, y = high - low - 2 * ring, x - low - ring, y - low - ring
+    along = np.select([y == 0, x == size, y == size], [x, size + y, 3 * size - x], 4 * size - y)
+    return square[np.lexsort((along, ring))]
+
+
+CGNS_ORDER = NodeOrder(
+    {
+        "wedge": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)),
+        "hexahedron": (
+            *((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5)),
+            *((2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4)),
+        ),
+    },
+    {
+        "tetra": ((0, 1, 2), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
+        "pyramid": ((0, 1, 2, 3), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
+        "wedge": ((0, 1, 2), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5), (3, 4, 5)),
+        "hexahedron": ((0, 1, 2, 3), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)),
+    },
+    _spirals,
+)
+"""CGNS's order: SIDS, section "Unstructured grid element numbering conventions"."""
+
+
+def swapped_edges(kind: str, ids: np.ndarray) -> np.ndarray:
+    """Changes hexahedra of any order between VTK's order and the order that it had before version 9.
+
+    In files of an older version the inner nodes of the last two edges stand the other way round.
+    """
+    if kind != "VTK_LAGRANGE_HEXAHEDRON" or not ids.size:
+        return ids
+    inner = round(ids.shape[1] ** (1 / 3)) - 2
+    columns = np.arange(ids.shape[1])
+    last = slice(8 + 10 * inner, 8 + 12 * inner)
+    columns[last] = np.roll(columns[last], inner)
+    return ids[:, columns]
 
 
 class _Meshio(NodeOrder):

@@ -71,7 +71,9 @@ def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.prod(picked, axis=0), np.stack(slopes, axis=2)
 
 
-def _pyramid(one: np.ndarray, slope: np.ndarray, places: np.ndarray, powers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pyramid(
+    one: np.ndarray, slope: np.ndarray, places: np.ndarray, powers: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Computes the basis of a pyramid: f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c, n not below the degrees of f, g."""
     f, g = one[:, 0, powers[:, 0]], one[:, 1, powers[:, 1]]
     df, dg = slope[:, 0, powers[:, 0]], slope[:, 1, powers[:, 1]]

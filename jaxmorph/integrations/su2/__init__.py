@@ -2,5 +2,5 @@
 
 from ._config import Config as Config
 from ._config import read_config as read_config
-from ._gradient import write_gradient as write_gradient
 from ._motion import DesignVariables as DesignVariables
+from ._variables import write_gradient as write_gradient

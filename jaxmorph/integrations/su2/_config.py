@@ -10,15 +10,15 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jaxmorph import Mesh, io, shapes
 from jaxmorph._host.package.arguments import checked
 
-from ._control import BoxPart, box_part
+from ._boxes import box_parts, boxes_of
+from ._control import BoxPart
 from ._motion import SIDED, AbstractPart, DesignVariables, Displacement, check_alone, simple_parts
 from ._options import Options, read_options
-from ._planes import planes, segments_of
 from ._variables import LEFT, NOTHING, Variable, variables
 
 
@@ -100,7 +100,7 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
         raise ValueError(f"{options.path}: DV_MARKER= names no marker of {file.name}: nothing would move.")
     try:
         check_alone(listed)
-        boxes = _boxes(options, mesh, moving, is_setting)
+        boxes = boxes_of(options, mesh, moving, is_setting)
         shape = _shape(options, listed, mesh, moving, boxes)
     except ValueError as error:
         raise ValueError(f"{options.path}: {str(error).removeprefix(f'{options.path}: ')}") from None
@@ -147,45 +147,6 @@ def _values(options: Options, shape: DesignVariables, definition: bool) -> Float
     return np.array(values)
 
 
-def _boxes(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
-    options.choice("FFD_COORD_SYSTEM", "CARTESIAN", "CARTESIAN")
-    present = () if is_setting else io.boxes(mesh)
-    if present or "FFD_DEFINITION" not in options:
-        nested = [box.name for box in present if box.level or box.parents or box.children]
-        if nested:
-            raise ValueError(f"box {nested[0]} is nested in another one; boxes side by side are taken.")
-        return present
-    d = mesh.points.shape[1]
-    blending = options.choice("FFD_BLENDING", "BEZIER", "BEZIER", "BSPLINE_UNIFORM")
-    orders = options.numbers("FFD_BSPLINE_ORDER") if "FFD_BSPLINE_ORDER" in options else [2, 2, 2]
-    degree = [int(order) - 1 for order in orders[:d]] if blending == "BSPLINE_UNIFORM" else None
-    degrees, groups = options.groups("FFD_DEGREE"), options.groups("FFD_DEFINITION")
-    if len(degrees) != len(groups):
-        raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
-    made = []
-    for (name, *words), each in zip(groups, degrees, strict=True):
-        numbers = [options.number("FFD_DEFINITION", word) for word in words]
-        if len(numbers) != 24:
-            raise options.error(
-                "FFD_DEFINITION", f"24 numbers for box {name}, eight corners, expected; found {len(numbers)}"
-            )
-        counts = [int(options.number("FFD_DEGREE", word)) + 1 for word in each[:d]]
-        shape = shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)
-        made.append(io.Box(name, shape, np.asarray(shape.lattice()), _surface(shape, mesh, moving)))
-    return tuple(made)
-
-
-def _surface(shape: shapes.Hexahedron, mesh: Mesh, moving: Sequence[str]) -> dict:
-    """Finds the nodes of each marker that lie in a box, and their coordinates there."""
-    surface = {}
-    for name in moving:
-        nodes = mesh.patch(name)
-        places = np.asarray(shape.coordinates(np.asarray(mesh.points)[nodes]))
-        inside = np.asarray(shape.box.holds(jnp.asarray(places)))
-        surface[name] = nodes[inside], np.clip(places[inside], 0, 1)
-    return surface
-
-
 def _shape(
     options: Options, listed: Sequence[Variable], mesh: Mesh, moving: Sequence[str], boxes: Sequence[io.Box]
 ) -> DesignVariables:
@@ -208,52 +169,12 @@ def _shape(
         normals = shapes.wall_normals(mesh, *moving) if is_sided else None
         parts += simple_parts(listed, first, mesh.points.shape[1], normals)
         if listed[0].kind == "SURFACE_FILE":
-            u = io.read_displacement(options.beside(options.text("DV_FILENAME", "surface_positions.dat")), mesh, nodes)
+            file = options.text(
+                "DV_FILENAME", options.text("MOTION_FILENAME", "surface_positions.dat")
+            )  # the older name
+            u = io.read_displacement(options.beside(file), mesh, nodes)
             parts.append(Displacement((0,), jnp.asarray(u)))
-        parts += _box_parts(options, listed, first, mesh, moving, boxes)
+        parts += box_parts(options, listed, first, mesh, moving, boxes)
     return DesignVariables(
         tuple(names), tuple(parts), jnp.asarray(np.repeat(scales, sizes)), jnp.asarray(np.repeat(rest, sizes))
     )
-
-
-def _box_parts(
-    options: Options,
-    listed: Sequence[Variable],
-    first: Int[np.ndarray, " v"],
-    mesh: Mesh,
-    moving: Sequence[str],
-    boxes: Sequence[io.Box],
-) -> list[BoxPart]:
-    boxed = [k for k, variable in enumerate(listed) if variable.box]
-    known = [box.name for box in boxes]
-    unknown = [listed[k].box for k in boxed if listed[k].box not in known]
-    if unknown:
-        there = (
-            f"it has {', '.join(known)}"
-            if known
-            else "it has none: run with DV_KIND= FFD_SETTING, or give FFD_DEFINITION"
-        )
-        raise ValueError(f"there is no box {unknown[0]} in the mesh file; {there}.")
-    nodes, points = mesh.patch(*moving), np.asarray(mesh.points, float)
-    length = options.number("REF_LENGTH", options.text("REF_LENGTH", "1.0"))
-    faces = [ids for name in moving for ids in shapes.wall_faces(mesh, name)] if boxed else []
-    parts, taken = [], np.zeros(len(nodes), bool)
-    for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
-        members = [k for k in boxed if listed[k].box == box.name]
-        places = _places(box, nodes, moving)
-        if members:
-            fixed = planes(options, box.control, segments_of(points, faces))
-            rows = [row for k in members for row in range(first[k], first[k] + listed[k].size)]
-            free = np.where(taken[:, None], np.nan, places)
-            parts.append(box_part(box, [listed[k] for k in members], rows, tuple(map(frozenset, fixed)), length, free))
-        taken |= np.isfinite(places).all(axis=1)
-    return parts[::-1]
-
-
-def _places(box: io.Box, nodes: Int[np.ndarray, " m"], moving: Sequence[str]) -> Float[np.ndarray, "m d"]:
-    places = np.full((len(nodes), len(box.shape.counts)), np.nan)
-    for name in moving:
-        ids, inside = box.surface.get(name, (np.zeros(0, int), np.zeros((0, places.shape[1]))))
-        moves = np.isin(ids, nodes)
-        places[np.searchsorted(nodes, ids[moves])] = inside[moves]
-    return places

@@ -15,7 +15,7 @@ from .._boundary import patch_faces
 from .._format import Arrays, Source, source_of
 from .._meshio import Block, Blocks, meshio, to_mesh
 from ..text.sections import Section, replace_numbers
-from .parts import Elements, elements, entities, nodes
+from .parts import TYPES, Elements, elements, entities, nodes
 from .sections import Form, Stream, form_of, physical_names, runs, sections
 
 NAME = "gmsh"
@@ -113,6 +113,9 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
         if any(mark in name for mark in '"\r\n') or not name:
             message = f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or a line break."
             raise ValueError(message)
+    unknown = [kind for kind in mesh.cells if kind not in TYPES.values() or kind in ("pyramid30", "pyramid55")]
+    if unknown:
+        raise ValueError(f"{path}: a new file cannot have cells of type {', '.join(unknown)}, only one that was read.")
     patch_faces(mesh)
 
 
@@ -131,17 +134,22 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
 
 
 def _new(mesh: Mesh) -> meshio.Mesh:
-    blocks: list[Any] = [(kind, np.asarray(corners)) for kind, corners in mesh.cells.items()]
+    blocks: list[Any] = [_block(kind, np.asarray(nodes)) for kind, nodes in mesh.cells.items()]
     tags = [np.zeros(len(corners), np.int32) for _, corners in blocks]
     groups = {}
     for tag, (name, faces) in enumerate(patch_faces(mesh).items(), start=1):
         for kind, corners in faces.items():
             if len(corners):
                 groups[name] = np.array([tag, DIMENSION[kind]])
-                blocks.append((kind, corners))
+                blocks.append(_block(kind, corners))
                 tags.append(np.full(len(corners), tag, np.int32))
     cell_data: Any = {"gmsh:physical": tags, "gmsh:geometrical": tags}
     return meshio.Mesh(mesh.to_meshio().points, blocks, cell_data=cell_data, field_data=groups)
+
+
+def _block(kind: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
+    """Brings nodes into an order of which meshio's writer makes gmsh's."""
+    return kind, meshio.gmsh.common._gmsh_to_meshio_order(kind, reordered(kind, nodes, None, GMSH))
 
 
 def _replaced(content: _GmshContent, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:

@@ -11,6 +11,7 @@ import jaxmorph as jm
 from jaxmorph import io
 
 from ._definition import NEAR, Definition
+from ._options import method
 
 PART = 0.5
 """Share of a patch's nodes that lie on the surface, from which the patch belongs to it."""
@@ -61,14 +62,16 @@ class Walls:
         is_on = away <= np.maximum(limit, NEAR * spacing)
         return nodes[is_on] if is_on.mean() >= PART else nodes[:0]
 
-    def half(self, moving: np.ndarray, method: jm.AbstractMethod | None, known: Mapping[str, Any]) -> jm.SurfaceHalf:
+    def half(self, moving: np.ndarray, options: Mapping[str, Any], known: Mapping[str, Any]) -> jm.SurfaceHalf:
         """Prepares the surface. Other patches are fixed, except symmetry, periodic and overset patches."""
         periodic = io.periodic(self.mesh)
         loose = {*self.flat, *self.free, *(str(name) for each in periodic for name in (each.patch, each.partner))}
         fixed = self.mesh.patch(*(name for name in self.mesh.patches if name not in loose))
         free = np.setdiff1d(self.mesh.patch(*self.free), np.concatenate([fixed, moving]))
         kinds = {"symmetry": self.symmetry, "periodic": periodic, "free": free}
-        return jm.prepare_surface(self.mesh, moving, np.setdiff1d(fixed, moving), method=method, **kinds, **known)
+        held = np.setdiff1d(fixed, moving)
+        chosen = method(options, is_loose=len(free) > 0 and not len(held))
+        return jm.prepare_surface(self.mesh, moving, held, method=chosen, **kinds, **known)
 
 
 def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:

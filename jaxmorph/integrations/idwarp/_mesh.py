@@ -1,21 +1,21 @@
-"""IDWarp's mesh object: its calls, by jaxmorph's methods (extras `mpi` and, for CGNS, `io`)."""
+"""IDWarp's mesh object, in one grid."""
 
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph import io
 
-from . import mpi
+from .. import mpi
+from .._shared import together
+from ._arrays import faces, reals
 from ._definition import Definition
 from ._follower import Follower, doubles
-from ._grid import Grid, SolverOrder, solver_order
-from ._idwarp_options import checked, method, warn_of
-from ._shared import together
+from ._grid import Grid, SolverOrder, communicator, solver_order, surface_blocks
+from ._options import FILE, WITHOUT, changed, checked, name_of, warn_of
 from ._walls import walls_of
 
 
@@ -33,8 +33,9 @@ class USMesh:
     **Arguments:**
 
     - `options`: IDWarp's options by name, in any case. `useRotations` chooses IDWarp's method, `InverseDistance(rotations=...)`,
-      with `aExp`, `bExp` and `alpha`; without it the method is `prepare`'s default. `symmTol` is the distance within which nodes
-      lie on `symmetryPlanes`. Without planes they come from the file. Options without a counterpart are named in one warning.
+      with `aExp`, `bExp` and `alpha`. Without it the method is `prepare`'s default, or IDWarp's where patches are overset and
+      none is fixed. `symmTol` is the distance within which nodes lie on `symmetryPlanes`. Without planes they come from the file.
+      Options without a counterpart are named in one warning.
     - `comm`: the communicator. Default: that of all processes.
     - `debug`: IDWarp's; nothing here depends on it.
 
@@ -43,13 +44,21 @@ class USMesh:
     """
 
     def __init__(self, options: Mapping[str, Any] | None = None, comm: Any = None, debug: bool = False):
-        self.comm: Any = mpi.MPI.COMM_WORLD if comm is None else comm
-        if not hasattr(self.comm, "allgather"):
-            raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {comm!r}.")
-        self._options = together(self.comm, lambda: checked(options))
-        if self.comm.rank == 0:
+        comm = communicator(comm)
+        self._begin(comm, options, lambda path: Grid.read(comm, path))
+
+    @classmethod
+    def _of(cls, comm: Any, options: Mapping[str, Any], grid: Grid) -> "USMesh":
+        """Makes the mesh object of a grid that is read."""
+        mesh = cls.__new__(cls)
+        mesh._begin(comm, options, lambda path: grid)
+        return mesh
+
+    def _begin(self, comm: Any, options: Any, read: Callable[[str], Grid]) -> None:
+        self.comm, self._options = comm, together(comm, lambda: checked(options))
+        if comm.rank == 0:
             warn_of(self._options)
-        self._grid = Grid.read(self.comm, self._options["gridFile"])
+        self._grid = read(self._options["gridFile"])
         self._moved = self._grid.points
         self._order: SolverOrder | None = None
         self._surface: Follower | None = None
@@ -79,26 +88,17 @@ class USMesh:
 
         **Raises:** `ValueError`, in every process, for other shapes, and for a surface on which no patch of the mesh lies.
         """
-        points, corners, sizes = together(self.comm, lambda: _faces(pts, conn, faceSizes))
+        points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
         self._define(points, corners, sizes, is_own=False)
 
     def setSurfaceDefinitionFromFile(self, surfFile: str) -> None:
         """Defines the surface by the blocks of a PLOT3D file, which the first process has."""
-
-        def blocks() -> tuple[np.ndarray, np.ndarray]:
-            if self.comm.rank:
-                return np.zeros((0, 3)), np.zeros((0, 4), int)
-            mesh = io.read(surfFile)
-            points = mesh.in_file_order(mesh.points)
-            if points.shape[1] != 3 or list(mesh.cells) != ["quad"]:
-                raise ValueError(
-                    f"{surfFile}: a surface in 3-D of blocks with one layer of nodes is expected, not {mesh}."
-                )
-            first = np.unique(mesh.file_nodes, return_index=True)[1]
-            return points, first[np.asarray(mesh.cells["quad"])]
-
-        points, corners = together(self.comm, blocks)
+        points, corners = together(self.comm, lambda: surface_blocks(self.comm, surfFile))
         self.setSurfaceDefinition(points, corners.ravel(), np.full(len(corners), 4))
+
+    def setSurfaceFromFile(self, surfFile: str) -> None:
+        """Sets the points of the surface from a file with the blocks of that of `setSurfaceDefinitionFromFile`."""
+        self.setSurfaceCoordinates(together(self.comm, lambda: surface_blocks(self.comm, surfFile))[0])
 
     def setExternalMeshIndices(self, ind: Any) -> None:
         """Sets which coordinates of the file's list this process' solver has, three for each node, counted from 0.
@@ -193,6 +193,26 @@ class USMesh:
             raise ValueError("`fileName` is missing: name a new file or folder; what the mesh was read from is kept.")
         self._grid.write(fileName, self._moved)
 
+    def getOption(self, name: str) -> Any:
+        """Returns an option, whose name may be in any case."""
+        return self._options[name_of(name)]
+
+    def setOption(self, name: str, value: Any) -> None:
+        """Sets an option; it holds for the surface that is defined next.
+
+        It raises `ValueError` where the surface is there, or the grid is read, and the option belongs to it.
+        """
+        name = name_of(name)
+        if name in FILE or (name not in WITHOUT and self._surface is not None):
+            what = "the grid is read" if name in FILE else "the surface is defined"
+            raise ValueError(f"`{name}` is taken when {what}: give it to USMesh.")
+        self._options = changed(self._options, name, value)
+
+    def printOptions(self) -> None:
+        """Prints the options and their values, in the first process."""
+        if self.comm.rank == 0:
+            print("\n".join(f"{name}: {self.getOption(name)!r}" for name in self._options if name != "told"))
+
     @property
     def warp(self) -> Any:
         """The numbers of coordinates of this process, called as in IDWarp's compiled module: `warp.griddata.warpmeshdof`."""
@@ -233,7 +253,7 @@ class USMesh:
                 raise ValueError("the surface has no points: no process defines any.")
             walls = walls_of(grid.outside, self._options)
             moving, weights = walls.moving(definition, is_own)
-            half = walls.half(moving, method(self._options), grid.known)
+            half = walls.half(moving, self._options, grid.known)
             ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[moving]
             order = np.argsort(ids)
             return half, weights[order[np.searchsorted(ids[order], half.moving)]]
@@ -251,46 +271,11 @@ class USMesh:
 
     def _rows(self, name: str, values: Any) -> np.ndarray:
         shape = self._defined().coordinates.shape
-        return together(self.comm, lambda: _reals(name, values, shape))
+        return together(self.comm, lambda: reals(name, values, shape))
 
     def _volume(self, name: str, values: Any, is_solvers: bool) -> np.ndarray:
         """Returns values by coordinates in the order of the file."""
         if not is_solvers:
-            return together(self.comm, lambda: _reals(name, values, (3 * len(self._grid.rows),)))
+            return together(self.comm, lambda: reals(name, values, (3 * len(self._grid.rows),)))
         order = self._solver()
-        return order.from_solver(together(self.comm, lambda: _reals(name, values, (order.size,))))
-
-
-def _faces(points: Any, conn: Any, sizes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns a definition as arrays."""
-    points = _array("pts", points, float).reshape(-1, 3) if np.size(points) == 0 else _array("pts", points, float)
-    corners, counts = _array("conn", conn, np.int64).ravel(), _array("faceSizes", sizes, np.int64).ravel()
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ValueError(f"`pts` has shape {points.shape}; expected finite coordinates (k, 3).")
-    if (counts < 3).any() or counts.sum() != len(corners):
-        raise ValueError(
-            f"`faceSizes` adds up to {counts.sum()}, and `conn` has {len(corners)} corners; a face has 3 or more."
-        )
-    if corners.size and (corners.min() < 0 or corners.max() >= len(points)):
-        raise ValueError(
-            f"`conn` goes from {corners.min()} to {corners.max()}; `pts` has points 0 to {len(points) - 1}."
-        )
-    return points, corners, counts
-
-
-def _array(name: str, values: Any, kind: type) -> np.ndarray:
-    """Returns numbers as an array; whole ones may come as floats."""
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"`{name}` must be real numbers, not {values!r}.") from None
-    if kind is not float and not (array == np.floor(array)).all():
-        raise ValueError(f"`{name}` must be whole numbers.")
-    return array.astype(kind)
-
-
-def _reals(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
-    array = _array(name, values, float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"`{name}` has shape {array.shape}; this process has {shape}, of finite numbers.")
-    return array
+        return order.from_solver(together(self.comm, lambda: reals(name, values, (order.size,))))

@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 import jaxmorph as jm
 from jaxmorph import io
 
-from ._shared import together
+from .. import mpi
+from .._shared import together
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,17 +39,16 @@ class Grid:
         if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
             return Grid._decomposed(comm, path)
 
-        def shares() -> tuple[jm.Mesh, list[Any]] | None:
-            if comm.rank:
-                return None
-            mesh = _in_space(io.read(path), path)
-            parts = np.array_split(mesh.file_nodes, comm.size)
-            each = (np.unique(part, return_inverse=True) for part in parts)
-            return mesh, [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in each]
+        return Grid.shared(comm, together(comm, lambda: None if comm.rank else _in_space(io.read(path), path)))
 
-        read = together(comm, shares)
-        points, nodes, rows = comm.scatter(None if read is None else read[1])
-        mesh = None if read is None else read[0]
+    @staticmethod
+    def shared(comm: Any, mesh: jm.Mesh | None) -> "Grid":
+        """Shares out the nodes of a mesh that the first process has."""
+        shares = None
+        if mesh is not None:
+            each = (np.unique(part, return_inverse=True) for part in np.array_split(mesh.file_nodes, comm.size))
+            shares = [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in each]
+        points, nodes, rows = comm.scatter(shares)
         return Grid(comm, points, nodes, rows, mesh, mesh)
 
     @staticmethod
@@ -161,3 +161,22 @@ def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
     if mesh.points.shape[1] != 3:
         raise ValueError(f"{path}: this mesh is in 2-D, and IDWarp's coordinates are in 3-D: take `jaxmorph.prepare`.")
     return mesh
+
+
+def communicator(comm: Any) -> Any:
+    """Returns the communicator, that of all processes by default. Raises `ValueError` for anything else."""
+    if comm is not None and not hasattr(comm, "allgather"):
+        raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {comm!r}.")
+    return mpi.MPI.COMM_WORLD if comm is None else comm
+
+
+def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
+    """Reads the points (k, 3) and quadrilaterals (q, 4) of a surface in PLOT3D's blocks; in the first process alone."""
+    if comm.rank:
+        return np.zeros((0, 3)), np.zeros((0, 4), int)
+    mesh = io.read(path)
+    points = mesh.in_file_order(mesh.points)
+    if points.shape[1] != 3 or list(mesh.cells) != ["quad"]:
+        raise ValueError(f"{path}: a surface in 3-D of blocks with one layer of nodes is expected, not {mesh}.")
+    first = np.unique(mesh.file_nodes, return_index=True)[1]
+    return points, first[np.asarray(mesh.cells["quad"])]

@@ -32,7 +32,9 @@ WEIGHTS = ("aExp", "bExp", "alpha")
 """Options of IDWarp's own method alone."""
 WITHOUT = ("LdefFact", "errTol", "evalMode", "zeroCornerRotations", "cornerAngle", "restartFile", "bucketSize")
 """Options that nothing here corresponds to."""
-FILES = ("CGNS", "OpenFOAM", "PLOT3D")
+FILE = ("gridFile", "fileType")
+"""Options that say what is read."""
+KINDS = {kind.lower(): kind for kind in ("CGNS", "OpenFOAM", "PLOT3D")}
 
 
 def checked(options: Any) -> dict[str, Any]:
@@ -42,19 +44,29 @@ def checked(options: Any) -> dict[str, Any]:
     """
     if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
         raise ValueError(f"`options` must be a dictionary of options by name, such as gridFile, not {options!r}.")
-    names = {name.lower(): name for name in OPTIONS}
-    unknown = sorted(name for name in options if name.lower() not in names)
-    if unknown:
-        raise ValueError(f"`options`: IDWarp has no option {', '.join(unknown)}; it has {', '.join(OPTIONS)}.")
-    values = {names[name.lower()]: value for name, value in options.items()}
+    values = {name_of(name): value for name, value in options.items()}
     for name, value in values.items():
         types = OPTIONS[name][0]
         if value is not None and (not isinstance(value, types) or (isinstance(value, bool) and bool not in types)):
             raise ValueError(f"`{name}` is {value!r}; expected {' or '.join(each.__name__ for each in types)}.")
     _check_lists(values)
-    if values.get("gridFile") is None or values.get("fileType", FILES[0]) not in FILES:
-        raise ValueError(f"`gridFile` must be the name of a grid, and `fileType` one of {', '.join(FILES)}.")
+    values["fileType"] = KINDS.get((values.get("fileType") or "CGNS").lower())
+    if values.get("gridFile") is None or values["fileType"] is None:
+        raise ValueError(f"`gridFile` must be the name of a grid, and `fileType` one of {', '.join(KINDS.values())}.")
     return {name: values.get(name, default) for name, (_, default) in OPTIONS.items()} | {"told": tuple(values)}
+
+
+def changed(options: Mapping[str, Any], name: str, value: Any) -> dict[str, Any]:
+    """Returns options with another value of one of them. Raises `ValueError` as `checked` does."""
+    return checked({key: options[key] for key in options["told"]} | {name: value})
+
+
+def name_of(name: str) -> str:
+    """Finds an option by its name in whatever case. Raises `ValueError` for a name that IDWarp does not have."""
+    known = {option.lower(): option for option in OPTIONS}
+    if not isinstance(name, str) or name.lower() not in known:
+        raise ValueError(f"`options`: IDWarp has no option {name}; it has {', '.join(OPTIONS)}.")
+    return known[name.lower()]
 
 
 def _check_lists(values: Mapping[str, Any]) -> None:
@@ -84,9 +96,10 @@ def warn_of(options: Mapping[str, Any]) -> None:
         )
 
 
-def method(options: Mapping[str, Any]) -> jm.AbstractMethod | None:
-    """Makes the method; None is the default of `prepare`."""
-    if options["useRotations"] is None:
+def method(options: Mapping[str, Any], is_loose: bool) -> jm.AbstractMethod | None:
+    """Makes the method; None is the default of `prepare`, which is not for a mesh that `is_loose`: free, and fixed nowhere."""
+    turns = options["useRotations"]
+    if turns is None and not is_loose:
         return None
     far, near, alpha = (options[name] for name in WEIGHTS)
-    return jm.InverseDistance(far=far, near=near, alpha=alpha, rotations=options["useRotations"])
+    return jm.InverseDistance(far=far, near=near, alpha=alpha, rotations=turns is not False)

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from . import mpi
+from .. import mpi
 
 
 def doubles() -> contextlib.AbstractContextManager[Any]:

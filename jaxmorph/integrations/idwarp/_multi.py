@@ -1,0 +1,227 @@
+"""IDWarp's mesh object for a file of several grids that overlap, each moved by itself."""
+
+import dataclasses
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+import jaxmorph as jm
+from jaxmorph import io
+from jaxmorph.io.cgns.file import open_zones
+from jaxmorph.io.cgns.tree import opened
+
+from .._shared import together
+from ._arrays import faces, reals
+from ._grid import Grid, SolverOrder, communicator, solver_order
+from ._mesh import USMesh
+
+
+class MultiUSMesh:
+    """Moves grids that overlap in one CGNS file, called as `idwarp.MultiUSMesh` is. cgns_utils is not needed.
+
+    A grid is the zones `wing.00000`, `wing.00001`, ... of one name before the last dot. Each grid that `optionsDict` names is a
+    `USMesh`, and moves with the part of the surface that lies in its zones. The others stay.
+
+    **Arguments:**
+
+    - `CGNSFile`: the file.
+    - `optionsDict`: options of `USMesh` by the name of a grid; `gridFile` in them is not looked at.
+    - `comm`, `debug`: those of `USMesh`.
+    - `dtype`: "d". There are no complex steps: JAX has the derivatives.
+
+    **Raises:** `ValueError`, in every process, for names of no grid, and as `USMesh` does.
+    """
+
+    def __init__(
+        self,
+        CGNSFile: str,
+        optionsDict: Mapping[str, Mapping[str, Any]],
+        comm: Any = None,
+        dtype: str = "d",
+        debug: bool = False,
+    ):
+        self.comm = communicator(comm)
+        read = together(self.comm, lambda: _read(CGNSFile, optionsDict, dtype) if self.comm.rank == 0 else None)
+        self._zones: _Zones = self.comm.bcast(None if read is None else read[1])
+        self._whole = Grid.shared(self.comm, None if read is None else read[0])
+        self.meshes = []
+        for k, name in enumerate(self._zones.names):
+            part = None if read is None else _part(read[0], self._zones.grid_of_nodes() == k)
+            options = {**optionsDict[name], "gridFile": CGNSFile}
+            self.meshes.append(USMesh._of(self.comm, options, Grid.shared(self.comm, part)))
+        self._order: SolverOrder | None = None
+        self._chosen: list[np.ndarray] = []
+        self._rows: list[np.ndarray] | None = None
+        self._coordinates = np.zeros((0, 3))
+
+    def setExternalMeshIndices(self, ind: Any) -> None:
+        """Sets which coordinates of the file's list this process' solver has, three for each node, counted from 0."""
+        self._order = solver_order(self.comm, 3 * len(self._whole.rows), ind)
+        grid, own = self._zones.own(np.asarray(ind, dtype=np.int64))
+        self._chosen = [np.flatnonzero(grid == k) for k in range(len(self.meshes))]
+        for mesh, chosen in zip(self.meshes, self._chosen, strict=True):
+            mesh.setExternalMeshIndices(own[chosen])
+
+    def setSurfaceDefinition(
+        self, pts: Any, conn: Any = None, faceSizes: Any = None, cgnsBlockIDs: Any = None, distTol: float = 1e-6
+    ) -> None:
+        """Defines the surface as `USMesh` does.
+
+        - `cgnsBlockIDs`: the zone of each face, counted from 0. Faces of grids that stay do not move.
+        - `distTol`: IDWarp's; nothing here depends on it.
+        """
+        points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
+        zones = together(self.comm, lambda: self._zones.checked(cgnsBlockIDs, sizes.shape))
+        self._coordinates, self._rows = points, []
+        for k, mesh in enumerate(self.meshes):
+            is_own = self._zones.grid[zones] == k
+            own = corners[np.repeat(is_own, sizes)]
+            self._rows.append(np.unique(own))
+            mesh.setSurfaceDefinition(points[self._rows[k]], np.searchsorted(self._rows[k], own), sizes[is_own])
+
+    def getSurfaceCoordinates(self) -> Float[np.ndarray, "k 3"]:
+        """Returns the surface's points that this process has, as they were set last."""
+        for rows, mesh in zip(self._defined(), self.meshes, strict=True):
+            self._coordinates[rows] = mesh.getSurfaceCoordinates()
+        return self._coordinates.copy()
+
+    def setSurfaceCoordinates(self, pts: Any) -> None:
+        """Sets the points of the surface, in the order of `getSurfaceCoordinates`; `warpMesh` then moves the grids."""
+        points = self._given("pts", pts)
+        for rows, mesh in zip(self._defined(), self.meshes, strict=True):
+            mesh.setSurfaceCoordinates(points[rows])
+
+    def warpMesh(self) -> None:
+        """Moves the grids from their first places to where the surface is."""
+        for mesh in self.meshes:
+            mesh.warpMesh()
+
+    def getSolverGrid(self) -> Float[np.ndarray, " c"]:
+        """Returns the coordinates of the moved grids, in the order of `setExternalMeshIndices`."""
+        grid = self._solver().to_solver(self._whole.listed(self._whole.points))
+        for chosen, mesh in zip(self._chosen, self.meshes, strict=True):
+            grid[chosen] = mesh.getSolverGrid()
+        return grid
+
+    def getWarpGrid(self) -> tuple[list[Float[np.ndarray, " c"]], int]:
+        """Returns what `getCommonGrid` does of each grid that moves, and the number of coordinates of all processes."""
+        grids = [mesh.getCommonGrid() for mesh in self.meshes]
+        return grids, self.comm.allreduce(sum(map(len, grids)))
+
+    def warpDeriv(self, dXv: Any, solverVec: bool = True) -> Float[np.ndarray, "k 3"]:
+        """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3), and returns it.
+
+        It raises `ValueError` for `solverVec=False`: the file's order is that of each grid alone.
+        """
+        if not solverVec:
+            raise ValueError("`solverVec` must be True here; `meshes` have an order of their own each.")
+        values = together(self.comm, lambda: reals("dXv", dXv, (self._solver().size,)))
+        for chosen, mesh in zip(self._chosen, self.meshes, strict=True):
+            mesh.warpDeriv(values[chosen])
+        return self.getdXs()
+
+    def getdXs(self) -> Float[np.ndarray, "k 3"]:
+        """Returns the derivative by the surface's points that `warpDeriv` computed."""
+        total = np.zeros_like(self._coordinates)
+        for rows, mesh in zip(self._defined(), self.meshes, strict=True):
+            total[rows] += mesh.getdXs()
+        return total
+
+    def warpDerivFwd(self, dXs: Any) -> Float[np.ndarray, " c"]:
+        """Pushes a change of the surface's points (k, 3) forward to the solver's coordinates."""
+        tangent, change = self._given("dXs", dXs), np.zeros(self._solver().size)
+        for rows, chosen, mesh in zip(self._defined(), self._chosen, self.meshes, strict=True):
+            change[chosen] = mesh.warpDerivFwd(tangent[rows])
+        return change
+
+    def writeGrid(self, baseName: str = "IDWarpMulti") -> None:
+        """Writes `baseName`.cgns, a copy of the file with all grids as they moved. IDWarp writes a file for each."""
+        shares = [self.comm.gather(mesh.getCommonGrid().reshape(-1, 3)) for mesh in self.meshes]
+
+        def write() -> None:
+            mesh = self._whole.mesh
+            if mesh is not None:
+                points, grid = np.array(mesh.points), self._zones.grid_of_nodes()
+                for k, parts in enumerate(shares):
+                    points[mesh.file_nodes[grid == k]] = np.concatenate(parts or [])
+                io.write(f"{baseName}.cgns", mesh.moved(points))
+
+        together(self.comm, write)
+
+    def _solver(self) -> SolverOrder:
+        if self._order is None:
+            raise ValueError("the solver's order is not known: call setExternalMeshIndices.")
+        return self._order
+
+    def _defined(self) -> list[np.ndarray]:
+        if self._rows is None:
+            raise ValueError("the surface is not known: call setSurfaceDefinition.")
+        return self._rows
+
+    def _given(self, name: str, values: Any) -> np.ndarray:
+        self._defined()
+        return together(self.comm, lambda: reals(name, values, self._coordinates.shape))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Zones:
+    """The zones of a file: the number of nodes of each, and the grid that it belongs to: a place in `names`, or -1."""
+
+    names: list[str]
+    counts: Int[np.ndarray, " z"]
+    grid: Int[np.ndarray, " z"]
+
+    def checked(self, zones: Any, shape: tuple[int, ...]) -> Int[np.ndarray, " f"]:
+        """Returns the numbers of the zones of faces. Raises `ValueError` for numbers of no zone."""
+        found = reals("cgnsBlockIDs", np.ravel(zones), shape).astype(int)
+        if found.size and (found.min() < 0 or found.max() >= len(self.grid)):
+            raise ValueError(
+                f"`cgnsBlockIDs` go from {found.min()} to {found.max()}; there are {len(self.grid)} zones."
+            )
+        return found
+
+    def grid_of_nodes(self) -> Int[np.ndarray, " N"]:
+        """The grid of each node of the file."""
+        return np.repeat(self.grid, self.counts)
+
+    def own(self, indices: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
+        """Finds the grid of coordinates of the file, and their numbers among the coordinates of this grid."""
+        first, within = np.cumsum(self.counts) - self.counts, np.zeros_like(self.counts)
+        for k in range(-1, len(self.names)):
+            counts = self.counts[self.grid == k]
+            within[self.grid == k] = np.cumsum(counts) - counts
+        zone = np.searchsorted(first, indices // 3, side="right") - 1
+        return self.grid[zone], indices - 3 * (first - within)[zone]
+
+
+def _read(path: str, options: Any, dtype: str) -> tuple[jm.Mesh, _Zones]:
+    if dtype != "d":
+        raise ValueError(f"`dtype` is {dtype!r}; 'd' is taken: derivatives need no complex steps here.")
+    mesh = io.read(path)
+    with opened(pathlib.Path(path)) as file:
+        zones = open_zones(pathlib.Path(path), file)[0]
+        grids = [zone.name.rpartition(".")[0] or zone.name for zone in zones]
+        counts = np.array([zone.count for zone in zones])
+    names = list(dict.fromkeys(name for name in grids if name in options))
+    missing = [name for name in options if name not in grids]
+    if missing or not names:
+        raise ValueError(
+            f"`optionsDict`: {path} has no grid {', '.join(missing)}; it has {', '.join(dict.fromkeys(grids))}."
+        )
+    return mesh, _Zones(names, counts, np.array([names.index(name) if name in names else -1 for name in grids]))
+
+
+def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
+    """Cuts out of a mesh what lies in some nodes of its file."""
+    nodes, listed = np.unique(mesh.file_nodes[is_own], return_inverse=True)
+    inside = {kind: ids[np.isin(ids, nodes).all(axis=1)] for kind, ids in mesh.cells.items()}
+    inside |= {name: ids[np.isin(ids, nodes)] for name, ids in mesh.patches.items()}
+    own = {name: np.searchsorted(nodes, ids) for name, ids in inside.items() if len(ids)}
+    cells, patches = ({name: own[name] for name in names if name in own} for names in (mesh.cells, mesh.patches))
+    periodic = tuple(each for each in io.periodic(mesh) if str(each.patch) in patches)
+    rest = {"content": None, "polyhedra": None, "cell_ids": None, "in_file": None}
+    source = dataclasses.replace(mesh.source, file_nodes=listed, periodic=periodic, **rest)
+    return jm.Mesh(np.asarray(mesh.points)[nodes], cells, patches, source=source)
