@@ -5,6 +5,7 @@ python -m benchmarks.proof [--cells 40000]
 
 import argparse
 import itertools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -66,7 +67,7 @@ def speed(count: int) -> None:
         )
         number = max(64, count // len(lagrange_types()[name].lattice) ** 2 * 25)
         mesh, points = copies(name, min(number, count), 0.02)
-        calls = {"end": lambda: jm.proof(mesh, points)}  # noqa: B023
+        calls: dict[str, Callable[[], object]] = {"end": lambda: jm.proof(mesh, points)}  # noqa: B023
         if order < 3:
             calls["motion"] = lambda: jm.proof(mesh, points, base=mesh.points)  # noqa: B023
         if order == 1:

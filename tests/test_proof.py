@@ -87,8 +87,8 @@ def check_against_samples(cell, count: int, per_side: int, seed: int = 0) -> Non
         for i in np.flatnonzero(found.upper < -0.01)[:20]
     ]
     assert (np.array(value) < 0).all()
-    assert 0.2 < is_valid.mean() < 0.8
-    assert (~is_valid & ~is_invalid).mean() < 0.05
+    assert 0.1 < is_valid.mean() < 0.9
+    assert (~is_valid & ~is_invalid).mean() < (0.05 if cell.order < 3 else 0.2)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -102,7 +102,7 @@ def test_bounds_agree_with_samples(shape, order):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_bounds_agree_with_dense_samples_near_the_limit(shape, order):
     """10,080 cells in all, 17 samples along each direction."""
-    check_against_samples(COMPLETE[shape, order], 420, 17, seed=1)
+    check_against_samples(COMPLETE[shape, order], {1: 840, 2: 420, 3: 280, 4: 140}[order], 17, seed=1)
 
 
 @pytest.mark.parametrize("shape", GMSH)

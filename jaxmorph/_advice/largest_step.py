@@ -56,8 +56,8 @@ def largest_step(
     - `mesh`: whose `points` are the plan's.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`; 0 is where cells invert.
     - `max_step`: above 0; no step beyond it is looked at.
-    - `proven`: judge whole cells, not their corners, default False. The bound is then relative to the least det J that is proven
-      of the undeformed cell.
+    - `proven`: judge whole cells too, default False. Their bound is relative to the least det J that is proven of the
+      undeformed cell.
 
     **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already.
 
@@ -77,10 +77,11 @@ def largest_step(
     u, direction = finite_array("u", u, shape), finite_array("direction", direction, shape)
     start = np.asarray(places(mesh, deform(plan, u)))
     end = np.asarray(deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction)))
-    if proven:
-        share, cell = proven_share(mesh, start.astype(float), end.astype(float), min_jacobian_ratio)
-        return LargestStep(share * max_step, cell)
     share, cell = Corners(mesh, plan.points.dtype, min_jacobian_ratio).share(start, end)
+    if proven:  # never beyond what the corners allow, so that round-off is that of the step itself
+        start, way = start.astype(float), end.astype(float) - start
+        part, ends_it = proven_share(mesh, start, start + share * way, min_jacobian_ratio)
+        share, cell = (share * part, ends_it) if part < 1 else (share, cell)
     return LargestStep(share * max_step, cell)
 
 

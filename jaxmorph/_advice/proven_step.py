@@ -14,7 +14,9 @@ from .._quality.proof.search import ROOM
 from .first_roots import first_roots
 
 
-def proven_share(mesh: Mesh, start: np.ndarray, end: np.ndarray, ratio: float) -> tuple[float, int]:
+def proven_share(
+    mesh: Mesh, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"], ratio: float
+) -> tuple[float, int]:
     """Finds how much of the straight way all cells are proven to keep their bound, at most 1, and the cell that ends it, or -1.
 
     The bound is `ratio` times the least det J that is proven of the undeformed cell. At each instant the least coefficient is a

@@ -76,10 +76,11 @@ class Form:
     def determinant(self, columns: list[list[Either]]) -> Float[Either, "n k"]:
         """Computes the coefficients of det J."""
         a, b, *rest = columns
-        spaces, product = self.spaces, bernstein.multiplied(*self.spaces[:2], a, b, products.cross)
+        first, second, *last = self.spaces
+        product = bernstein.multiplied(first, second, a, b, products.cross)
         if rest:
-            both = tuple((m, p + q) for (m, p), (_, q) in zip(*spaces[:2], strict=True))
-            product = bernstein.multiplied(both, spaces[2], product, rest[0], lambda u, v: [products.dot(u, v)])
+            both = tuple((m, p + q) for (m, p), (_, q) in zip(first, second, strict=True))
+            product = bernstein.multiplied(both, last[0], product, rest[0], lambda u, v: [products.dot(u, v)])
         return product[0] / bernstein.multinomials(self.space).astype(product[0].dtype)[:, None]
 
     def coefficients(self, x: list[Either]) -> Float[Either, "n k"]:

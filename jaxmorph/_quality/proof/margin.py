@@ -63,8 +63,8 @@ def proven_margin(
         reference = jnp.asarray(mesh.points, now.dtype)
     if on_host(cells, reference, ends, sharpness):
         with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
-            arrays = jax.tree.map(np.asarray, (cells, reference, ends))
-            return as_jax(_joined(kinds, *arrays, depth, sharpness))
+            cells, reference, ends = jax.tree.map(np.asarray, (cells, reference, ends))
+            return as_jax(_joined(kinds, cells, reference, ends, depth, sharpness))
     return _measured(kinds, cells, reference, ends, depth, None if sharpness is None else jnp.asarray(sharpness))
 
 
