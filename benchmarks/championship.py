@@ -278,7 +278,18 @@ def draw(rows: list[dict], file: pathlib.Path) -> None:
 
 def save(rows: list[dict], file: pathlib.Path) -> None:
     """Writes the rows with four digits, case by case; the cost of a row stays in the JSON file, which says where it ran."""
-    keys = ["case", "motion", "method", "inverted", "max_skewness", "mean_skewness", "min_jacobian", "angle", "limit", "error"]
+    keys = [
+        "case",
+        "motion",
+        "method",
+        "inverted",
+        "max_skewness",
+        "mean_skewness",
+        "min_jacobian",
+        "angle",
+        "limit",
+        "error",
+    ]
     with file.open("w", newline="") as out:
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(keys)

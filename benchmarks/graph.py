@@ -14,7 +14,8 @@ from scipy.spatial import Delaunay
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.surface.graph import locate, morton_order
+from jaxmorph._host.package.orders import morton_order
+from jaxmorph._host.surface.locate import locate
 
 
 def within(mesh: jm.Mesh, count: int) -> np.ndarray:

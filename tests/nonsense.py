@@ -205,7 +205,6 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes.twist": {"x": PLACES, "about": np.zeros(3), "axis": np.array([0.0, 0.0, 1.0])},
     "shapes.varied": {"parameters": {"a": 1.0}, "changes": {"a": 1.0}},
     "shapes.volume": {"x": PLACES, "faces": np.array([[0, 1, 2]]), "plane": np.zeros(3)},
-    "shapes.wall_faces": {"mesh": BRICKS, "patch": "floor"},
     "shapes.wall_normals": {"mesh": BRICKS, "*": "floor"},
     "plot.animate": {
         "path": FOLDER / "a.gif",

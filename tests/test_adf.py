@@ -82,39 +82,6 @@ def test_cgnslib_reads_what_these_tests_write(form, tmp_path):
     assert subprocess.run(words, cwd=tmp_path, check=True, capture_output=True, text=True).stdout == ""
 
 
-@pytest.mark.parametrize("order", "<>")
-def test_only_bytes_of_coordinates_differ(order, tmp_path):
-    """Values that stand nowhere else in the file are looked for in the bytes themselves."""
-    two_blocks(tmp_path / "h.cgns", "<f8")
-    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", "A", order)
-    mesh = io.read(tmp_path / "a.cgns")
-    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points + np.array([0, 0, 1])))
-    data = (tmp_path / "a.cgns").read_bytes()
-    inside = np.zeros(len(data), bool)
-    with h5py.File(tmp_path / "h.cgns") as file:
-        for zone in ("one", "two"):
-            raw = file[f"Base/{zone}/GridCoordinates/CoordinateZ/ data"][()].astype(f"{order}f8").tobytes()
-            assert data.count(raw) == 1
-            inside[data.index(raw) : data.index(raw) + len(raw)] = True
-    assert inside[differing(tmp_path / "a.cgns", tmp_path / "b.cgns")].all()
-
-
-def test_vtk_reads_what_is_written(tmp_path):
-    pyvista = pytest.importorskip("pyvista")
-    two_blocks(tmp_path / "h.cgns")
-    adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns")
-    mesh = io.read(tmp_path / "a.cgns")
-    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points * 3))
-    blocks = []
-    for name in "ab":
-        reader = pyvista.CGNSReader(tmp_path / f"{name}.cgns")
-        reader.load_boundary_patch = False
-        blocks.append([block.points for block in reader.read().recursive_iterator() if block is not None])
-    assert [len(points) for points in blocks[0]] == [36, 27]
-    for before, after in zip(*blocks, strict=True):
-        np.testing.assert_allclose(after, before * 3, rtol=1e-6)
-
-
 def test_single_precision_stays(tmp_path):
     two_blocks(tmp_path / "h.cgns", "<f4")
     adf.twin(tmp_path / "h.cgns", tmp_path / "a.cgns", "A", ">")

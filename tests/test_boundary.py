@@ -6,7 +6,7 @@ from cases import full
 from meshes import box_with_hole, drum, joined, ring, sector
 
 import jaxmorph as jm
-from jaxmorph._boundary.closest import rim
+from jaxmorph._boundary.holes import rim
 
 TPS = full(jm.ThinPlateSpline(), 1)
 AXIS = jm.Revolution((0, 0, 3))
@@ -55,19 +55,19 @@ REFUSED = {
     ),
     "pairs in two lists": (
         on_sector(slice(None, -1), rotation=np.pi / 2),
-        r"1 periodic pairs .* node \d+ at \(.*\) is in `moving`, its partner \d+ in neither list. Name both, or neither",
+        r"1 periodic pairs .* node \d+ at \(.*\) is in `moving`, its partner \d+ in neither list. Name both nodes, or none",
     ),
     "a patch that moves as a whole": (
         on_box(("hole", "left"), "right", sliding=("left", "top")),
-        r"all 9 nodes of the sliding patch 'left' are in `moving`, first node \d+ at \(-4, -4\): it would not slide",
+        r"all 9 nodes of the sliding patch 'left' are in `moving`, first node \d+ at \(-4, -4\): the patch would not slide",
     ),
     "a corner that moves": (
         on_box(box_with_hole().patch("left")[-3:], "right", sliding=("left", "top")),
-        r"1 moving nodes are corners of sliding patches and cannot move, the first is node \d+ at \(-4, 4\)\. Leave them out",
+        r"1 moving nodes are corners of sliding patches and cannot move, the first is node \d+ at \(-4, 4\)\. Remove them from",
     ),
     "fixed and sliding": (
         on_box("hole", ("left", "right"), sliding=("left", "top")),
-        r"the patch 'left' is named in `sliding` and in `fixed`, and would not slide. Remove one of the two",
+        r"the patch 'left' is named in `sliding` and in `fixed`: it would not slide. Remove it from one list",
     ),
     "in a plane and sliding": (
         on_box("hole", "right", sliding="left", symmetry="left"),
@@ -75,11 +75,11 @@ REFUSED = {
     ),
     "fixed by its ids": (
         on_box("hole", box_with_hole().patch("left", "right"), sliding=("left", "top")),
-        r"all 9 nodes of the sliding patch 'left' are in `fixed`, first node \d+ at \(-4, .*\): it would not slide\.",
+        r"all 9 nodes of the sliding patch 'left' are in `fixed`, first node \d+ at \(-4, .*\): the patch would not slide\.",
     ),
     "no edge between": (
         on_drum("hub", ("bottom", "top"), sliding=halves("shroud")),
-        r"meet at 10 nodes without an edge between them, the worst is node \d+ at \(.*Let them slide as one, jm\.Slide\(\(first",
+        r"meet at 10 nodes without an edge, the worst is node \d+ at \(.*Let both slide as one patch, jm\.Slide\(\(first",
     ),
 }
 

@@ -38,24 +38,6 @@ def test_structured_zones_are_joined_and_written_back(tmp_path):
     assert {name.split("/")[-2][:-1] for name in before if before[name] != after[name]} == {"Coordinate"}
 
 
-def test_a_joined_node_moves_in_both_zones(tmp_path):
-    pyvista = pytest.importorskip("pyvista")
-    two_blocks(tmp_path / "a.cgns")
-    mesh = io.read(tmp_path / "a.cgns")
-    io.write(tmp_path / "b.cgns", mesh.moved(mesh.points + 0.1 * np.sin(mesh.points[:, [1, 2, 0]])))
-
-    def leaves(name):
-        reader = pyvista.CGNSReader(tmp_path / name)
-        reader.load_boundary_patch = False
-        return [block for block in reader.read().recursive_iterator() if block is not None]
-
-    blocks, old = leaves("b.cgns"), leaves("a.cgns")
-    assert [block.n_points for block in blocks] == [36, 27]
-    for block, before in zip(blocks, old, strict=True):
-        expected = before.points + 0.1 * np.sin(before.points[:, [1, 2, 0]])
-        np.testing.assert_allclose(block.points, expected, atol=1e-7)
-
-
 def test_single_precision_stays(tmp_path):
     two_blocks(tmp_path / "a.cgns", "<f4")
     mesh = io.read(tmp_path / "a.cgns")

@@ -9,7 +9,7 @@ from meshes import blocks, lattice
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._advice.choose import best
+from jaxmorph._advice.choice import best
 from jaxmorph._advice.methods import METHODS
 from jaxmorph._advice.rivals import MOST_POINTS, Extent
 

@@ -224,7 +224,7 @@ def test_bad_input_is_answered_in_one_line(here, capsys, what):
     [
         (["info", "text.su2"], "^jaxmorph info: text.su2: no NDIME="),
         (["info", "none.su2"], "^jaxmorph info: none.su2: No such file"),
-        (["quality", "wall.dat"], "^jaxmorph quality: wall.dat: unknown file ending '.dat'; known are .su2"),
+        (["quality", "wall.dat"], "^jaxmorph quality: wall.dat: unknown file ending '.dat'; known are SU2"),
         (["demo", "boat"], "^jaxmorph demo: no demo is called 'boat'"),
     ],
 )

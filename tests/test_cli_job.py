@@ -200,8 +200,8 @@ MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0"]
 
 
 def test_a_job_that_cannot_be_saved_is_told_before_the_work(here, capsys):
-    taken = "is a folder; a file that is written takes the place of what is there: give it another name"
-    for job, message in (("no/job.toml", "there is no folder no"), (".", taken), ("out.su2", "OUT goes there")):
+    taken = "is a folder, which a file cannot replace: give the file another name"
+    for job, message in (("no/job.toml", "there is no folder no"), (".", taken), ("out.su2", "is the file of OUT")):
         assert main(["deform", "ring.su2", "out.su2", *MOVE, "--save-job", job]) == 2
         said = capsys.readouterr()
         assert (said.out, said.err) == ("", f"jaxmorph deform: --save-job {job}: {message}.\n")

@@ -8,7 +8,7 @@ from meshes import blocks, lattice
 
 import jaxmorph as jm
 from jaxmorph import cases, io
-from jaxmorph._advice.collisions import Crossings, crossings
+from jaxmorph._advice.collisions import Crossings, crossings, simplices
 from jaxmorph._host.collisions.crossings import crossing_faces, overlapping_boxes
 from jaxmorph.cli import main
 
@@ -41,7 +41,8 @@ def found(mesh: jm.Mesh, moving: str, u: Any) -> Crossings:
     base = np.asarray(mesh.points)[nodes]
     vectors = np.asarray(u(base)) if callable(u) else np.tile(u, (len(nodes), 1))
     all_vectors = np.concatenate([vectors, np.zeros((len(rest), base.shape[1]))])
-    report = crossings(mesh, np.concatenate([nodes, rest]), all_vectors)
+    nodes = np.concatenate([nodes, rest])
+    report = crossings(simplices(mesh, nodes), mesh, nodes, all_vectors)
     assert report is not None
     return report
 
@@ -163,7 +164,7 @@ def test_a_mesh_that_turns_as_a_whole_crosses_nothing(make):
     base = np.asarray(mesh.points)[nodes]
     turn = np.eye(base.shape[1])
     turn[:2, :2] = [[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]]
-    report = crossings(mesh, nodes, base @ turn.T + 1 / 3 - base)
+    report = crossings(simplices(mesh, nodes), mesh, nodes, base @ turn.T + 1 / 3 - base)
     assert report is not None
     assert not len(report)
     assert str(report) == ""
@@ -269,6 +270,6 @@ def test_faces_that_touch_meet_at_every_size(size):
 
 def test_faces_of_which_no_node_moves_or_that_are_no_whole_ones_cross_nothing(squares):
     for nodes, way in ((squares.patch("left", "right"), 0.0), (squares.patch("left")[::2], 9.0)):
-        report = crossings(squares, nodes, np.full((len(nodes), 2), way))
+        report = crossings(simplices(squares, nodes), squares, nodes, np.full((len(nodes), 2), way))
         assert report is not None
         assert not len(report)

@@ -65,7 +65,7 @@ def test_pages_are_narrow():
         text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
         for line in text.splitlines():
             is_row = line.startswith("|")
-            if not line.startswith("![") and (len(line) > (120 if is_row else 100) or is_row and line.count("|") > 7):
+            if not line.startswith("![") and (len(line) > (120 if is_row else 100) or (is_row and line.count("|") > 7)):
                 wide.append(f"{page.name}: {line[:70]}")
     assert not wide, "\n".join(wide)
 
@@ -74,4 +74,6 @@ def test_pages_are_narrow():
 def test_the_page_of_commands_is_what_they_print(monkeypatch):
     pytest.importorskip("mkdocs")
     monkeypatch.syspath_prepend(ROOT / "docs")
-    assert importlib.import_module("hooks").commands() + "\n" == (PAGES / "commands.md").read_text(), "python docs/hooks.py"
+    assert importlib.import_module("hooks").commands() + "\n" == (PAGES / "commands.md").read_text(), (
+        "python docs/hooks.py"
+    )

@@ -3,6 +3,7 @@
 import pathlib
 
 import cgns
+import exodus
 import foam
 import h5py
 import meshio
@@ -17,7 +18,7 @@ from jaxmorph import io
 from jaxmorph.cli import main
 from jaxmorph.io._registry import FORMATS
 
-ENDINGS = [ending for form in FORMATS for ending in form.suffixes or ("",)]
+ENDINGS = [".vtk", *((form.suffixes or ("",))[0] for form in FORMATS)]
 
 
 def written(folder: pathlib.Path, ending: str) -> pathlib.Path:
@@ -37,7 +38,11 @@ def written(folder: pathlib.Path, ending: str) -> pathlib.Path:
         tagged = meshio.Mesh(mesh.points, [("hexahedron", corners)], point_data={"point_tags": tags})
         tagged.point_tags = {1: ["floor"]}
         meshio.med.write(path, tagged)
-    elif ending in (".xyz", ".p3d", ".p3dfmt", ".x", ".g"):
+    elif ending == ".e":
+        corners = np.asarray(mesh.cells["hexahedron"])
+        blocks, sets = [("box", "hexahedron", corners)], [("floor", mesh.patch("floor"))]
+        exodus.write(path, np.asarray(mesh.points), blocks, node_sets=sets)
+    elif ending == ".xyz":
         grid = np.stack(np.meshgrid(*(np.linspace(0, 1, 3),) * 3, indexing="ij"))
         write_plot3d(path, [grid], "text")
     else:
@@ -68,10 +73,8 @@ def test_every_pair_is_decided_before_any_work(tmp_path, capsys, source, to):
     else:
         io.write(out, moved)
         np.testing.assert_array_equal(io.read(out).points, moved.points)
-    one_way = {".cgns": "CGNS", "": "OpenFOAM", ".med": "MED"} | dict.fromkeys(
-        (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "PLOT3D"
-    )
-    assert bool(refusal) == (to in one_way and one_way.get(source) != one_way[to])
+    one_way = (".cgns", "", ".med", ".e", ".xyz")
+    assert bool(refusal) == (to in one_way and source != to)
     assert {path.name for path in tmp_path.iterdir()} <= {f"in{source}", f"out{to}"}
 
 

@@ -12,10 +12,11 @@ from meshes import blocks, lattice, ring, unit_grid
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._boundary.closest import Flat, Track
-from jaxmorph._boundary.periodic import Pairing
+from jaxmorph._boundary.pairing import Pairing
+from jaxmorph._boundary.tracks import Track
+from jaxmorph._boundary.walls import Flat
 from jaxmorph._host.linear.hessians import pattern, solve
-from jaxmorph._improve.improve import _kept, _prepared
+from jaxmorph._improve.constraints import constraints_of_mesh, prepared
 from jaxmorph._improve.ways import Ways
 from jaxmorph._kernels.values import as_jax
 from jaxmorph._quality.distortion import IDEAL, energy, samples, solid, target
@@ -103,7 +104,7 @@ def test_hessian_blocks_are_those_of_the_energy_where_it_is_convex(dimension):
     """At the target the Hessian is positive: blocks add up to it, and the host solves with it."""
     mesh = unit_grid(3, dimension)
     n = len(mesh.points)
-    distortion, pairs = _prepared(mesh, jnp.float64, _kept(mesh, None, (), (), ()), False, 0.5)
+    distortion, pairs = prepared(mesh, jnp.float64, constraints_of_mesh(mesh, None, (), (), ()), False, 0.5)
     base, y = jnp.asarray(mesh.points), jnp.zeros_like(jnp.asarray(mesh.points))
     dense = np.asarray(jax.hessian(lambda y: distortion(y, base))(y)).reshape(n * dimension, -1)
     blocks = np.asarray(distortion.blocks(y, base))
@@ -136,7 +137,7 @@ def test_it_finds_scipys_minimum_and_untangles(dimension):
     assert float(result.residual) < 1e-6
     assert np.array_equal(np.asarray(result.points)[~inner], points[~inner])
     assert "0 are now" in str(result)
-    distortion, _ = _prepared(mesh, jnp.float64, _kept(mesh, None, (), (), ()), False, 0.5)
+    distortion, _ = prepared(mesh, jnp.float64, constraints_of_mesh(mesh, None, (), (), ()), False, 0.5)
     found = jnp.asarray(result.points)
     sharp = _softened(distortion, 1e-3)
     value_and_grad = jax.jit(jax.value_and_grad(lambda y: sharp(y.reshape(found.shape), found)))
@@ -276,7 +277,7 @@ def test_second_derivatives_on_curved_walls_and_of_pairs():
     """Blocks add up to the Hessian, with the walls' curvature in it; what is off a wall or follows a partner has none."""
     mesh, _, _, wrapped = quarter()
     base, rng = jnp.asarray(mesh.points + 0.05 * np.sin(3 * mesh.points[:, ::-1])), np.random.default_rng(0)
-    distortion, pairs = _prepared(mesh, jnp.float64, _kept(mesh, None, (), *wrapped.values()), False, 0.5)
+    distortion, pairs = prepared(mesh, jnp.float64, constraints_of_mesh(mesh, None, (), *wrapped.values()), False, 0.5)
     ways = distortion.ways
     assert ways is not None
     distortion = eqx.tree_at(lambda it: it.ways, distortion, eqx.filter_jit(ways.at)(base))
@@ -366,7 +367,7 @@ def test_progress_and_choice_of_fixed_nodes():
     ("change", "message"),
     [
         ({"points": np.zeros((3, 2))}, "shape"),
-        ({"fixed": [99]}, "1 ids in `fixed` are not nodes"),
+        ({"fixed": [99]}, "1 ids in `fixed` are not in"),
         ({"size_weight": 2.0}, "`size_weight` must be a real number of 0 or more and up to 1"),
         ({"max_steps": 0}, "at least 1"),
         ({"mesh": jm.Mesh(np.zeros((4, 2)), {})}, "nothing to improve"),

@@ -7,11 +7,12 @@ import adf
 import cgns
 import foam
 import h5py
+import meshio
 import numpy as np
 import pytest
 from cgns import two_blocks, unstructured
 from foam import strip
-from meshes import bricks
+from meshes import bricks, square
 from plot3d import box
 from plot3d import write as write_plot3d
 
@@ -80,7 +81,7 @@ def test_other_patches_are_taken_from_their_kinds(tmp_path):
     plan, (first, second) = prepared(mesh)
     assert first == (
         "No patches beside `moving` are named. By their kinds in the file `fixed` are 'far' (BCFarfield) and `symmetry` are "
-        "'mirror' (BCSymmetryPlane). Name them to say so."
+        "'mirror' (BCSymmetryPlane). Name the patches to choose otherwise."
     )
     assert "'unknown'" in second
     assert "'mirror'" not in second
@@ -114,27 +115,6 @@ def test_a_bent_symmetry_patch_is_left_to_the_caller(tmp_path):
     assert plan.images is None
 
 
-def test_joined_nodes_are_found_by_the_file(tmp_path):
-    """Two zones that share 9 nodes: each node of the file is where the mesh has it, and the moved file is what h5py finds."""
-    two_blocks(tmp_path / "a.cgns")
-    mesh = io.read(tmp_path / "a.cgns")
-
-    def in_file(name):
-        with h5py.File(tmp_path / name) as file:
-            zones = [file[f"Base/{zone}/GridCoordinates"] for zone in ("one", "two")]
-            each = [np.stack([zone[f"Coordinate{axis}/ data"][()].ravel() for axis in "XYZ"], axis=1) for zone in zones]
-        return np.concatenate(each)
-
-    assert (len(mesh.points), len(mesh.file_nodes)) == (54, 63)
-    np.testing.assert_array_equal(mesh.points[mesh.file_nodes], in_file("a.cgns"))
-    points = mesh.points * np.pi
-    io.write(tmp_path / "b.cgns", mesh.moved(points))
-    np.testing.assert_array_equal(mesh.in_file_order(points), in_file("b.cgns"))
-    np.testing.assert_array_equal(points[mesh.file_nodes], in_file("b.cgns"))
-    with pytest.raises(ValueError, match="has shape"):
-        mesh.in_file_order(points[:3])
-
-
 def test_every_format_has_the_nodes_of_its_file(tmp_path):
     """Blocks of PLOT3D share nodes, planes of an OpenFOAM case are one; elsewhere nodes are those of the file."""
     write_plot3d(tmp_path / "a.xyz", box(3, 2, 4), "plain", "<")
@@ -155,6 +135,12 @@ def test_every_format_has_the_nodes_of_its_file(tmp_path):
     mesh = io.read(tmp_path / "a.su2")
     np.testing.assert_array_equal(mesh.file_nodes, np.arange(len(mesh.points)))
     np.testing.assert_array_equal(mesh.in_file_order(mesh.points), mesh.points)
+    io.write(tmp_path / "a.vtu", square(2))
+    mesh = io.read(tmp_path / "a.vtu")
+    io.write(tmp_path / "b.vtu", mesh.moved(mesh.points * 2))
+    np.testing.assert_array_equal(mesh.in_file_order(mesh.points * 2), meshio.read(tmp_path / "b.vtu").points)
+    with pytest.raises(ValueError, match="has shape"):
+        mesh.in_file_order(mesh.points[:3])
 
 
 def test_boundary_faces_of_patches(tmp_path):

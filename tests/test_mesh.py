@@ -80,5 +80,5 @@ def test_cell_data_goes_to_its_cells(tmp_path, written):
 
 
 def test_one_type_under_two_names_is_refused():
-    with pytest.raises(ValueError, match="under several names"):
+    with pytest.raises(ValueError, match="have several names"):
         jm.Mesh(POINTS, {"tri": [[0, 1, 2]], "triangle": [[2, 3, 4]]})

@@ -107,7 +107,7 @@ def test_two_directions_and_a_plane():
     for first, second in ends:
         np.testing.assert_allclose(d[first], d[second], rtol=0, atol=1e-15)
     assert (d[points[:, 2] == 0, 2] == 0).all()
-    with pytest.raises(ValueError, match="must stand along the translation"):
+    with pytest.raises(ValueError, match="must be parallel to the translation"):
         jm.prepare(points, moving, fixed, method=TPS, periodic=pairs, symmetry=jm.Plane([1, 0, 0], [0, 0, 0]))
 
 

@@ -163,7 +163,7 @@ def test_hardly_any_points(count):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "needs one of `leaves`"),
+        ({}, "needs `leaves`"),
         ({"leaves": 0}, "`leaves` must be a whole number of at least 1, not 0"),
         ({"points_per_leaf": -1}, "`points_per_leaf` must be a whole number of at least 1"),
         ({"leaves": 1, "smallest_box": 2.0, "largest_box": 1.0}, "smallest_box <= largest_box"),

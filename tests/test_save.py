@@ -156,11 +156,11 @@ def altered(path, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda h: h.update(version=2), "of version 2, this jaxmorph reads 1: prepare the plan anew and save it"),
+        (lambda h: h.update(version=2), "of version 2, but this jaxmorph reads 1: prepare the plan anew and save it"),
         (lambda h: h.update(format="other"), "not a saved plan; its format is 'other'"),
         (lambda h: h.pop("tree"), "a damaged plan"),
-        (lambda h: h["tree"].update({"class": "Popen"}), r"a class 'Popen' that is not known; pass yours as load\(path, cl"),
-        (lambda h: h["tree"].update({"class": "os.system"}), "a class 'os.system' that is not known"),
+        (lambda h: h["tree"].update({"class": "Popen"}), r"the class 'Popen' is unknown; pass your own class as load\(path, cl"),
+        (lambda h: h["tree"].update({"class": "os.system"}), "the class 'os.system' is unknown"),
         (lambda h: h["tree"].update({"class": "AbstractMethod", "fields": {}}), "a damaged plan"),
         (lambda h: h["tree"]["fields"].pop("n_moving"), "Plan has the fields method, .* in the file, but carried, .* here"),
         (lambda h: h["tree"]["fields"].update(volume={"jax": 10**6}), "a damaged plan"),
@@ -220,7 +220,7 @@ def test_nothing_in_a_file_is_run(tmp_path):
 def test_classes_are_checked(tmp_path):
     jm.save(tmp_path / "a", planned(jm.RBF(power(), jm.AllPoints(), jm.AllPoints())))
     with pytest.raises(
-        ValueError, match=r"a class 'Power' that is not known; pass yours as load\(path, classes=\(Power,\)\)"
+        ValueError, match=r"the class 'Power' is unknown; pass your own class as load\(path, classes=\(Power,\)\)"
     ):
         jm.load(tmp_path / "a")
     with pytest.raises(ValueError, match="two classes are called RBF"):

@@ -7,6 +7,7 @@ import pytest
 from meshes import bricks, naca, sphere, write_ring
 from scipy.spatial import ConvexHull
 
+import jaxmorph as jm
 from jaxmorph import shapes
 
 COUNT = 400
@@ -91,7 +92,7 @@ def test_volumes_of_boxes_and_balls():
     corners = mesh.points * [1.0, 2.0, 3.0]
     outer = np.flatnonzero((mesh.points == 0).any(axis=1) | (mesh.points == 1).any(axis=1))
     whole = type(mesh)(corners, mesh.cells, {"wall": outer})
-    faces = shapes.wall_faces(whole, "wall")
+    faces = list(jm.boundary_faces(whole, "wall").values())
     np.testing.assert_allclose(shapes.volume(corners, faces), 6, rtol=1e-13)
     open_below = [ids[~np.isin(ids, mesh.patches["floor"]).all(axis=1)] for ids in faces]
     np.testing.assert_allclose(shapes.volume(corners, open_below, [0, 0, 0]), 6, rtol=1e-13)
@@ -141,7 +142,6 @@ def test_a_constrained_optimisation_keeps_the_thickness():
         ),
         (lambda: shapes.Stations.on(ELLIPSE, SEGMENTS, [[0.5, 0]], [0, 0]), "length 0"),
         (lambda: shapes.Stations.on(ELLIPSE, FACES, [[0.5, 0]], [0, 1]), "have segments"),
-        (lambda: shapes.wall_faces(bricks(), "roof"), "no patch"),
         (lambda: shapes.area(ELLIPSE, LOOP + 2), f"2 ids of `loop` are no row of {len(ELLIPSE)} positions"),
         (lambda: shapes.chord(ELLIPSE, -1, 0), "1 ids of `nose` are no row"),
         (lambda: shapes.area(ELLIPSE, LOOP * 1.0), "array of float64; expected row numbers"),

@@ -10,7 +10,7 @@ from meshes import lattice
 import jaxmorph as jm
 from jaxmorph._host.linear.ordering import far_to_near
 from jaxmorph._methods.rbf import rbf as rbf_module
-from jaxmorph._methods.rbf.solvers import ConjugateGradients
+from jaxmorph._methods.rbf.iterations import ConjugateGradients
 
 
 def classic(solver=None, basis=None, **options):

@@ -1,11 +1,14 @@
 """SU2 files of several zones: each a mesh, moved alone or together, the others byte for byte."""
 
+import json
+
 import numpy as np
 import pytest
 from meshes import bricks
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph.cli import main
 
 
 def square(n, at=0.0):
@@ -115,3 +118,33 @@ def test_a_file_of_one_zone_is_read_either_way(tmp_path):
     for name in "ab":
         (mesh,) = io.read_zones(tmp_path / f"{name}.su2")
         np.testing.assert_array_equal(mesh.points, io.read(tmp_path / f"{name}.su2").points)
+
+
+def test_zones_on_the_command_line(path, capsys):
+    """`info` shows each zone; `deform --zone 2` moves the second alone, as io.write does, and `quality` judges it."""
+    out = path.with_name("b.su2")
+    assert main(["info", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert "a.su2 zone 1: 2-D, 25 points" in text
+    assert "a.su2 zone 2: 2-D, 49 points" in text
+    assert main(["info", str(path), "--json"]) == 0
+    assert [zone["points"] for zone in json.loads(capsys.readouterr().out)["zones"]] == [25, 49]
+    words = ["deform", str(path), str(out), "--moving", "zone2_low", "--fixed", "zone2_.*", "--translate", "0", "0.01"]
+    assert main([*words, "--zone", "2"]) == 0
+    before, after = halves(path), halves(out)
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, True, False]
+    first, second = io.read_zones(path)[1], io.read_zones(out)[1]
+    low = first.patches["zone2_low"]
+    np.testing.assert_allclose(second.points[low], first.points[low] + [0, 0.01], atol=1e-12)
+    assert main(["quality", str(path), str(out), "--zone", "2"]) == 0
+    capsys.readouterr()
+    for zone, message in (([], "--zone 1 is the first"), (["--zone", "3"], "--zone 3: ")):
+        assert main([*words, *zone]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_numbers_of_zones_are_those_of_the_file(path):
+    """Zones are listed by their numbers, wherever they stand."""
+    head, first, second = path.read_text().split("% zone ")
+    path.write_text(f"{head}% zone {second}\n% zone {first}")
+    assert [len(mesh.points) for mesh in io.read_zones(path)] == [25, 49]

@@ -90,7 +90,7 @@ def test_pullback_is_the_derivative_by_every_parameter(ring, steps):
         (lambda x: shapes.OnRows(turned([0, 0]), [0, 24])(x, 0.1), "up to 24; `x` has 24"),
         (lambda x: shapes.OnRows(turned([0, 0]), [1, 1]), "different row numbers"),
         (lambda x: shapes.path(turned([0, 0]), x, 0.1, 0), "`steps` must be a whole number of at least 1, not 0"),
-        (lambda x: shapes.path(lambda x, p: x + p, x, 0.1, 2), "a plain function does not tell"),
+        (lambda x: shapes.path(lambda x, p: x + p, x, 0.1, 2), "a plain function has no neutral"),
         (
             lambda x: shapes.varied({"a": np.zeros(2), "b": {"c": 1.0, "a": 1.0}}, {"d": 1}),
             "no design variable d; there are: a, ",
@@ -215,7 +215,7 @@ BAD = {
         "2 design variables are called rotate; take one of: wall.rotate, wall2",
     ),
     "count": (["deform", "--set", "box=2"], r"box takes 12 finite numbers, found \[2.0\]"),
-    "patches beside a job": (["sensitivity", "--moving", "wall"], "--job says what moves"),
+    "patches beside a job": (["sensitivity", "--moving", "wall"], "--job names patches and method"),
     "ending": (["sensitivity", "x.npz"], r"x.npz: the name should end in .csv or .json"),
 }
 
@@ -238,7 +238,7 @@ def test_design_variables_that_make_no_sense(here, capsys, what):
     ("text", "message"),
     [
         ("set = 3", "job.toml: set is a table of names and numbers, found 3"),
-        ("set = { a = 'x' }", "job.toml: set.a is a number, or a list of such, found 'x'"),
+        ("set = { a = 'x' }", "job.toml: set.a is a number, or a list of numbers, found 'x'"),
     ],
 )
 def test_bad_changes_of_a_job(here, capsys, text, message):

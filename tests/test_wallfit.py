@@ -65,7 +65,7 @@ def test_the_fit_is_the_least_of_its_sum():
     reach = jnp.minimum(ell, 0.05 * far)
 
     def total(values):
-        field = method.rbf.through(factors.rbf, jnp.concatenate([values, rest[ids.fixed]]), values.dtype)
+        field = method.rbf.expansion.field(factors.rbf, jnp.concatenate([values, rest[ids.fixed]]), values.dtype)
         gradient = jax.vmap(jax.jacfwd(lambda x: field(x, None)))(middle)
         slope = jnp.einsum("eij,ej->ei", gradient, along / length) - (rest[second] - rest[first]) / length
         strain = (gradient + gradient.transpose(0, 2, 1)) / 2

@@ -1,6 +1,5 @@
 """Method, sources and support radius, chosen for a family of motions instead of guessed."""
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -20,66 +19,18 @@ from .._host.package.arguments import between, checked, whole
 from .._host.sources.reduction import KDTree
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Surface, check_kind
+from .._methods.base import AbstractMethod, check_kind
 from .._methods.nearwall import NearWall
-from .._methods.rbf.basis import WendlandC2
+from .._methods.rbf.compact_bases import WendlandC2
 from .._methods.rbf.fitted import FittedRBF
 from .._methods.rbf.rbf import RBF
 from .._methods.reconstruction import SurfaceReconstruction
+from .._methods.surface import Surface
 from .._plan.plan import Plan
 from .._plan.prepare import surface_of
+from .choice import Choice, best
 from .resolved import leaves_enough
 from .rivals import judged, others, tried
-
-COLUMNS = ("leaves", "sources", "radius", "fit", "error", "rounding", "inverted", "jacobian", "angle", "seconds")
-
-WORTH, NEAR = 0.8, 1.0
-"""Share of the best smallest Jacobian ratio that the chosen row keeps, and degrees that its angle may be beyond the best one."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Choice:
-    """Holds the result of `choose`: the `method`, its `plan`, and a table of all that were tried, as text by `str`.
-
-    `chosen` is the method's row of `table`. Each row has
-
-    - `method`: its name; radial functions are `thin plate`, `Wendland C2` and `fitted`;
-    - `leaves`: those of the k-d tree on the moving nodes, None for other methods;
-    - `sources`: how many control points in all, None without any;
-    - `radius`: that of the Wendland C2 function, None for any other;
-    - `fit`: whether the field is fitted to the wall, `FittedRBF`, instead of interpolating;
-    - `error`: the coarse field's error on the surface, relative to the largest displacement: root mean square over
-      surface and motions; None for other methods;
-    - `rounding`: the error that float64 makes of the system's condition, relative to it too; None with the fit;
-    - `inverted`: inverted cells in all motions;
-    - `jacobian`: the smallest Jacobian ratio in any; NaN where the row was refused;
-    - `angle`: degrees by which first grid lines leave their angle to the wall, mean over nodes and motions. It is NaN where
-      no cell has a side on the wall;
-    - `seconds`: CPU time of one `deform`, compiled before;
-    - `refused`: why `prepare` refused or the mesh is too large, or None.
-    """
-
-    method: AbstractMethod
-    plan: Plan
-    table: tuple[dict[str, Any], ...]
-    chosen: int
-
-    def __str__(self) -> str:
-        rows = [COLUMNS, *([_shown(row[name]) for name in COLUMNS] for row in self.table)]
-        names = [" method", *(("*" if i == self.chosen else " ") + row["method"] for i, row in enumerate(self.table))]
-        width = max(map(len, names))
-        lines = [
-            f"{name:<{width}}" + "".join(f"{cell:>10}" for cell in row) for name, row in zip(names, rows, strict=True)
-        ]
-        return "\n".join([*lines, *(f"{row['method']}: {row['refused']}" for row in self.table if row["refused"])])
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 @checked
@@ -96,36 +47,44 @@ def choose(
     tolerance: float = 0.01,
     methods: Mapping[str, AbstractMethod] | None = None,
 ) -> Choice:
-    """Chooses a method, its sources and support radius, and whether to fit the field to the wall, for a family of motions.
+    """Chooses a method, its sources and support radius for a family of motions.
 
-    In 3-D one more number of leaves is tried where the motions need more sources than those of `leaves`. For each number a thin
-    plate spline, a Wendland C2 function and a fitted thin plate spline are tried. The radius of the second minimises the sum of
-    `error` and `rounding` (see `Choice`). It is found by optimistix's golden section search, between a fifth of the moving nodes'
-    extent and ten times it.
+    It also decides whether to fit the field to the wall.
 
-    Of the rows that invert fewest cells and keep 80 % of the best Jacobian ratio, the first is chosen whose angle is within a
-    degree of the best. Rows stand in the order of the table: radial functions by their number of leaves, then fitted ones, then
-    the other methods. Fields that interpolate and miss the surface by more than
-    `tolerance` are left out, unless no other row inverts as few cells.
+    For each number of `leaves` a thin plate spline, a Wendland C2 function and a fitted thin plate
+    spline are tried. In 3-D one more number is tried where the motions need more sources. The
+    radius of the Wendland C2 function minimises the sum of `error` and `rounding` (see `Choice`).
+    Optimistix's golden section search finds it between 0.2 and 10 times the moving nodes' extent.
 
-    The other methods are, in this order: `DelaunayGraph`, `Multiscale.whole`, `Biharmonic`, `LinearElasticity`,
-    `TorsionalSprings`, `InverseDistance(rotations=True)` and `RigidBlend`, corrected by `NearWall`. The last two are not linear
-    in `u`. Methods on the cells are skipped beyond 100,000 points in 2-D and 40,000 in 3-D; inverse distances beyond 3e8 pairs of
-    a point and a node of the surface. The table says so. Every motion is deformed and judged once for each row.
+    Of the rows that invert fewest cells and keep 80 % of the best Jacobian ratio, the first is
+    chosen whose angle is within a degree of the best. Rows stand in the order of the table: radial
+    functions by their number of leaves, then fitted fields, then all other methods. Fields that
+    interpolate and miss the surface by more than `tolerance` are left out, unless no other row
+    inverts as few cells.
+
+    The other methods are, in this order: `DelaunayGraph`, `Multiscale.whole`, `Biharmonic`,
+    `LinearElasticity`, `TorsionalSprings`, `InverseDistance(rotations=True)` and `RigidBlend`,
+    corrected by `NearWall`. The last two are not linear in `u`. Methods on the cells are skipped
+    beyond 100,000 points in 2-D and 40,000 in 3-D; inverse distances beyond 3e8 pairs of a point
+    and a node of the surface. The table says so. Every motion is deformed and judged once for each
+    row.
 
     **Arguments:**
 
-    - `mesh`, `moving`, `fixed`, `symmetry`, `periodic`, `sliding`: those of `prepare`.
-    - `motions`: displacements (s, m, d) of the moving nodes that the mesh is to bear: modes, or samples.
+    - `mesh`, `moving`, `fixed`, `symmetry`, `periodic`, `sliding`: as for `prepare`.
+    - `motions`: displacements (s, m, d) of the moving nodes that the mesh is to bear: modes, or
+      samples.
     - `leaves`: numbers of leaves of the k-d tree to try, default 8, 32, 128.
-    - `tolerance`: the error on the surface that is allowed, relative to the largest displacement. Default 0.01.
-    - `methods`: other methods to try, by the names that they have in the table. Default: those above. With `{}` there are
-      radial functions alone.
+    - `tolerance`: the error on the surface that is allowed, relative to the largest displacement.
+      Default 0.01.
+    - `methods`: other methods to try, by their names in the table. Default: the methods above. With
+      `{}` there are radial functions alone.
 
     **Returns:** a `Choice`.
 
-    **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for no `leaves`, and for `methods` that are
-    no methods by name. Also what `prepare` raises where it refuses every candidate.
+    **Raises:** `ValueError` when `motions` is not (s, m, d), is zero or not finite, for no
+    `leaves`, and for `methods` that are no methods by name. Also what `prepare` raises where it
+    refuses every candidate.
     """
     boundary = find_boundary(mesh, moving, fixed, symmetry, periodic=periodic, sliding=sliding)
     boundary.warn_of_free_faces()
@@ -186,7 +145,7 @@ def _check_tries(leaves: Sequence[int], tolerance: float, methods: Mapping[str, 
 
 
 def _tries(leaves: Sequence[int]) -> list[tuple[bool, int, bool]]:
-    """Lists what is tried: whether the field is fitted, the number of leaves, and whether its basis has a radius."""
+    """Lists the trials: whether the field is fitted, leaves, whether the basis has a radius."""
     interpolating = [(False, count, with_radius) for count in leaves for with_radius in (False, True)]
     return interpolating + [(True, count, False) for count in leaves]
 
@@ -200,7 +159,10 @@ def _resolving(leaves: Sequence[int], points: np.ndarray, motions: np.ndarray) -
 
 
 def _columns(motions: np.ndarray, nodes: int, images: Images | None) -> np.ndarray:
-    """Lists the displacements of all rows of the surface, images too, motion after motion, scaled to a largest component of 1."""
+    """Lists the displacements of all rows of the surface, with images, motion after motion.
+
+    They are scaled to a largest component of 1.
+    """
     columns = []
     for motion in motions:
         vectors = np.zeros((nodes, motion.shape[1]))
@@ -251,7 +213,10 @@ def _log_radius(rbf: RBF, ids, points, values, extent) -> Float[Array, ""]:
 
 @compiled
 def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Computes the root mean square of the error on the surface; and the size of the weights times the unit of rounding."""
+    """Computes the root mean square error on the surface, and an estimate of its rounding.
+
+    The estimate is the size of the weights times the unit of rounding.
+    """
     field = rbf.field(ids, rbf.fit(ids, points, points), points, values)
     missed = values - jax.lax.map(lambda x: field(x, None), points, batch_size=256)
     unit = float(jnp.finfo(field.beta.dtype).eps)
@@ -259,19 +224,6 @@ def _errors(rbf: RBF, ids, points, values) -> tuple[Float[Array, ""], Float[Arra
 
 
 def _left(plan: Plan, motions: np.ndarray) -> float:
-    """Measures the root mean square of what the coarse field leaves to the correction, over surface and motions."""
+    """Measures the root mean square of what the coarse field leaves to the correction."""
     left = np.stack([np.asarray(plan.offset(jnp.asarray(u, plan.points.dtype))) for u in motions])
     return float(np.sqrt(np.mean(left**2)) / np.abs(motions).max())
-
-
-def best(rows: Sequence[Mapping[str, Any]], tolerance: float) -> int:
-    """Picks the row that `choose` chooses, as its docstring says."""
-    usable = [i for i, row in enumerate(rows) if not row["refused"]]
-    fewest = min(rows[i]["inverted"] for i in usable)
-    sound = [i for i in usable if rows[i]["inverted"] == fewest]
-    sound = [i for i in sound if rows[i]["fit"] or not (rows[i]["error"] or 0) > tolerance] or sound
-    ratios = np.nan_to_num([rows[i]["jacobian"] for i in sound], nan=-np.inf)
-    most = ratios.max()
-    worth = [i for i, ratio in zip(sound, ratios, strict=True) if ratio >= most - (1 - WORTH) * abs(most)] or sound
-    angles = np.nan_to_num([rows[i]["angle"] for i in worth], nan=np.inf)  # inf everywhere: no cell lies on the wall
-    return next(i for i, angle in zip(worth, angles, strict=True) if angle <= angles.min() + NEAR)

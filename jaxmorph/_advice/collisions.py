@@ -11,17 +11,22 @@ from .._host.collisions.crossings import crossing_faces
 from .._mesh.mesh import Mesh
 
 SAME = 1e-9
-"""Distance of nodes that count as one, relative to the extent of the mesh: the two sides of a cut, of a sharp edge."""
+"""Distance of nodes that count as one place, relative to the extent of the mesh.
+
+They are the two sides of a cut or of a sharp edge.
+"""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Crossings:
-    """Pairs of boundary faces that cross or touch after the motion and did not before. It is true where there are any.
+    """Pairs of boundary faces that cross or touch only after the motion; true if any do.
 
-    A wall that has passed through another one completely crosses nothing any more, and is not found.
+    A wall that has passed through another wall completely does not cross it any more, and is not
+    found.
 
     - `nodes` (k, 2): one node of each of the two faces.
-    - `patches`: the names of the two patches of each pair, the same name for a wall that crosses itself; "" without a patch.
+    - `patches`: the names of the two patches of each pair, equal for a wall that crosses itself; ""
+      without a patch.
     - `places` (k, d): a point of each crossing, in the mesh's unit.
     """
 
@@ -51,17 +56,11 @@ def _between(first: str, second: str) -> str:
     return f"{one} and itself" if first == second else f"{one} and {other}"
 
 
-def crossings(mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings | None:
-    """Finds where the boundary crosses itself after its `nodes` (o,) have moved by `vectors` (o, d).
+def crossings(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
+    """Finds where the boundary crosses itself after its `nodes` (o,) move by `vectors` (o, d).
 
-    Faces with a node that is not among them are left out. It returns None for a mesh whose boundary faces are not known.
+    `cut` is what `simplices` returned for the nodes.
     """
-    cut = simplices(mesh, nodes)
-    return None if cut is None else crossings_of(cut, mesh, nodes, vectors)
-
-
-def crossings_of(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarray, vectors: np.ndarray) -> Crossings:
-    """Finds the crossings of boundary faces that `simplices` has cut."""
     faces, ids = cut
     points = np.asarray(mesh.points, dtype=float)
     before = points[nodes]
@@ -75,7 +74,9 @@ def crossings_of(cut: tuple[np.ndarray, np.ndarray], mesh: Mesh, nodes: np.ndarr
 
 
 def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d), rows of `nodes` seen from outside; None without faces.
+    """Cuts the boundary faces between `nodes` (o,) into simplices (f, d); None without faces.
+
+    A simplex has rows of `nodes`, seen from outside.
 
     It also returns the number (f,) of the file's face that each is a part of.
     """
@@ -85,31 +86,27 @@ def simplices(mesh: Mesh, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | 
     rows = np.full(len(mesh.points), -1)
     rows[nodes] = np.arange(len(nodes))
     parts = [(_simplices(rows[corners]), outer.ids[kind]) for kind, corners in outer.corners.items()]
-    faces, ids = np.concatenate([each for each, _ in parts]), np.concatenate([_repeated(*part) for part in parts])
+    faces = np.concatenate([part for part, _ in parts])
+    ids = np.concatenate([np.resize(face, len(part)) for part, face in parts])
     known = (faces >= 0).all(axis=1)
     return faces[known], ids[known]
 
 
 def _simplices(corners: np.ndarray) -> np.ndarray:
-    """Cuts quadrilaterals into two triangles, the second ones after all first ones."""
+    """Cuts quadrilaterals into two triangles: all first triangles, then all second ones."""
     if corners.shape[1] < 4:
         return corners
     return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
-def _repeated(simplices: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Returns the file's face of each simplex."""
-    return np.resize(ids, len(simplices))
-
-
 def _together(points: np.ndarray, distance: float) -> np.ndarray:
-    """Numbers places (b,): nodes that nearly coincide are at one."""
+    """Numbers the places of nodes (b,): nodes that nearly coincide are at one place."""
     pairs = KDTree(points).query_pairs(distance, output_type="ndarray")
     return parts_of(pairs[:, 0], pairs[:, 1], len(points))
 
 
 def names_of(mesh: Mesh, faces: np.ndarray) -> list[str]:
-    """Names for each face (k, corners) the smallest patch that has all of its nodes, "" where there is none."""
+    """Names the smallest patch with all nodes of each face (k, corners); "" without any."""
     names = np.full(len(faces), "", dtype=object)
     for name, nodes in sorted(mesh.patches.items(), key=lambda item: -len(item[1])):
         inside = np.zeros(len(mesh.points), dtype=bool)

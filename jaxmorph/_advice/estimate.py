@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import ArrayLike, Int
 
-from .._boundary.boundary import node_ids
+from .._boundary.names import node_ids
 from .._host.cells.topology import FACES
 from .._host.package.arguments import checked, whole
 from .._mesh.mesh import Mesh
@@ -31,7 +31,7 @@ class Estimate:
     - `points`, `surface`, `sources`: numbers of points, of nodes of the surface, and of sources.
     - `memory`: in bytes, at the most.
 
-    `str` gives all of it in a line.
+    `str` gives all numbers in a line.
     """
 
     points: int
@@ -70,7 +70,7 @@ def estimate(
 
     **Returns:** an `Estimate`.
 
-    **Raises:** `ValueError` for ids that are no nodes, and for less than one node a chunk.
+    **Raises:** `ValueError` for ids that are no nodes, and for chunks of less than one node.
     """
     n = len(mesh.points)
     moving, fixed = node_ids(moving, "moving", n), node_ids(fixed, "fixed", n)
@@ -88,7 +88,10 @@ def estimate(
 
 
 def _sources(method: AbstractMethod, points: np.ndarray, moving: np.ndarray, fixed: np.ndarray) -> int:
-    """Counts the sources that the reductions choose, without symmetry planes; a `FittedRBF` adds some of its own."""
+    """Counts the sources that the reductions choose, without symmetry planes.
+
+    A `FittedRBF` adds some sources of its own.
+    """
     coarse = method.coarse if isinstance(method, SurfaceReconstruction) else method
     rbf = coarse.rbf if isinstance(coarse, FittedRBF) else coarse
     if not isinstance(rbf, RBF):

@@ -17,13 +17,15 @@ from .._quality.report import QualityReport
 
 @dataclasses.dataclass(frozen=True)
 class Steps:
-    """Holds the result of `fewest_steps`.
+    """Result of `fewest_steps`.
 
     - `count`: how many steps.
-    - `fraction`: how much of the motion they reach, 1 when all of it.
+    - `fraction`: the share of the motion that they reach; 1 is the whole motion.
     - `points`: the points (n, d) at the end, with `report` of their quality.
-    - `plans`: one plan a step; `replay` repeats them along `path` (count, m, d), up to the improvement.
-    - `improvement`: what `improve` made of the last step's mesh, or None where the steps alone are good.
+    - `plans`: one plan a step; `replay` repeats them along `path` (count, m, d), up to the
+      improvement.
+    - `improvement`: what `improve` made of the last step's mesh, or None where the steps alone are
+      good.
     """
 
     count: int
@@ -47,28 +49,31 @@ def fewest_steps(
 ) -> Steps:
     """Marches a motion, on the host, in the fewest equal steps that leave no cell inverted.
 
-    A number of steps is good when no cell is inverted and the smallest corner Jacobian stays above `min_jacobian_ratio`
-    of its initial value. When even `max_steps` steps are not good, the result holds the largest fraction of the motion
-    that they reach, by bisection to 1/1000, and its `fraction` is below 1.
+    A number of steps is good when no cell is inverted and the smallest corner Jacobian stays above
+    `min_jacobian_ratio` of its initial value. When even `max_steps` steps are not good, the result
+    holds the largest fraction of the motion that they reach, by bisection to 1/1000, and its
+    `fraction` is below 1.
 
-    With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets are the cells of `mesh`. Nodes
-    slide and repeat there as the plan has them. If that is not good either, the largest fraction is sought beyond the one that
-    steps alone reach, to 1/100. Each trial then costs a march and an improvement: seconds for 10,000 cells.
+    With `improve`, the mesh that `max_steps` steps tangle is given to `jm.improve`, whose targets
+    are the cells of `mesh`. Nodes slide and repeat there as the plan has them. If that is not good
+    either, the largest fraction is sought beyond the one that steps alone reach, to 1/100. Each
+    trial then costs a march and an improvement: seconds for 10,000 cells.
 
     **Arguments:**
 
     - `plan`: what `prepare` returned.
     - `mesh`: the mesh whose cells are judged.
-    - `motion`: `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes; `motion(1)` is all
-      of it.
+    - `motion`: `motion(t)` for t from 0 to 1 is the total displacement (m, d) of the moving nodes;
+      `motion(1)` is all of it.
     - `min_jacobian_ratio`: the least corner Jacobian, relative to its initial value, default 0.05.
     - `max_steps`: the most steps to try, default 16.
     - `improve`: whether to improve a mesh that even `max_steps` steps tangle, default False.
 
     **Returns:** a `Steps`.
 
-    **Raises:** `ValueError` when `max_steps` is less than 1, `min_jacobian_ratio` is not from 0 to 1, or `plan` and
-    `mesh` differ in their points. Also for a `motion(t)` that is not (m, d) or not finite.
+    **Raises:** `ValueError` when `max_steps` is less than 1, `min_jacobian_ratio` is not from 0 to
+    1, or `plan` and `mesh` differ in their points. Also for a `motion(t)` that is not (m, d) or not
+    finite.
     """
     whole("max_steps", max_steps)
     between("min_jacobian_ratio", min_jacobian_ratio, 0, 1, "[)")
@@ -79,7 +84,7 @@ def fewest_steps(
 
     def tried(count: int, fraction: float = 1.0, mend: bool = False) -> Steps:
         parts = [motion(fraction * (j + 1) / count) for j in range(count)]
-        path = jnp.stack([jnp.asarray(finite_array("motion(t)", each, expected)) for each in parts])
+        path = jnp.stack([jnp.asarray(finite_array("motion(t)", part, expected)) for part in parts])
         plans, points = march(plan, path)
         improvement = improve_of(plan, mesh, points) if mend else None
         points = points if improvement is None else improvement.points
@@ -95,7 +100,8 @@ def fewest_steps(
             return steps
     if improve and margin(steps := tried(max_steps, mend=True)) > 0:
         return steps
-    # a motion may be NumPy's, so the bisection runs on the host instead of in optimistix's traced loop
+    # a motion may be NumPy's, so the bisection runs on the host instead of in optimistix's traced
+    # loop
     best, high = tried(max_steps, 0.0), 1.0
     for mend, width in ((False, 1e-3), (True, 1e-2))[: 1 + improve]:
         low, high = best.fraction, 1.0

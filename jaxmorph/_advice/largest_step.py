@@ -1,4 +1,7 @@
-"""The largest step of a surface in a direction before a cell breaks a bound: exact, for the mesh moves linearly."""
+"""The largest step of a surface in a direction before a cell breaks a bound.
+
+It is exact, for the mesh moves linearly.
+"""
 
 import dataclasses
 from typing import Any
@@ -11,7 +14,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from .._host.package.arguments import between, checked, finite_array
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 from .._quality import measures
 from .._quality.quality import places, standards_of
 from .._quality.vector import corners
@@ -23,7 +27,7 @@ from .proven_step import proven_share
 class LargestStep:
     """Result of `largest_step`.
 
-    - `step`: factor of the direction, at most the one that was asked for.
+    - `step`: factor of the direction, at most `max_step`.
     - `cell`: the cell that reaches the bound there, in the order of `quality`; -1 where none does.
     """
 
@@ -42,15 +46,16 @@ def largest_step(
     max_step: float = 1.0,
     proven: bool = False,
 ) -> LargestStep:
-    """Finds the largest step along a direction that keeps every cell's Jacobian ratio at a bound or above it.
+    """Finds the largest step along a direction that keeps every Jacobian ratio above a bound.
 
-    Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots are found. A line search
-    shortens its step by it before the flow is solved. With `proven` the Bernstein coefficients of det J take the corners' place,
-    as in `proof`: whole cells keep the bound, at each instant up to the step.
+    Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots
+    are found. A line search shortens its step by it before the flow is solved. With `proven` the
+    Bernstein coefficients of det J take the corners' place, as in `proof`: whole cells keep the
+    bound, at each instant up to the step.
 
     **Arguments:**
 
-    - `plan`: one that is linear in `u` (`plan.is_linear`).
+    - `plan`: a plan that is linear in `u` (`plan.is_linear`).
     - `u`: displacement (m, d) to start from.
     - `direction`: (m, d) change of `u` by a step of 1.
     - `mesh`: whose `points` are the plan's.
@@ -61,9 +66,9 @@ def largest_step(
 
     **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already.
 
-    **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step` is not above 0. Also for a plan
-    that is not linear: its nodes leave the straight lines on which roots are sought. With `proven`, also for a mesh with
-    undeformed cells that are not proven valid.
+    **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step`
+    is not above 0. Also for a plan that is not linear: its nodes leave the straight lines on which
+    roots are sought. With `proven`, also for a mesh with undeformed cells that are not proven valid.
     """
     if not plan.is_linear:
         raise ValueError(
@@ -96,7 +101,10 @@ def _nonlinear(plan: Plan) -> str:
 
 
 class Corners:
-    """Holds the corners of a mesh's cells and their Jacobians' bounds; equal only to itself, so that programs may hold it."""
+    """Corners of a mesh's cells and bounds of their Jacobians.
+
+    An instance is equal only to itself, so that compiled programs may hold it.
+    """
 
     def __init__(self, mesh: Mesh, dtype: Any, min_jacobian_ratio: float):
         standards = jax.tree.map(np.asarray, standards_of(mesh, dtype))
@@ -106,7 +114,10 @@ class Corners:
         ]
 
     def share(self, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"]) -> tuple[float, int]:
-        """Finds how much of the way every cell keeps its bound, at most 1, and the cell that ends it, or -1."""
+        """Finds the share of the way, at most 1, that keeps all bounds, and the cell that ends it.
+
+        The cell is -1 where none does.
+        """
         best, worst, offset = 1.0, -1, 0
         for kind, ids, sign, judged, bound in self.parts:
             values = _polynomials(kind, start, end, ids) * sign
@@ -128,7 +139,10 @@ class Corners:
 
 
 def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds the coefficients (4, s, k), lowest first, of corner Jacobians over t from 0 to 1, from four values."""
+    """Finds the coefficients (4, s, k) of corner Jacobians over t from 0 to 1.
+
+    The lowest coefficient comes first. They follow from four values.
+    """
     places = np.arange(4) / 3
     samples = [corner_jacobians(kind, start + t * (end - start), ids) for t in places]
     inverse = np.linalg.inv(np.vander(places, increasing=True))
@@ -136,6 +150,6 @@ def _polynomials(kind: str, start: np.ndarray, end: np.ndarray, ids: np.ndarray)
 
 
 def corner_jacobians(kind: str, points: Any, ids: Any) -> Any:
-    """Computes the Jacobians (s, k) at the corners of cells of one type, by arrays of NumPy or JAX, as they come."""
+    """Computes the Jacobians (s, k) at corners of cells of one type, by NumPy or JAX."""
     relative, _ = measures.relative_corners(corners(points, ids))
     return measures.jacobians(kind, relative)[0]

@@ -1,4 +1,4 @@
-"""The list of methods: the command line, `choose` and the benchmarks read it. A new method is one more entry."""
+"""The list of methods, read by the command line, `choose` and the benchmarks."""
 
 import dataclasses
 import functools
@@ -13,7 +13,7 @@ if typing.TYPE_CHECKING:
 
 @runtime_checkable
 class Lengths(Protocol):
-    """Lengths of a boundary, in the mesh's units: the moving nodes' extent, and the gap to the nearest fixed node."""
+    """Lengths of a boundary: extent of the moving nodes, gap to the nearest fixed node."""
 
     @property
     def size(self) -> float: ...
@@ -27,13 +27,15 @@ class Entry:
     """One method of the list.
 
     - `name`: its name as a word, for flags and the table of `choose`.
-    - `path`: the class, or its constructor, in `_methods`: `cells.springs.TorsionalSprings` stands in `cells/springs.py`.
+    - `path`: the class, or its constructor, in `_methods`: `cells.springs.TorsionalSprings` stands
+      in `cells/springs.py`.
     - `sentence`: what it is, for help and the output of commands.
     - `needs_cells`: True where it solves on the mesh's cells.
-    - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or `none`.
+    - `sources`: which nodes of the wall are sources: `some` (then the number is free), `all` or
+      `none`.
     - `is_tried`: True where `choose` tries it, beside the radial functions that it varies itself.
     - `is_cure`: True where `jaxmorph deform` tries it after the default has inverted cells.
-    - `title`: its name in tables of the benchmarks, where it is another one.
+    - `title`: its name in tables of the benchmarks, where that is not `name`.
     - `numbers`, `options`: what it is called with, the numbers from the lengths of a boundary.
     - `is_coarse`: True for a field that `NearWall` corrects.
     """
@@ -51,7 +53,7 @@ class Entry:
     is_coarse: bool = False
 
     def make(self, wall: Lengths) -> "AbstractMethod":
-        """Makes the method for the lengths of a boundary. Its module is imported now, not before."""
+        """Makes the method for the lengths of a boundary, and imports its module."""
         method = _constructor(self.path)(*self.numbers(wall), **self.options)
         if self.is_coarse:
             return _constructor("reconstruction.SurfaceReconstruction")(method, _constructor("nearwall.NearWall")())
@@ -59,7 +61,7 @@ class Entry:
 
 
 def _constructor(path: str) -> Any:
-    """Imports the module whose name comes before the first capital letter, and finds the rest in it."""
+    """Imports a class or constructor; its module ends before the first capital letter."""
     words = path.split(".")
     first = next(k for k, word in enumerate(words) if word[0].isupper())
     module = importlib.import_module("." + ".".join(words[:first]), "jaxmorph._methods")

@@ -1,21 +1,24 @@
-"""Overshoot: the motion of nodes off the surface, compared with that of the surface."""
+"""Overshoot: the motion of nodes off the surface, relative to that of the surface."""
 
 import numpy as np
 import scipy.spatial
 from jaxtyping import Float
 
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 
 RESTS = 1e-3
 """Share of the largest displacement below which a part of the surface rests."""
 
 
 def overshoot(plan: Plan, u: Float[np.ndarray, "m d"]) -> tuple[float, float]:
-    """Compares the largest motion of a node off the surface with that of the surface: anywhere, and behind a part that rests.
+    """Compares the largest motion off the surface with that of the surface.
 
-    A node lies behind a part that rests if three conditions hold. The nearest node of the moving surface rests. The part that
-    moves lies on the other side of this node, as the upper side of an airfoil does for nodes below it. And the node is no
-    farther away than the surface is long.
+    The second number is for nodes behind a part that rests.
+
+    A node lies behind a part that rests if three conditions hold. The nearest node of the moving
+    surface rests. The part that moves lies on the other side of this node, as the upper side of an
+    airfoil does for nodes below it. And the node is no farther away than the surface is long.
     """
     points, moving = np.asarray(plan.points), np.asarray(plan.moving)
     size = np.linalg.norm(u, axis=1)

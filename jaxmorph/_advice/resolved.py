@@ -13,9 +13,10 @@ LEAVES = (64, 128, 256, 512, 1024, 2048)
 
 
 def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
-    """Measures what an interpolation from `sources` misses of displacements `u` (m, d) at `points` (m, d).
+    """Measures what an interpolation from `sources` misses of `u` (m, d) at `points` (m, d).
 
-    It is relative to the largest displacement, and zero without one. The interpolation is that of SciPy by distances.
+    It is relative to the largest displacement, and zero without one. The interpolation is that of
+    SciPy by distances.
     """
     largest = np.linalg.norm(u, axis=1).max(initial=0)
     rows = drop_close(points, sources, roundoff(points))
@@ -26,7 +27,7 @@ def missed(points: np.ndarray, u: np.ndarray, sources: np.ndarray) -> float:
 
 
 def leaves_enough(points: np.ndarray, u: np.ndarray) -> int | None:
-    """Finds the least of `LEAVES` whose sources miss less than a third of the displacement; None where none does."""
+    """Finds the least of `LEAVES` whose sources miss less than a third of `u`, or None."""
     for leaves in LEAVES:
         sources = KDTree(leaves, extremes=True)(points)
         if missed(points, u, sources) <= UNRESOLVED:

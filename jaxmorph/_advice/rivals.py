@@ -1,4 +1,4 @@
-"""Methods that `choose` tries beside radial functions: up to what size of mesh, and what they do to its cells."""
+"""Methods that `choose` tries beside radial functions, and how it measures them."""
 
 import dataclasses
 import functools
@@ -18,14 +18,15 @@ from .._boundary.boundary import Boundary
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
 from .._methods.inverse_distance import InverseDistance
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 from .._plan.prepare import plan_of
 from .._quality.quality import quality
 from .._quality.wall_quality import wall_quality
 from .methods import METHODS
 
 MOST_POINTS = {2: 100_000, 3: 40_000}
-"""Points of a mesh up to which methods that solve on its cells are tried, by dimension: some ten seconds each."""
+"""Points of a mesh, by dimension, up to which methods on its cells are tried."""
 
 MOST_PAIRS = 300_000_000
 """Points times nodes of the surface up to which inverse distances are tried."""
@@ -44,7 +45,7 @@ class Extent:
 
     @property
     def gap(self) -> float:
-        """The distance from the moving nodes to the nearest fixed one; 20 times the size where none is fixed."""
+        """The distance from moving to fixed nodes; 20 times the size without fixed nodes."""
         return float(KDTree(self.moving).query(self.fixed)[0].min()) if len(self.fixed) else 20 * self.size
 
 
@@ -61,7 +62,7 @@ def too_large(method: AbstractMethod, boundary: Boundary) -> str | None:
 def tried(boundary: Boundary, method: AbstractMethod | None) -> Plan | Exception:
     """Prepares a plan, or returns what `prepare` raised."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a condition that the table tells
+        warnings.simplefilter("ignore")  # of a bad condition, which is in the table
         try:
             return plan_of(boundary, method)
         except (ValueError, ImportError) as error:  # ImportError: a solver for large 3-D meshes is not installed
@@ -73,7 +74,7 @@ def others(
 ) -> list[tuple[dict[str, Any], Plan | None]]:
     """Tries the named methods, by default all of the list.
 
-    It yields a row of the table and a plan for each method, None if the method has no plan.
+    It returns a row of the table and a plan for each method; None for a method without a plan.
     """
     wall = Extent(boundary.points[boundary.moving], boundary.points[boundary.fixed])
     makers = {entry.name: functools.partial(entry.make, wall) for entry in METHODS if entry.is_tried}
@@ -97,7 +98,7 @@ def others(
 
 
 def judged(mesh: Mesh, plan: Plan | Exception, motions: np.ndarray) -> dict[str, Any]:
-    """Measures the moved meshes and the CPU time of one `deform`, compiled before."""
+    """Measures the moved meshes, and the CPU time of one compiled `deform`."""
     if isinstance(plan, Exception):
         nothing = dict.fromkeys(("inverted", "jacobian", "angle", "seconds"), math.nan)
         return nothing | {"refused": str(plan) or repr(plan)}

@@ -1,4 +1,4 @@
-"""Neighbouring surface nodes that a motion tears apart: which, why, and what to try."""
+"""Neighbouring surface nodes that a motion tears apart, and what to try."""
 
 import numpy as np
 from scipy import sparse
@@ -6,17 +6,18 @@ from scipy.spatial import KDTree
 
 
 def torn_pairs(points: np.ndarray, vectors: np.ndarray, is_fixed: np.ndarray) -> np.ndarray:
-    """Finds pairs of neighbouring rows whose displacements contradict each other, the worst first."""
+    """Finds pairs of neighbouring rows with contradictory displacements, the worst first."""
     count = min(2 * points.shape[1], len(points) - 1)
     distance, nearest = map(np.asarray, KDTree(points).query(points, k=count + 1))
     first, second = np.repeat(np.arange(len(points)), count), nearest[:, 1:].ravel()
     distance = distance[:, 1:].ravel()
-    apart = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
+    difference = np.linalg.norm((vectors[first] - vectors[second]), axis=1)
     after = np.linalg.norm((points + vectors)[first] - (points + vectors)[second], axis=1)
     mixed = is_fixed[first] != is_fixed[second]
-    # nodes that nearly coincide are one place by accident: the two sides of a wake, of an interface, of a sharp edge
+    # nodes that nearly coincide are one place by accident: the two sides of a wake, of an
+    # interface, of a sharp edge
     scale = 1e-9 * np.ptp(points, axis=0).max()
-    excess = np.where(mixed, apart / (distance + scale), (after - distance) / (distance + scale))
+    excess = np.where(mixed, difference, after - distance) / (distance + scale)
     torn = np.flatnonzero((excess > 1) & (distance > scale) & (first < second))
     return np.stack([first, second], axis=1)[torn[np.argsort(-excess[torn], kind="stable")]]
 
@@ -37,7 +38,8 @@ def share_faces(pairs: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
 def remedies(rests: np.ndarray, touches: np.ndarray) -> str:
     """Describes what tears each kind of pairs (k,), and what to try.
 
-    One node of a pair rests, or both move. A resting node's boundary touches the other node's there, or lies across a gap.
+    Either one node of a pair rests, or both move. The boundary of a resting node touches that of
+    the moving node, or lies across a gap.
     """
     slides, gap, both = (int(mask.sum()) for mask in (touches, rests & ~touches, ~rests))
     at = "" if slides == len(rests) else f"At {slides} of them a fixed boundary touches the moving one. "

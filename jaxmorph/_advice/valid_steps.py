@@ -13,17 +13,21 @@ from .._host.package.arguments import between, checked
 from .._kernels.callback import host_call
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 from .._quality.quality import places
 from .largest_step import Corners
 
 
 class ValidSteps(Module, optx.AbstractSearch):
-    """Searches along a line by backtracking, and shortens a step that would invert a cell to what the mesh allows.
+    """Searches along a line by backtracking, within what the mesh allows.
 
-    Such a step is not halved until it fits: corner Jacobians are polynomials in the step, and their first root, as `largest_step`
-    finds it, is the end of the way. `share` of it is tried next. Other steps end by Armijo's rule. It suits descents whose change
-    is a multiple of the step, such as `optimistix.NewtonDescent` and `optimistix.SteepestDescent`.
+    A step that would invert a cell is shortened.
+
+    Corner Jacobians are polynomials in the step. Their first root, as `largest_step` finds it, is
+    the end of the way, and `share` of the way is tried next. Other steps end by Armijo's rule. The
+    search suits descents whose change is a multiple of the step, such as `optimistix.NewtonDescent`
+    and `optimistix.SteepestDescent`.
 
         search = jm.ValidSteps(plan, mesh, lambda design: operator(design))
         solver = equinox.tree_at(lambda solver: solver.search, optimistix.BFGS(1e-6, 1e-6), search)
@@ -33,14 +37,15 @@ class ValidSteps(Module, optx.AbstractSearch):
 
     - `plan`: what `prepare` returned.
     - `mesh`: whose `points` are the plan's.
-    - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it, or the plan, is not linear, the way's end
-      is that of the chord, and the step is cut again until it fits.
+    - `displacement`: takes the optimiser's variables and returns `u` (m, d). Where it, or the plan,
+      is not linear, the way's end is that of the chord, and the step is cut again until it fits.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`. Default 0, where cells invert.
     - `share`: part of the way to the bound that is tried, above 0 and below 1. Default 0.9.
     - `slope`: part of the linear gain that Armijo's rule asks for. Default 0.1.
     - `decrease`: factor of a step that gains too little. Default 0.5.
 
-    **Raises:** `ValueError` for a bound outside of 0 to 1 and other factors that do not lie between 0 and 1.
+    **Raises:** `ValueError` for a bound outside of 0 to 1 and other factors that do not lie between
+    0 and 1.
     """
 
     plan: Plan
@@ -75,7 +80,7 @@ class ValidSteps(Module, optx.AbstractSearch):
         return self.corners.hold(deform(self.plan, self.displacement(y)))
 
     def guarded(self, objective: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Makes an objective that is infinite, and runs no flow, where the mesh breaks its bound."""
+        """Makes an objective that is infinite, and runs no flow, where the mesh breaks a bound."""
 
         def guard(y: Any, args: Any) -> Any:
             shapes = jax.eval_shape(objective, y, args)

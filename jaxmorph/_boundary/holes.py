@@ -1,26 +1,26 @@
-"""Holes in the faces of a sliding patch where a moving body stands on it: nodes slide there too, once the body has left."""
+"""Rims of a sliding patch, and its holes where a moving body stands: nodes slide there too, when the body has left."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay, QhullError
 
-from .closest import inside
+from .._host.surface.gaps import distance_from_segment
 
 CONTINUES = 0.5
-"""Least cosine between a hole's new faces and the faces around it: 60 degrees.
+"""Least cosine, of 60 degrees, between a hole's new faces and the faces around it.
 
-The rim of a dome, or a tube's end, is no hole.
+The rim of a dome and the end of a tube are no holes.
 """
 
 
 def filled(
     faces: Int[np.ndarray, "e d"], vertices: Float[np.ndarray, "v d"], moves: Bool[np.ndarray, " v"]
 ) -> Int[np.ndarray, "f d"]:
-    """Adds faces between the vertices around each hole whose rim moves; other holes stay open.
+    """Adds faces across all holes whose rim moves; other holes stay open.
 
     New faces continue the direction of the faces around them. In 2-D a line joins two ends that
-    move. In 3-D a Delaunay triangulation in the rim's mean plane makes the faces. The given faces
-    come first, in their order.
+    move. In 3-D a Delaunay triangulation in the rim's mean plane makes the faces. Old faces come
+    first, in their order.
     """
     if faces.shape[1] == 2:
         return np.concatenate([faces, _joined(faces, vertices, moves)]).astype(faces.dtype)
@@ -30,7 +30,7 @@ def filled(
 
 
 def _joined(faces: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Lists lines (k, 2) from ends that move to the nearest start that lies ahead."""
+    """Lists lines (k, 2) from moving ends to the nearest moving start that lies ahead."""
     along = np.diff(vertices[faces], axis=1)[:, 0]
     along = _unit(along)  # zero for a face of two nodes at one place
     last = np.flatnonzero(~np.isin(faces[:, 1], faces[:, 0]) & moves[faces[:, 1]])
@@ -67,7 +67,9 @@ def _area(rim: np.ndarray) -> np.ndarray:
 
 
 def _loops(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
-    """Lists the closed rims whose vertices move, each against the order of the faces next to it."""
+    """Lists the closed rims whose vertices move, against the order of the faces beside them."""
+    # A rim edge is an edge of one face alone. The path follows rim edges from node to node. When it
+    # comes back to one of its own nodes, the part since then is a loop, and is cut off.
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     size = int(faces.max()) + 1
     key, back = edges @ np.array([size, 1]), edges @ np.array([1, size])
@@ -83,11 +85,11 @@ def _loops(faces: np.ndarray, moves: np.ndarray) -> list[np.ndarray]:
             node = ways.pop()
             if not ways:
                 del follows[path[-1]]
-            if node in place:  # rims that share a node are cut apart there
+            if node in place:
                 start = place[node]
                 loops.append(np.array(path[start:]))
-                for left in path[start:]:
-                    del place[left]
+                for corner in path[start:]:
+                    del place[corner]
                 path = path[:start]
             place[node] = len(path)
             path.append(node)
@@ -108,3 +110,28 @@ def _between(loop: np.ndarray, rim: np.ndarray) -> np.ndarray:
     is_back = np.cross(second - first, third - first) @ normal < 0
     corners[is_back] = corners[is_back][:, ::-1]
     return loop[corners]
+
+
+def rim(faces: Int[np.ndarray, "e d"]) -> Int[np.ndarray, "r c"]:
+    """Lists the edges that only one of the triangles has, or the ends of lines."""
+    d = faces.shape[1]
+    sides = np.concatenate([np.delete(faces, k, axis=1) for k in range(d)])
+    once, counts = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+    return once[counts == 1]
+
+
+def distance_from_edges(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Measures the distances (k,) of points from the nearest edge (r, 2, d), or end (r, 1, d)."""
+    least = np.full(len(x), np.inf)
+    for edge in ends:
+        least = np.minimum(least, distance_from_segment(x, edge[0], edge[-1]))
+    return least
+
+
+def inside(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Marks the points (k, 2) within or on closed lines, given by their edges (r, 2, 2)."""
+    crossed = np.zeros(len(x), dtype=bool)
+    for (a, b), (c, d) in ends:
+        between = (b > x[:, 1]) != (d > x[:, 1])
+        crossed ^= between & (x[:, 0] < a + (x[:, 1] - b) * (c - a) / (d - b if d != b else 1))
+    return crossed | (distance_from_edges(x, ends) < 1e-9 * np.ptp(ends.reshape(-1, 2), axis=0).max())

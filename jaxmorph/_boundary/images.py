@@ -1,4 +1,4 @@
-"""Images of the surface: mirrored in symmetry planes and repeated by periodic transforms before a method sees it."""
+"""Images of the surface: mirrored in symmetry planes, and repeated by periodic transforms, before a method sees it."""
 
 import dataclasses
 import itertools
@@ -11,16 +11,16 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import KDTree
 
 from .._kernels.values import as_jax
-from .periodic import Pairing
+from .pairing import Pairing
 from .symmetry import Plane, facing, tolerance
 
 
 class Images(eqx.Module):
-    """Extends the own rows of a surface by their images.
+    """The own rows of a surface, extended by their images.
 
-    Extended row i is the image of own row `rows[i]` by the transform `kind[i]`, x -> `matrices` x + `shifts`; kind 0 is the row
-    itself. Own row j lies on the planes k for which `on_plane[j, k]`; `pairings` pair own rows, and `powers` are how often each
-    transform takes each of them.
+    Extended row i is the image of own row `rows[i]` by the transform `kind[i]`: x -> `matrices` x +
+    `shifts`. Kind 0 is the identity. Own row j lies on plane k where `on_plane[j, k]`. `pairings`
+    pair own rows; `powers[t, q]` is the power of periodic transform q in transform t.
     """
 
     normals: Float[Array, "p d"]
@@ -34,37 +34,37 @@ class Images(eqx.Module):
     pairings: tuple[Pairing, ...]
 
     def at(self, pairings: Sequence[Pairing]) -> "Images":
-        """Takes the shifts from `pairings` that differ only in their translations. Traced."""
+        """Replaces the translations of the pairings by those of `pairings`. Traced."""
         shifts, moved = self.shifts, []
         for p, (old, new) in enumerate(zip(self.pairings, pairings, strict=True)):
             shift = jnp.asarray(new.shift, shifts.dtype)
             shifts = shifts + self.powers[:, p, None] * (shift - jnp.asarray(old.shift, shifts.dtype))[None]
-            moved.append(eqx.tree_at(lambda pairing: pairing.shift, old, shift))
-        return eqx.tree_at(lambda images: (images.shifts, images.pairings), self, (shifts, tuple(moved)))
+            moved.append(dataclasses.replace(old, shift=shift))
+        return dataclasses.replace(self, shifts=shifts, pairings=tuple(moved))
 
     def points(self, points: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the coordinates of all rows, images too."""
+        """Computes the coordinates of all rows, also of the images."""
         return self.vectors(points) + self.shifts.astype(points.dtype)[self.kind]
 
     def vectors(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the displacements of all rows, images too."""
+        """Computes the displacements of all rows, also of the images."""
         turns = self.matrices.astype(u.dtype)[self.kind]
         image = jnp.einsum("bij,bj->bi", turns, u[self.rows], precision="highest")
         return jnp.where(self.kind[:, None] == 0, u[self.rows], image)
 
     def extended(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the displacements of all rows from any of the original rows."""
+        """Computes the displacements of all rows from displacements of the own rows that need not be `kept`."""
         return self.vectors(self.kept(u))
 
     def kept(self, u: Float[Array, "o d"]) -> Float[Array, "o d"]:
-        """Changes displacements of the own rows so that rows on a plane stay in it, and periodic ones move alike."""
+        """Changes displacements so that rows on a plane stay in the plane, and periodic pairs move alike."""
         u = self.within(u, self.on_plane)
         for pairing in self.pairings:
             u = pairing.alike(u)
         return u
 
     def within(self, u: Float[Array, "n d"], on_plane: Bool[Array, "n p"]) -> Float[Array, "n d"]:
-        """Removes the components of displacements normal to the planes on which the nodes lie."""
+        """Removes the components of displacements normal to the nodes' planes."""
         for k, normal in enumerate(self.normals):
             normal = normal.astype(u.dtype)
             u = jnp.where(on_plane[:, k, None], u - (u @ normal)[:, None] * normal[None], u)
@@ -73,19 +73,21 @@ class Images(eqx.Module):
     @property
     def planes(self) -> tuple[Plane, ...]:
         """The symmetry planes, on the host."""
-        return tuple(Plane(*each) for each in zip(self.normals, self.origins, strict=True))
+        return tuple(map(Plane, self.normals, self.origins))
 
 
 @dataclasses.dataclass(frozen=True)
 class Copies:
-    """Lists, on the host, where the images of a surface's own rows stand.
+    """The places of the images of a surface's own rows, on the host.
 
-    - `places` (t, o): a number for the place of each own row's image by each of t transforms; equal ones coincide.
-    - `roots` (o,): the own row for which a row stands that a periodic transform leads to.
-    - `rows`, `kind` (b,): own row and transform of each extended row, no place twice; the first `moving` ones move.
+    - `places` (t, o): number of the place of an own row's image by a transform; images with equal
+      numbers coincide.
+    - `roots` (o,): the own row that an own row repeats by a periodic transform, or the row itself.
+    - `rows`, `kind` (b,): own row and transform of an extended row, no place twice. The first
+      `moving` extended rows move.
     - `matrices` (t, d, d), `shifts` (t, d): the transforms.
-    - `powers` (t, q): how often each of them takes each periodic one.
-    - `sides` (o, s): which own rows lie on which sides of the periodic pairs.
+    - `powers` (t, q): powers of the periodic transforms in a transform.
+    - `sides` (o, s): True for own rows on a side of a periodic pair.
     """
 
     places: np.ndarray
@@ -100,22 +102,24 @@ class Copies:
 
     @property
     def first(self) -> np.ndarray:
-        """The first extended row (b,) that repeats each extended row or its periodic partner."""
+        """The first extended row (b,) that is an image of a row's own row or of its periodic partner."""
         _, first, inverse = np.unique(self.roots[self.rows], return_index=True, return_inverse=True)
         return first[inverse]
 
     def faces(self, corners: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "l c"]:
-        """Extends faces between own rows by their images: each place once, and none between a copy and the next."""
-        between = self.sides[corners].all(axis=1)
-        corners = corners[~between.any(axis=-1)]
-        wanted = self.places[:, corners]
-        flipped = np.linalg.det(self.matrices) < 0
-        wanted[flipped] = wanted[flipped][..., ::-1]  # seen from outside, as the face is
-        wanted = wanted.reshape(-1, corners.shape[1])
-        at = self.places[self.kind, self.rows]
-        order = np.argsort(at)
-        once = np.sort(np.unique(np.sort(wanted, axis=1), axis=0, return_index=True)[1])
-        return order[np.searchsorted(at[order], wanted[once])].astype(np.int32)
+        """Extends faces between own rows by their images, no face twice, and no face on a periodic side."""
+        # The images of a face are rows of place numbers; faces with equal numbers are one face. The
+        # extended row of a place is found by its number.
+        is_between = self.sides[corners].all(axis=1)
+        corners = corners[~is_between.any(axis=-1)]
+        faces = self.places[:, corners]
+        is_mirrored = np.linalg.det(self.matrices) < 0
+        faces[is_mirrored] = faces[is_mirrored][..., ::-1]  # counterclockwise again
+        faces = faces.reshape(-1, corners.shape[1])
+        place = self.places[self.kind, self.rows]
+        order = np.argsort(place)
+        first = np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])
+        return order[np.searchsorted(place[order], faces[first])].astype(np.int32)
 
 
 def copies(
@@ -125,15 +129,18 @@ def copies(
     moving: int,
     points: Float[np.ndarray, "o d"],
 ) -> Copies:
-    """Finds the images of own rows at `points`, the first `moving` of them moving; `pairings` are of own rows.
+    """Finds the images of own rows at `points`; the first `moving` rows move, `pairings` are of own rows.
 
-    Parallel planes make no images. Nor does a row whose image would stand where another row does. The nearest images come first.
+    Parallel planes make no images. Of several rows and images at one place, one counts. The nearest
+    images come first.
     """
-    flags = list(itertools.product(*((False,) if has_other else (False, True) for has_other in facing(planes))))
+    # A transform is a power of every periodic transform, then a mirror flag of every plane. The
+    # sort by the sum of powers is stable.
+    flags = list(itertools.product(*((False,) if is_facing else (False, True) for is_facing in facing(planes))))
     powers = [pairing.powers for pairing in pairings]
     elements = sorted(
-        itertools.product(itertools.product(*powers), flags), key=lambda each: sum(map(abs, each[0]))
-    )  # stable: as they come among those as near
+        itertools.product(itertools.product(*powers), flags), key=lambda element: sum(map(abs, element[0]))
+    )
     matrices, shifts = map(
         np.stack, zip(*(_transform(planes, pairings, *element) for element in elements), strict=True)
     )
@@ -141,18 +148,18 @@ def copies(
     if pairings:
         places = _joined(places, np.einsum("tij,oj->toi", matrices, points.astype(float)) + shifts[:, None], points)
     rows, kind = _once(places, moving)
-    lying = [np.union1d(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
-    sides = np.zeros((len(points), len(lying)), dtype=bool)
-    for column, rows_there in zip(sides.T, lying, strict=True):
-        column[rows_there] = True
-    taken = np.array([exponents for exponents, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
-    return Copies(places, roots, rows, kind, int((rows < moving).sum()), matrices, shifts, taken, sides)
+    rows_of_sides = [np.append(side, pairing.alone) for pairing in pairings for side in (pairing.first, pairing.second)]
+    sides = np.zeros((len(points), len(rows_of_sides)), dtype=bool)
+    for column, side in zip(sides.T, rows_of_sides, strict=True):
+        column[side] = True
+    exponents = np.array([powers for powers, _ in elements], dtype=np.int32).reshape(len(elements), len(pairings))
+    return Copies(places, roots, rows, kind, int((rows < moving).sum()), matrices, shifts, exponents, sides)
 
 
 def _numbered(
     elements: Sequence[tuple], pairings: Sequence[Pairing], on_plane: Bool[np.ndarray, "o p"]
 ) -> tuple[Int[np.ndarray, "t o"], Int[np.ndarray, " o"]]:
-    """Numbers the place of each row's image by each transform; finds the row for which each row stands."""
+    """Numbers the places of all images, and finds the row that a row repeats."""
     # Each image position is one integer of mixed radix: a bit for each mirror plane, then a digit
     # for the periodic power of each pairing, then the source row. Rows on a plane, on an axis, and
     # on second sides have the integer of the row that they repeat: equal integers, one position.
@@ -175,24 +182,26 @@ def _numbered(
 
 
 def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], points: np.ndarray) -> np.ndarray:
-    """Gives one number to places that coincide, as where walls meet a periodic side; nodes that coincide keep their own."""
+    """Gives one number to images that coincide, for example where walls meet a periodic side."""
+    # Pairs of nearby places are sorted, own rows first, and the second place takes the number of
+    # the first. Two images by one transform keep their numbers: nodes that coincide in the mesh
+    # stay two.
     numbers, first = np.unique(places, return_index=True)
-    count = len(points)
     first = np.sort(first)  # own rows come before images
-    kind = first // count
+    kind = first // len(points)
     pairs = KDTree(at.reshape(-1, at.shape[-1])[first]).query_pairs(tolerance(points), output_type="ndarray")
     pairs = np.sort(pairs, axis=1)
     pairs = pairs[kind[pairs[:, 0]] != kind[pairs[:, 1]]]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    one = numbers.copy()
+    joined = numbers.copy()
     for into, other in np.searchsorted(numbers, places.ravel()[first[pairs]]):
-        if one[other] == numbers[other]:
-            one[other] = one[into]
-    return one[np.searchsorted(numbers, places)]
+        if joined[other] == numbers[other]:
+            joined[other] = joined[into]
+    return joined[np.searchsorted(numbers, places)]
 
 
 def _once(places: Int[np.ndarray, "t o"], moving: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lists row and transform of each place once: moving rows first, own rows before their images."""
+    """Lists row and transform of all places, no place twice: moving rows first, own rows before images."""
     count = places.shape[1]
     first = np.sort(np.unique(places, return_index=True)[1])
     kind, rows = np.divmod(first, count)
@@ -201,7 +210,7 @@ def _once(places: Int[np.ndarray, "t o"], moving: int) -> tuple[np.ndarray, np.n
 
 
 def _transform(planes: Sequence[Plane], pairings: Sequence[Pairing], powers, flags) -> tuple[np.ndarray, np.ndarray]:
-    """Composes the transform of one image: periodic ones, then reflections."""
+    """Composes the transform of one image: first periodic transforms, then reflections."""
     dimension = len(planes[0].normal) if planes else len(pairings[0].shift)
     matrix, shift = np.eye(dimension), np.zeros(dimension)
     for pairing, k in zip(pairings, powers, strict=True):
@@ -222,14 +231,14 @@ def images_of(
     moving: int,
     points: Float[np.ndarray, "n d"],
 ) -> tuple[Images, Copies]:
-    """Makes the images of the surface's `nodes` among `points`, the first `moving` of them moving, and lists where they stand."""
+    """Makes the images of the surface's `nodes`, and the list of their places; the first `moving` nodes move."""
     place = np.full(len(on_plane), -1, dtype=np.int32)
     place[nodes] = np.arange(len(nodes))
-    rows = [pairing.renumbered(place) for pairing in pairings]
-    made = copies(planes, rows, on_plane[nodes], moving, points[nodes])
-    dimension = made.shifts.shape[1]
-    normals = np.stack([plane.normal for plane in planes]) if planes else np.zeros((0, dimension))
-    origins = np.stack([plane.origin for plane in planes]) if planes else np.zeros((0, dimension))
-    kind, images = made.kind.astype(np.int32), made.rows.astype(np.int32)
-    parts = (normals, origins, on_plane[nodes], images, kind, made.matrices, made.shifts, made.powers)
-    return Images(*as_jax((*parts, tuple(rows)))), made
+    rows = tuple(pairing.renumbered(place) for pairing in pairings)
+    found = copies(planes, rows, on_plane[nodes], moving, points[nodes])
+    normals, origins = np.zeros((2, 0, points.shape[1]))
+    if planes:
+        normals, origins = (np.stack(vectors) for vectors in zip(*((p.normal, p.origin) for p in planes), strict=True))
+    kind, own = found.kind.astype(np.int32), found.rows.astype(np.int32)
+    parts = normals, origins, on_plane[nodes], own, kind, found.matrices, found.shifts, found.powers, rows
+    return Images(*as_jax(parts)), found

@@ -7,29 +7,25 @@ import numpy as np
 
 from .._host.package.errors import warn
 from .._mesh.mesh import Mesh
-from .boundary import planes_of
+from .names import names_in, planes_of
 from .periodic import Periodic
 from .symmetry import check_planes
 
 SYMMETRY = frozenset({"BCSymmetryPlane", "symmetry", "symmetryPlane", "axis"})
+"""Kinds of symmetry planes."""
+
 INSIDE = "cyclic", "processor", "empty", "wedge"
 """Beginnings of the kinds of patches that are no outer boundary."""
 
 
 def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str]]:
-    """Chooses fixed and symmetry patches from the kinds that the file has, where a caller names moving ones alone.
+    """Chooses fixed and symmetry patches by their kinds in the file, where a caller names moving patches alone.
 
-    Symmetry patches that lie in planes are symmetry. All others of which the file says what they are stay. It warns of what it
-    chose. Nothing is chosen where the file says nothing, and where `moving` are no names.
+    Symmetry patches that lie in planes slide; all other patches with a kind are fixed. A warning
+    names the choice. Nothing is chosen without kinds, or where `moving` are no names.
     """
-    names = (
-        [moving]
-        if isinstance(moving, str)
-        else list(moving)
-        if isinstance(moving, list | tuple | set | frozenset)
-        else []
-    )
-    if not isinstance(mesh, Mesh) or not names or not all(isinstance(name, str) for name in names):
+    names = names_in(moving)
+    if not isinstance(mesh, Mesh) or names is None:
         return [], []
     pairs = [periodic] if isinstance(periodic, Periodic) else periodic if isinstance(periodic, Iterable) else ()
     sides = [side for pair in pairs if isinstance(pair, Periodic) for side in (pair.patch, pair.partner)]
@@ -41,7 +37,7 @@ def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str
         try:
             more = [*planes, *planes_of(mesh, name)]
             check_planes(more, np.asarray(mesh.points))
-        except ValueError:  # a bent one is left for the caller to name
+        except ValueError:  # a bent patch: the caller must name it
             continue
         symmetry, planes = [*symmetry, name], more
     clauses = [
@@ -51,6 +47,7 @@ def by_kinds(mesh: Any, moving: Any, periodic: Any) -> tuple[list[str], list[str
     ]
     if clauses:
         warn(
-            f"No patches beside `moving` are named. By their kinds in the file {' and '.join(clauses)}. Name them to say so."
+            f"No patches beside `moving` are named. By their kinds in the file {' and '.join(clauses)}. Name the patches to "
+            "choose otherwise."
         )
     return fixed, symmetry

@@ -1,4 +1,4 @@
-"""The boundary faces of a mesh, and the boundary faces that no list names."""
+"""The boundary faces of a mesh, and the boundary faces in no list."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -17,10 +17,10 @@ from .._mesh.polyhedra import Polyhedra, triangles
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OuterFaces:
-    """Holds the boundary faces of the cells of highest dimension (edges in 2-D), seen from outside.
+    """The boundary faces (edges in 2-D) of the cells that fill the mesh, seen from outside.
 
     - `corners`: node ids (k, corners) by type.
-    - `ids`: the number (k,) of the file's face that each of them is, or is a piece of.
+    - `ids`: numbers (k,) of the file's faces; pieces of one face have one number.
     """
 
     corners: dict[str, np.ndarray]
@@ -29,26 +29,24 @@ class OuterFaces:
     @classmethod
     def numbered(cls, faces: Mapping[str, Any]) -> "OuterFaces":
         """Numbers faces one type after the other."""
-        corners = {kind: np.asarray(each) for kind, each in faces.items()}
-        starts = np.cumsum([0, *map(len, corners.values())])
-        ids = {kind: start + np.arange(len(each)) for (kind, each), start in zip(corners.items(), starts, strict=False)}
+        corners = {kind: np.asarray(nodes) for kind, nodes in faces.items()}
+        ends = np.cumsum([len(nodes) for nodes in corners.values()])
+        ids = {kind: np.arange(end - len(corners[kind]), end) for kind, end in zip(corners, ends, strict=True)}
         return cls(corners, ids)
 
     def count(self, chosen: Mapping[str, np.ndarray] | None = None) -> int:
-        """Counts the file's faces, or only the faces of which a part is `chosen`.
-
-        `chosen` has a mask for each type.
-        """
-        ids = [each if chosen is None else each[chosen[kind]] for kind, each in self.ids.items()]
+        """Counts the file's faces; with masks `chosen` by type, only faces with a chosen part."""
+        ids = [numbers if chosen is None else numbers[chosen[kind]] for kind, numbers in self.ids.items()]
         return len(np.unique(np.concatenate(ids))) if ids else 0
 
 
 @checked
 def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
-    """Lists the boundary faces of a mesh, or of some of its patches, as arrays of node ids (edges in 2-D).
+    """Lists the boundary faces (edges in 2-D) of a mesh, or of some patches, as arrays of node ids.
 
-    A face is of the patches when all of its nodes are. Seen from outside of the mesh its nodes go round counterclockwise.
-    Faces of polyhedra with more than four corners are cut into triangles, faces of curved cells into pieces between their nodes.
+    A face belongs to the patches if all of its nodes do. Nodes are in counterclockwise order, seen
+    from outside of the mesh. Faces of polyhedra with more than four corners are cut into triangles,
+    faces of curved cells into pieces between their nodes.
 
     **Arguments:**
 
@@ -57,7 +55,8 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
     **Returns:** ids (k, corners) by type: `line`, `triangle` and `quad`.
 
-    **Raises:** `ValueError` for a name that means no patch, and for a mesh without cells of its dimension.
+    **Raises:** `ValueError` for a name that is no patch, and for a mesh without cells of its
+    dimension.
     """
     outer = outer_faces(mesh)
     if outer is None:
@@ -68,12 +67,12 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
 
 
 def outer_faces(mesh: Mesh) -> OuterFaces | None:
-    """Finds the boundary faces of a mesh, without the faces between it and other parts.
+    """Finds the boundary faces of a mesh, without the faces between this part and others.
 
-    It returns None if the cells do not fill the mesh's dimension.
+    It returns None if no cells fill the mesh's dimension.
     """
     points = np.asarray(mesh.points)
-    cells = {kind: np.asarray(each) for kind, each in topology.solid(mesh.cells, points.shape[1]).items()}
+    cells = {kind: np.asarray(corners) for kind, corners in topology.solid(mesh.cells, points.shape[1]).items()}
     if not cells:
         return None
     if mesh.polyhedra is not None and points.shape[1] == 3:
@@ -85,7 +84,7 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
-    """Takes the faces from the file: the pieces of polyhedra and the whole cells beside them share none."""
+    """Finds the boundary faces in the file: the pieces of polyhedra do not share faces with the whole cells beside them."""
     faces = whole.faces
     outer = np.ones(len(faces.owner), dtype=bool)
     outer[: len(faces.neighbour)] = faces.neighbour < 0
@@ -95,8 +94,9 @@ def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | No
     corners = {"triangle": cut, "quad": faces.corners(quads, 4) if len(quads) else np.zeros((0, 4), np.int64)}
     corners, ids = seen_from_outside(points, corners), {"triangle": others[owner], "quad": quads}
     if between is not None:
-        kept = {kind: ~np.isin(each, rows[is_among(faces.padded(rows), between)]) for kind, each in ids.items()}
-        corners, ids = ({kind: each[kept[kind]] for kind, each in both.items()} for both in (corners, ids))
+        inner = rows[is_among(faces.padded(rows), between)]
+        is_outer = {kind: ~np.isin(numbers, inner) for kind, numbers in ids.items()}
+        corners, ids = ({kind: table[is_outer[kind]] for kind, table in part.items()} for part in (corners, ids))
     return OuterFaces(corners, ids)
 
 
@@ -104,9 +104,9 @@ def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | No
 class FreeFaces:
     """Boundary faces that are neither moving, fixed, on a symmetry plane, nor declared free.
 
-    - `count`, `total`: the number of these faces, and of all boundary faces.
-    - `patches`: the number of these faces in each patch, by name; no entry for a patch without.
-    - `unnamed`: the number of these faces that lie in no patch.
+    - `count`, `total`: how many free faces and how many boundary faces there are.
+    - `patches`: how many free faces a patch has, by name; only patches with free faces.
+    - `unnamed`: how many free faces lie in no patch.
     """
 
     count: int
@@ -124,12 +124,12 @@ class FreeFaces:
         where += f", {self.unnamed} of them in no patch" if self.unnamed else ""
         return (
             f"{self.count} of {self.total} boundary faces are neither moving, fixed nor on a symmetry plane{where}: "
-            "their nodes follow like inner ones, and may leave the boundary."
+            "their nodes follow like inner nodes, and may leave the boundary."
         )
 
 
 def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFaces:
-    """Finds the faces of which a node is not listed; `is_listed` is a mask (n,)."""
+    """Finds the faces with a node that is not listed; `is_listed` is a mask (n,)."""
     free = {kind: np.asarray(~is_listed[corners].all(axis=1)) for kind, corners in faces.corners.items()}
     count, patches = faces.count(free), {}
     unnamed = dict(free)
@@ -138,6 +138,6 @@ def free_faces(mesh: Mesh, faces: OuterFaces, is_listed: np.ndarray) -> FreeFace
         inside[np.asarray(nodes)] = True
         here = {kind: free[kind] & inside[corners].all(axis=1) for kind, corners in faces.corners.items()}
         patches[name] = faces.count(here)
-        unnamed = {kind: each & ~here[kind] for kind, each in unnamed.items()}
+        unnamed = {kind: is_unnamed & ~here[kind] for kind, is_unnamed in unnamed.items()}
     patches = {name: number for name, number in patches.items() if number}
     return FreeFaces(count, faces.count(), patches, faces.count(unnamed))

@@ -1,40 +1,41 @@
-"""Sliding patches: the surface on which their nodes stay, checked, and the edges and corners where two of them meet."""
+"""Sliding patches: the surfaces that a caller names, checked, and made into walls."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from .._host.cells.pairs import parts_of
 from .._host.package.arguments import check_patch, finite_array
 from .._host.package.errors import MeshError, place_of
-from .closest import AbstractWall, Faceted, Flat, FlatFaces, Round, Track
+from .._host.surface.simplices import normals
+from .facets import Faceted, FlatFaces
 from .holes import CONTINUES, filled
-from .periodic import Pairing
 from .symmetry import Plane
+from .tracks import SMOOTH
+from .walls import AbstractWall, Flat, Round
 
 DEVIATION = 1e-5
-"""Distance from its surface, relative to a patch's extent, within which a node lies on it: what files with few digits have."""
-
-SMOOTH = np.cos(np.deg2rad(5))
-"""Cosine of the angle between two sliding patches below which they meet without an edge."""
+"""Distance from a surface, relative to the patch's extent, within which a node lies on it: files have few digits."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Revolution:
-    """Describes a surface of revolution: a cylinder, a cone, a disc, or any other shroud or hub; in 2-D a circle.
+    """A surface of revolution: a cylinder, a cone, a disc, or another shroud or hub; in 2-D a circle.
 
     **Arguments:**
 
     - `axis`: direction (3,) of the axis, of any length; None in 2-D.
-    - `origin`: a point (d,) of the axis, in 2-D the centre. Default: zero.
-    - `profile`: points (k, 2) of the surface: places along the axis from the origin, ascending, and radii. Between them
-      runs a cubic spline. Default: a line if the patch's nodes lie on one (cylinder, cone, disc), or else a spline through them.
+    - `origin`: a point (d,) on the axis, in 2-D the centre. Default: zero.
+    - `profile`: points (k, 2) of the surface: ascending places along the axis from the origin, and
+      radii. A cubic spline joins the points. Default: a line if the patch's nodes lie on one
+      (cylinder, cone, disc), otherwise a spline through the nodes.
 
-    **Raises:** `ValueError` for an axis that is zero, and a profile that is not (k, 2) with ascending places.
+    **Raises:** `ValueError` for an axis that is zero, and a profile that is not (k, 2) with
+    ascending places.
     """
 
     axis: np.ndarray | None
@@ -57,17 +58,19 @@ class Revolution:
 class Slide:
     """Lets the nodes of a patch move along its surface: blade tips along a shroud, a body along the sides of its box.
 
-    Nodes between two sliding patches, or a patch and a symmetry plane, stay on both; corners of the mesh, and the apex of a
-    cone, are held. Moving nodes of the patch stay on it too, fixed ones stay where they are.
+    Nodes between two sliding patches, or between a patch and a symmetry plane, stay on both.
+    Corners of the mesh, the apex of a cone, and fixed nodes do not move. Moving nodes of the patch
+    stay on it.
 
-    On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces it has a kink wherever a
-    node crosses an edge.
+    On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces
+    the motion has a kink where a node crosses an edge.
 
     **Arguments:**
 
     - `patch`: name of a patch, several names, or ids of nodes.
-    - `on`: the surface: a `Plane` (in 2-D a line), a `Revolution`, or None for the patch's own faces, which needs a mesh.
-      Faces in one plane are that plane; edges that turn by more than 60 degrees part them, and keep their nodes. Default None.
+    - `on`: the surface: a `Plane` (in 2-D a line), a `Revolution`, or None for the patch's own
+      faces, which needs a mesh. Faces in one plane make a plane. Edges that turn by more than 60
+      degrees divide the faces, and keep their nodes. Default None.
     """
 
     patch: str | Sequence[str] | np.ndarray
@@ -86,85 +89,6 @@ class Slide:
         return f"the sliding patch {self.patch!r}" if isinstance(self.patch, str) else "a sliding patch"
 
 
-def tracks_of(
-    walls: Sequence[tuple[AbstractWall, np.ndarray]], planes: Sequence[Plane], points: np.ndarray
-) -> tuple[tuple[Track, ...], np.ndarray]:
-    """Groups the nodes of sliding patches by the walls that keep them; returns the nodes that these hold, too.
-
-    Corners and the apex of a cone are held. Raises `ValueError` where two walls meet without an edge.
-    """
-    # Each node has a row of flags: the walls and planes that it lies on. Nodes with equal rows slide together, as one track.
-    # As many walls as dimensions leave no way to slide, so these nodes are held.
-    n, dimension = points.shape
-    on = np.zeros((n, len(walls) + len(planes)), dtype=bool)
-    apex = np.zeros(n, dtype=bool)
-    for k, (wall, nodes) in enumerate(walls):
-        on[nodes, k] = True
-        apex[nodes] |= wall.is_apex(points[nodes])
-    slides = on.any(axis=1) & ~apex
-    for k, plane in enumerate(planes):
-        on[:, len(walls) + k] = slides & plane.holds(points)
-    every = [wall for wall, _ in walls] + [Flat(plane.normal, plane.origin) for plane in planes]
-    groups, number = np.unique(on[slides], axis=0, return_inverse=True)
-    tracks: list[Track] = []
-    held: list[np.ndarray] = [np.flatnonzero(apex)]
-    for k, group in enumerate(groups):
-        nodes = np.flatnonzero(slides)[number.ravel() == k].astype(np.int32)
-        chosen = tuple(wall for wall, is_on in zip(every, group, strict=True) if is_on)
-        if len(chosen) == 2:
-            _check_edge(chosen, nodes, points)
-        if len(chosen) >= dimension:
-            held.append(nodes)
-            continue
-        tracks.append(Track(nodes, chosen))
-    return tuple(tracks), np.concatenate(held)
-
-
-def _check_edge(walls: tuple[AbstractWall, ...], nodes: np.ndarray, points: np.ndarray) -> None:
-    first, second = (np.asarray(wall.height(jnp.asarray(points[nodes]))[1]) for wall in walls)
-    cosine = np.abs(np.sum(first * second, axis=1))
-    wrong = np.flatnonzero(cosine > SMOOTH)
-    if wrong.size:
-        worst_first = wrong[np.argsort(-cosine[wrong], kind="stable")]
-        place = place_of(points[nodes[worst_first[0]]])
-        raise MeshError(
-            f"two sliding patches, or one and a symmetry plane, meet at {len(wrong)} nodes without an edge between them, the worst "
-            f"is node {{node}} at ({place}). Let them slide as one, jm.Slide((first, second)), or leave one out.",
-            nodes[worst_first],
-        )
-
-
-def check_repeated(
-    tracks: Sequence[Track],
-    corners: np.ndarray,
-    pairings: Sequence[Pairing],
-    points: np.ndarray,
-    free: Bool[np.ndarray, " n"],
-) -> None:
-    """Raises `ValueError` where a free node slides along walls that the periodic transform does not lead to its partner's."""
-    if not tracks or not pairings:
-        return
-    exact, dimension = points.astype(float), points.shape[1]
-    off = np.zeros((len(points), dimension, dimension))  # projections on the normals
-    off[corners] = np.eye(dimension)
-    for track in tracks:
-        normals = np.asarray(track.normals(jnp.asarray(exact)))
-        off[track.rows] = np.swapaxes(normals, 1, 2) @ normals
-    for pairing in pairings:
-        first, second, matrix = map(np.asarray, (pairing.first, pairing.second, pairing.matrix))
-        mismatch = np.linalg.norm(matrix @ off[first] @ matrix.T - off[second], axis=(1, 2))
-        wrong = np.flatnonzero((mismatch > np.sqrt(2 - 2 * SMOOTH**2)) & free[first] & free[second])
-        if wrong.size:
-            worst_first = wrong[np.argsort(-mismatch[wrong], kind="stable")]
-            node, partner = (int(side[worst_first[0]]) for side in (first, second))
-            raise MeshError(
-                f"{len(wrong)} periodic pairs slide along walls that do not repeat each other, the worst is node {{node}} at "
-                f"({place_of(points[node])}) and its partner {partner}: they cannot stay on both and move alike. Name them in "
-                "`fixed`, or let both slide on a surface that repeats, jm.Slide(patch, jm.Plane(normal, origin)).",
-                first[worst_first],
-            )
-
-
 def walls_of_patch(
     slide: Slide,
     nodes: Int[np.ndarray, " k"],
@@ -172,9 +96,10 @@ def walls_of_patch(
     faces: Mapping[str, np.ndarray] | None,
     moving: np.ndarray | Sequence[int] = (),
 ) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes the walls of a sliding patch, each with its nodes; its own faces go on below bodies whose nodes are `moving`.
+    """Makes the walls of a sliding patch, with their nodes.
 
-    Own faces are cut apart at sharp edges. Raises `ValueError`, with the worst node, where nodes do not lie on their wall.
+    Own faces are divided at sharp edges, and filled up below bodies whose nodes are `moving`.
+    Raises `ValueError`, with the worst node, where nodes do not lie on their wall.
     """
     exact, dimension = points.astype(float), points.shape[1]
     if not len(nodes):
@@ -203,7 +128,7 @@ def _check_on(slide: Slide, wall: AbstractWall, nodes: np.ndarray, points: np.nd
         place = place_of(points[worst_first[0]])
         raise MeshError(
             f"{slide.name} does not lie on its surface: {len(wrong)} of {len(nodes)} nodes are off, the worst is node {{node}} at "
-            f"({place}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or none: the patch's faces.",
+            f"({place}), {off.max():.3g} away (allowed {allowed:.3g}). Give the right surface, or None for the patch's faces.",
             worst_first,
         )
 
@@ -248,7 +173,7 @@ def _of_faces(
 ) -> list[tuple[AbstractWall, np.ndarray]]:
     if faces is None:
         raise ValueError(
-            f"{slide.name} slides on its faces, which points alone do not have: pass the mesh with its cells, or a surface, "
+            f"{slide.name} slides on its faces, but points alone have no faces: pass the mesh with its cells, or a surface, "
             "jm.Slide(nodes, jm.Plane(normal, origin))."
         )
     dimension = points.shape[1]
@@ -256,9 +181,8 @@ def _of_faces(
     row[nodes] = np.arange(len(nodes))
     pieces = [np.zeros((0, dimension), dtype=np.int64)]
     for corners in faces.values():
-        of_patch = row[corners][(row[corners] >= 0).all(axis=1)]
-        fans = range(1, of_patch.shape[1] - 1) if dimension == 3 else ()
-        pieces += [of_patch[:, [0, k, k + 1]] for k in fans] if dimension == 3 else [of_patch]
+        of_patch = row[corners][(row[corners] >= 0).all(axis=1)]  # then quads are cut into triangles
+        pieces += [of_patch[:, [0, k, k + 1][:dimension]] for k in range(1, max(2, of_patch.shape[1] - 1))]
     elements = np.concatenate(pieces)
     if not len(elements):
         raise ValueError(f"{slide.name} holds no boundary faces of the mesh; name the surface that it slides on.")
@@ -269,28 +193,27 @@ def _of_faces(
 
 
 def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes the walls, each with its nodes, of faces, rows of `nodes`: one, or one for each part between sharp edges."""
+    """Makes walls of faces, which are rows of `nodes`: one wall for every part between sharp edges, with its nodes."""
     if (flat := _flat(nodes, points, elements)) is not None:
         return [(flat, nodes)]
-    first, *others = (points[nodes][column] for column in elements.T)
-    edges = [other - first for other in others]
-    normals = edges[0][:, ::-1] * [1, -1] if len(edges) == 1 else np.cross(edges[0], edges[1])
-    lengths = np.linalg.norm(normals, axis=1)
-    is_whole = lengths > 1e-14 * lengths.max()  # a quad that ends in a point has a triangle without area
-    elements = elements[is_whole].astype(np.int32)
-    part = _smooth_parts(elements, normals[is_whole] / lengths[is_whole, None])
-    if part.max() == 0 or np.isin(np.arange(len(nodes)), elements, invert=True).any():  # nodes of no face belong to all
-        return [(Faceted(nodes, points[nodes], elements, faces_around(elements, len(nodes))), nodes)]
+    area = normals(points[nodes[elements]])
+    size = np.linalg.norm(area, axis=1)
+    has_area = size > 1e-14 * size.max()  # a quad that ends in a point has a triangle without area
+    elements = elements[has_area].astype(np.int32)
+    part = _smooth_parts(elements, area[has_area] / size[has_area, None])
+    if np.isin(np.arange(len(nodes)), elements, invert=True).any():
+        part[:] = 0  # nodes of no face belong to all parts
     walls = []
     for number in range(part.max() + 1):
-        rows = np.unique(elements[part == number])
+        rows = np.unique(elements[part == number]) if part.max() else np.arange(len(nodes))
         corners, ids = np.searchsorted(rows, elements[part == number]).astype(np.int32), nodes[rows]
-        flat = _flat(ids, points, corners)
+        flat = _flat(ids, points, corners) if part.max() else None
         walls.append((flat or Faceted(ids, points[ids], corners, faces_around(corners, len(ids))), ids))
     return walls
 
 
 def _flat(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> FlatFaces | None:
+    """Makes the plane of faces; None if their nodes do not lie in one plane."""
     try:
         plane = Plane.through(points, nodes)
     except ValueError:
@@ -299,9 +222,9 @@ def _flat(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> FlatFa
 
 
 def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "e d"]) -> Int[np.ndarray, " e"]:
-    """Numbers the parts of a patch's faces between edges (corners in 2-D) that turn by more than 60 degrees.
+    """Numbers the parts of a patch between edges (corners in 2-D) that turn by more than 60 degrees.
 
-    Faces that fold back onto each other are one part: both sides of a thin plate.
+    Faces that fold back onto each other, the two sides of a thin plate, are one part.
     """
     ids = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)))
@@ -312,7 +235,7 @@ def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "
 
 
 def faces_around(elements: np.ndarray, count: int) -> np.ndarray:
-    """Lists the faces (count, w) at each vertex and at its neighbours; the last ones are repeated."""
+    """Lists the faces (count, w) at every vertex and at its neighbours; the last face fills up a row."""
     ids = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)), shape=(count, len(elements)))
     near = csr_array(touch @ touch.T @ touch)

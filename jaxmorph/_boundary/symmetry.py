@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from .._host.package.arguments import finite_array, rows_of
 from .._host.package.errors import MeshError, place_of
 from .._host.package.rounding import roundoff
+from .._host.surface.simplices import normals
 from .._kernels.module import Module
 
 TOLERANCE = 1e-8
@@ -15,17 +16,18 @@ TOLERANCE = 1e-8
 
 
 class Plane(Module):
-    """A symmetry plane: nodes on it move in it, and only in it.
+    """A symmetry plane: nodes on the plane stay in the plane.
 
-    Nodes within 1e-8 of the mesh's extent lie on it, or within the round-off of float32 coordinates; all others are on one
-    side. `Plane.through` finds a patch's plane.
+    Nodes within 1e-8 of the mesh's extent, or within the round-off of float32 coordinates, lie on
+    the plane. All other nodes are on one side. `Plane.through` finds a patch's plane.
 
     **Arguments:**
 
     - `normal`: direction (d,) of any length but zero.
-    - `origin`: any point (d,) of the plane, in the mesh's units.
+    - `origin`: a point (d,) of the plane, in the mesh's units.
 
-    **Raises:** `ValueError` for a normal that is zero, or of another length than the origin.
+    **Raises:** `ValueError` for a normal that is zero, and for different dimensions of normal and
+    origin.
     """
 
     normal: np.ndarray
@@ -45,7 +47,7 @@ class Plane(Module):
 
     @staticmethod
     def through(points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"]) -> "Plane":
-        """Finds the plane in which nodes of a mesh lie.
+        """Finds the plane through nodes of a mesh.
 
         **Arguments:**
 
@@ -54,7 +56,8 @@ class Plane(Module):
 
         **Returns:** a `Plane`.
 
-        **Raises:** `ValueError` with the deviation and the worst node where they do not lie in one plane.
+        **Raises:** `ValueError`, with the deviation and the worst node, if the nodes do not lie in
+        one plane.
         """
         points = finite_array("points", points, (None, 2), (None, 3))
         nodes = rows_of("nodes", nodes, len(points))
@@ -77,7 +80,7 @@ class Plane(Module):
         return Plane(normal, origin)
 
     def equals(self, other: "Plane", points: np.ndarray) -> bool:
-        """Checks whether two planes are one, to the tolerance within which nodes lie on a plane."""
+        """Checks whether two planes are one, within the `tolerance` of the points."""
         if self.normal.shape != other.normal.shape or abs(float(self.normal @ other.normal)) < 1 - 1e-12:
             return False
         return abs(float(self.height(other.origin[None])[0])) <= tolerance(points)
@@ -87,22 +90,22 @@ class Plane(Module):
         return np.abs(self.height(points)) <= tolerance(points)
 
     def height(self, points: np.ndarray) -> np.ndarray:
-        """Computes the distance (n,) of each point from the plane, positive on the side of its normal."""
+        """Computes the signed distances (n,) of points from the plane, positive on the side of the normal."""
         return (points - self.origin) @ self.normal
 
 
 MOST = 2 * 3
-"""Planes in which one patch may lie: the sides of a box."""
+"""Most planes of one patch: the sides of a box."""
 
 
 def planes_through(
     points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
 ) -> tuple[Plane, ...]:
-    """Finds the planes in which a patch lies, front and back for example, by boundary faces (e, corners) of the mesh.
+    """Finds the planes of a patch, front and back for example, by boundary faces (e, corners) of the mesh.
 
     The plane with most of the nodes comes first, then the plane with most of the remaining nodes.
-    It raises what `Plane.through` raises if a few planes do not hold all nodes, or if other planes
-    would hold them as well.
+    Raises the error of `Plane.through` if `MOST` planes do not hold all nodes, or if other planes
+    hold as many nodes.
     """
     try:
         return (Plane.through(points, nodes),)
@@ -125,17 +128,18 @@ def planes_through(
             remaining[on] = False
             sides = [corners[~chosen[corners].all(axis=1)] for corners in sides]
         if not all(any(plane.equals(other, points) for other in planes) for plane in first):
-            raise error from None  # one cell wide and high: nodes do not tell which sides are meant
+            raise error from None  # one cell wide and high: nodes do not decide which sides are meant
         return tuple(planes)
 
 
 def _candidates(
-    points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray, "_ d"]], held: Bool[np.ndarray, " n"]
+    points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray, "_ d"]], remaining: Bool[np.ndarray, " n"]
 ) -> list[Plane]:
-    """Lists the planes of most of the faces, the most frequent ones, each through all `held` nodes that are near it."""
+    """Lists the planes of many faces, the most frequent planes first, moved onto the nearby `remaining` nodes."""
+    # A face has a key: its unit normal and its height, rounded to four digits. Faces of one plane
+    # have equal keys, which are counted.
     corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *faces])]
-    edges = np.diff(corners, axis=1)
-    normal = edges[:, 0, ::-1] * [1, -1] if points.shape[1] == 2 else np.cross(edges[:, 0], edges[:, 1])
+    normal = normals(corners)
     size = np.linalg.norm(normal, axis=1)
     normal, corners = normal[size > 0] / size[size > 0, None], corners[size > 0, 0]
     extent = np.ptp(points, axis=0).max()
@@ -145,9 +149,9 @@ def _candidates(
     fitted = []
     for k in first[np.argsort(-count, kind="stable")[: 2 * MOST]]:
         plane = Plane(normal[k], corners[k])
-        near = np.flatnonzero(held & (np.abs(plane.height(points)) <= 1e-3 * extent))
+        near = np.flatnonzero(remaining & (np.abs(plane.height(points)) <= 1e-3 * extent))
         try:
-            fitted.append(Plane.through(points, near))  # a face's own plane is tilted by the digits of its corners
+            fitted.append(Plane.through(points, near))  # the plane of one face is tilted by the digits of its corners
         except ValueError:
             fitted.append(plane)
     return fitted
@@ -159,7 +163,7 @@ def tolerance(points: np.ndarray) -> float:
 
 
 def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
-    """Raises `ValueError` for planes of another dimension, neither parallel nor at right angles, or that do not bound the mesh."""
+    """Raises `ValueError` unless planes have the mesh's dimension, bound it, and are parallel or at right angles."""
     check_dimension(planes, points.shape[1])
     normals = np.stack([plane.normal for plane in planes])
     cosines = np.abs(normals @ normals.T)
@@ -170,7 +174,7 @@ def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
 
 
 def check_dimension(planes: Sequence[Plane], dimension: int) -> None:
-    """Raises `ValueError` for planes of another dimension than the mesh's."""
+    """Raises `ValueError` for planes whose dimension is not the mesh's."""
     for plane in planes:
         if len(plane.normal) != dimension:
             raise ValueError(
@@ -198,7 +202,7 @@ def _check_bounds(plane: Plane, points: np.ndarray) -> None:
         place = place_of(points[worst])
         raise MeshError(
             f"{name} has nodes on both sides: {beyond.sum()} of {len(points)} lie beyond it, the farthest is node {{node}} at "
-            f"({place}), {abs(height[worst]):.3g} away. A symmetry plane bounds the mesh: give one half alone, or no plane.",
+            f"({place}), {abs(height[worst]):.3g} away. A symmetry plane bounds the mesh: pass one half of the mesh, or no plane.",
             outside,
         )
 

@@ -1,4 +1,4 @@
-"""The paper's first case (section 3.1): a NACA0015 rotated by 15 degrees with every method; figures 5 and 6."""
+"""The paper's first case (section 3.1; figures 5 and 6): a NACA0015 rotated by 15 degrees."""
 
 import dataclasses
 import pathlib
@@ -22,12 +22,12 @@ FAR_FIELD = jm.KDTree(2)
 """Six sources on the paper's far field."""
 
 LEAVES = (1, 2, 4, 8)
-"""Leaves of the wall's trees to compare, with four sources each; the first number is the paper's."""
+"""Leaves of the wall's trees to compare, with four sources a leaf."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """A method to compare, as it is called in tables and pictures; `file` names its deformed mesh, if that is written."""
+    """A method to compare; `file` names its deformed mesh, if that is written."""
 
     name: str
     method: jm.AbstractMethod
@@ -70,13 +70,13 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
         for study in studies:
             say(f"moving the mesh, {study.name}")
             outcomes.append(measure(mesh, start, study))
-        kept = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
+        by_file = {outcome.study.file: outcome for outcome in outcomes if outcome.study.file}
         say("writing meshes")
-        for name, outcome in kept.items():
+        for name, outcome in by_file.items():
             written += _write(output / f"naca0015-{name}.su2", mesh, outcome.points, outcome.reports[-1])
         figures = [output / "figure5.png", output / "figure6.png"]
         say("drawing airfoil and trailing edge (figure 5)")
-        pictures.figure5(figures[0], mesh, [kept["dgm"], kept["reduced-rbf"]])
+        pictures.figure5(figures[0], mesh, [by_file["dgm"], by_file["reduced-rbf"]])
         say("drawing the skewness of all methods (figure 6)")
         pictures.figure6(figures[1], start, outcomes, ANGLES)
     print(_tables(mesh, start, outcomes))
@@ -104,7 +104,7 @@ def compare(mesh: jm.Mesh) -> list[Study]:
 
 
 def measure(mesh: jm.Mesh, start: jm.QualityReport, study: Study) -> Outcome:
-    """Prepares and marches twice, the second time without compiling, and judges the mesh after each step."""
+    """Prepares, marches twice (once without compiling), and judges the mesh after each step."""
     moving, fixed = mesh.patch("airfoil"), mesh.patch("farfield")
     path = np.stack([rotation(np.asarray(mesh.points)[moving], angle) for angle in ANGLES])
     begin = time.perf_counter()
@@ -135,14 +135,14 @@ def _march(plan: jm.Plan, path: np.ndarray, rebuild: bool) -> tuple[Any, Any]:
 
 
 def rotation(points: np.ndarray, degrees: float) -> np.ndarray:
-    """Computes the displacements (m, 2) that turn points nose up, which is clockwise, about the quarter chord."""
+    """Computes the displacements (m, 2) that turn points nose up about the quarter chord."""
     angle = -np.deg2rad(degrees)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return (points - QUARTER_CHORD) @ turn.T + QUARTER_CHORD - points
 
 
 def near_wall(mesh: jm.Mesh) -> np.ndarray:
-    """Lists cells in the inner 40 % of the layers round the airfoil, without the wake: 160 x 60 on the paper's mesh."""
+    """Lists cells in the inner 40 % of the layers round the airfoil, without the wake."""
     quads, wall = mesh.cells["quad"], mesh.patch("airfoil")
     wake, columns = wall[0], quads[0, 3] - 1
     base = len(wall) - (columns - 2 * wake)
@@ -151,7 +151,7 @@ def near_wall(mesh: jm.Mesh) -> np.ndarray:
 
 
 def _write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, report: jm.QualityReport) -> list[pathlib.Path]:
-    """Writes a mesh for SU2, and one to look at."""
+    """Writes a mesh for SU2, and a mesh to look at."""
     moved, picture = mesh.moved(points), path.with_suffix(".vtu")
     io.write(path, moved)
     skewness = np.asarray(report.skewness)

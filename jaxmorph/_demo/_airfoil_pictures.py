@@ -29,7 +29,7 @@ REDUCED = ("#08306b", "#2171b5", "#6baed6", "#9ecae1")
 
 
 def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"]) -> None:
-    """Draws the deformed meshes of some methods side by side: the whole airfoil above, trailing edge and wake below."""
+    """Draws the deformed meshes of some methods side by side."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(13.33, 7.5), dpi=150, layout="constrained")
         axes = figure.subplots(2, len(outcomes), squeeze=False)
@@ -50,7 +50,7 @@ def figure5(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"]) ->
 
 
 def _frame(axis: Axes, window: plot.Window) -> None:
-    """Shows on one axis what another one is a window on."""
+    """Frames the window of another axis."""
     (left, right), (bottom, top) = window
     axis.add_patch(Rectangle((left, bottom), right - left, top - bottom, fill=False, color=plot.BLUE, linewidth=2.5))
 
@@ -77,7 +77,7 @@ def figure6(
 
 
 def _styles(outcomes: Sequence["Outcome"]) -> list[dict]:
-    """Chooses colours by family of methods, told apart by markers and dashes too."""
+    """Chooses colours by family of methods; markers and dashes differ too."""
     styles, shades, markers = [], iter(REDUCED), iter("o^vD")
     for outcome in outcomes:
         method = outcome.study.method

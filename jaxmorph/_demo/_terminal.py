@@ -9,7 +9,7 @@ Say = Callable[[str], None]
 
 @contextlib.contextmanager
 def progress(steps: int) -> Iterator[Say]:
-    """Gives a function to call before each of so many steps with what it is; silent when not on a terminal."""
+    """Yields a function that announces the next of `steps` steps; silent without a terminal."""
     try:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -38,7 +38,7 @@ def _silent(what: str) -> None:
 
 
 def table(heads: Sequence[tuple[str, ...]], rows: Sequence[tuple[str, ...]]) -> str:
-    """Formats rows: the first column to the left, the others to the right, two spaces between, a rule under the heads."""
+    """Formats rows with a rule under the heads."""
     everything = [*heads, *rows]
     widths = [max(map(len, column)) for column in zip(*everything, strict=True)]
     lines = []

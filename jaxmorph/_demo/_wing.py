@@ -1,4 +1,4 @@
-"""The paper's second case (section 3.2): the AGARD 445.6 wing bent by its first mode, and twisted by its second."""
+"""The paper's second case (section 3.2): the AGARD 445.6 wing, bent and twisted."""
 
 import dataclasses
 import pathlib
@@ -16,7 +16,10 @@ POINTS = 64_943
 """The paper's number of points."""
 
 MOTIONS = ((1, 0.0735), (1, 0.1), (1, 0.25), (1, 0.5), (1, 0.75), (2, 0.2), (2, 0.3))
-"""Mode, and how far the tip's trailing edge goes, in semi-spans. At 0.0735 the mean aspect ratio rises as in the paper."""
+"""Mode, and motion of the tip's trailing edge in semi-spans.
+
+At 0.0735 the mean aspect ratio rises as in the paper.
+"""
 
 SHOWN = (1, 0.5)
 """The motion of the pictures and of the meshes that are written."""
@@ -24,7 +27,7 @@ SHOWN = (1, 0.5)
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """A method to compare, as it is called in tables and pictures; `file` names its deformed mesh."""
+    """A method to compare; `file` names its deformed mesh."""
 
     name: str
     method: jm.AbstractMethod | None
@@ -33,7 +36,10 @@ class Study:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """Result of one method: the report of each of MOTIONS, the points of the one that is shown; metres and seconds."""
+    """Result of one method in metres and seconds: a report for each of MOTIONS.
+
+    `points` are those of the motion that is shown.
+    """
 
     study: Study
     points: np.ndarray
@@ -50,7 +56,7 @@ class Outcome:
 
 
 def run(output: pathlib.Path, *, points: int | None = None) -> int:
-    """Runs the whole comparison; returns 1 when the paper's method or the default has inverted a cell."""
+    """Runs the whole comparison; returns 1 where the paper's method or the default fails."""
     output.mkdir(parents=True, exist_ok=True)
     studies = compare()
     with progress(len(studies) + 5) as say:
@@ -78,7 +84,7 @@ def run(output: pathlib.Path, *, points: int | None = None) -> int:
 
 
 def compare() -> list[Study]:
-    """Compares graph mapping alone, the paper's method with its sources, and what `prepare` does when it is told nothing."""
+    """Lists the methods to compare: the graph alone, the paper's method, `prepare`'s default."""
     paper = jm.SurfaceReconstruction(
         jm.RBF(reduction=jm.KDTree(64), fixed_reduction=jm.AllPoints()), jm.DelaunayGraph()
     )
@@ -109,13 +115,13 @@ def measure(mesh: jm.Mesh, study: Study) -> Outcome:
 
 
 def _sources(plan: jm.Plan) -> tuple[int, int]:
-    """Counts the sources on the wing, and those on the far field; none without a field of radial basis functions."""
+    """Counts the sources on the wing and on the far field; 0 without radial functions."""
     on_wing = int(np.isin(plan.sources, np.asarray(plan.moving)).sum())
     return on_wing, len(plan.sources) - on_wing
 
 
 def _write(path: pathlib.Path, mesh: jm.Mesh, points: np.ndarray, report: jm.QualityReport) -> list[pathlib.Path]:
-    """Writes a mesh for SU2, and one to look at."""
+    """Writes a mesh for SU2, and a mesh to look at."""
     moved, picture = mesh.moved(points), path.with_suffix(".vtu")
     io.write(path, moved)
     displacement, aspect_ratio = points - mesh.points, np.asarray(report.aspect_ratio)

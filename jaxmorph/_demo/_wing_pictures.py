@@ -1,4 +1,4 @@
-"""Pictures of the wing: its surface before and after, and cuts through the mesh, coloured by what became of the cells."""
+"""Pictures of the wing: its surface before and after, and cuts through the mesh."""
 
 import pathlib
 from collections.abc import Sequence
@@ -59,7 +59,10 @@ def surface(path: pathlib.Path, mesh: jm.Mesh, start: jm.QualityReport, outcome:
 
 
 def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"], motion: Any) -> None:
-    """Draws the cells that a plane across the wing cuts, by each method: above the aspect ratio, below the change of volume."""
+    """Draws the cells that a plane across the wing cuts, by each method.
+
+    The aspect ratio is above, the change of volume below.
+    """
     plane = jm.Plane((0, 1, 0), (0, _span_of_cut(mesh), 0))
     kinds = (ASPECT_RATIO, "aspect ratio"), (CHANGE_OF_VOLUME, "|V/V0 - 1|")
     with matplotlib.rc_context(STYLE):
@@ -91,7 +94,10 @@ def _span_of_cut(mesh: jm.Mesh) -> float:
 
 
 def whole(points: np.ndarray, viewer: tuple[float, float, float]) -> tuple[tuple, tuple[float, float]]:
-    """Places a camera in the direction `viewer` that sees all (n, 3) points, z up; half the width and height that it takes."""
+    """Places a camera in the direction `viewer` that sees all points (n, 3), z up.
+
+    It returns also half the width and height of the picture.
+    """
     towards = np.asarray(viewer) / np.linalg.norm(viewer)
     right = np.cross((0, 0, 1), towards)
     right /= np.linalg.norm(right)
@@ -104,7 +110,7 @@ def whole(points: np.ndarray, viewer: tuple[float, float, float]) -> tuple[tuple
 
 
 def _show(axis: Any, plotter: Any, camera: tuple, half: tuple[float, float], title: str) -> None:
-    """Puts a 3-D picture on a 2-D axis, without perspective, so that sizes compare; `half` its width and height."""
+    """Puts a 3-D picture on a 2-D axis, without perspective; `half` is half its size."""
     plotter.window_size = round(HEIGHT * half[0] / half[1]), HEIGHT
     plotter.set_background("white")
     plotter.camera_position = [tuple(map(float, vector)) for vector in camera]

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .._boundary.boundary import node_ids
-from .._boundary.closest import Faceted
+from .._boundary.facets import Faceted
+from .._boundary.names import node_ids
 from .._boundary.outer_faces import outer_faces
 from .._boundary.slide import faces_around
 from .._boundary.symmetry import Plane
@@ -18,7 +18,7 @@ from .._host.package.arguments import checked, finite_array, shown
 from .._host.package.errors import MeshError, place_of, warn
 from .._mesh.mesh import Mesh
 from .._methods.base import AbstractMethod
-from .._plan.plan import deform
+from .._plan.deform import deform
 from .._plan.prepare import prepare
 from .._quality.quality import quality
 

@@ -1,9 +1,10 @@
 """Second derivatives of an energy of |T|^2 and det T, with or without their negative part.
 
-T = U Sigma V^T, with U and V rotations and the last singular value signed. The derivatives then couple only diagonal
-entries with each other, and each other entry with its mirror image. These are the twists and flips of Smith, De Goes
-and Kim, Analytic eigensystems for isotropic distortion energies, ACM Trans. Graph. 38, 2019. Eigenvalues are those of
-one matrix (d, d) and closed forms.
+T = U Sigma V^T, with U and V rotations and the last singular value signed. The derivatives then
+couple diagonal entries with diagonal entries, and an entry off the diagonal with its mirror image.
+Some eigenvalues are closed forms, the others belong to one matrix (d, d). Source: twists and flips
+in Smith, De Goes and Kim, Analytic eigensystems for isotropic distortion energies, ACM Trans.
+Graph. 38, 2019.
 """
 
 import functools
@@ -20,24 +21,24 @@ from .._quality.vector import Vector, cross, divide, dot, norm
 Scalar = Float[Array, "s k"]
 Matrix = list[list[Scalar]]
 SWEEPS = 5
-"""Sweeps of Jacobi rotations in 3-D: they converge quadratically, to round-off in four or five. In 2-D one rotation is exact."""
+"""Sweeps of Jacobi rotations in 3-D: four or five converge to round-off. In 2-D one rotation is exact."""
 
 
 def symmetric_eigen(matrix: Matrix) -> tuple[list[Scalar], list[Vector]]:
-    """Computes eigenvalues and eigenvectors of symmetric matrices (d, d) given by their entries: Jacobi's method, all at once."""
+    """Computes eigenvalues and eigenvectors of symmetric matrices (d, d), given by their entries, by Jacobi's method."""
     d = len(matrix)
     start = tuple(tuple(row) for row in matrix)
     zero, one = jnp.zeros_like(matrix[0][0]), jnp.ones_like(matrix[0][0])
     identity = tuple(tuple(one if i == j else zero for j in range(d)) for i in range(d))
     state = _rotated((start, identity))
-    if d == 3:  # each turn leaves the next pair of rows in front
+    if d == 3:  # a rotation leaves the next pair of rows in front
         state = jax.lax.fori_loop(1, 3 * SWEEPS, lambda _, state: _rotated(state), state)
     values, vectors = state
     return [values[j][j] for j in range(d)], [Vector([row[j] for row in vectors]) for j in range(d)]
 
 
 def _rotated(state):
-    """Applies one rotation of the first two rows and columns; in 3-D these then move one place on."""
+    """Rotates the first two rows and columns; in 3-D, moves all rows and columns one place on."""
     (a, v), d = state, len(state[0])
     c, s = _angle(a[0][0] - a[1][1], 2 * a[0][1])
     a, v = ([(c * row[0] + s * row[1], c * row[1] - s * row[0], *row[2:]) for row in matrix] for matrix in (a, v))
@@ -49,7 +50,7 @@ def _rotated(state):
 
 
 def _angle(difference: Scalar, twice: Scalar) -> tuple[Scalar, Scalar]:
-    """Computes cosine and sine of the rotation, by 45 degrees at most, that makes the entry outside of the diagonal vanish."""
+    """Computes cosine and sine of the rotation, by at most 45 degrees, that clears the entry off the diagonal."""
     root = jnp.sqrt(difference**2 + twice**2)
     tangent = divide(twice, jnp.abs(difference) + root, 0.0) * jnp.where(difference < 0, -1, 1)
     c = 1 / jnp.sqrt(1 + tangent**2)
@@ -59,7 +60,7 @@ def _angle(difference: Scalar, twice: Scalar) -> tuple[Scalar, Scalar]:
 def rotations(stretch: list[Vector]) -> tuple[list[Vector], list[Scalar], list[Vector]]:
     """Splits T, given by its columns, into U, sigma and V with T = U diag(sigma) V^T.
 
-    U and V are rotations; the last of sigma has the sign of det T.
+    U and V are rotations; the last entry of sigma has the sign of det T.
     """
     values, v = symmetric_eigen([[dot(a, b) for b in stretch] for a in stretch])
     v = _descending(values, v)
@@ -77,7 +78,7 @@ def rotations(stretch: list[Vector]) -> tuple[list[Vector], list[Scalar], list[V
 
 
 def _descending(values: list[Scalar], vectors: list[Vector]) -> list[Vector]:
-    """Sorts eigenvectors by falling eigenvalue, and turns the last one so that they stay right-handed."""
+    """Sorts eigenvectors by falling eigenvalue, and turns the last eigenvector to make them right-handed."""
     order = jnp.argsort(-jnp.stack(values), axis=0)
     stacked = [jnp.stack(components) for components in zip(*(v.components for v in vectors), strict=True)]
     picked = [jnp.take_along_axis(component, order, axis=0) for component in stacked]
@@ -91,7 +92,7 @@ def _image(columns: list[Vector], x: Vector) -> Vector:
 
 
 def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:
-    """Computes the direction of a vector, `otherwise` of one that is no longer than `noise`."""
+    """Computes the direction of a vector, or `otherwise` if the vector is no longer than `noise`."""
     length = norm(a)
     inverse = divide(jnp.ones_like(length), length, 0.0)
     parts = zip(a.components, otherwise.components, strict=True)
@@ -110,9 +111,10 @@ def _across(a: Vector) -> Vector:
 def convex(
     energy: Callable[[Scalar, Scalar], Scalar], sigma: list[Scalar], floor: Any
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Computes second derivatives of an energy(|T|^2 / d, det T) by the entries of U^T T V, their eigenvalues at least `floor`.
+    """Computes second derivatives of energy(|T|^2 / d, det T) by entries of U^T T V, with eigenvalues of at least `floor`.
 
-    It returns three matrices (d, d): of entries (i, i) and (j, j), of (i, j) twice, and of (i, j) and (j, i).
+    It returns three matrices (d, d): derivatives by entries (i, i) and (j, j), by (i, j) twice, and
+    by (i, j) and (j, i).
     """
     d = len(sigma)
     curvature = _hessian(lambda s: energy(*_measures(s)), jnp.stack(sigma))
@@ -143,7 +145,7 @@ def _added(terms: Iterable[Scalar]) -> Scalar:
 
 
 def _hessian(function, x: Float[Array, "d s k"]) -> Float[Array, "d d s k"]:
-    """Computes second derivatives of a function that is applied entry by entry."""
+    """Computes second derivatives of a function that works entry by entry."""
     ones = jnp.ones_like(x[0])
 
     def slope(x):
@@ -159,15 +161,15 @@ def blocks(
     inverse: Sequence[Sequence[Scalar]],
     floor: Any = 0.0,
 ) -> Float[Array, "d d d d s k"]:
-    """Computes second derivatives by each pair of edges, their eigenvalues at least `floor`.
+    """Computes second derivatives by pairs of edges, with eigenvalues of at least `floor`.
 
-    Axes of the vectors come first, then the edges. `stretch` holds the columns of T = A W^-1. `inverse` holds the rows
-    of W^-1: one for each edge, the columns of A.
+    The axes of the vectors come first, then the edges. `stretch` holds the columns of T = A W^-1.
+    `inverse` holds the rows of W^-1, one for every edge. The columns of A are the edges.
     """
     axes = range(len(stretch))
     u, sigma, v = rotations(stretch)
     g = [jnp.stack([sum(row[b] * v[a][b] for b in axes) for row in inverse]) for a in axes]
-    # a barrier: each is computed once, not for every pair that uses it
+    # The barrier makes XLA compute these once, not for every pair of edges that uses them.
     once = jax.lax.optimization_barrier
     g, u, (along, twice, mirrored) = once((g, [column.components for column in u], convex(energy, sigma, floor)))
     u, along, twice, mirrored = jax.tree.map(lambda entry: entry[None, None], (u, along, twice, mirrored))

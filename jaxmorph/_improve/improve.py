@@ -10,52 +10,43 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Integer, Real
+from jaxtyping import Array, ArrayLike, Float, Int, Integer, Real
 
-from .._boundary.boundary import node_ids, walls_of
-from .._boundary.closest import Flat, Track
-from .._boundary.periodic import Pairing, Periodic
-from .._boundary.slide import Slide, check_repeated, tracks_of
+from .._boundary.names import check_finite, node_ids
+from .._boundary.periodic import Periodic
+from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane
-from .._host.cells.adjacency import neighbours
-from .._host.cells.topology import FACES, solid
-from .._host.linear.hessians import pattern
+from .._host.cells.topology import solid
 from .._host.package.arguments import between, checked, whole
-from .._host.package.errors import MeshError
 from .._kernels.compile import compiled
 from .._kernels.module import Module
-from .._kernels.values import as_jax, is_known
+from .._kernels.values import is_known
 from .._mesh.mesh import Mesh
 from .._plan.plan import Plan
-from .._plan.prepare import boundary_of
-from .._quality.distortion import node_scales, target
 from .._quality.proof.margin import proven_margin
 from .._quality.quality import quality
-from .._quality.vector import corners
+from .constraints import Constraints, constraints_of_mesh, constraints_of_plan, prepared
 from .newton import Distortion, HessianSolver, ProjectedNewton
 from .ways import Ways
 
 QUARTER = 0.05
-"""Cosine between a wall's normals, where a node starts and where it ends, below which the end is taken for no minimum."""
-
-SIZE_WEIGHT, SETTLED, MOST_STEPS = 0.5, 0.03, 60
-"""Defaults of `improve`: `size_weight`, `tolerance` and `max_steps`."""
+"""Least cosine between a wall's normals where a node starts and where it ends. Below it, the end is no minimum."""
 
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
-"""Softness of the barrier in the last stage, its largest share from one stage to the next, and how many there are at most."""
+"""Softness of the barrier in the last stage, its largest factor from stage to stage, and most stages."""
 
 
 class Improvement(Module):
-    """Holds the result of `improve`: traced arrays, and a line about them by `str`.
+    """Result of `improve`: traced arrays, and a line about them by `str`.
 
     - `points`: the improved points (n, d).
-    - `before`, `after`: how many of the `cells` were and are inverted, as `quality` counts them.
-    - `unproven`: how many bounds on det J now leave open whether they fold inside: `proven_margin` at depth 1 is not positive.
-    - `energy`: mean distortion of a cell, 0 where all have their target's shape and size.
-    - `residual`: largest derivative of the sum over the cells with respect to a node's place, in units of its smallest
-      cell. It is far below 1 at a minimum.
-    - `steps`: steps of Newton's method, rejected ones included.
-    - `cells`: how many cells there are.
+    - `before`, `after`: number of inverted cells before and after, as `quality` counts them.
+    - `unproven`: number of cells that may fold inside: `proven_margin` at depth 1 is not positive.
+    - `energy`: mean distortion of a cell, 0 if all cells have the shape and size of their targets.
+    - `residual`: largest derivative of the summed distortion with respect to a node's place, in
+      units of the node's smallest cell. It is far below 1 at a minimum.
+    - `steps`: steps of Newton's method, also rejected steps.
+    - `cells`: number of cells.
     """
 
     points: Float[Array, "n d"]
@@ -78,12 +69,14 @@ class Improvement(Module):
 
 
 @dataclasses.dataclass(frozen=True)
-class Kept:
-    """Names the nodes that are `held`, and along what others are led: `tracks` and `pairings`, of node ids."""
+class Options:
+    """Arguments of `improve`: the target and the weight of the energy, and when the search ends."""
 
-    held: np.ndarray
-    tracks: tuple[Track, ...]
-    pairings: tuple[Pairing, ...]
+    ideal: bool = False
+    size_weight: float = 0.5
+    tolerance: float = 0.03
+    max_steps: int = 60
+    progress: Callable[[float, float], None] | None = None
 
 
 @checked
@@ -96,84 +89,79 @@ def improve(
     periodic: Periodic | Sequence[Periodic] = (),
     sliding: Slide | str | Sequence[Slide | str] = (),
     ideal: bool = False,
-    size_weight: float = SIZE_WEIGHT,
-    tolerance: float = SETTLED,
-    max_steps: int = MOST_STEPS,
+    size_weight: float = Options.size_weight,
+    tolerance: float = Options.tolerance,
+    max_steps: int = Options.max_steps,
     progress: Callable[[float, float], None] | None = None,
 ) -> Improvement:
-    """Moves the inner nodes of a mesh from `points` to where the cells are least distorted; untangles inverted cells.
+    """Moves the inner nodes of a mesh to where the cells are least distorted, and untangles inverted cells.
 
-    The target of each cell is its shape on the undeformed mesh, `mesh.points`, so boundary layers keep their
-    anisotropy. The energy of a cell is the mean over its corners of
+    The target of a cell is its shape on the undeformed mesh, `mesh.points`, so that boundary layers
+    keep their anisotropy. The energy of a cell is the mean over its corners of
 
         (1 - size_weight) |T|^2 / (d chi^(2/d)) + size_weight (1 + det^2 T) / (2 chi) - 1,
 
-    with T from target to cell and chi the determinant of T, regularised: finite on inverted cells. Newton's method
-    minimises it in five stages, in which the barrier at chi = 0 sharpens. Sparse systems are solved by SciPy on the
-    host.
+    with T from target to cell, and chi the determinant of T, regularised: finite on inverted cells.
+    Newton's method minimises the sum in five stages, in which the barrier at chi = 0 sharpens.
+    SciPy solves the sparse systems on the host.
 
-    Traced in `points`: it works under `jit`, and is differentiable in both modes with respect to the fixed nodes'
-    places, by the implicit function theorem at the minimum. Derivatives are as accurate as `residual` is small, so
-    lower `tolerance` for them. Derivatives with respect to the places of inner nodes, where the search starts, are
-    zero. `mesh` is to be closed over, not traced. Use float64.
+    Traced in `points`. It is differentiable in both modes with respect to the places of the fixed
+    nodes, by the implicit function theorem at the minimum. Derivatives are as accurate as
+    `residual` is small; a lower `tolerance` makes them better. Derivatives with respect to the
+    places of inner nodes, where the search starts, are zero. Close over `mesh`; do not trace it.
+    Use float64.
 
-    Nodes of symmetry planes and of sliding patches move along these, and stay as far off them as `points` has them. The two
-    nodes of a periodic pair move alike. Nodes between two walls stay on both; corners, and nodes on the axis of a rotation, stay.
-    Faces have a kink at each edge: where nodes slide on these, the search may stop early. On a curved wall a node turns by less
-    than 90 degrees from where it starts; near that, `residual` is infinite.
+    Nodes of symmetry planes and sliding patches move along them, and keep the distance that
+    `points` has. The two nodes of a periodic pair move alike. Nodes between two walls stay on both
+    walls. Corners, and nodes on the axis of a rotation, do not move. A patch's own faces have a
+    kink at every edge, where the search may stop early. On a curved wall a node turns by less than
+    90 degrees from its start; near 90 degrees, `residual` is infinite.
 
-    Nothing is promised for a boundary that crosses itself: `after`, or `str` of the result, says what is left. Between the
-    corners cells are checked at the end: `unproven` counts those that may fold there.
+    Nothing is promised for a boundary that crosses itself: see `after`, or `str` of the result.
+    Between the corners cells are checked at the end: `unproven` counts those that may fold there.
 
-    Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021; Teran et al., Robust
-    quasistatic finite elements and flesh simulation, SCA 2005.
+    Sources: Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021;
+    Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
-    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
-    - `fixed`: ids (f,) of nodes that stay where `points` has them, bit for bit. Default: all patches and the outer
-      boundary, but for what slides.
-    - `symmetry`, `periodic`, `sliding`: as `prepare` takes them, of the undeformed mesh. Default: none.
-    - `ideal`: take the equilateral cell (a cube, a square) of the undeformed volume as target. Default False.
-    - `size_weight`: the weight of a change of size against one of shape, 0 to 1, default 0.5.
-    - `tolerance`: the last stage ends when nodes move by less than this, root mean square, in units of their smallest
-      cell. Default 0.03.
-    - `max_steps`: Newton steps in each stage at most, default 60.
-    - `progress`: `progress(softness, energy)` is called on the host after each step. Default: none.
+    - `points`: moved points (n, d), in the unit of `mesh.points`.
+    - `fixed`: ids (f,) of nodes that stay at `points`, bit for bit. Default: all nodes of patches
+      and of the outer boundary that do not slide.
+    - `symmetry`, `periodic`, `sliding`: as `prepare` takes them, of the undeformed mesh. Default:
+      none.
+    - `ideal`: the target is the equilateral cell (a cube, a square) of the undeformed volume.
+      Default False.
+    - `size_weight`: weight of a change of size against a change of shape, 0 to 1, default 0.5.
+    - `tolerance`: the last stage ends when the root mean square motion of the nodes, in units of
+      their smallest cells, is smaller. Default 0.03.
+    - `max_steps`: most Newton steps of a stage, default 60.
+    - `progress`: the host calls `progress(softness, energy)` after every step. Default: none.
 
     **Returns:** an `Improvement`.
 
-    **Raises:** `ValueError` for a mesh without cells of its own dimension, and for a shape of `points` other than that of
-    `mesh.points`. Also for node ids that are not there, for `size_weight` outside of 0 to 1, and for planes, periodic and
-    sliding patches as `prepare` does.
+    **Raises:** `ValueError` for a mesh without cells of its dimension, and when the shapes of
+    `points` and `mesh.points` differ. Also for node ids out of range, for `size_weight` outside of
+    0 to 1, and for planes, periodic and sliding patches as `prepare` does.
     """
-    start = jnp.asarray(points)
-    _check(mesh, start, fixed, size_weight, tolerance, max_steps)
+    start, options = jnp.asarray(points), Options(ideal, size_weight, tolerance, max_steps, progress)
+    _check(mesh, start, fixed, options)
     with jax.ensure_compile_time_eval():  # not folded into the caller's program
-        kept = _kept(mesh, fixed, symmetry, sliding, periodic)
-    return _improved(mesh, start, kept, ideal, size_weight, tolerance, max_steps, progress)
+        constraints = constraints_of_mesh(mesh, fixed, symmetry, sliding, periodic)
+    return _improved(mesh, start, constraints, options)
 
 
 def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
-    """Improves the deformed mesh of a plan: its data stay, nodes slide along its walls and planes, and its pairs move alike."""
-    return _improved(mesh, points, _kept_of(plan, mesh), False, SIZE_WEIGHT, SETTLED, MOST_STEPS, None)
+    """Improves the deformed mesh of a plan. Surface nodes stay, or move along the plan's walls, planes and pairs."""
+    return _improved(mesh, points, constraints_of_plan(plan, mesh), Options())
 
 
-def _improved(
-    mesh: Mesh,
-    start: Array,
-    kept: Kept,
-    ideal: bool,
-    size_weight: float,
-    tolerance: float,
-    max_steps: int,
-    progress: Callable[[float, float], None] | None,
-) -> Improvement:
-    """Improves a mesh, as `improve` does with these arguments."""
+def _improved(mesh: Mesh, start: Array, constraints: Constraints, options: Options) -> Improvement:
     base = start.astype(jnp.promote_types(start.dtype, jnp.result_type(float)))
+    tolerance = options.tolerance
     with jax.ensure_compile_time_eval():
-        distortion, blocks = _prepared(mesh, base.dtype, kept, ideal, size_weight)
+        distortion, blocks = prepared(mesh, base.dtype, constraints, options.ideal, options.size_weight)
     softness, held = jnp.asarray(1 / GENTLER), jax.lax.stop_gradient(base)
     if distortion.ways is not None:
         distortion = eqx.tree_at(lambda it: it.ways, distortion, _ways_at(distortion.ways, held))
@@ -183,8 +171,8 @@ def _improved(
         softness = jnp.maximum(jnp.minimum(least, GENTLER * softness), SHARPEST)
         stage = eqx.tree_at(lambda it: it.softness, distortion, softness.astype(base.dtype))
         enough = (1e-3 * tolerance, tolerance) if last else (max(tolerance, 0.3),) * 2
-        options = (last | (softness < before), jnp.asarray(enough, base.dtype), max_steps, progress)
-        y, steps = _minimise(stage, jax.lax.stop_gradient(y), base if last else held, blocks, options)
+        end = (last | (softness < before), jnp.asarray(enough, base.dtype), options.max_steps, options.progress)
+        y, steps = _minimise(stage, jax.lax.stop_gradient(y), base if last else held, blocks, end)
         count += steps
     value, slope, improved = _ended(stage, y, base)
     cells = sum(len(ids) for ids in distortion.cells.values())
@@ -198,14 +186,14 @@ def _improved(
 
 
 @compiled
-def _minimise(distortion: Distortion, y, base, blocks, options):
-    """Runs one stage from y; where it is not wanted, it returns y as it is."""
-    wanted, (relative, absolute), max_steps, progress = options
+def _minimise(distortion: Distortion, y, base, blocks, end):
+    """Runs one stage from y, or returns y if the stage is not wanted."""
+    wanted, (relative, absolute), max_steps, progress = end
 
     def on_host(softness, energy):
-        progress(float(softness), float(energy))  # numbers, since what is done with arrays of JAX may wait
+        progress(float(softness), float(energy))  # numbers: work with JAX arrays may wait for this program
 
-    def tell(**report):
+    def report_step(**report):
         if progress is not None:
             jax.debug.callback(on_host, distortion.softness, report["loss_this_step"][1])
 
@@ -216,7 +204,7 @@ def _minimise(distortion: Distortion, y, base, blocks, options):
         distortion=distortion,
         base=jax.lax.stop_gradient(base),
         pattern=blocks,
-        verbose=tell,
+        verbose=report_step,
     )
     adjoint = optx.ImplicitAdjoint(HessianSolver(distortion, solver.base, blocks))
     tags = frozenset({lx.positive_semidefinite_tag})
@@ -243,7 +231,7 @@ def _ended(distortion: Distortion, y, base):
     value, slope = jax.value_and_grad(distortion)(y, base)
     points, ways = distortion.points(y, base), distortion.ways
     if ways is not None and not ways.is_linear:
-        # a quarter of a turn from its start a node's slope vanishes, minimum or not
+        # A quarter of a turn from its start, a node's slope vanishes, at a minimum or not.
         along = jnp.abs(jnp.sum(ways.normals * ways.at(points).normals, axis=2))
         along = jnp.where(jnp.sum(ways.normals**2, axis=2) > 0, along, 1)
         least = jnp.min(along, where=distortion.free[:, None], initial=1.0)
@@ -251,106 +239,18 @@ def _ended(distortion: Distortion, y, base):
     return value, slope, points
 
 
-def _check(mesh: Mesh, points, fixed, size: float, tolerance: float, max_steps: int) -> None:
+def _check(mesh: Mesh, points, fixed, options: Options) -> None:
     n, d = mesh.points.shape
     if not solid(mesh.cells, d):
         types = ", ".join(mesh.cells) or "none"
         raise ValueError(f"the mesh has no cells that fill {d}-D space (cells: {types}); there is nothing to improve.")
     if tuple(points.shape) != (n, d):
         raise ValueError(f"`points` has shape {tuple(points.shape)}; this mesh has {(n, d)}.")
-    if is_known(points) and not (finite := np.isfinite(np.asarray(points)).all(axis=1)).all():
-        raise MeshError(
-            f"{(~finite).sum()} of {n} points are not finite, first node {{node}}.", np.flatnonzero(~finite)
-        )
+    if is_known(points):
+        check_finite(np.asarray(points))
     if fixed is not None:
         node_ids(fixed, "fixed", n)
-    if is_known(size):
-        between("size_weight", size, 0, 1, "[]")
-    between("tolerance", tolerance, 0, ends="[)")
-    whole("max_steps", max_steps)
-
-
-def _kept(mesh: Mesh, fixed, symmetry, sliding, periodic) -> Kept:
-    """Finds what is held of a mesh, and along what."""
-    walls, pairings = walls_of(mesh, symmetry, sliding, periodic, () if fixed is None else fixed)
-    tracks, corners = tracks_of(walls, (), np.asarray(mesh.points))
-    ways = [nodes for _, nodes in walls]
-    ways += [np.append(side, each.alone) for each in pairings for side in (each.first, each.second)]
-    held = _boundary(mesh, ways) if fixed is None else np.asarray(fixed, dtype=int)
-    return Kept(np.append(held, corners), tracks, pairings)
-
-
-def _kept_of(plan: Plan, mesh: Mesh) -> Kept:
-    """Finds what a plan holds, and along what; boundary nodes that it leaves free are held."""
-    named = boundary_of(plan)
-    flat = [(Flat(plane.normal, plane.origin), np.flatnonzero(plane.holds(named.points))) for plane in named.planes]
-    sliding = np.concatenate([np.zeros(0, dtype=int), *(track.rows for track in named.tracks)])
-    flat = [(wall, np.setdiff1d(nodes, sliding)) for wall, nodes in flat]
-    tracks, corners = tracks_of(flat, (), named.points)
-    data = np.concatenate([named.moving, named.fixed])
-    joined = [pairing.nodes for pairing in named.pairings]
-    known = np.concatenate([data, sliding, *joined, *(nodes for _, nodes in flat)])
-    held = np.concatenate([_boundary(mesh, [known]), data, corners])
-    return Kept(held, (*named.tracks, *tracks), named.pairings)
-
-
-def _prepared(mesh: Mesh, dtype, kept: Kept, ideal: bool, size: float):
-    """Prepares the energy, and on the host the pattern of its Hessian."""
-    n, d = mesh.points.shape
-    cells = _cells(mesh)
-    tracks, pairings = kept.tracks, kept.pairings
-    free = np.zeros(n, dtype=bool)
-    free[np.concatenate([ids.ravel() for ids in cells.values()])] = True
-    free[kept.held] = False
-    check_repeated(tracks, kept.held, pairings, np.asarray(mesh.points), free)
-    leads, leading = _leads(pairings, free), bool(tracks or pairings)
-    distortion = _energy(
-        {kind: jnp.asarray(ids) for kind, ids in cells.items()},
-        jnp.asarray(mesh.points, dtype),
-        jnp.asarray(free),
-        Ways(*as_jax((tracks, pairings, leads != np.arange(n), np.zeros((n, d - 1, d))))) if leading else None,
-        ideal,
-        size,
-    )
-    groups = [leads[ids] for ids in cells.values()] + [np.arange(n)[:, None]] * leading
-    return jax.lax.stop_gradient(distortion), pattern(groups, n, d)
-
-
-def _leads(pairings: Sequence[Pairing], free: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Finds for each node the one that it moves with. It clears `free` of all whose partners are held."""
-    leads = np.arange(len(free))
-    for pairing in pairings:
-        leads[pairing.second] = leads[pairing.first]
-        free[pairing.alone] = False
-    free[np.isin(leads, np.unique(leads[~free]))] = False
-    return leads
-
-
-@compiled
-def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[Array, " n"], ways, ideal: bool, size):
-    targets = {kind: target(kind, corners(reference, ids), ideal) for kind, ids in cells.items()}
-    scale = node_scales(cells, targets, len(reference))
-    return Distortion(cells, targets, scale, free, jnp.ones((), reference.dtype), ways, float(size))
-
-
-def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
-    return {kind: np.asarray(ids) for kind, ids in solid(mesh.linear.cells, mesh.points.shape[1]).items()}
-
-
-def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:
-    """Lists the nodes of patches and outer faces, except the nodes of one wall or periodic side."""
-    cells = _cells(mesh)
-    behind, _ = neighbours(cells)
-    walls = [np.isin(np.arange(len(mesh.points)), nodes) for nodes in ways]
-    nodes, first = [np.asarray(ids) for ids in mesh.patches.values()], 0
-    nodes = [ids for ids in nodes if not any(on[ids].all() for on in walls)]
-    for kind, ids in cells.items():
-        faces = FACES[kind]
-        alone = behind[first : first + len(ids) * len(faces)].reshape(len(ids), len(faces)) < 0
-        for i, face in enumerate(faces):
-            outer = ids[alone[:, i]][:, list(face)]
-            for on in walls:
-                outer = outer[~on[outer].all(axis=1)]
-            nodes.append(outer.ravel())
-        first += len(ids) * len(faces)
-    return np.unique(np.concatenate([np.zeros(0, int), *nodes])).astype(int)
+    if is_known(options.size_weight):
+        between("size_weight", options.size_weight, 0, 1, "[]")
+    between("tolerance", options.tolerance, 0, ends="[)")
+    whole("max_steps", options.max_steps)

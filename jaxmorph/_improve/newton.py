@@ -1,4 +1,4 @@
-"""Newton's method for the distortion of a mesh: optimistix's line search, with Hessians made positive cell by cell."""
+"""Newton's method for the distortion of a mesh: a line search of optimistix, and Hessians made positive cell by cell."""
 
 from collections.abc import Callable
 from typing import Any
@@ -24,13 +24,13 @@ SHIFT = 1e-12
 """Added to the diagonal of a Hessian in coordinates of order one, which may be singular where cells are inverted."""
 
 NEAR = 1.0
-"""Largest derivative, in the same coordinates, below which the whole Hessian is taken: the last steps converge quadratically."""
+"""Largest derivative, in coordinates of order one, at which the whole Hessian is taken, for quadratic convergence."""
 
 
 class Distortion(eqx.Module):
-    """Computes the energy of a mesh from the free nodes' places y (n, d), in units of `scale` from where they started.
+    """The energy of a mesh by the free nodes' motion y (n, d) from their start, in units of `scale`.
 
-    `ways` lead those of walls and periodic pairs; None without any.
+    `ways` lead the nodes of walls and periodic pairs; None without walls and pairs.
     """
 
     cells: dict[str, Integer[Array, "_k _c"]]
@@ -42,7 +42,7 @@ class Distortion(eqx.Module):
     size: float = eqx.field(static=True)
 
     def points(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Places the nodes; fixed ones stay where `base` has them, bit for bit."""
+        """Places the nodes; fixed nodes stay at `base`, bit for bit."""
         start, step = jax.lax.stop_gradient(base), self.scale[:, None] * y
         if self.ways is not None:
             step = self.ways(start, step, base - start)
@@ -59,13 +59,13 @@ class Distortion(eqx.Module):
         return total
 
     def shift(self) -> Float[Array, " n"]:
-        """Computes the number to add to each node's diagonal: one for nodes that do not move, or follow others."""
+        """Computes the term (n,) on the diagonal: 1 for nodes that rest or follow a partner, `SHIFT` for all other nodes."""
         moves = self.free & (self.scale > 0)
         moves = moves if self.ways is None else moves & ~self.ways.follows
         return jnp.where(moves, SHIFT, 1.0).astype(self.scale.dtype)
 
     def least(self, y: Float[Array, "n d"], base: Float[Array, "n d"]) -> Float[Array, ""]:
-        """Computes the smallest determinant of T: negative where a cell is inverted."""
+        """Computes the smallest determinant of T: negative if a cell is inverted."""
         points, least = self.points(y, base), []
         for kind, ids in self.cells.items():
             goal = self.targets[kind]
@@ -73,16 +73,17 @@ class Distortion(eqx.Module):
         return jnp.min(jnp.stack(least))
 
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
-        """Computes second derivatives for each pair of corners of each cell, the eigenvalues of each sample at least `floor`.
+        """Computes second derivatives for all pairs of corners of a cell, then, with `ways`, of single nodes.
 
-        Those of single nodes follow where there are `ways`.
+        The eigenvalues of a sample are at least `floor`.
         """
-        # Second derivatives by the edges of each sample become those by corners, for each edge is a sum of corners (`share`).
-        # The last axis of the result runs over cells fastest, then over the second corner z, then over the first corner c, type
-        # after type: the order of `Pattern`.
+        # A sample has second derivatives by its edges. An edge is a sum of corners (`share`), which
+        # gives derivatives by corners. The last axis of the result runs over cells fastest, then
+        # over the second corner z, then over the first corner c, type after type: the order of
+        # `Pattern`.
         points, parts = self.points(y, base), []
         moves, d = self.scale * self.free, base.shape[1]
-        # of places by y: the last axis is that of y, for a partner the first node's
+        # Derivatives of places by y, whose axis is the last; a partner moves by its first node's y.
         slopes = None if self.ways is None else _columns(lambda y: self.points(y, base), y)
 
         def cell_energy(squared, tau):
@@ -107,7 +108,7 @@ class Distortion(eqx.Module):
         return jnp.concatenate(parts, axis=2)
 
     def _alone(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any) -> Float[Array, "n d d"]:
-        """Computes what single nodes add to second derivatives: one off their walls, and how curved these are."""
+        """Computes second derivatives of single nodes: one along the normals of walls, and the walls' curvature."""
         assert self.ways is not None
         added = self.ways.off
         if self.ways.is_linear:
@@ -118,7 +119,7 @@ class Distortion(eqx.Module):
 
 
 def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"]:
-    """Computes derivatives of a function row by row: the last axis is that of y."""
+    """Computes derivatives of a function row by row; the last axis is the axis of y."""
 
     def column(axis):
         return jax.jvp(function, (y,), (jnp.broadcast_to(axis, y.shape),))[1]
@@ -127,7 +128,7 @@ def _columns(function: Callable, y: Float[Array, "n d"]) -> Float[Array, "n d d"
 
 
 def _stretch(edges: list[Vector], goal: Target) -> list[Vector]:
-    """Computes the columns of T = A W^-1, with the edges as columns of A."""
+    """Computes the columns of T = A W^-1; the columns of A are the edges."""
     columns = []
     for b in range(len(edges)):
         parts = [edge * row[b] for edge, row in zip(edges, goal.inverse, strict=True)]
@@ -136,22 +137,19 @@ def _stretch(edges: list[Vector], goal: Target) -> list[Vector]:
 
 
 def _shares(kind: str) -> Float[Array, "s c e"]:
-    """Computes the share of each corner in the edges at each sample."""
-    one = np.eye(CORNERS[kind])
-    edges = measures.frames(
-        kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in one]
-    )  # linear in the corners
+    """Computes the coefficients of the corners in the edges of all samples: `frames` is linear in the corners."""
+    edges = measures.frames(kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in np.eye(CORNERS[kind])])
     return jnp.stack([edge[0] for edge in edges], axis=2)
 
 
 def _on_host(solver: Callable, pattern: Pattern, blocks, shift, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Calls a `solver` of `hessians` on the host, for a Hessian and a right side."""
+    """Calls a solver of `hessians` on the host, with a Hessian and a right side."""
     structure = jax.ShapeDtypeStruct(right.shape, right.dtype)
     return host_call(solver, structure, *pattern, blocks, shift, right)
 
 
 class _Inverse(lx.AbstractLinearOperator):
-    """Applies the inverse of a Hessian, on the host."""
+    """The inverse of a Hessian, applied on the host."""
 
     pattern: Pattern
     blocks: Float[Array, "d d pairs"]
@@ -175,7 +173,7 @@ class _Inverse(lx.AbstractLinearOperator):
 
 
 class HessianSolver(lx.AbstractLinearSolver):
-    """Solves with the Hessian of the energy at a minimum, on the host: what implicit differentiation asks for.
+    """A solver with the Hessian of the energy at a minimum, on the host, for implicit differentiation.
 
     Its operator is the derivative of the energy's gradient, as optimistix builds it.
     """
@@ -211,9 +209,9 @@ def _(operator):
 
 
 class ProjectedNewton(optx.AbstractQuasiNewton):
-    """Minimises by Newton's method; far from a minimum without the negative curvature of each sample.
+    """Newton's method; far from a minimum, without the negative curvature of the samples, so that steps descend.
 
-    Each step then descends. Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
+    Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
     """
 
     rtol: Any

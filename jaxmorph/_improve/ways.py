@@ -1,20 +1,21 @@
-"""Ways of boundary nodes that are not held: along planes and walls, and in step with their periodic partners."""
+"""Ways of boundary nodes that are not held: along planes and walls, and together with their periodic partners."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._boundary.closest import Track
-from .._boundary.periodic import Pairing
+from .._boundary.pairing import Pairing
+from .._boundary.tracks import Track
 
 
 class Ways(eqx.Module):
-    """Leads nodes along their walls, and the second node of a periodic pair as the first one goes.
+    """Leads nodes along their walls, and the second node of a periodic pair as its first node moves.
 
     - `tracks`, `pairings`: of node ids.
-    - `follows` (n,): which nodes are second ones.
-    - `normals` (n, q, d): unit vectors at right angles off the walls, where the nodes start; zero for none.
+    - `follows` (n,): True for the second node of a pair.
+    - `normals` (n, q, d): unit vectors that span the normals of the walls where a node starts; zero
+      vectors fill up the list.
     """
 
     tracks: tuple[Track, ...]
@@ -23,7 +24,7 @@ class Ways(eqx.Module):
     normals: Float[Array, "n q d"]
 
     def at(self, start: Float[Array, "n d"]) -> "Ways":
-        """Computes the ways of nodes that start elsewhere. Traced."""
+        """Computes the ways of nodes from other starting places. Traced."""
         n, d = start.shape
         normals = jnp.zeros((n, d - 1, d), start.dtype)
         for track in self.tracks:
@@ -32,34 +33,34 @@ class Ways(eqx.Module):
 
     @property
     def is_linear(self) -> bool:
-        """Checks whether all walls are flat."""
+        """True if all walls are flat."""
         return all(track.is_linear for track in self.tracks)
 
     @property
     def off(self) -> Float[Array, "n d d"]:
-        """Projections on the normals."""
+        """Projections onto the normals."""
         return jnp.einsum("nqa,nqb->nab", self.normals, self.normals, precision="highest")
 
     def __call__(
-        self, start: Float[Array, "n d"], step: Float[Array, "n d"], given: Float[Array, "n d"]
+        self, start: Float[Array, "n d"], step: Float[Array, "n d"], change: Float[Array, "n d"]
     ) -> Float[Array, "n d"]:
         """Turns steps into displacements from `start`.
 
-        `given` is zero in value. Its derivative is that of the starting places: what leads off a wall, or apart from a
-        partner, is kept.
+        `change` is zero in value, and carries the derivative of the starting places: a change off a
+        wall, or a difference between partners, remains.
         """
         step = step - jnp.einsum("nab,nb->na", self.off, step, precision="highest")
-        kept = jnp.zeros_like(given)
+        off_walls = jnp.zeros_like(change)
         for track in self.tracks:
-            kept = kept + given - track.along(start, given)
+            off_walls = off_walls + change - track.along(start, change)
             step = track.along(start, step)
-        apart = step + kept - given
+        motion = step + off_walls - change
         for pairing in self.pairings:
-            apart = pairing.led(apart)
-        return apart + given
+            motion = pairing.led(motion)
+        return motion + change
 
     def matched(self, start: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Puts partners that match bit for bit at `start` there again."""
+        """Makes pairs match bit for bit if they do so at `start`."""
         for pairing in self.pairings:
             points = pairing.matched(start, points)
         return points

@@ -1,1 +1,1 @@
-"""Loops that XLA does not compile well by itself: a logarithm and a narrow matrix product; roots that are safe at zero."""
+"""Loops that XLA compiles badly (a logarithm, a narrow matrix product), calls of the host, and safe derivatives."""

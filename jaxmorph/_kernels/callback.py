@@ -1,4 +1,4 @@
-"""Calls of NumPy and SciPy from traced code, which never wait for XLA."""
+"""Calls of NumPy and SciPy from traced code that never wait for XLA."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,23 +11,25 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
-# `jax.pure_callback` makes arrays of JAX of its arguments. XLA copies those above 100 KiB on a pool of a thread for each core, that
-# also waits for programs: on one core the copy waits for the program that waits for it. This primitive hands on what XLA gives,
-# complete NumPy arrays. So does `jax.experimental.buffer_callback`, but not on a GPU, and on each of several devices anew.
+# `jax.pure_callback` makes JAX arrays of its arguments. XLA copies arrays above 100 KiB on a thread
+# pool that also waits for programs. On one core, the copy then waits for the program that waits for
+# the copy. This primitive passes on NumPy arrays, which are complete.
+# `jax.experimental.buffer_callback` does so too, but not on a GPU, and once a device.
 # `jax.interpreters.mlir` is public, but may change between versions of JAX.
 
 
 def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *arguments: Any) -> Array:
     """Calls a function of NumPy arrays on the host, for an array of the shape and dtype of `result`. Traced.
 
-    The function is pure and calls nothing of JAX, which may wait. Under `vmap` it takes one element after another. It has no
-    derivative: an implicit one, such as that of `jax.lax.custom_linear_solve`, is the caller's.
+    The function must be pure and must not call JAX, which may wait. Under `vmap` it is called for
+    one element after another. It has no derivative: the caller may wrap it, as in
+    `jax.lax.custom_linear_solve`.
     """
     return _call_p.bind(*arguments, function=function, shape=result.shape, dtype=np.dtype(result.dtype), batch=())
 
 
 def _called(*arguments: Any, function: Callable, shape: tuple, dtype: np.dtype, batch: tuple) -> np.ndarray:
-    """Calls the function for each element of a batch, whose axes come first: in an argument without them their sizes are 1."""
+    """Calls the function for all elements of a batch. Its axes come first, of size 1 in arguments that do not vary."""
     results = np.empty((*batch, *shape), dtype)
     arrays = [np.asarray(argument) for argument in arguments]
     for place in np.ndindex(*batch):
@@ -60,22 +62,22 @@ def _lowered(context: Any, *operands: Any, **params: Any) -> Sequence[Any]:
 
 
 def _sharding(context: Any) -> Any:
-    """Lays out a call in a program for several devices as JAX does its own callbacks: one device makes it."""
+    """Makes one device call the host in a program for several devices, as JAX does for its own callbacks."""
     layout = context.module_context.axis_context
     if isinstance(layout, mlir.ShardingContext) and layout.num_devices == 1:
         return None
-    try:  # a private name, for such programs alone
+    try:  # a private name of JAX, only for programs on several devices
         from jax._src.callback import _callback_op_sharding
-    except ImportError:  # XLA then lays it out itself: each device makes the call
+    except ImportError:  # XLA then decides: all devices make the call
         return None
     return _callback_op_sharding(layout, None, context.avals_out)
 
 
 def _batched(arguments: Any, axes: Any, *, batch: tuple, **params: Any) -> tuple[Array, int]:
-    size = next(each.shape[axis] for each, axis in zip(arguments, axes, strict=True) if axis is not None)
+    size = next(argument.shape[axis] for argument, axis in zip(arguments, axes, strict=True) if axis is not None)
     rows = [
-        jnp.expand_dims(each, 0) if axis is None else jnp.moveaxis(each, axis, 0)
-        for each, axis in zip(arguments, axes, strict=True)
+        jnp.expand_dims(argument, 0) if axis is None else jnp.moveaxis(argument, axis, 0)
+        for argument, axis in zip(arguments, axes, strict=True)
     ]
     return _call_p.bind(*rows, batch=(size, *batch), **params), 0
 

@@ -1,4 +1,4 @@
-"""Compilation of what users call: quick, and with vectors as wide as the processor has them."""
+"""Compilation of public functions: quick, and with the processor's widest vectors."""
 
 import contextlib
 import contextvars
@@ -14,14 +14,16 @@ import numpy as np
 from .values import is_known
 
 OPTIONS = {
-    # XLA by itself holds back to 256 bits, and a kernel sum then takes up to half as long again. No effect where there are fewer.
+    # XLA's default is 256 bits, with which a kernel sum takes up to 50 % longer. No effect on
+    # smaller processors.
     "xla_cpu_prefer_vector_width": 512,
-    # the newer emitters take up to twice as long to compile; the programs here run as fast with the older ones
+    # The newer emitters compile up to twice as long; programs here run as fast with the older
+    # emitters.
     "xla_cpu_use_fusion_emitters": False,
 }
 
 UNTUNED = {"xla_backend_optimization_level": 0}
-"""A third of the time to compile, for programs that run a few times on little."""
+"""Options for a third of the compile time, for programs that run a few times on little data."""
 
 _is_quick = contextvars.ContextVar("_is_quick", default=False)
 _is_for_cpu = contextvars.ContextVar("_is_for_cpu", default=False)
@@ -32,22 +34,24 @@ Function = TypeVar("Function", bound=Callable)
 def compiled(function: Function) -> Function:
     """Compiles a function as `equinox.filter_jit` does, with `OPTIONS` for direct calls on a CPU.
 
-    Within another transformation it is an ordinary jitted function: JAX takes options for the outermost one only. Lists
-    and tuples of numbers become arrays. As they are, each number would be a static argument, and others compile anew.
+    Within another transformation it is an ordinary jitted function: JAX takes options only for the
+    outermost program. Lists and tuples of numbers become arrays. Otherwise all numbers would be
+    static arguments, and new numbers would compile anew.
     """
     plain = eqx.filter_jit(function)
 
     @functools.cache
-    def direct(only_arrays: bool, is_quick: bool, for_cpu: bool) -> Callable:  # `for_cpu`: what is traced differs
-        compile: Any = (
-            jax.jit if only_arrays else eqx.filter_jit
-        )  # the first is quicker to call; the second knows static arguments
+    def direct(
+        only_arrays: bool, is_quick: bool, for_cpu: bool
+    ) -> Callable:  # a key only: tracing differs with `for_cpu`
+        # `jax.jit` is quicker to call; `filter_jit` knows static arguments.
+        compile: Any = jax.jit if only_arrays else eqx.filter_jit
         return compile(function, compiler_options=_known_options(is_quick))
 
     @functools.wraps(function)
     def call(*arguments, **keywords):
-        arguments = tuple(_array(each) for each in arguments)
-        keywords = {name: _array(each) for name, each in keywords.items()}
+        arguments = tuple(map(_array, arguments))
+        keywords = {name: _array(value) for name, value in keywords.items()}
         leaves = jax.tree.leaves((arguments, keywords))
         arrays = [leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)]
         if _is_for_cpu.get():
@@ -65,15 +69,15 @@ def compiled(function: Function) -> Function:
 
 
 def is_for_cpu() -> bool:
-    """Checks whether JAX traces a direct call with arrays on a CPU, which never runs elsewhere."""
+    """Checks whether JAX traces a direct call with arrays on a CPU: the program never runs elsewhere."""
     return _is_for_cpu.get()
 
 
 @contextlib.contextmanager
 def quickly_compiled(is_quick: bool = True) -> Iterator[None]:
-    """Compiles what is called within without optimisation, and runs that code, which is slower: for one run on a small mesh.
+    """Makes calls within compile without optimisation, for programs that run once on a small mesh.
 
-    Where `is_quick` is False, it changes nothing.
+    With `is_quick=False` it changes nothing.
     """
     token = _is_quick.set(is_quick or _is_quick.get())
     try:
@@ -84,7 +88,7 @@ def quickly_compiled(is_quick: bool = True) -> Iterator[None]:
 
 @functools.cache
 def _known_options(is_quick: bool) -> dict[str, Any]:
-    """Selects the options that this version of XLA knows: it refuses a program for one that it does not."""
+    """Selects the options that this version of XLA knows: XLA refuses a program for an unknown option."""
 
     def is_known(options: dict[str, Any]) -> bool:
         try:

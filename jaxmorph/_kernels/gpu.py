@@ -1,7 +1,8 @@
-"""Sums of functions on NVIDIA's GPUs, as one kernel in which nothing but the sums is written to memory.
+"""Sums of functions on NVIDIA's GPUs, as one kernel that writes only the sums to memory.
 
-XLA writes blocks of the functions to memory, or sums them with a tenth of the card's arithmetic. Pallas, which is part of JAX,
-lets the sums stay in registers. Neither contracts a product and a sum into one instruction; half of the time is gained by it.
+XLA writes blocks of function values to memory, or reaches a tenth of the card's speed. Pallas, a
+part of JAX, keeps the sums in registers. Neither contracts a product and a sum into one
+instruction; `contracted` does, which halves the time.
 """
 
 import contextlib
@@ -17,19 +18,19 @@ from jax.extend import core
 from jaxtyping import Array, Float
 
 BLOCK, WARPS = 512, 2
-"""Points that a program of the kernel takes together, and the groups of 32 threads that do so: eight points a thread."""
+"""Points of a program of the kernel, and its groups of 32 threads: eight points a thread."""
 
 FEW = 2**19
-"""Points below which the sources are split too, since blocks of points alone do not keep a card busy."""
+"""Number of points below which the sources are divided too: blocks of points alone do not keep a card busy."""
 
 FEW_BLOCK, FEW_WARPS = 64, 1
-"""`BLOCK` and `WARPS` of fewer points."""
+"""`BLOCK` and `WARPS` for fewer points."""
 
 PROGRAMS, LEAST_SHARE = 2**17, 256
 """Number of programs that keep a card busy to the end, and least number of sources of a program."""
 
 TOGETHER = 4
-"""Sources of one round of the kernel's loop."""
+"""Sources in one round of the kernel's loop."""
 
 LEAST_CAPABILITY = 8
 """Major compute capability below which Triton, by which Pallas compiles, has no kernels."""
@@ -56,16 +57,16 @@ ELEMENTWISE = {
     *("and", "eq", "ge", "gt", "le", "lt", "ne", "not", "or", "select_n"),
     *("bitcast_convert_type", "broadcast_in_dim", "convert_element_type", "shift_left", "shift_right_logical"),
 }
-"""Operations that a kernel may have. Their names are JAX's own, not promised: what has another name is left to loops."""
+"""Operations of a kernel. The names are JAX's own and may change: functions with other operations run as loops."""
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "closed_call": "call_jaxpr"}
-"""Operations that hold others, and where. These names are not promised either: a function with others is left to loops."""
+"""Operations that hold a jaxpr, and the name of the parameter. These names may change too."""
 
 _is_in_kernel = contextvars.ContextVar("_is_in_kernel", default=False)
 
 
 def is_in_kernel() -> bool:
-    """Checks whether JAX traces the body of a kernel, which may use the GPU's own instructions."""
+    """Checks whether JAX traces the body of a kernel, where the GPU's own instructions may be used."""
     return _is_in_kernel.get()
 
 
@@ -91,7 +92,7 @@ def is_elementwise(phi: Callable, dtype: Any) -> bool:
     try:
         with _in_kernel():
             closed = jax.make_jaxpr(phi)(jax.ShapeDtypeStruct((BLOCK,), dtype))
-    except (ImportError, AttributeError):  # Pallas is experimental: it may give its instructions another name
+    except (ImportError, AttributeError):  # Pallas is experimental, and may rename its instructions
         return False
     return not any(jnp.ndim(const) for const in closed.consts) and _allowed(closed.jaxpr)
 
@@ -112,11 +113,10 @@ def fused_sum(
     points: Float[Array, "c d"],
     constants: Sequence[Float[Array, ""]] = (),
 ) -> Float[Array, "c k"]:
-    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA alone.
-
-    Each program of the kernel takes a block of points, and part of the sources where there are few points. The last block
-    begins within the one before.
-    """
+    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA alone."""
+    # A program of the kernel has a block of points, and, if there are few points, a part of the
+    # sources. All blocks have one size: the last block overlaps the block before it. A thread keeps
+    # the sums of its points in registers, and the loop runs over the sources.
     from jax.experimental import pallas as pl
     from jax.experimental.pallas import triton
 
@@ -125,16 +125,16 @@ def fused_sum(
     blocks = -(-n // block)
     share = count if n >= FEW else max(LEAST_SHARE, -(-count * blocks // PROGRAMS))
     parts = -(-count // share)
-    packed = jnp.stack([jnp.asarray(each, points.dtype) for each in constants] or [jnp.zeros((), points.dtype)])
+    packed = jnp.stack([jnp.asarray(number, points.dtype) for number in constants] or [jnp.zeros((), points.dtype)])
 
     def kernel(weights_ref, sources_ref, points_ref, constants_ref, sums_ref):
         here = pl.ds(jnp.minimum(pl.program_id(0) * block, n - block), block)
         x = [points_ref[here, axis] for axis in range(dimension)]
-        given = [constants_ref[i] for i in range(len(constants))]
+        numbers = [constants_ref[i] for i in range(len(constants))]
 
         def term(sums, x, y, weights):
             r2 = sum((a - b) ** 2 for a, b in zip(x, y, strict=True))
-            value = phi(r2, *given)
+            value = phi(r2, *numbers)
             return [total + weight * value for total, weight in zip(sums, weights, strict=True)]
 
         def add(j, sums):
@@ -143,8 +143,8 @@ def fused_sum(
 
         def add_together(start):
             def step(i, sums):
-                for each in range(TOGETHER):
-                    sums = add(start + i * TOGETHER + each, sums)
+                for k in range(TOGETHER):
+                    sums = add(start + i * TOGETHER + k, sums)
                 return sums
 
             return step
@@ -169,7 +169,7 @@ def fused_sum(
 
 
 def contracted(function: Callable, *arguments: Any) -> Any:
-    """Evaluates an elementwise function of arrays with each product that is only added contracted into the addition."""
+    """Evaluates an elementwise function of arrays, with products contracted into the additions that use them."""
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
     results = _evaluate(closed.jaxpr, closed.consts, jax.tree.leaves(arguments))
     return jax.tree.unflatten(jax.tree.structure(shape), results)
@@ -177,8 +177,8 @@ def contracted(function: Callable, *arguments: Any) -> Any:
 
 def _evaluate(jaxpr: core.Jaxpr, constants: Sequence[Any], arguments: Sequence[Any]) -> list[Any]:
     """Runs a jaxpr equation by equation, with its products and sums fused."""
-    # A product that a single addition uses is not computed where it stands: its factors wait in `products` until that addition,
-    # which becomes one `fma`. Whatever else reads a waiting product multiplies it then.
+    # If one addition alone uses a product, the factors wait in `products` until the addition, which
+    # becomes one `fma`. Another operation that reads a waiting product multiplies it first.
     values = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*constants, *arguments), strict=True))
     products: dict[Any, tuple] = {}
     waiting = _only_added(jaxpr)
@@ -218,7 +218,7 @@ def _is_in(atom: Any, values: dict) -> bool:
 
 
 def _only_added(jaxpr: Any) -> set[Any]:
-    """Finds the products of floats that one addition or subtraction uses, and nothing else."""
+    """Finds the products of floats that only one addition or subtraction uses."""
     uses: dict[Any, list[str]] = {}
     for equation in jaxpr.eqns:
         for atom in equation.invars:
@@ -240,7 +240,7 @@ def _only_added(jaxpr: Any) -> set[Any]:
 def fma(
     a: Float[Array, "*b"], b: Float[Array, "*b"], c: Float[Array, "*b"], negated: int | None = None
 ) -> Float[Array, "*b"]:
-    """Computes a b + c with one rounding, within a kernel. The argument `negated`, from 1 on, is taken with its sign changed."""
+    """Computes a b + c with one rounding, within a kernel. Argument number `negated`, from 1 on, changes its sign."""
     kind, letter = _KINDS[a.dtype.name]
     names = ["minus" if i == negated else f"${i}" for i in range(4)]
     code = f"fma.rn.{kind} {', '.join(names)};"
@@ -250,13 +250,13 @@ def fma(
 
 
 def rough_reciprocal(x: Float[Array, "*b"]) -> Float[Array, "*b"]:
-    """Computes 1/x to 2^-20 of it, of float64 numbers within a kernel."""
+    """Computes 1/x of float64 numbers with a relative error of 2^-20, within a kernel."""
     return _inline("rcp.approx.ftz.f64 $0, $1;", "=d,d", x)
 
 
 _KINDS = {"float64": ("f64", "d"), "float32": ("f32", "f")}
 _INLINE = "elementwise_inline_asm_p"
-"""The name that Pallas, which is experimental, gives its instructions. Under another one logarithms are left to loops."""
+"""The name of instructions in Pallas, which is experimental. If it changes, logarithms run as loops."""
 
 
 def _inline(code: str, constraints: str, *arrays: Array) -> Array:

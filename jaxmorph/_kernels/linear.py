@@ -1,4 +1,4 @@
-"""JAX operations that are linear in their first argument; their transposes are such operations too."""
+"""JAX operations that are linear in their first argument, and whose transposes are operations of the same kind."""
 
 import functools
 import inspect
@@ -9,22 +9,24 @@ import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-# `jax.custom_vjp` would give up forward derivatives, and `jax.custom_jvp` the transpose by hand. A primitive keeps derivatives
-# of any order and batching. `jax.extend.core` and `jax.interpreters` are public, but change between versions of JAX.
+# `jax.custom_vjp` allows no forward derivatives, and `jax.custom_jvp` no hand-written transpose. A
+# primitive has both, to any order, and batching. `jax.extend.core` and `jax.interpreters` are
+# public, but change between versions of JAX.
 
 
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
     """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c), column by column.
 
-    Its transpose is the primitive itself, for other arguments. Derivatives in the others are those of `compute`. Under `vmap`
-    of `values` alone the primitive has more columns; with others that vary, `compute` is mapped.
+    Its transpose is the primitive with other arguments. Derivatives by `others` are those of
+    `compute`. Under `vmap` of `values` alone the primitive gets more columns; if `others` vary,
+    `compute` is mapped.
 
     **Arguments:**
 
     - `name`: the name in a jaxpr.
     - `compute`: traced; its options are keywords without defaults, and are static.
     - `rows`: counts the rows of the result, `rows(*others, **options)`.
-    - `turned`: gives the others and the options of the transpose, `turned(*others, **options)`.
+    - `turned`: returns the others and the options of the transpose, `turned(*others, **options)`.
 
     **Returns:** the primitive, to which a lowering for one platform may be added.
     """
@@ -60,19 +62,17 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
         return result.reshape(len(result), *values.shape[1:]), 1
 
     def abstract(values, *others, **options):
-        # what varies between devices, where JAX keeps account of it
+        # JAX may keep account of arrays that vary between devices.
         varies = {"vma": values.vma.union(*(other.vma for other in others))} if hasattr(values, "vma") else {}
         return values.update(shape=(rows(*others, **options), values.shape[1]), weak_type=False, **varies)
 
     parameters = inspect.signature(compute).parameters.values()
     static = tuple(option.name for option in parameters if option.kind is option.KEYWORD_ONLY)
-    program = jax.jit(primitive.bind, static_argnames=static)  # of the primitive: each platform has its own lowering
+    program = jax.jit(primitive.bind, static_argnames=static)  # platforms have lowerings of the primitive
 
     def evaluated(*arguments, **options):
-        function = (
-            compute if jax.config.values["jax_disable_jit"] else program
-        )  # without `jit` the program would call itself
-        return function(*arguments, **options)
+        # Without `jit`, the program would call itself.
+        return (compute if jax.config.values["jax_disable_jit"] else program)(*arguments, **options)
 
     primitive.def_impl(evaluated)
     primitive.def_abstract_eval(abstract)

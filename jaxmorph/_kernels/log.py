@@ -1,9 +1,9 @@
-"""The float64 logarithm for CPUs, in operations that compile to vectors: XLA's own costs four times as much there.
+"""The float64 logarithm for CPUs, in operations that compile to vectors: XLA's own logarithm takes four times as long.
 
-The method is the textbook one (Muller, Elementary Functions, chapter 11): x = 2^k m with m in [sqrt(1/2), sqrt(2)), and
-log m = 2 artanh(s) with s = (m - 1) / (m + 1). Newton's iteration takes the quotient, for a hardware division costs as much
-as ten multiplications. Coefficients interpolate at Chebyshev points. Largest error seen: 0.87 units in the
-last place.
+The method is that of textbooks (Muller, Elementary Functions, chapter 11): x = 2^k m with m in
+[sqrt(1/2), sqrt(2)), and log m = 2 artanh(s) with s = (m - 1) / (m + 1). Newton's iteration
+computes the quotient, since a hardware division costs as much as ten multiplications. Coefficients
+interpolate at Chebyshev points. The largest error seen is 0.87 units in the last place.
 """
 
 import jax
@@ -28,7 +28,7 @@ _TWO_52 = 0x4330000000000000
 """The bits of 2^52. With an integer k below 2^52 in the mantissa, they become the bits of 2^52 + k."""
 
 _HALF_LOG_2 = (0.3465735901845619, 9.541074646352939e-11)
-"""In two parts: the first ends in 21 zero bits, so that its product with an exponent is exact."""
+"""log(2) / 2 in two parts: the first part ends in 21 zero bits, so that its product with an exponent is exact."""
 
 _RECIPROCAL = (2.955511829448898, -2.889776453422684, 0.9349031257061479)
 """1/d to 1.3e-3 for d in [1 + sqrt(1/2), 1 + sqrt(2)] / 2: 1 - d y(d) is a Chebyshev polynomial of degree 3."""
@@ -72,7 +72,7 @@ def _log_jvp(primals, tangents):
 def half_x_log_x(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
     """Computes x log(x) / 2 for x >= 0, and 0 at 0: r^2 log r of x = r^2.
 
-    The slope is held where x falls below round-off squared.
+    Below round-off squared, the slope is constant.
     """
     return _by_platform(
         lambda x: x * _short_half_log(x),
@@ -89,10 +89,11 @@ def _half_x_log_x_jvp(primals, tangents):
 
 
 def _not_zero(x):
-    """Raises x to at least the square of a distance that is round-off at unit size.
+    """Returns x, but at least the square of round-off at unit size.
 
-    It is no `where` on x > 0. A compiler may compute the distance of a point from itself twice: once as 0, and once, with a
-    fused multiply-add, as a rounding error. It would then take the branch that was made safe for the other.
+    A `where` on x > 0 is not safe. A compiler may compute the distance of a point from itself
+    twice: once as 0, and once, with a fused multiply-add, as a rounding error. Then condition and
+    value differ.
     """
     return jnp.maximum(x, float(jnp.finfo(x.dtype).eps) ** 2)
 
@@ -109,7 +110,7 @@ def _by_platform(float64_on_cpu, otherwise, x, in_kernel=None):
 
 def _whole_range_log(x):
     bits = _bits(x)
-    subnormal = bits < _word(_EXPONENT_1)  # and 0; XLA's threads take them all for 0 in comparisons of floats
+    subnormal = bits < _word(_EXPONENT_1)  # 0 too; comparisons of floats on XLA's threads take subnormals for 0
     normal = jnp.where(subnormal, _float(bits | _word(_TWO_52)) - 2.0**52, x)  # x 2^1074
     result = 2 * _half_log(normal, jnp.where(subnormal, 1074.0, 0.0))
     result = jnp.where(normal == 0, -jnp.inf, result)
@@ -118,20 +119,20 @@ def _whole_range_log(x):
 
 
 def _half_log(x, less: Array | float = 0.0):
-    """Computes (log x - `less` log 2) / 2 for positive normal numbers; for others some finite number below 373."""
+    """Computes (log x - `less` log 2) / 2 for positive normal numbers; a finite number below 373 for other numbers."""
     k, f, s = _reduced(x, less)
     correction = s * s * _polynomial(_ARTANH, s * s)
     return k * _HALF_LOG_2[0] + (f + (k * _HALF_LOG_2[1] - s * (f - correction)))
 
 
 def _short_half_log(x):
-    """Computes log(x) / 2 to 3 units in the last place with three operations fewer: a kernel needs no more."""
+    """Computes log(x) / 2 to 3 units in the last place, which is enough for a kernel, with three operations fewer."""
     k, _, s = _reduced(x)
     return k * sum(_HALF_LOG_2) + s * _polynomial((1.0, *_ARTANH), s * s)
 
 
 def _seeded_half_log(x):
-    """Computes log(x) / 2 to 6 units in the last place from a reciprocal to 2^-20, for which a GPU has an instruction."""
+    """Computes log(x) / 2 to 6 units in the last place, from the GPU's rough reciprocal."""
     k, m = _split(x)
     f, d = m - 0.5, m + 0.5
     y = rough_reciprocal(d)
@@ -141,9 +142,9 @@ def _seeded_half_log(x):
 
 
 def _reduced(x, less: Array | float = 0.0):
-    """Splits x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)): k, f = (m - 1) / 2 and s = (m - 1) / (m + 1).
+    """Splits x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)): returns k, f = (m - 1) / 2, s = (m - 1) / (m + 1).
 
-    The half costs nothing here, and a thin plate spline needs it.
+    The half in f costs nothing here, and a thin plate spline needs it.
     """
     k, m = _split(x, less)
     f, d = m - 0.5, m + 0.5

@@ -1,4 +1,4 @@
-"""The base of public classes: modules that `jax.jit` takes, as themselves and by their methods."""
+"""The base of public classes: modules that `jax.jit` accepts, and whose methods it accepts."""
 
 import dataclasses
 import types
@@ -15,10 +15,11 @@ _BoundMethod: Any = type(_Probe().method)
 
 
 class Module(eqx.Module):
-    """An Equinox module that has a hash even where it holds arrays.
+    """An Equinox module that has a hash, also with arrays.
 
-    `jax.jit` looks functions up by hash and equality. Arrays have no hash, and comparing them is traced inside a trace. So a module
-    with arrays is equal to itself alone, and one without counts by its value; `equinox.tree_equal` compares arrays.
+    `jax.jit` looks functions up by hash and equality. Arrays have no hash, and a comparison of
+    arrays would be traced. So a module with arrays is equal only to itself; a module without arrays
+    is compared by its fields. `equinox.tree_equal` compares arrays.
     """
 
     def __hash__(self) -> int:
@@ -39,7 +40,7 @@ class Module(eqx.Module):
 
 
 class Method(_BoundMethod):
-    """A method of a module, itself a tree as Equinox's own; equal to the same method of an equal module."""
+    """A method of a module: a tree, as Equinox's methods are, and equal to the method of an equal module."""
 
     def __hash__(self) -> int:
         return hash((self.__func__, self.__self__))

@@ -1,8 +1,9 @@
-"""The product that ends a kernel sum: a few rows of weights, one per coordinate, times a large block of the kernel.
+"""The product that ends a kernel sum: a few rows of weights, one a coordinate, times a large block of the kernel.
 
-Its transpose contracts a few rows of a cotangent with the block's long axis. On a CPU that takes a quarter of the time when
-each row has a matrix-vector product of its own. With the rows of many displacements (`vmap`) one product of matrices is
-faster. Only a primitive can tell one from the other, and is as linear as the product itself.
+The transpose contracts a few rows of a cotangent with the block's long axis. On a CPU it takes a
+quarter of the time as one matrix-vector product a row. With the rows of many displacements
+(`vmap`), one product of matrices is faster. Only a primitive can distinguish the two cases and stay
+bilinear.
 """
 
 import functools
@@ -14,16 +15,16 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
 
 MOST_ROWS = 4
-"""Rows that one loop sums on a GPU; the displacement has two or three."""
+"""Most rows that one loop sums on a GPU; a displacement has two or three."""
 
 
 def few_rows_times(rows: Float[Array, "k s"], block: Float[Array, "s c"]) -> Float[Array, "k c"]:
-    """Computes `rows @ block`, both of one dtype, with every derivative and transformation that it has."""
+    """Computes `rows @ block`, both of one dtype, with all derivatives and transformations."""
     return _product.bind(rows, block, axis=0)
 
 
 def few_rows_times_transposed(rows: Float[Array, "k c"], block: Float[Array, "s c"]) -> Float[Array, "k s"]:
-    """Computes `rows @ block.T` as `few_rows_times` does, from the block as it lies."""
+    """Computes `rows @ block.T` as `few_rows_times` does, without a transposed copy of the block."""
     return _product.bind(rows, block, axis=1)
 
 
@@ -40,10 +41,10 @@ def _few_rows(rows, block, *, axis):
 
 
 def few_rows_in_one_loop(rows: Float[Array, "k s"], block: Float[Array, "..."], axis: int) -> Float[Array, "k c"]:
-    """Computes what `_few_rows` does as one reduction of all rows, for GPUs.
+    """Computes the product of `_few_rows` as one reduction of all rows, for GPUs.
 
-    XLA makes each element of the block where it is summed, once for all rows. A library's product of matrices would have the
-    block written to memory, and read again.
+    XLA computes an element of the block where it is summed, once for all rows. A library's product
+    of matrices would need the block in memory.
     """
     if len(rows) > MOST_ROWS:
         return _contract(rows, block, axis)
@@ -69,7 +70,7 @@ def _batched(arguments, axes, *, axis):
 
 
 def _transposed_in_rows(cotangent, rows, block, *, axis):
-    return _product.bind(cotangent, block, axis=1 - axis)  # not a product with block.T, which XLA would compute anew
+    return _product.bind(cotangent, block, axis=1 - axis)  # XLA would compute block.T anew
 
 
 def _transposed_in_block(cotangent, rows, block, *, axis):

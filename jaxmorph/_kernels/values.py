@@ -1,4 +1,4 @@
-"""Gives what JAX leaves to its callers: safe derivatives of roots and maxima, and one formula for NumPy and for JAX."""
+"""Values of NumPy and JAX: roots and maxima with safe derivatives, and formulas for both kinds of arrays."""
 
 import functools
 from typing import Any
@@ -10,14 +10,14 @@ from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
 from jaxtyping import Array, Float
 
 Either = Any
-"""An array of JAX or of NumPy: a formula that takes `namespace` of it serves both. Type checkers know no operations of both."""
+"""An array of JAX or NumPy, for formulas with `namespace`. Type checkers know no common operations of both."""
 
 
 def namespace(array: Any) -> Any:
-    """Returns NumPy for an array of NumPy, whose formulas need no compilation, and `jax.numpy` for any other."""
-    # Two forms of a formula stand only where a first call gains a tenth of a process's time by it: `quality`, `inverted` and
-    # `wall_quality` 0.4 to 0.9 CPU seconds of 3.5 in 2-D, 0.9 to 3.6 in 3-D; the layer's width in `prepare` 1.1 of 4.2. See
-    # "First calls" in benchmarks/README.md.
+    """Returns NumPy for an array of NumPy, whose formulas need no compilation, and `jax.numpy` for other arrays."""
+    # A formula has two forms only where a first call gains a tenth of a process's time: `quality`,
+    # `inverted` and `wall_quality` gain 0.4 to 0.9 CPU seconds of 3.5 in 2-D, 0.9 to 3.6 in 3-D;
+    # the layer's width in `prepare` gains 1.1 of 4.2. See "First calls" in benchmarks/README.md.
     return np if isinstance(array, np.ndarray | np.generic) else jnp
 
 
@@ -29,26 +29,27 @@ def constant(values: Either) -> Either:
 def as_jax(tree: Any) -> Any:
     """Copies the NumPy arrays of a tree into arrays of JAX.
 
-    `jnp.asarray` compiles a program for each new shape, and may share the memory of a caller, who changes it later.
+    `jnp.asarray` compiles a program for every new shape, and may share memory that the caller
+    changes later.
     """
     return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jax.device_put(np.array(leaf)), tree)
 
 
 def array(values: Any) -> Any:
-    """Makes an array of JAX as `jnp.asarray` does, without a program for its shape, and with memory of its own."""
+    """Makes an array of JAX as `jnp.asarray` does, but compiles nothing, and copies the memory."""
     if isinstance(values, jax.Array) or not is_known(values):
         return jnp.asarray(values)
     return as_jax(np.asarray(values))
 
 
 def on_host(*values: Any) -> bool:
-    """Checks whether NumPy can compute with values: they are readable, and in the host's memory."""
+    """Checks whether values are readable and in the host's memory, so that NumPy can compute with them."""
     arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))
     return is_readable(values) and all(device.platform == "cpu" for leaf in arrays for device in leaf.devices())
 
 
 def is_readable(*values: Any) -> bool:
-    """Checks whether this process can read values: none is traced, or in another process."""
+    """Checks whether this process can read values: nothing is traced or in another process."""
     arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))
     return is_known(values) and all(leaf.sharding.is_fully_addressable for leaf in arrays)
 
@@ -65,12 +66,12 @@ def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
 
 
 def largest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
-    """Takes the largest value along an axis; its derivative is the mean over equal largest values."""
+    """Computes the largest value along an axis; the derivative is the mean over equal largest values."""
     return np.max(values, axis=axis) if namespace(values) is np else _largest(values, axis)
 
 
 def smallest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
-    """Takes the smallest value along an axis, with the derivative of `largest`."""
+    """Computes the smallest value along an axis, with a derivative as `largest` has."""
     return -largest(-values, axis)
 
 
@@ -81,8 +82,9 @@ def _largest(values, axis):
 
 @_largest.defjvp
 def _largest_jvp(axis, primals, tangents):
-    # JAX's own rule compares the values with their maximum; where XLA computes the values anew, the last bit may differ, none is
-    # equal, and the derivative is zero
+    # JAX's own rule compares the values with their maximum. If XLA computes the values anew, their
+    # last bits may differ: then no value is equal, and the derivative would be zero. The place of
+    # the maximum is always found.
     (values,), (tangent,) = primals, tangents
     top, index = _largest(values, axis), jnp.argmax(values, axis=axis, keepdims=True)
     rows = jax.lax.broadcasted_iota(index.dtype, values.shape, axis % values.ndim)
@@ -92,16 +94,16 @@ def _largest_jvp(axis, primals, tangents):
 
 
 def slack(dtype: Any) -> float:
-    """Returns how far beyond an end, in parts of an interval, a place counts as inside: round-off and some more."""
+    """Computes the share of an interval beyond its ends that counts as inside: a little more than round-off."""
     return float(jnp.finfo(dtype).eps) ** 0.75
 
 
 def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array, "*shape"]:
-    """Clips values to an interval whose ends count as inside, with round-off: `jnp.clip` halves the derivative there."""
+    """Clips values to an interval. Its ends count as inside, with round-off; `jnp.clip` halves the derivative there."""
     beyond = slack(values.dtype) * (high - low)
     return jnp.where(values < low - beyond, low, jnp.where(values > high + beyond, high, values))
 
 
 def is_known(*values: Any) -> bool:
-    """Checks whether values can be read: nothing in them is traced."""
+    """Checks whether values are known: nothing in them is traced."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))

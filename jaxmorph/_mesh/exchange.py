@@ -17,10 +17,10 @@ PREFIX = "patch:"
 """Point arrays of this name and a patch's hold 1 at the nodes of the patch and 0 elsewhere."""
 
 MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", "cellentityids", "medit:ref")
-"""Arrays, by their names in lower case, whose numbers tell the patches apart."""
+"""Names in lower case of arrays whose numbers name patches."""
 
 BOUNDING = "gmsh:bounding_entities"
-"""meshio's name of sets of cells that are no physical group."""
+"""meshio's name of a set of cells that is no physical group."""
 
 LAGRANGE = {
     **{"VTK_LAGRANGE_CURVE": "line", "VTK_LAGRANGE_TRIANGLE": "triangle", "VTK_LAGRANGE_QUADRILATERAL": "quad"},
@@ -33,17 +33,14 @@ Arrays = Mapping[str, Any]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Origin:
-    """Keeps the mesh of another library that a mesh came from.
-
-    It is compared by identity, as a static field of a pytree must be.
-    """
+    """The mesh of another library that a mesh came from. It is compared by identity, as a static field of a pytree must be."""
 
     content: Any
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grid:
-    """Holds a mesh of another library: `blocks` of cells of one type; `cell_data` has one array for each block."""
+    """A mesh of another library: `blocks` of cells of one type; `cell_data` has one array a block."""
 
     points: np.ndarray
     blocks: list[tuple[str, np.ndarray]]
@@ -54,12 +51,12 @@ class Grid:
 
     @property
     def levels(self) -> list[int]:
-        """Dimension of each block."""
+        """Dimensions of the blocks."""
         return [DIMENSION.get(kind, 0) for kind, _ in self.blocks]
 
 
 def of_meshio(mesh: Any) -> Grid:
-    """Takes points, cells and arrays from a meshio mesh; raises `ValueError` for cell types that are not supported."""
+    """Reads points, cells and arrays of a meshio mesh. Raises `ValueError` for cell types that are not supported."""
     if not all(
         hasattr(mesh, name) for name in ("points", "cells", "point_data", "cell_data", "cell_sets", "field_data")
     ):
@@ -70,7 +67,7 @@ def of_meshio(mesh: Any) -> Grid:
 
 
 def of_pyvista(grid: Any) -> Grid:
-    """Takes points, cells and arrays from a grid of PyVista; raises `ValueError` for cell types that are not supported."""
+    """Reads points, cells and arrays of a grid of PyVista. Raises `ValueError` for cell types that are not supported."""
     numbers = np.asarray(grid.celltypes)
     kinds = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()} | {1: "vertex"}
     shapes = {number: shape for shape, number in VTK_LAGRANGE.items()}
@@ -128,7 +125,7 @@ def _refuse_unknown(kinds) -> None:
 
 
 def imported(name: str, extra: str) -> Any:
-    """Imports an optional package; raises `ImportError` with the remedy where it is missing."""
+    """Imports an optional package. Raises `ImportError`, with the remedy, if it is missing."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -136,7 +133,7 @@ def imported(name: str, extra: str) -> Any:
 
 
 class Parts(NamedTuple):
-    """Holds points (n, d), corner ids by type, and node ids by patch."""
+    """Points (n, d), corner ids by type, and node ids by patch."""
 
     points: Any
     cells: Mapping[str, Any]
@@ -144,11 +141,11 @@ class Parts(NamedTuple):
 
 
 def parts(grid: Grid) -> Parts:
-    """Makes points, cells and patches of a grid: the cells of highest dimension, without z where all z are equal.
+    """Makes points, cells and patches of a grid: the cells of highest dimension, without z if all z are equal.
 
-    Patches are named sets of cells of lower dimension, gmsh's physical groups, and point arrays `patch:NAME`. Where there are
-    none, an array of `MARKERS` tells patches apart by its numbers. Where there is none either, the nodes of faces that belong to
-    one cell only are the patch `boundary`.
+    Patches are named sets of cells of lower dimension, gmsh's physical groups, and point arrays
+    `patch:NAME`. Without them, the numbers of an array of `MARKERS` name patches. Without such an
+    array, the nodes of faces that belong to one cell only are the patch `boundary`.
     """
     cells = _cells(grid)
     points = grid.points.astype(float)
@@ -158,6 +155,10 @@ def parts(grid: Grid) -> Parts:
     if not finite.all():
         bad = int(np.argmin(finite))
         raise ValueError(f"point {bad} is not finite: {points[bad].tolist()}.")
+    for kind, corners in cells.items():
+        outside = corners[(corners < 0) | (corners >= len(points))]
+        if len(outside):
+            raise ValueError(f"a {kind} names node {outside[0]}, but there are {len(points)} points.")
     patches = _sets(grid) | _physical(grid)
     for name, values in grid.point_data.items():
         if name.startswith(PREFIX) and np.ndim(values) == 1:
@@ -181,7 +182,7 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _sets(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of named sets of cells, except sets of full dimension: regions of the volume."""
+    """Makes patches of named sets of cells, without sets of full dimension, which are regions of the volume."""
     levels, patches = grid.levels, {}
     for name, members in grid.cell_sets.items():
         for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):
@@ -191,7 +192,7 @@ def _sets(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _physical(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of gmsh's physical groups; one without a name is `physical_` and its tag."""
+    """Makes patches of gmsh's physical groups; a group without a name gets the name `physical_` and its tag."""
     levels, patches = grid.levels, {}
     names = {(int(info[0]), int(info[1])): name for name, info in grid.field_data.items() if np.size(info) == 2}
     for (_, corners), level, tags in zip(grid.blocks, levels, grid.cell_data.get("gmsh:physical", []), strict=False):
@@ -203,12 +204,12 @@ def _physical(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _marked(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches by the numbers of the first array of `MARKERS`, on the cells of lower dimension or on the points.
+    """Makes patches by the numbers of the first array of `MARKERS`, on cells of lower dimension or on points.
 
-    On points, 0 stands for inside.
+    On points, 0 means inside.
     """
     levels = grid.levels
-    for name in sorted(filter(_is_marker, grid.cell_data), key=_rank):
+    for name in _markers(grid.cell_data):
         patches: dict[str, list[np.ndarray]] = {}
         for (_, corners), level, values in zip(grid.blocks, levels, grid.cell_data[name], strict=True):
             if 0 < level < max(levels) and _are_whole(values):
@@ -216,7 +217,7 @@ def _marked(grid: Grid) -> dict[str, np.ndarray]:
                     patches.setdefault(f"{name}_{int(number)}", []).append(corners[values == number].ravel())
         if patches:
             return _joined(patches)
-    for name in sorted(filter(_is_marker, grid.point_data), key=_rank):
+    for name in _markers(grid.point_data):
         values = np.asarray(grid.point_data[name])
         if _are_whole(values) and values.any():
             return {f"{name}_{int(v)}": np.flatnonzero(values == v) for v in np.unique(values[values != 0]).tolist()}
@@ -227,14 +228,11 @@ def _joined(patches: dict[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate(nodes) for name, nodes in patches.items()}
 
 
-def _is_marker(name: str) -> bool:
-    return name.lower() in MARKERS
-
-
-def _rank(name: str) -> int:
-    return MARKERS.index(name.lower())
+def _markers(arrays: Arrays) -> list[str]:
+    """Lists the names of arrays that are `MARKERS`, in the order of `MARKERS`."""
+    return sorted((name for name in arrays if name.lower() in MARKERS), key=lambda name: MARKERS.index(name.lower()))
 
 
 def _are_whole(values: Any) -> bool:
-    """Checks whether values are one whole number a cell, ints or floats, without NaN."""
+    """Checks whether values are whole numbers (k,), as ints or floats, without NaN."""
     return np.ndim(values) == 1 and bool((values == np.floor(values)).all())

@@ -1,4 +1,4 @@
-"""A mesh of meshio or PyVista made of a `Mesh`: the one it came from with other points, or a new one."""
+"""Meshes of meshio and PyVista made of a `Mesh`: its origin with other points, or a new mesh."""
 
 import urllib.parse
 from collections.abc import Mapping
@@ -64,14 +64,14 @@ def unstructured_grid(pyvista: Any, cells: Mapping[str, Any], points: np.ndarray
 
 
 def _origin(source: Any, kind: type) -> Any:
-    """Finds the mesh of that kind behind the source of a mesh, directly or by way of a file."""
+    """Finds the mesh of a library's class behind the source of a mesh, directly or by way of a file."""
     while hasattr(source, "content"):
         source = source.content
     return source if isinstance(source, kind) else None
 
 
 def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
-    """Places points in 3-D, in double precision; a 2-D mesh lies at the z where it was, else at z = 0."""
+    """Places points in 3-D, in double precision; a 2-D mesh gets its old z, or z = 0."""
     points = np.zeros((len(mesh.points), 3))
     if mesh.points.shape[1] == 2 and old is not None and old.shape[1] == 3:
         points[:, 2] = old[:, 2]
@@ -80,7 +80,7 @@ def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
 
 
 def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
-    """Checks that arrays have one row for each point, or each cell, and adds the patches to the arrays of points.
+    """Checks that arrays have one row a point, or a cell, and adds the patches to the arrays of points.
 
     Vectors of a 2-D mesh get a third component 0.
     """
@@ -90,8 +90,9 @@ def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -
         both.append({name: np.asarray(values) for name, values in (arrays or {}).items()})
         for name, values in both[-1].items():
             if values.ndim not in (1, 2) or len(values) != rows:
-                message = f"array {name!r} has shape {values.shape}; expected one row for each of {rows} {what}."
-                raise ValueError(message)
+                raise ValueError(
+                    f"array {name!r} has shape {values.shape}; expected one row for each of {rows} {what}."
+                )
             if values.dtype.kind not in "biuf":
                 raise ValueError(f"array {name!r} holds {values.dtype}; files hold real numbers.")
             if values.ndim == 2 and values.shape[1] == 2:
@@ -104,7 +105,9 @@ def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -
 
 
 def _dealt(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.ndarray]:
-    """Brings arrays in the order of `mesh.cells` to cells of the types `kinds`; a cell of another type gets NaN."""
+    """Reorders arrays from the order of `mesh.cells` to cells of the types `kinds`; a cell of another type gets NaN."""
+    # Cells of one type have one order in both meshes. `place` is the row of a cell in the arrays,
+    # or -1 for a cell of another type, which takes the row of NaN at the end.
     if not arrays:
         return {}
     place = np.full(len(kinds), -1)

@@ -1,7 +1,8 @@
 """Cells made of OpenFOAM's faces: tetrahedra, pyramids, wedges and hexahedra, numbered as VTK numbers them.
 
-OpenFOAM's files hold polygons and the two cells beside each of them. The type of a cell follows from the number of its
-faces and their corners. Its numbering follows from one face, the base, and from the edges that leave the base.
+OpenFOAM's files hold polygons and the two cells beside them. The type of a cell follows from the
+number of its faces and their corners. Its numbering follows from one face, the base, and from the
+edges that leave the base.
 """
 
 import dataclasses
@@ -13,10 +14,10 @@ from .._host.cells.pairs import columns_of, sorted_columns, twins
 from .._host.cells.topology import FACES
 
 BLOCK = 1 << 13
-"""Cells looked at together."""
+"""Cells that are examined together."""
 
 _SHAPES = {"tetra": (4, 4, 0), "pyramid": (5, 4, 1), "wedge": (5, 2, 3), "hexahedron": (6, 0, 6)}
-"""Faces of a type, how many of them are triangles, how many have four corners."""
+"""Numbers of faces, of triangles and of quads by type."""
 
 _BASE = {"tetra": 3, "pyramid": 4, "wedge": 3, "hexahedron": 4}
 _LAST = {"tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
@@ -24,12 +25,13 @@ _LAST = {"tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Faces:
-    """Holds polygons, and the cells on their two sides.
+    """Polygons, and the cells on their two sides.
 
     - `labels`: node ids of all faces in a row.
-    - `starts`: where each face begins in `labels`, and one more at the end.
-    - `owner`: the cell from which each face points outward.
-    - `neighbour`: the cell on the other side, -1 for an outer face. Outer faces at the end may be left out.
+    - `starts`: where faces begin in `labels`, and the end.
+    - `owner`: the cell from which a face points outward.
+    - `neighbour`: the cell on the other side, -1 for an outer face. Outer faces at the end may be
+      missing.
     """
 
     labels: np.ndarray
@@ -42,20 +44,21 @@ class Faces:
         return np.diff(self.starts)
 
     def corners(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """Gathers node ids (..., size) of faces of that many corners, outward for the cell.
+        """Gathers node ids (..., size) of faces with `size` corners, outward for the cell.
 
         `~f` is face f as its neighbour sees it.
         """
+        # A window of `size` labels is one element of a void type, at every place where a face may
+        # begin. So one index gathers all corners of a face.
         start = self.starts[np.where(faces < 0, ~faces, faces)]
         labels = np.ascontiguousarray(self.labels)
-        # a window on the labels for each place at which a face may begin
         kind = np.dtype((np.void, size * labels.itemsize))
         windows = np.ndarray(len(labels) - size + 1, kind, labels, strides=(labels.itemsize,))
         rows = windows[start].view(labels.dtype).reshape(*faces.shape, size)
         return np.where((faces < 0)[..., None], rows[..., ::-1], rows)
 
     def padded(self, faces: np.ndarray) -> np.ndarray:
-        """Gathers node ids (k, c) of faces of several sizes, -1 behind the last corner of each."""
+        """Gathers node ids (k, c) of faces of several sizes, with -1 behind the last corner."""
         sizes = self.sizes[faces]
         corners = np.full((len(faces), int(sizes.max(initial=4))), -1, self.labels.dtype)
         for size in np.unique(sizes).tolist():
@@ -63,7 +66,9 @@ class Faces:
         return corners
 
     def around(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """Gathers `corners` of faces (k, m) as (m, size, k), begun anywhere: so each operation runs along the k cells."""
+        """Gathers `corners` of faces (k, m) as (m, size, k), from any first corner: operations then run along the k cells."""
+        # Corners 1 and -1 of a turned face change places, by three "exclusive or": that reverses a
+        # triangle or a quad.
         faces = np.ascontiguousarray(faces.T)
         turned = faces < 0
         start = np.take(self.starts, np.where(turned, ~faces, faces))
@@ -76,15 +81,16 @@ class Faces:
         return labels
 
     def nodes(self, first: int, last: int) -> np.ndarray:
-        """Returns the nodes of the faces from `first` up to `last`, as often as they come."""
+        """Returns the nodes of the faces from `first` up to `last`, with repetitions."""
         return self.labels[self.starts[first] : self.starts[last]]
 
     def of_cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lists the faces of each cell in a row, and where each cell begins (one more at the end).
+        """Lists the faces of all cells, cell by cell, and where cells begin, with the end.
 
-        `~f` stands for face f where the cell is its neighbour. A sparse matrix does the sorting by cell. Its columns are the
-        sides of faces, its rows cells. Turning it from columns to rows is a counting sort in linear time.
+        `~f` stands for face f if the cell is its neighbour.
         """
+        # A sparse matrix sorts the sides of faces by cell: its columns are sides, its rows cells.
+        # The conversion from columns to rows is a counting sort in linear time.
         inner = np.flatnonzero(self.neighbour >= 0).astype(np.int32)
         cells = np.concatenate([self.owner, self.neighbour[inner]]).astype(np.int32, copy=False)
         columns = np.arange(len(cells) + 1, dtype=np.int32)
@@ -96,7 +102,7 @@ class Faces:
 
 
 def faces_of_cells(kind: str, corners: np.ndarray, cell: np.ndarray) -> Faces:
-    """Lists the faces of cells of one type, each cell its own: `joined_faces` pairs them."""
+    """Lists the faces of cells of one type; inner faces come twice, until `joined_faces` pairs them."""
     parts = [corners[:, list(face)] for face in FACES[kind]]
     labels = np.concatenate([part.ravel() for part in parts])
     sizes = np.repeat([part.shape[1] for part in parts], len(corners))
@@ -105,7 +111,7 @@ def faces_of_cells(kind: str, corners: np.ndarray, cell: np.ndarray) -> Faces:
 
 
 def joined_faces(parts: list[Faces]) -> Faces:
-    """Joins faces whose cells are numbered throughout; two outer ones with the same nodes become an inner one."""
+    """Joins faces whose cells are numbered throughout. Two outer faces with equal nodes become an inner face."""
     labels = np.concatenate([part.labels for part in parts])
     sizes = np.concatenate([part.sizes for part in parts])
     owner = np.concatenate([part.owner for part in parts])
@@ -118,18 +124,17 @@ def joined_faces(parts: list[Faces]) -> Faces:
     other = twins([np.concatenate(column) for column in zip(*columns, strict=True)])
     first = (other >= 0) & (np.arange(len(rows)) < other)
     neighbour[rows[first]] = owner[rows[other[first]]]
-    kept = np.ones(len(owner), bool)
-    kept[rows[other[first]]] = False
-    sizes = sizes[kept]
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    return Faces(labels[np.repeat(kept, faces.sizes)], starts, owner[kept], neighbour[kept])
+    is_first = np.ones(len(owner), bool)
+    is_first[rows[other[first]]] = False
+    starts = np.concatenate([[0], np.cumsum(sizes[is_first])])
+    return Faces(labels[np.repeat(is_first, sizes)], starts, owner[is_first], neighbour[is_first])
 
 
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Finds the cells that are tetrahedra, pyramids, wedges or hexahedra: corner ids (k, corners) and cell ids (k,) by type.
+    """Finds the tetrahedra, pyramids, wedges and hexahedra: corner ids (k, corners) and cell ids (k,) by type.
 
-    Cells of no such type are in the second as `polyhedron`. Counts of faces, triangles and quads select candidates; `_typed`
-    numbers their corners and refuses those that are connected in another way.
+    The cell ids have an entry `polyhedron` for other cells. Numbers of faces, triangles and quads
+    select candidates; `_typed` numbers their corners and refuses cells with other connections.
     """
     ordered, starts = faces.of_cells()
     counts = np.diff(starts)
@@ -149,9 +154,10 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
 
 
 def open_cells(faces: Faces) -> np.ndarray:
-    """Finds the cells that do not close: an edge of theirs belongs to an odd number of their faces."""
-    # Each node has a random number, and an edge the square of the difference of its two: zero where a corner comes twice.
-    # "Exclusive or" over the edges of a closed cell's faces leaves zero: each is there twice, or another even number of times.
+    """Finds the cells that are not closed: one of their edges belongs to an odd number of their faces."""
+    # A node has a random number. An edge has the squared difference of its two numbers, which is
+    # zero if a corner comes twice. In a closed cell every edge comes an even number of times, so
+    # that an "exclusive or" over the edges of its faces leaves zero.
     number = np.random.default_rng(0).integers(2**64, size=int(faces.labels.max(initial=0)) + 1, dtype=np.uint64)
     of_face = np.empty(len(faces.owner), np.uint64)
     for at in range(0, len(of_face), BLOCK):
@@ -169,9 +175,9 @@ def open_cells(faces: Faces) -> np.ndarray:
 
 
 def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, starts: np.ndarray):
-    """Numbers the corners of cells whose faces begin at `starts`, and tells which of them really have the shape of their type."""
-    # A block of cells at a time keeps memory small. The faces of a pyramid and a wedge are sorted so that the base comes
-    # first: the quad of a pyramid, a triangle of a wedge.
+    """Numbers the corners of cells whose faces begin at `starts`, and marks the cells with the shape of their type."""
+    # Blocks of cells keep memory small. The faces of a pyramid or a wedge are sorted so that the
+    # base comes first: the quad of a pyramid, a triangle of a wedge.
     corners = np.empty((len(starts), _LAST[kind]), faces.labels.dtype)
     good = np.empty(len(starts), bool)
     for at in range(0, len(starts), BLOCK):
@@ -186,12 +192,11 @@ def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, star
 
 
 def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers cells from their first face, the base, seen from inside; and tells which of them have the shape of their type.
-
-    Each other face that touches the base shares an edge with it. Walking along that face, exactly one edge leaves the base:
-    its foot is a corner of the base, its head the corner above. A cell has the shape of its type when each corner of the
-    base has exactly one head, and the heads are one apex or all different.
-    """
+    """Numbers cells from their first face, the base, seen from inside; marks the cells with the shape of their type."""
+    # A wall, another face that touches the base, shares an edge with it. On a walk round the wall,
+    # exactly one edge leaves the base: its foot is a corner of the base, its head the corner above.
+    # A cell has the shape of its type if every corner of the base has exactly one head, and the
+    # heads are one apex or all different.
     c = _BASE[kind]
     base = faces.corners(around[:, 0], c)[:, ::-1]
     side = 4 if kind in ("wedge", "hexahedron") else 3
@@ -201,7 +206,7 @@ def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray,
     is_base = np.zeros(start.shape, bool)
     for corner in corners:
         is_base |= start == corner
-    # a wall has one edge that leaves the base, the face across from the base none
+    # A wall has one edge that leaves the base; the face opposite to the base has none.
     leaves = is_base & ~np.roll(is_base, -1, axis=1)
     count = leaves.sum(axis=1, dtype=np.int8)
     foot = np.where(count, (leaves * start).sum(axis=1, dtype=base.dtype), -1)

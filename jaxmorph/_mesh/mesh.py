@@ -20,24 +20,25 @@ from .polyhedra import Polyhedra
 
 
 class Mesh(Module):
-    """Holds points, the cells between them, and named patches of boundary nodes.
+    """Points, the cells between them, and named patches of boundary nodes.
 
     **Arguments:**
 
     - `points`: coordinates (n, d) with d = 2 or 3, in the units of the file.
-    - `cells`: corner ids (k, corners) by type, numbered as VTK numbers them. Types are `triangle`, `quad`, `tetra`,
-      `pyramid`, `wedge` and `hexahedron`; `tri`, `tet`, `prism` and `hex` are understood too. Cells of order 2 to 4
-      have the name and the number of nodes, `triangle6` or `hexahedron64`; see below. They stand in alphabetical
-      order, whatever order they came in, so that arrays per cell mean the same under `jit`. Default: none.
+    - `cells`: corner ids (k, corners) by type, numbered as VTK numbers them. Types are `triangle`,
+      `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron`; `tri`, `tet`, `prism` and `hex` are
+      other names. Cells of order 2 to 4 have the name and the number of nodes, `triangle6` or
+      `hexahedron64`; see below. Types are kept in alphabetical order, so that arrays per cell have one order,
+      also under `jit`. Default: none.
     - `patches`: node ids by name, without repetition. Default: none.
-    - `source`: what `jaxmorph.io.write` needs to give the file back as it was. Default: none.
+    - `source`: the file's content, for `jaxmorph.io.write`. Default: none.
 
-    Nodes of a cell of order p stand on its edges, faces and inside at equal steps of 1 / p, and are points like any others.
-    A cell lists its corners first. Then come the inner nodes of its edges, of its faces, and of the cell.
-    `jaxmorph.io.read` brings the nodes of all formats into this order.
+    Nodes of a cell of order p are points like any others. They stand on its edges, faces and inside
+    at equal steps of 1 / p. A cell lists its corners first. Then come the inner nodes of its edges,
+    of its faces, and of the cell. `jaxmorph.io.read` brings the nodes of all formats into this order.
 
-    **Raises:** `ValueError` for an unknown cell type, for corner or patch ids outside of `points`, and for wrong
-    shapes.
+    **Raises:** `ValueError` for an unknown cell type, for corner or patch ids outside of `points`,
+    and for wrong shapes.
     """
 
     points: Float[Array | np.ndarray, "n d"]
@@ -49,11 +50,11 @@ class Mesh(Module):
         self.points = _floats(points)
         check("cells", cells, Mapping[str, Any] | None, Mesh)
         check("patches", patches, Mapping[str, Any] | None, Mesh)
-        given = {kind: canonical_type(kind) for kind in cells or {}}
-        twice = sorted(kind for kind, name in given.items() if list(given.values()).count(name) > 1)
+        types = {kind: canonical_type(kind) for kind in cells or {}}
+        twice = sorted(kind for kind, name in types.items() if list(types.values()).count(name) > 1)
         if twice:
-            raise ValueError(f"cells of one type are given under several names ({', '.join(twice)}): join them.")
-        cells = {given[kind]: _ids(corners) for kind, corners in dict(cells or {}).items()}
+            raise ValueError(f"cells of one type have several names ({', '.join(twice)}): join them.")
+        cells = {types[kind]: _ids(corners) for kind, corners in dict(cells or {}).items()}
         self.cells = {kind: cells[kind] for kind in sorted(cells)}  # as JAX sorts the keys of a dict
         self.patches = {name: np.unique(_ids(nodes)) for name, nodes in dict(patches or {}).items()}
         self.source = source
@@ -73,11 +74,12 @@ class Mesh(Module):
 
     @checked
     def patch(self, *names: str) -> np.ndarray:
-        """Lists the node ids of one patch, or of several together, each node once, ascending.
+        """Lists the node ids of one patch or of several patches, ascending, without repetition.
 
-        Each name is that of a patch, that of a group, or a regular expression for whole names of patches, `"motorBike.*"`.
+        A name is the name of a patch, of a group, or a regular expression for whole names of
+        patches, `"motorBike.*"`.
 
-        **Raises:** `ValueError`, with the names there are, for one that means no patch.
+        **Raises:** `ValueError`, with all names of the mesh, for a name without a patch.
         """
         if not names:
             return np.zeros(0, dtype=np.int64)
@@ -85,39 +87,38 @@ class Mesh(Module):
 
     @checked
     def patch_names(self, *names: str) -> tuple[str, ...]:
-        """Lists the patches that names mean, as `patch` takes them."""
+        """Lists the patches of names, as `patch` takes names."""
         return patch_names(names, self.patches, self.groups)
 
     @property
     def groups(self) -> Mapping[str, tuple[str, ...]]:
-        """The groups of patches that the file has, by name: an OpenFOAM case's `inGroups`."""
+        """The groups of patches in the file, by name: an OpenFOAM case's `inGroups`."""
         groups = getattr(self.source, "groups", {})
-        within = {name: tuple(each for each in patches if each in self.patches) for name, patches in groups.items()}
+        within = {name: tuple(patch for patch in patches if patch in self.patches) for name, patches in groups.items()}
         return {name: patches for name, patches in within.items() if patches}
 
     @property
     def kinds(self) -> Mapping[str, str]:
-        """The kind of each patch in the file, by name: `BCWallViscous` or `BCFarfield` in CGNS, `wall` or `symmetry` in OpenFOAM.
-
-        Patches of which it says nothing are not in it.
-        """
+        """The kinds of patches in the file, by name: `BCFarfield` in CGNS, `wall` in OpenFOAM; only patches with a kind."""
         return {name: kind for name, kind in getattr(self.source, "kinds", {}).items() if name in self.patches}
 
     @property
     def file_nodes(self) -> np.ndarray:
-        """The node (N,) of this mesh that each node of its file is, in the file's order.
+        """The node (N,) of this mesh for every node of its file, in the file's order.
 
-        Nodes that zones of a CGNS or PLOT3D file share are one. So are two of an OpenFOAM case in 2-D, in both of its planes.
+        Common nodes of the zones of a CGNS or PLOT3D file are one node of the mesh. In an OpenFOAM
+        case in 2-D, the two nodes in front and at the back are one node.
         """
         nodes = getattr(self.source, "file_nodes", None)
         return np.arange(len(self.points)) if nodes is None else nodes
 
     @checked
     def in_file_order(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> np.ndarray:
-        """Returns the coordinates (N, D) of all nodes of the file, in its order, when this mesh has `points` (n, d).
+        """Computes the coordinates (N, D) of all nodes of the file, in its order, from `points` (n, d) of this mesh.
 
-        These are what `jaxmorph.io.write` writes. D is 3 also for a mesh in two coordinates of a CGNS, gmsh or OpenFOAM file that
-        has three. A node that has not moved stays as it was in each of its copies.
+        `jaxmorph.io.write` writes these coordinates. D is 3 if the file has three coordinates, also
+        for a mesh in 2-D. A node that has not moved keeps the file's coordinates in all of its
+        copies.
 
         **Raises:** `ValueError` when the shape of `points` differs.
         """
@@ -127,31 +128,32 @@ class Mesh(Module):
 
     @property
     def polyhedra(self) -> Polyhedra | None:
-        """The whole cells of a mesh that was read with polyhedra (in 2-D polygons), of which `cells` has pieces; or None."""
+        """The whole cells of a file with polyhedra (in 2-D polygons), whose pieces are in `cells`; or None."""
         return getattr(self.source, "polyhedra", None)
 
     @property
     def cell_ids(self) -> np.ndarray:
-        """The file's number (k,) of each cell, as in `cells`; pieces of a polyhedron share a number."""
+        """Numbers (k,) of the cells in the file, in the order of `cells`; pieces of a polyhedron share a number."""
         ids = getattr(self.source, "cell_ids", None)
         return np.arange(sum(len(corners) for corners in self.cells.values())) if ids is None else ids
 
     @property
     def between(self) -> np.ndarray | None:
-        """The faces (k, corners), edges in 2-D, between this part of a mesh and others, -1 behind the last corner; or None.
+        """The faces (k, corners), edges in 2-D, between this part of a mesh and other parts; or None.
 
-        They are no boundary: their nodes are inner ones. No measure compares the cells on their two sides.
+        Rows have -1 behind the last corner. These faces are no boundary: their nodes are inner
+        nodes. No measure compares the cells on their two sides.
         """
         return getattr(self.source, "between", None)
 
     @property
     def cell_counts(self) -> dict[str, int]:
-        """The number of cells of each type in the file; cut cells count as `polyhedron` or `polygon`."""
+        """Numbers of cells by type in the file; cut cells count as `polyhedron` or `polygon`."""
         counts = {kind: len(corners) for kind, corners in self.cells.items()}
         if self.polyhedra is not None:
             cut = np.isin(self.cell_ids, self.polyhedra.cut)
             pieces = np.split(cut, np.cumsum(list(counts.values()))[:-1])
-            counts = {kind: int((~each).sum()) for kind, each in zip(counts, pieces, strict=True)}
+            counts = {kind: int((~is_piece).sum()) for kind, is_piece in zip(counts, pieces, strict=True)}
             counts["polygon" if self.points.shape[1] == 2 else "polyhedron"] = len(self.polyhedra.cut)
         return {kind: count for kind, count in counts.items() if count}
 
@@ -170,7 +172,7 @@ class Mesh(Module):
 
     @checked
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
-        """Makes a mesh of other coordinates `points` (n, d) with these cells and patches.
+        """Makes a mesh with coordinates `points` (n, d), and the cells and patches of this mesh.
 
         **Raises:** `ValueError` when the shape of `points` differs.
         """
@@ -188,15 +190,16 @@ class Mesh(Module):
 
     @staticmethod
     def from_meshio(mesh: Any) -> "Mesh":
-        """Makes a mesh of a `meshio.Mesh`: its cells of highest dimension, in two coordinates where all z are equal.
+        """Makes a mesh of a `meshio.Mesh`: its cells of highest dimension, in two coordinates if all z are equal.
 
-        Patches are cell sets of lower dimension, gmsh's physical groups and point arrays `patch:NAME`. Without them an
-        array `patch`, `marker`, `boundary` ... of whole numbers, on the boundary's cells or on points, tells patches
-        apart. Without it the one patch is `boundary`. Point ids stay. The result remembers where it came from, for
-        `to_meshio`.
+        Patches are cell sets of lower dimension, gmsh's physical groups and point arrays
+        `patch:NAME`. Without them, the whole numbers of an array `patch`, `marker`, `boundary` ...,
+        on the boundary's cells or on points, name patches. Without such an array the one patch is
+        `boundary`. Point ids stay. `to_meshio` of the result knows the `meshio.Mesh`.
 
-        **Raises:** `ValueError` for types of cells that are not supported (polyhedra, cells with nodes between
-        corners). Also for points that are not finite, and where there are no cells of an area or a volume.
+        **Raises:** `ValueError` for types of cells that are not supported (polyhedra, cells with
+        nodes between corners). Also for points that are not finite, and for a mesh without area or
+        volume.
         """
         return Mesh(*exchange.parts(exchange.of_meshio(mesh)), source=exchange.Origin(mesh))
 
@@ -204,25 +207,26 @@ class Mesh(Module):
     def to_meshio(
         self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
     ) -> Any:
-        """Makes a `meshio.Mesh`: the one that this mesh came from with other points, all else as it was, or a new one.
+        """Makes a `meshio.Mesh`: the one that this mesh came from, with other points, or a new one.
 
         Patches are point arrays `patch:NAME` of zeros and ones.
 
         **Arguments:**
 
         - `point_data`: arrays to add, one row a point. Default: none.
-        - `cell_data`: arrays to add, one row a cell, in the order of `cells`. Other cells of the mesh that this one
-          came from get NaN. Default: none.
+        - `cell_data`: arrays to add, one row a cell, in the order of `cells`. Other cells of the
+          `meshio.Mesh` get NaN. Default: none.
 
-        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where meshio is missing.
+        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where meshio is
+        missing.
         """
         return export.to_meshio(self._parts, self.source, point_data, cell_data)
 
     @staticmethod
     def from_pyvista(grid: Any) -> "Mesh":
-        """Makes a mesh of a `pyvista.UnstructuredGrid`, or any other data set of PyVista made one, as `from_meshio` does.
+        """Makes a mesh of a `pyvista.UnstructuredGrid`, or of another data set of PyVista, as `from_meshio` does.
 
-        **Raises:** `ValueError` as that does, and for a `MultiBlock`.
+        **Raises:** `ValueError` as `from_meshio` does, and for a `MultiBlock`.
         """
         if not hasattr(type(grid), "cells_dict"):
             if not hasattr(grid, "cast_to_unstructured_grid"):
@@ -236,13 +240,14 @@ class Mesh(Module):
     def to_pyvista(
         self, *, point_data: dict[str, ArrayLike] | None = None, cell_data: dict[str, ArrayLike] | None = None
     ) -> Any:
-        """Makes a `pyvista.UnstructuredGrid`, with patches and arrays as `to_meshio` has them.
+        """Makes a `pyvista.UnstructuredGrid`, with patches and arrays as in `to_meshio`.
 
         **Arguments:**
 
-        - `point_data`, `cell_data`: those of `to_meshio`.
+        - `point_data`, `cell_data`: as `to_meshio` takes them.
 
-        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where PyVista is missing.
+        **Raises:** `ValueError` for arrays of a wrong length, `ImportError` where PyVista is
+        missing.
         """
         return export.to_pyvista(self._parts, self.source, point_data, cell_data)
 
@@ -258,7 +263,7 @@ class Mesh(Module):
 
 
 def _floats(points) -> Any:
-    """Returns coordinates as an array of floats, JAX's where they are JAX's: quality traces through a mesh's points."""
+    """Returns coordinates as an array of floats; an array of JAX stays one, since quality traces through a mesh's points."""
     if isinstance(points, type):
         raise ValueError(f"`points` is {shown(points)}; coordinates are real numbers (n, d).")
     try:
@@ -268,7 +273,9 @@ def _floats(points) -> Any:
             f"`points` are rows of several lengths: {shown(points)}; coordinates are (n, 2) or (n, 3)."
         ) from None
     if np.ma.is_masked(points):
-        raise ValueError(f"`points` masks {np.ma.count_masked(points)} coordinates; every node needs all of its own.")
+        raise ValueError(
+            f"`points` masks {np.ma.count_masked(points)} coordinates; a node needs all of its coordinates."
+        )
     points = points.data if isinstance(points, np.ma.MaskedArray) else points
     if not (np.issubdtype(points.dtype, np.integer) or jnp.issubdtype(points.dtype, np.floating)):
         raise ValueError(f"`points` holds {points.dtype}; coordinates are real numbers.")

@@ -9,16 +9,16 @@ SHOWN = 12
 
 
 def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Lists the patches that names mean: a patch, else a group, else all that a regular expression matches whole.
+    """Lists the patches of names: a patch, or a group, or all patches whose whole names match a regular expression.
 
-    **Raises:** `ValueError` for a name that means none.
+    **Raises:** `ValueError` for a name without a patch.
     """
     listed: list[str] = []
     for name in names:
         if name in patches:
             listed.append(name)
         elif name in groups:
-            listed += [each for each in groups[name] if each in patches]
+            listed += [patch for patch in groups[name] if patch in patches]
         else:
             listed += _matched(name, patches, groups)
     return tuple(dict.fromkeys(listed))
@@ -37,9 +37,9 @@ def _matched(pattern: str, patches: Collection[str], groups: Mapping[str, Sequen
 
 
 def _hint(name: str, known: Sequence[str]) -> str:
-    """Suggests a known name like the given one, or the regular expression for a shell's pattern."""
+    """Suggests a similar known name, or the regular expression for a shell's pattern."""
     shell = re.sub(r"(?<![.\])])\*", ".*", name)
-    if shell != name and any(re.fullmatch(shell, each) for each in known if not re.search(r"[\[(\\]", shell)):
+    if shell != name and not re.search(r"[\[(\\]", shell) and any(re.fullmatch(shell, patch) for patch in known):
         return f" (patterns are regular expressions: {shell!r})"
     near = difflib.get_close_matches(name, known, n=1)
     return f" (did you mean {near[0]!r}?)" if near else ""
@@ -48,5 +48,5 @@ def _hint(name: str, known: Sequence[str]) -> str:
 def _known(patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> str:
     names = [repr(name) for name in patches]
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    named = f", and the groups {', '.join(map(repr, groups))}" if groups else ""
-    return f"this mesh has: {', '.join(names[:SHOWN]) or 'none'}{more}{named}"
+    of_groups = f", and the groups {', '.join(map(repr, groups))}" if groups else ""
+    return f"this mesh has: {', '.join(names[:SHOWN]) or 'none'}{more}{of_groups}"

@@ -7,17 +7,17 @@ import numpy as np
 from .faces import BLOCK, Faces
 
 SLIVER = 1e-3
-"""A piece of less than this share of the mean piece of its cell is left out: its sign says nothing about the cell."""
+"""Share of the mean piece of a cell below which a piece is left out: its sign says nothing about the cell."""
 
 ENOUGH = 0.05
-"""Share of the mean piece from which on no better apex is looked for."""
+"""Share of the mean piece at which no better apex is searched."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Polyhedra:
-    """The whole cells of a mesh of which some are cut: all faces (edges in 2-D), and the cells that are cut, by their ids.
+    """The whole cells of a mesh with cut cells: all faces (edges in 2-D), and the ids of the cut cells.
 
-    `Mesh.cell_ids` tells which whole cell each cell of the mesh is, or is a piece of.
+    `Mesh.cell_ids` has the whole cell of every cell or piece of the mesh.
     """
 
     faces: Faces
@@ -25,9 +25,10 @@ class Polyhedra:
 
 
 def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cuts the faces `chosen` into triangles (t, 3), each in the sense of its face; and gives the place in `chosen` of its face.
+    """Cuts the faces `chosen` into triangles (t, 3), in the sense of the face; also returns the face's place in `chosen`.
 
-    A face is a fan about the corner that makes its smallest triangle largest: both cells of a face see the same triangles.
+    A face is a fan about the corner that makes its smallest triangle largest. So both cells of a
+    face see equal triangles.
     """
     sizes = faces.sizes[chosen]
     parts, owners = [], []
@@ -53,10 +54,10 @@ def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cuts each cell into tetrahedra (t, 4) between one of its nodes, the apex, and the triangles of faces away from it.
+    """Cuts cells into tetrahedra (t, 4) between a node, the apex, and the triangles of faces away from it.
 
-    It also gives the cell of each tetrahedron. The apex is the first node whose smallest piece is no sliver, else the one
-    whose smallest piece is largest.
+    It also returns the cell of every tetrahedron. The apex is the first node whose smallest piece
+    is no sliver, or, if there is none, the node whose smallest piece is largest.
     """
     ordered, starts = faces.of_cells()
     parts, owners = [np.zeros((0, 4), faces.labels.dtype)], [np.zeros(0, np.int64)]
@@ -71,7 +72,7 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.
 
 
 def spread(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lists the whole numbers of many ranges in a row, and the number of the range of each."""
+    """Lists the whole numbers of many ranges in a row, and the ranges to which they belong."""
     counts = last - first
     ends = np.cumsum(counts)
     which = np.repeat(np.arange(len(counts)), counts)
@@ -80,7 +81,7 @@ def spread(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Holds triangles around each cell, counterclockwise from inside: their cells, and where each face of a cell begins."""
+    """Triangles around cells, counterclockwise from inside, with their cells and the faces of these cells."""
 
     points: np.ndarray
     corners: np.ndarray
@@ -97,7 +98,7 @@ class _Pieces:
         return cls(points, np.where((signed < 0)[face, None], triangle, triangle[:, ::-1]), cell[face], face)
 
     def volumes(self, apex: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes six volumes of the tetrahedra below `apex`, one node a cell, and which stand on faces away from it."""
+        """Computes six volumes of the tetrahedra below `apex`, one node a cell, and marks those on faces away from it."""
         tip = apex[self.cell[rows]]
         a, b, c = (self.points[self.corners[rows, i]] - self.points[tip] for i in range(3))
         face = self.face[rows]
@@ -107,7 +108,9 @@ class _Pieces:
         return -np.einsum("ti,ti->t", np.cross(a, b), c), away
 
     def best_apex(self) -> np.ndarray:
-        """Chooses the apex of each cell: one node a cell."""
+        """Chooses the apex of all cells: one node a cell."""
+        # The nodes of all cells are sorted by cell. Round `turn` tries node number `turn` of every
+        # cell whose best node is not yet good enough.
         count = int(self.cell[-1]) + 1
         pairs = np.unique(np.stack([np.repeat(self.cell, 3), self.corners.ravel()], axis=1), axis=0)
         first = np.searchsorted(pairs[:, 0], np.arange(count + 1))
@@ -123,7 +126,7 @@ class _Pieces:
         return apex
 
     def _least(self, apex: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
-        """Computes the smallest piece of each cell over its mean piece."""
+        """Computes the smallest piece of a cell over its mean piece, for all cells."""
         volume, away = self.volumes(apex, rows)
         cell, volume = self.cell[rows[away]], volume[away]
         least = np.full(count, np.inf)
@@ -132,7 +135,7 @@ class _Pieces:
         return np.where(mean > 0, least / np.where(mean > 0, mean, 1), -np.inf)
 
     def tetrahedra(self, apex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Makes the pieces below `apex` that are no slivers: their corners (t, 4) and their cells."""
+        """Makes the pieces below `apex` without slivers: their corners (t, 4) and their cells."""
         volume, away = self.volumes(apex, np.arange(len(self.cell)))
         size = np.where(away, np.abs(volume), 0)
         mean = np.bincount(self.cell, size) / np.maximum(np.bincount(self.cell, away), 1)

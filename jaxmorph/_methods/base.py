@@ -1,176 +1,48 @@
-"""The contract of a method: the surface that it sees, and the two abstract classes."""
+"""The contract of a method: the abstract classes of methods and their fields."""
 
 import abc
 import dataclasses
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
-from scipy.spatial import KDTree
 
-from .._host.package.rounding import SAME, nearest_of
-from .._host.sources.reduction import AbstractReduction, drop_close, drop_near
-from .._host.surface.skin import chords
-from .._host.surface.walls import walls
 from .._kernels.module import Module
-
-T = TypeVar("T")
+from .surface import Surface
 
 BLOCK = 512
-"""Points evaluated together: memory, also for derivatives, is that of one block, whatever the size of the mesh."""
+"""Points that are evaluated together.
 
-
-@dataclasses.dataclass(frozen=True)
-class Cells:
-    """The cells of a mesh of n points, and the planes in which nodes slide.
-
-    - `corners`: node ids (k, corners) by type, the cells of highest dimension alone.
-    - `normals` (p, d): unit normals of the symmetry planes, parallel or at right angles to each other.
-    - `on_plane` (n, p): the nodes that lie on each.
-    """
-
-    corners: Mapping[str, np.ndarray]
-    normals: np.ndarray
-    on_plane: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class Surface:
-    """The moving and fixed nodes as `AbstractMethod.connect` sees them, on the host.
-
-    A row of the surface is one of its b nodes.
-
-    - `points` (b, d): coordinates, the `moving` first ones moving, the others fixed.
-    - `nodes` (b,): each row's place among the points that `connect` is given, -1 for a row that is not among them.
-    - `moving`: the number of moving rows.
-    - `images` (b,): for each row the row of which it is the mirror image, or itself.
-    - `matched`: rows whose displacement is known to vanish. They are a coarse field's sources, where a correction has
-      nothing to do.
-    - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None without cells.
-    - `is_open`: whether boundary faces of the mesh are neither moving, fixed nor on a symmetry plane, or None without cells.
-    - `cells`: the mesh's cells and symmetry planes, or None where they are not known: points alone, or a part of a mesh.
-    - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed, or None without any.
-    - `near`: points (k,) near a wall, and the row (k,) of the nearest node, where a method has found them. They make searches fast.
-    """
-
-    points: np.ndarray
-    nodes: np.ndarray
-    moving: int
-    images: np.ndarray
-    matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
-    faces: Mapping[str, np.ndarray] | None = None
-    is_open: bool | None = None
-    cells: Cells | None = None
-    in_planes: np.ndarray | None = None
-    near: tuple[np.ndarray, np.ndarray] | None = None
-    kept: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
-
-    @property
-    def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Finds each row's wall (b,), two ends of each wall (w, 2), and its mean chord (w,) relative to their distance."""
-        return self.once("walls", self._walls)
-
-    def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        wall = walls(self.points, self.moving, self.faces, self.in_planes)
-        return wall, *chords(self.points, wall, self.faces)
-
-    def once(self, key: Any, make: Callable[[], T]) -> T:
-        """Makes what the surface alone decides, whatever the points, once for it and all that are `altered` from it.
-
-        `key` says what it is, with all that it depends on beside the surface.
-        """
-        if key not in self.kept:
-            self.kept[key] = make()
-        return self.kept[key]
-
-    def altered(self, **fields: Any) -> "Surface":
-        """Returns the surface with other `nodes` or `matched` rows. What was made `once` goes with it."""
-        return dataclasses.replace(self, **fields)
-
-    def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
-        """Chooses rows among the moving nodes, then among the fixed ones, each with its mirror images; no two of them too close."""
-        first, closest = self._chosen(moving, np.arange(self.moving), self.points[self.moving :])
-        rows = np.arange(self.moving, len(self.points))
-        second, closest_fixed = self._chosen(fixed, rows, self.points[first])
-        return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
-
-    def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
-        """Chooses rows by a reduction, images included, and returns also how close two of them may come.
-
-        A source too close to its own image gives way to the nearest node that is not, one on the plane if there is any. Two
-        sources that are apart are farther from each other's images: all nodes lie on one side of a plane.
-        """
-        originals = rows[self.images[rows] == rows]
-        closest = reduction.closest(self.points[originals])
-        chosen = originals[reduction.beside(self.points[originals], others)]
-        far = self._on_far_walls(reduction, originals, others)
-        chosen = drop_close(self.points, np.append(chosen, far), closest) if len(far) else chosen
-        images = np.flatnonzero(self.images != np.arange(len(self.points)))
-        apart = np.full(len(self.points), np.inf)
-        np.minimum.at(
-            apart, self.images[images], np.linalg.norm(np.subtract(*self.points[[images, self.images[images]]]), axis=1)
-        )
-        is_near = apart <= closest * (1 + SAME)
-        near, free = chosen[is_near[chosen]], originals[~is_near[originals]]
-        if near.size:
-            moved = nearest_of(self.points[near], self.points[free], free) if free.size else near[:0]
-            chosen = drop_close(self.points, np.concatenate([moved, chosen[~is_near[chosen]]]), closest)
-        return rows[np.isin(self.images[rows], chosen)], closest
-
-    def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses among the rows of each wall that is farther from the `others` (s, d) than it is long, as if there were no others.
-
-        It chooses none where these would be too many, and where no faces tell the walls.
-        """
-        chosen = [rows[:0]]
-        if not reduction.most_on_far_walls or self.faces is None or not len(rows):
-            return chosen[0]
-        wall, distance = self.walls[0][rows], KDTree(others).query(self.points[rows])[0]
-        for label in np.unique(wall):
-            members = np.flatnonzero(wall == label)
-            corners = self.points[rows[members]]
-            if distance[members].min() > (1 + SAME) * np.linalg.norm(np.ptp(corners, axis=0)) > 0:
-                chosen.append(rows[members[reduction(corners)]])
-        return np.concatenate(chosen) if sum(map(len, chosen)) <= reduction.most_on_far_walls else chosen[0]
-
-    def among(self, points: np.ndarray) -> tuple["Surface", np.ndarray]:
-        """Returns the surface with each of its rows among the points: rows that are not (mirror images) are added at the end."""
-        absent = np.flatnonzero(self.nodes < 0)
-        if not absent.size:
-            return self, points
-        nodes = self.nodes.copy()
-        nodes[absent] = len(points) + np.arange(len(absent))
-        return self.altered(nodes=nodes), np.concatenate([points, self.points[absent]])
-
-    def rows(self, n: int) -> np.ndarray:
-        """Finds the surface's row of each of n points (n,); b for a point that is not on the surface."""
-        rows = np.full(n, len(self.points), dtype=np.int32)
-        present = np.flatnonzero(self.nodes >= 0)
-        rows[self.nodes[present]] = present
-        return rows
+Memory, also for derivatives, is that of one block, whatever the size of the mesh.
+"""
 
 
 class Located(eqx.Module):
-    """Counts how the location of a mesh's points went: answers `repaired`, and points that lie `outside` by round-off."""
+    """Counts of how points were located.
+
+    `repaired` answers of the graph were wrong, and points lie `outside` of it by round-off.
+    """
 
     repaired: Int[Array, ""]
     outside: Int[Array, ""]
 
 
 class AbstractRows(eqx.Module):
-    """Rows of a linear operator, one a point, that may carry a table which makes the transpose as fast as the operator.
+    """Rows of a linear operator, one for each point, with an optional table for its transpose.
 
-    What `AbstractPlacing.place` returns may hold such rows. The driver builds and keeps their tables.
+    The table makes the transpose as fast as the operator.
+
+    The places of points (`AbstractPlacing.place`) may hold such rows. The driver builds their
+    tables.
     """
 
     @abc.abstractmethod
     def with_table(self, count: int, parts: int) -> "AbstractRows":
-        """Adds a table, on the host, for rows of many points over `count` surface nodes, which lie in `parts` equal shares.
+        """Adds a table for `count` surface nodes; the rows lie in `parts` equal shares. Host.
 
-        Each share's table has positions within the share, and as many rows as the others.
+        A share's table has positions within the share. All tables have the same number of rows.
         """
 
     @abc.abstractmethod
@@ -187,7 +59,8 @@ class Control:
     """Rows of the surface that control a field, and how far the field reaches.
 
     - `sources` (s,): rows that are the field's control points, the centres of its functions.
-    - `matched` (k,): rows whose displacement the field takes. They leave nothing to a correction.
+    - `matched` (k,): rows whose displacement the field reproduces. They leave nothing to a
+      correction.
     - `reach`: how far from the surface the field reaches.
     """
 
@@ -201,10 +74,15 @@ class AbstractField(Module):
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, " d"], ids: PyTree) -> Float[Array, " d"]:
-        """Computes the displacement at `x`; `ids` is what `connect` chose for this point, or `place` made of it."""
+        """Computes the displacement at `x`.
+
+        `ids` is what `connect` chose for this point, or `place` made of it.
+        """
 
     def evaluate(self, points: Float[Array, "c d"], ids: PyTree) -> Float[Array, "c d"]:
-        """Computes the displacements of a block of c points. Equal to the mapped one-point form; there for speed alone.
+        """Computes the displacements of a block of c points.
+
+        The result is that of the mapped one-point form. The function exists for speed alone.
 
         A leaf of `ids` has one row a point.
         """
@@ -212,27 +90,28 @@ class AbstractField(Module):
 
     @property
     def block_size(self) -> int | None:
-        """Points evaluated together. None if a point needs so little memory that no blocking is required."""
+        """Points that are evaluated together; None if the memory needs no blocks."""
         return BLOCK
 
 
 class AbstractMethod(Module):
     """Turns displacements of the surface into a displacement field.
 
-    A method of your own needs `connect`, `fit` and `field`; the other functions have defaults. A method that needs of each point
-    what its place gives is an `AbstractPlacing`. The surface's b rows are the moving nodes, then the fixed ones,
-    no node twice. Arguments have the same meaning in all of a method's functions:
+    A method of your own needs `connect`, `fit` and `field`; all other functions have defaults. A
+    method that computes something for each point once per base mesh is an `AbstractPlacing`. The
+    surface's b rows are the moving nodes, then the fixed ones, no node twice. An argument means
+    one thing in all functions of a method:
 
     - `surface`: on the host a `Surface`; traced the coordinates (b, d) of its rows.
-    - `points`, `x`: all points (n, d) of the mesh, in `fit` its base coordinates; one of them (d,).
-    - `ids`: what `connect` returned for the surface; in the field what it returned for one point.
+    - `points`: all points (n, d) of the mesh, in `fit` its base coordinates. `x` is one point (d,).
+    - `ids`: what `connect` returned for the surface; in the field what it returned for a point.
     - `factors`: what `fit` returned.
     - `u`: displacements (b, d) of the surface's rows.
     """
 
     @abc.abstractmethod
     def connect(self, surface: Surface, points: Float[np.ndarray, "n d"]) -> tuple[PyTree, PyTree]:
-        """Finds ids for the surface, and ids for every point (each leaf has n rows). Called once, on the host."""
+        """Finds ids for the surface, and for every point (n rows). Once, on the host."""
 
     @abc.abstractmethod
     def fit(self, ids: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
@@ -245,18 +124,21 @@ class AbstractMethod(Module):
         """Makes the displacement field. Traced, and linear in `u` for a method that is `linear`."""
 
     def control(self, ids: PyTree) -> Control:
-        """Returns what controls the field, of the rows that `connect` chose, on the host; by default no row stands out."""
+        """Returns the rows that control the field, on the host; none by default."""
         return Control()
 
     def check(self, ids: PyTree, factors: PyTree, u: Float[Array, "b d"]) -> None:
-        """Raises or warns when the factors are unusable. Called once, on the host, after the first `fit`.
+        """Raises or warns when the factors are unusable. Once, on the host, after the first `fit`.
 
         `u` is a displacement to try.
         """
 
     @property
     def needs_cells(self) -> bool:
-        """True if `connect` needs the cells of the whole mesh. The solve is of all nodes: a plan is not laid over devices."""
+        """True if `connect` needs the cells of the whole mesh.
+
+        Its solve is for all nodes, so a plan is not split over devices.
+        """
         return False
 
     @property
@@ -266,12 +148,15 @@ class AbstractMethod(Module):
 
     @property
     def exact(self) -> bool:
-        """True if the field takes the given displacements at the surface's nodes; they are then assigned bit for bit."""
+        """True if the field takes the given displacements at the surface's nodes.
+
+        The driver then assigns them bit for bit.
+        """
         return True
 
 
 def check_kind(value: Any, kind: type, name: str, example: str, *, optional: bool = False) -> None:
-    """Raises `ValueError`, with the call to make, where an argument is not an object of its kind: a string, a class, a number."""
+    """Raises `ValueError` for an argument that is not an object of its kind."""
     if isinstance(value, kind) or (optional and value is None):
         return
     what = kind.__name__.removeprefix("Abstract").lower()

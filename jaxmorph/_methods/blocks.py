@@ -11,14 +11,20 @@ from .base import BLOCK, AbstractField, AbstractMethod, AbstractRows
 from .placing import AbstractPlacing
 
 WIDER = 256
-"""Factor of the size of blocks where the platform is no CPU: a GPU wants millions of elements at once, and few launches."""
+"""Factor of the size of blocks on platforms that are no CPU.
+
+A GPU wants millions of elements at once, and few launches.
+"""
 
 FEW = 64
 """Blocks that are few enough for any platform. Two programs are traced for more."""
 
 
 def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -> Float[Array, "n d"]:
-    """Evaluates the field at every point, block by block, each block recomputed instead of stored for derivatives."""
+    """Evaluates the field at every point, block by block.
+
+    For derivatives each block is computed again, not stored.
+    """
     if field.block_size is None:
         return field.evaluate(points, ids)
     return map_rows(jax.checkpoint(lambda part: field.evaluate(*part)), (points, ids), field.block_size)
@@ -27,7 +33,7 @@ def map_points(field: AbstractField, points: Float[Array, "n d"], ids: PyTree) -
 def place_points(
     method: AbstractMethod, points: Float[Array, "n d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
 ) -> PyTree:
-    """Adds to every point's ids what its place gives, by the method's `place`."""
+    """Computes every point's place by the method's `place`."""
     if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return ids
     return _mapped(lambda x, ids: method.place(x, ids, factors, surface), (points, ids))
@@ -39,7 +45,7 @@ def carry_points(
     factors: PyTree,
     surface: Float[Array, "b d"],
 ) -> PyTree:
-    """Changes what every point's place gives, by the method's `carry_place`; `rows` are points, ids, and their places."""
+    """Changes every point's place by the method's `carry_place`."""
     points, ids, placed = rows
     if not isinstance(method, AbstractPlacing) or not jax.tree.leaves(ids):
         return placed
@@ -51,7 +57,7 @@ def carry_points(
 
 
 def _mapped(function: Callable[..., PyTree], rows: tuple) -> PyTree:
-    """Applies a function of one point's rows to all, in blocks, and keeps nothing of it for the derivatives."""
+    """Applies a function of one point's rows to all points, in blocks."""
     place = jax.checkpoint(jax.vmap(function))
     return by_platform(lambda rows, block: _placed(place, rows, block), rows, BLOCK)
 
@@ -73,16 +79,18 @@ def _placed(place: Callable, rows: tuple, block: int) -> PyTree:
 
 
 def map_rows(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> PyTree:
-    """Applies a function to blocks of `block` rows, and joins the results, which have as many rows as the blocks.
+    """Applies a function to blocks of `block` rows, and joins the results.
 
-    Each block adds its rows to one array of zeros, in place; the last block may be shorter. Nothing is padded. Blocks are larger
-    on a platform that is no CPU.
+    A result has as many rows as its block.
+
+    Each block adds its rows to one array of zeros, in place; the last block may be shorter. Nothing
+    is padded. Blocks are larger on a platform that is no CPU.
     """
     return by_platform(lambda rows, block: _joined(function, rows, block), rows, block)
 
 
 def fold_rows(function: Callable[[PyTree, PyTree], PyTree], start: PyTree, rows: PyTree, block: int) -> PyTree:
-    """Folds blocks of `block` rows into one result, from `start` on: `function(result so far, rows)`."""
+    """Folds blocks of rows into one result from `start` on: `function(result so far, rows)`."""
     return by_platform(lambda rows, block: _folded(function, start, rows, block), rows, block)
 
 
@@ -96,7 +104,7 @@ def _folded(function: Callable[[PyTree, PyTree], PyTree], start: PyTree, rows: P
 
 
 def by_platform(function: Callable[[PyTree, int], PyTree], rows: PyTree, block: int) -> PyTree:
-    """Calls `function(rows, block)` with the size of blocks that suits the platform the program is compiled for."""
+    """Calls `function(rows, block)` with the size of blocks for the program's platform."""
     if len(jax.tree.leaves(rows)[0]) <= FEW * block or is_for_cpu():
         return function(rows, block)
     return jax.lax.platform_dependent(
@@ -125,7 +133,7 @@ def _joined(function: Callable[[PyTree], PyTree], rows: PyTree, block: int) -> P
 
 
 def _add_rows(whole: Array, part: Array, start: Int[Array, ""]) -> Array:
-    """Adds, and does not replace: the transpose of an addition reads, where that of a replacement also copies and clears."""
+    """Adds rows to an array in place."""
     window = jax.lax.ScatterDimensionNumbers(
         update_window_dims=tuple(range(part.ndim)), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
     )
@@ -145,7 +153,7 @@ def is_rows(leaf: object) -> bool:
 
 
 def with_tables(placed: PyTree, count: int, parts: int = 1) -> PyTree:
-    """Gives each operator in `placed` a table of its transpose, on the host, for `count` surface nodes and `parts` devices."""
+    """Gives each operator in `placed` a table of its transpose, on the host."""
     return _map_rows_of(lambda rows: rows.with_table(count, parts), placed)
 
 
@@ -155,7 +163,7 @@ def without_tables(placed: PyTree) -> PyTree:
 
 
 def with_tables_of(old: PyTree, placed: PyTree) -> PyTree:
-    """Gives the operators in `placed` the tables of the `old` operators, which have equal ids. Traced."""
+    """Gives the operators in `placed` the tables of `old` operators with equal ids. Traced."""
     return _map_rows_of(lambda rows, before: rows.with_table_of(before), placed, old)
 
 

@@ -1,28 +1,33 @@
-"""Delaunay graph mapping (Liu, Qin and Xia, J. Comput. Phys. 211, 2006; section 2.3 of the paper, eqs. 6 to 9)."""
+"""Delaunay graph mapping (Liu, Qin and Xia 2006; section 2.3 of the paper, eqs. 6 to 9)."""
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._host.linear.products import determinant
-from .._host.surface.graph import graph_of, locate
+from .._host.surface.graph import graph_of
+from .._host.surface.locate import locate
 from .._kernels.values import as_jax
-from .base import Located, Surface
+from .base import Located
 from .placing import AbstractPlacing
 from .sparse import InterpolatedField, Interpolation
+from .surface import Surface
 
 
 class DelaunayGraph(AbstractPlacing):
-    """Moves each point linearly with the simplex of surface nodes that holds it (eq. 8): Delaunay graph mapping.
+    """Moves each point with the simplex of surface nodes that holds it (eq. 8).
 
-    The graph stands on the undeformed surface and carries displacements, so that the map is one linear operator for any
-    motion. A surface node follows itself alone, whatever the graph does around it; of several coincident nodes the
-    first one (moving before fixed) stands for all in the graph.
+    The graph stands on the undeformed surface and carries displacements, so that the map is one
+    linear operator for any motion. A surface node follows itself alone, whatever the graph does
+    around it; of several coincident nodes the first one (moving before fixed) stands for all in the
+    graph.
 
-    The graph is discontinuous in the base coordinates: nodes on one circle or sphere can be joined in several ways, and change
-    from one to another. Coordinates are rounded far below the distance of nodes first, so round-off does not choose.
+    The graph is discontinuous in the base coordinates: nodes on one circle or sphere can be joined
+    in several ways, and change from one to another. Coordinates are rounded far below the distance
+    of nodes first, so round-off does not choose.
 
-    **Raises:** `prepare` raises a `ValueError` for points outside of the convex hull of the surface.
+    **Raises:** `prepare` raises a `ValueError` for points outside of the convex hull of the
+    surface.
     """
 
     def connect(self, surface: Surface, points):
@@ -48,7 +53,10 @@ class DelaunayGraph(AbstractPlacing):
 
 
 def barycentric(x: Float[Array, " d"], corners: list[Float[Array, " d"]], at_node) -> list[Float[Array, ""]]:
-    """Computes barycentric coordinates e of x (eqs. 6 and 7, and their like in 3-D) in closed form; (1, 0, ...) `at_node`."""
+    """Computes barycentric coordinates e of x in closed form; (1, 0, ...) `at_node`.
+
+    These are eqs. 6 and 7, and their like in 3-D.
+    """
     edges = [corner - corners[0] for corner in corners[1:]]
     inner = x - corners[0]
     whole = determinant(edges)

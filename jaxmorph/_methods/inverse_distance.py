@@ -1,4 +1,4 @@
-"""Inverse distance weighting (Luke, Collins and Blades, J. Comput. Phys. 231, 2012), with or without rotations of the nodes."""
+"""Inverse distance weighting (Luke, Collins and Blades, J. Comput. Phys. 231, 2012)."""
 
 from collections.abc import Mapping
 
@@ -10,26 +10,29 @@ from jaxtyping import Array, Float, Int
 
 from .._host.package.arguments import between, check_fields
 from .._kernels.values import largest, norm, root
-from .base import AbstractField, AbstractMethod, Surface
+from .base import AbstractField, AbstractMethod
 from .numbers import number
 from .rbf.system import block_size, squared_distances
+from .surface import Surface
 
 SMALLEST = 1e-12
 """Distance, relative to the surface's extent, below which a point is at a node."""
 
 
 class InverseDistance(AbstractMethod):
-    """Moves each point by the mean of what the surface's nodes do, weighted by inverse powers of their distance.
+    """Moves each point by a mean of the surface's displacements, weighted by distance.
 
     The method is that of Luke, Collins and Blades (Journal of Computational Physics 231, 2012).
 
-    The weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary faces, and the same for
-    all without cells. L is the largest distance of a surface node from the middle of the moving ones. There is no system to
-    solve. IDWarp has the defaults of the weights, and `rotations=True`.
+    The weight of node i is A_i ((L / r)^far + (alpha L / r)^near). A_i is its share of the boundary
+    faces; without cells it is 1. L is the largest distance of a surface node from the middle of the
+    moving nodes. There is no system to solve. IDWarp has the defaults of the weights, and
+    `rotations=True`.
 
-    With `rotations` each node also turns its surroundings, as its normal turns: a body that pitches keeps the cells around it.
-    The normals come from the boundary faces, so `prepare` needs the mesh. The displacement is then not linear in `u`
-    (`method.linear` says so). Derivatives are complete, at u = 0 too. A node's rotation about its own normal is not seen.
+    With `rotations` each node also turns its surroundings, as its normal turns: a body that pitches
+    keeps the cells around it. The normals come from the boundary faces, so `prepare` needs the
+    mesh. The displacement is then not linear in `u` (`method.linear` says so). Derivatives are
+    complete, at u = 0 too. A node's rotation about its own normal is not seen.
 
     **Arguments:**
 
@@ -37,7 +40,8 @@ class InverseDistance(AbstractMethod):
     - `alpha`: share of L within which the nearest nodes prevail. Default 0.25.
     - `rotations`: whether nodes turn. Default False.
 
-    **Raises:** `ValueError` for a number that is not positive. `prepare` raises it for rotations without boundary faces.
+    **Raises:** `ValueError` for a number that is not positive. `prepare` raises it for rotations
+    without boundary faces.
     """
 
     far: float = eqx.field(static=True, default=3.0)
@@ -67,7 +71,7 @@ class InverseDistance(AbstractMethod):
         count = jnp.arange(len(surface)) < moving
         middle = jnp.sum(jnp.where(count[:, None], surface, 0), axis=0) / moving
         extent = root(largest(jnp.sum((surface - middle[None]) ** 2, axis=1)))
-        extent = jnp.where(extent > 0, extent, 1)  # of one place: any length will do
+        extent = jnp.where(extent > 0, extent, 1)  # all nodes at one place: any length serves
         return _areas(faces, surface) if faces else jnp.ones(len(surface), surface.dtype), extent
 
     def field(self, ids, factors, surface, u):
@@ -106,7 +110,7 @@ class InverseDistanceField(AbstractField):
         )
 
     def _weights(self, points: Float[Array, "k d"]) -> Float[Array, "k b"]:
-        """Computes weights that add to one. They are taken relative to the nearest node's, so that none overflows."""
+        """Computes weights that add to one."""
         far, near, alpha = self.method.far, self.method.near, self.method.alpha.astype(points.dtype)
         squared = jnp.maximum(squared_distances(points, self.surface), (SMALLEST * self.extent) ** 2)
         least = jax.lax.stop_gradient(squared.min(axis=1, keepdims=True))
@@ -119,7 +123,7 @@ class InverseDistanceField(AbstractField):
 
 
 def _power(squared: Float[Array, "..."], exponent: float) -> Float[Array, "..."]:
-    """Computes a power of a root; a whole one by products, many times faster."""
+    """Computes a power of a root; a whole power by products, many times faster."""
     if exponent != int(exponent):
         return squared ** (exponent / 2)
     whole = jax.lax.integer_pow(squared, int(exponent) // 2)
@@ -163,14 +167,14 @@ def _changes(
     for ids in faces.values():
         change = _vectors(u[ids])
         if ids.shape[1] > 2:
-            before, after = (_diagonals(each[ids]) for each in (surface, u))
+            before, after = (_diagonals(rows[ids]) for rows in (surface, u))
             change = change + (jnp.cross(before[0], after[1]) + jnp.cross(after[0], before[1])) / 2
         total = total.at[ids].add(change[:, None])
     return total
 
 
 def _turns(before: Float[Array, "b d"], change: Float[Array, "b d"]) -> Float[Array, "b d d"]:
-    """Computes the least rotations from normals to changed ones, less the identity: zero where nothing changes."""
+    """Computes the least rotations from normals to changed normals, less the identity."""
     squared = jnp.sum(before**2, axis=1) * jnp.sum((before + change) ** 2, axis=1)
     scale = jnp.where(squared > 0, 1 / jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
     cosine = jnp.where(squared > 0, jnp.sum(before * (before + change), axis=1) * scale, 1)

@@ -1,4 +1,4 @@
-"""The correction of Rendall and Allen: what a reduced field misses at the nearest node of the surface, fading with the distance."""
+"""The correction of Rendall and Allen: the nearest node's offset, fading with distance."""
 
 import equinox as eqx
 import jax
@@ -9,40 +9,48 @@ from scipy.spatial import KDTree
 
 from .._host.package.rounding import nearest_of
 from .._kernels.values import as_jax
-from .base import Control, Surface
+from .base import Control
 from .nearwall import Extent, layer_width
 from .numbers import length_or_none
 from .placing import AbstractPlacing
-from .rbf.basis import WendlandC2
+from .rbf.compact_bases import WendlandC2
 from .searched import Searched, squared_distance
 from .sparse import InterpolatedField, Reach
+from .surface import Surface
 
 REACH = 1.25
-"""Distance in radii within which nodes are searched for. By the rest another node may come nearer than the nearest one."""
+"""Distance in radii within which nodes are searched for.
+
+By the part beyond 1 another node may come nearer than the nearest node.
+"""
 
 SPACING = 2.0
 """The automatic radius, relative to the width of the layer of `NearWall`."""
 
 
 class LocalCorrection(AbstractPlacing):
-    """Moves a point along with the nearest node of the surface, by a share that fades with the distance to it.
+    """Moves a point with the nearest surface node, by a share that fades with distance.
 
-    u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. Rendall and Allen correct so what a
-    reduced set of sources misses on the surface (Journal of Computational Physics 228 and 229, 2009 and 2010). It is exact at
-    the surface's nodes, solves no system and needs no graph, so the mesh may reach beyond the hull of its boundary.
+    u(x) = psi(|x - x_k| / R) u_k, with the nearest node k and Wendland's C2 function psi. In this
+    way Rendall and Allen correct what a reduced set of sources misses on the surface (Journal of
+    Computational Physics 228 and 229, 2009 and 2010). The field is exact at the surface's nodes. It
+    needs no system and no graph, so the mesh may reach beyond the hull of its boundary.
 
-    The field jumps where the nearest node changes, by as much as the offsets of two neighbours differ. Of nodes that are equally
-    near the first counts. Between two walls closer than twice the radius it may tear cells: `NearWall` does not. Alone it
-    reproduces no polynomial, and cells fold where the offset is a good part of the radius.
+    The field jumps where the nearest node changes, by as much as the offsets of two neighbours
+    differ. Of nodes that are equally near the first counts. Between two walls closer than twice the
+    radius it may tear cells; `NearWall` does not. Alone it reproduces no polynomial, and cells fold
+    where the offset is a good part of the radius.
 
     **Arguments:**
 
-    - `radius`: R, in the mesh's units. Default None: for each wall the largest distance from one of its nodes to the nearest
-      source, or half of the mean chord of a wall without sources. Rendall and Allen take a multiple of the largest offset,
-      which would not be linear in the displacement.
+    - `radius`: R, in the mesh's units. Default None: for each wall the largest distance from one of
+      its nodes to the nearest source, or half of the mean chord of a wall without sources. Rendall
+      and Allen take a multiple of the largest offset, which would not be linear in the
+      displacement.
 
-    **Raises:** `ValueError` for a radius that is not positive and finite. `refit` raises it where a node has come within the radius
-    of a point, and nearer than the one that the point follows by a quarter of it. In traced code the answer there is NaN.
+    **Raises:** `ValueError` for a radius that is not positive and finite. `refit` raises it where
+    another node has come within the radius of a point, and is nearer than the point's own node by a
+    quarter of the radius. Traced code answers NaN there.
     """
 
     radius: Float[Array, ""] | None = eqx.field(default=None, converter=length_or_none("radius"))
@@ -50,8 +58,8 @@ class LocalCorrection(AbstractPlacing):
     def connect(self, surface: Surface, points):
         extent = Extent.seen(surface)
         distance = REACH * self._radius(jax.tree.map(np.asarray, extent), np.asarray(surface.points)).max()
-        apart = KDTree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
-        reached, nearest = np.isfinite(apart), np.zeros(len(points), dtype=np.int64)
+        to_surface = KDTree(surface.points).query(points, distance_upper_bound=distance or np.inf)[0]
+        reached, nearest = np.isfinite(to_surface), np.zeros(len(points), dtype=np.int64)
         nearest[reached] = nearest_of(points[reached], surface.points, np.arange(len(surface.points)))
         row_of_point = surface.rows(len(points))
         on_surface = row_of_point < len(surface.points)
@@ -72,7 +80,7 @@ class LocalCorrection(AbstractPlacing):
     def place(self, x, ids: Reach, factors, surface):
         radius = factors[0][ids.nodes]
         fades = radius > 0
-        apart = surface[ids.nodes] - x[None]
+        arms = surface[ids.nodes] - x[None]
 
         def is_lost():
             squared, reaches = squared_distance(x[None], surface), jax.lax.stop_gradient(factors[0])
@@ -81,7 +89,7 @@ class LocalCorrection(AbstractPlacing):
             return nearest < jnp.where(ids.reached[0], listed, jnp.inf)
 
         lost = jax.lax.cond(factors[1], lambda: jnp.array(False), is_lost)
-        weights = WendlandC2(1.0)(jnp.sum(apart**2, axis=1) / jnp.where(fades, radius, 1) ** 2)
+        weights = WendlandC2(1.0)(jnp.sum(arms**2, axis=1) / jnp.where(fades, radius, 1) ** 2)
         return ids.weighted(jnp.where(lost, jnp.nan, jnp.where(fades, weights, 0)))
 
     def field(self, ids, factors, surface, u):

@@ -1,4 +1,4 @@
-"""A correction without a graph: functions of compact support, from the largest scale to the smallest."""
+"""A correction without a graph: compact functions, from the largest scale to the smallest."""
 
 import equinox as eqx
 import jax
@@ -9,43 +9,48 @@ from jaxtyping import Array, Float, Int
 from .._host.package.arguments import checked
 from .._host.sources.hierarchy import Share, farthest_first, overlaps, padded, sweeps
 from .._kernels.values import as_jax
-from .base import Surface
 from .placing import AbstractPlacing
-from .rbf.basis import WendlandC2
+from .rbf.compact_bases import WendlandC2
 from .rbf.rbf import RBF
 from .reconstruction import SurfaceReconstruction
 from .sparse import InterpolatedField, Reach
+from .surface import Surface
 
 
 class Multiscale(AbstractPlacing):
-    """Interpolates with a Wendland C2 function at each node of the surface, of a radius of its own: multiscale.
+    """Interpolates with a Wendland C2 function of its own radius at each surface node.
 
-    The nodes come one after the other, each the farthest from those before it; its distance to the nearest of those is the
-    radius of its function. So a function vanishes at every node before its own. The system is triangular and sparse, and its
-    solution a forward substitution (Kedward, Allen and Rendall, J. Comput. Phys. 345, 2017, the second stage). The field is
-    exact at the surface's nodes, has continuous derivatives, and is zero beyond the radii. Points may lie anywhere: there is
-    no graph, and no hull.
+    The nodes are put in an order: the next node is the farthest from all nodes before it. Its
+    distance to the nearest node before it is the radius of its function. So a function vanishes at
+    every node before its own. The system is triangular and sparse, and its solution a forward
+    substitution (Kedward, Allen and Rendall, J. Comput. Phys. 345, 2017, the second stage). The
+    field is exact at the surface's nodes, has continuous derivatives, and is zero beyond the radii.
+    Points may lie anywhere: there is no graph, and no hull.
 
-    The order of the nodes is discontinuous in their coordinates. Distances within a relative 1e-9 are equal, and the first node
-    in the order of coordinates counts, so round-off decides nothing.
+    The order of the nodes is discontinuous in their coordinates. Distances within a relative 1e-9
+    are equal, and the first node in the order of coordinates counts, so round-off decides nothing.
 
-    As a correction, the sources of the coarse field come before all other nodes. Alone, the first function reaches across the
-    whole surface, and not even a translation is reproduced; `Multiscale.whole` makes the method with its first stage.
+    As a correction, the sources of the coarse field come before all other nodes. Alone, the first
+    function reaches across the whole surface, and not even a translation is reproduced.
+    `Multiscale.whole` makes the method with its first stage.
     """
 
     @staticmethod
     @checked
     def whole(radius, fraction: float = 0.05) -> SurfaceReconstruction:
-        """Returns the method with both of its stages: a dense system for some of the nodes, this correction for all others.
+        """Returns the method with both stages: a dense system for some nodes, this for the rest.
 
         **Arguments:**
 
-        - `radius`: radius of the first stage's Wendland C2 functions, in the mesh's units. It is as large as the body or larger.
-        - `fraction`: share of the nodes in the first stage, spread evenly over the surface, from 0 to 1. Default 0.05.
+        - `radius`: radius of the first stage's Wendland C2 functions, in the mesh's units. It is as
+          large as the body or larger.
+        - `fraction`: share of the nodes in the first stage, spread evenly over the surface, from 0
+          to 1. Default 0.05.
 
         **Returns:** a `SurfaceReconstruction`.
 
-        **Raises:** `ValueError` for a radius that is not positive, and a fraction that is not between 0 and 1.
+        **Raises:** `ValueError` for a radius that is not positive, and a fraction that is not
+        between 0 and 1.
         """
         base = RBF(WendlandC2(radius), reduction=Share(fraction), fixed_reduction=Share(fraction), degree=None)
         return SurfaceReconstruction(base, Multiscale())
@@ -91,7 +96,10 @@ class Sweep(eqx.Module):
 
 
 class Hierarchy(eqx.Module):
-    """The nearest node before each one, or itself if it has no function; entries (row, column) of the triangular system."""
+    """The nearest node before each node, and the entries (row, column) of the system.
+
+    A node without a function is its own nearest node.
+    """
 
     nearest: Int[Array, " b"]
     row: Int[Array, " e"]
@@ -101,14 +109,14 @@ class Hierarchy(eqx.Module):
 
 
 class MultiscaleFactors(eqx.Module):
-    """Squared radii of the functions, and the entries of the triangular matrix below its diagonal of ones."""
+    """Squared radii of the functions, and entries of the matrix below its diagonal of ones."""
 
     squared: Float[Array, " b"]
     entries: Float[Array, " e"]
 
 
 def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b d"]) -> Float[Array, "b d"]:
-    """Solves for the functions' coefficients by a forward substitution; its derivative and transpose are such sweeps too."""
+    """Solves for the functions' coefficients by a forward substitution."""
 
     def product(c):
         reached = entries[:, None] * c[ids.column]
@@ -126,7 +134,10 @@ def _solve(ids: Hierarchy, entries: Float[Array, " e"], values: Float[Array, "b 
 def _swept(
     sweep: Sweep, source: Int[Array, " e"], entries: Float[Array, " e"], values: Float[Array, "b d"]
 ) -> Float[Array, "b d"]:
-    """Substitutes step by step: each one subtracts from its owners what the nodes known by then contribute."""
+    """Substitutes step by step.
+
+    Each step subtracts from its owners what the nodes known by then contribute.
+    """
     used = sweep.entries >= 0
     weights = jnp.where(used, entries[sweep.entries], 0)
     nodes = jnp.where(used, source[sweep.entries], 0)
@@ -140,7 +151,7 @@ def _swept(
 
 
 def _wendland(squared_distance: Float[Array, "..."], squared_radius: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Evaluates the basis at a distance relative to the radius. Where the radius is zero there is no function and no entry."""
+    """Evaluates the basis at a distance relative to the radius."""
     positive = squared_radius > 0
     return WendlandC2(1.0)(squared_distance / jnp.where(positive, squared_radius, 1))
 

@@ -10,16 +10,20 @@ from .._host.package.rounding import first_largest, nearest_of
 from .._host.surface.neighbours import digest, near_walls
 from .._kernels.values import Either, as_jax, namespace, norm, root
 from . import placing
-from .base import AbstractField, AbstractMethod, Surface, check_kind
+from .base import AbstractField, AbstractMethod, check_kind
 from .blocks import map_points
 from .delaunay import DelaunayGraph
 from .numbers import length_or_none
 from .placing import AbstractPlacing
-from .rbf.basis import WendlandC2
+from .rbf.compact_bases import WendlandC2
 from .sparse import InterpolatedField, Interpolation
+from .surface import Surface
 
 NEIGHBOURS = 6
-"""Wall nodes whose displacements a point near the wall averages. One more sets the distance at which weights vanish."""
+"""Wall nodes whose displacements a point near the wall averages.
+
+One more node sets the distance at which weights vanish.
+"""
 
 REACH = 0.5
 """Width of the layer, relative to the largest distance from a wall's node to its nearest source."""
@@ -35,23 +39,25 @@ SLIGHTLY = 1e-6
 class NearWall(AbstractPlacing):
     """Replaces a correction near the wall by the displacement of the wall itself.
 
-    u = chi u_wall + (1 - chi) u_correction. Here chi is Wendland's C2 function of the distance to the wall over `width`. The
-    displacement u_wall is that of the nearest wall nodes, weighted by inverse distance (Franke and Little's weights, which end
-    continuously).
+    u = chi u_wall + (1 - chi) u_correction. Here chi is Wendland's C2 function of the distance to
+    the wall over `width`. The displacement u_wall is a mean over the nearest wall nodes, weighted
+    by inverse distance (Franke and Little's weights, which end continuously).
 
-    A Delaunay graph lays chords over a concave or flat wall. Points above a chord then move differently from wall nodes under
-    it, by more than the thickness of a boundary layer's first cell. Points that follow the nearest wall keep their place in
-    the layer. The map is one fixed sparse operator, exact at the surface's nodes.
+    A Delaunay graph lays chords over a concave or flat wall. Points above a chord then move
+    differently from wall nodes under it, by more than the thickness of a boundary layer's first
+    cell. Points that follow the nearest wall keep their place in the layer. The map is one fixed
+    sparse operator, exact at the surface's nodes.
 
-    By default the width is half of the largest distance from a wall's node to the nearest matched node of that wall. Matched
-    nodes are sources at which the coarse field takes the displacement. For a wall without any, the width is a quarter of the
-    mean chord: half of the wall's length, in 3-D half of its area over its span.
+    By default the width is half of the largest distance from a wall's node to the nearest matched
+    node of its wall. Matched nodes are sources at which the coarse field takes the displacement.
+    For a wall without matched nodes, the width is a quarter of the mean chord. The mean chord is
+    half of the wall's length, in 3-D half of its area over its span.
 
     **Arguments:**
 
     - `correction`: any method. Default `DelaunayGraph()`.
-    - `width`: width of the layer in the mesh's units. It ends before half of the gap to another wall. Default None: it is
-      chosen for each wall.
+    - `width`: width of the layer in the mesh's units. It ends before half of the gap to another
+      wall. Default None: it is chosen for each wall.
     """
 
     correction: AbstractMethod = eqx.field(default_factory=DelaunayGraph)
@@ -116,10 +122,13 @@ class NearWall(AbstractPlacing):
 
 
 class Extent(eqx.Module):
-    """Rows of the surface: each one's wall and nearest matched row of that wall, or itself; each wall's two ends and mean chord.
+    """Walls, as rows of the surface.
 
-    `widest` is each wall's row that is farthest from its matched row. The mean chord is relative to the distance of the ends,
-    and zero where the wall has matched rows.
+    `wall` is each row's wall, `matched` its nearest matched row of that wall, or itself. `ends` are
+    two ends of each wall, `share` its mean chord.
+
+    `widest` is each wall's row that is farthest from its matched row. The mean chord is relative to
+    the distance of the ends, and zero where the wall has matched rows.
     """
 
     wall: Int[Array, " b"]
@@ -130,7 +139,7 @@ class Extent(eqx.Module):
 
     @classmethod
     def seen(cls, surface: Surface) -> "Extent":
-        """Finds them on the host, once for a surface and its matched rows."""
+        """Finds the walls on the host, once for a surface and its matched rows."""
         return surface.once(("extent", digest(surface.matched)), lambda: cls._searched(surface))
 
     @classmethod
@@ -148,11 +157,14 @@ class Extent(eqx.Module):
         for label in np.unique(wall):
             here = np.flatnonzero(wall == label)
             widest[label] = here[first_largest(gap[here])]
-        return cls(*as_jax([*(each.astype(np.int32) for each in (wall, matched, ends, widest)), share]))
+        return cls(*as_jax([*(ids.astype(np.int32) for ids in (wall, matched, ends, widest)), share]))
 
 
 def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[Either, "b d"]) -> Float[Either, " b"]:
-    """Computes the layer's width over each surface node, one width a wall; `width`, if it is set."""
+    """Computes the layer's width over each surface node, one width for each wall.
+
+    `width` takes its place where it is set.
+    """
     xp = namespace(surface)
     if width is not None:
         return xp.full(len(surface), xp.asarray(width, surface.dtype))
@@ -168,7 +180,7 @@ def layer_width(width: Float[Either, ""] | None, extent: Extent, surface: Float[
 
 
 class WallRow(eqx.Module):
-    """Wall nodes of a point near a wall: the nearest ones, nearest first, and last the nearest node of another wall."""
+    """Wall nodes of a point near a wall: nearest nodes in order, then one of another wall."""
 
     nodes: Int[Array, "*n k"]
     reached: Bool[Array, "*n"]
@@ -198,7 +210,8 @@ def _blend(x: Float[Array, " d"], row: WallRow, width: Float[Array, " b"], surfa
     """Computes chi, and the weights of the nearest wall nodes."""
     nearest, other = row.nodes[:-1], row.nodes[-1]
     distance = norm(surface[nearest] - x[None])
-    # the last node was the farthest when it was found: of nodes as far as it is, it alone decides, so there is no kink
+    # the last node was the farthest when it was found: of nodes as far as it is, it alone decides,
+    # so there is no kink
     reach = jnp.maximum(distance[-1], (1 - SLIGHTLY) * distance.max()) * (1 + 2 * SLIGHTLY)
     at_node = distance[0] == 0
     safe = jnp.where(at_node, 1, distance)

@@ -1,4 +1,7 @@
-"""Converters for the numbers of methods and bases, which are array leaves: what is concrete is checked, what is traced passes."""
+"""Converters of the numbers of methods and bases to array leaves.
+
+A concrete number is checked, a traced number passes.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +15,7 @@ from .._kernels.values import is_known
 
 
 def number(name: str, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> Callable[[Any], Any]:
-    """Returns a converter to one floating point number in an interval, whose `ends` are as for `between`.
+    """Returns a converter to one real number in an interval; `ends` are as for `between`.
 
     The converter raises `ValueError` for anything else.
     """

@@ -1,4 +1,4 @@
-"""Methods whose field needs of each point what its own place gives, such as barycentric coordinates."""
+"""Methods that compute something for each point once, such as barycentric coordinates."""
 
 import abc
 
@@ -8,42 +8,43 @@ from .base import AbstractMethod
 
 
 class AbstractPlacing(AbstractMethod):
-    """A method that places each point once per base mesh: what its place gives is ready before any displacement comes.
+    """A method that computes something for each point once per base mesh: its place.
 
-    Arguments are those of `AbstractMethod`; `ids` in `place` and `carry_place` is what `connect` returned for the point. The field
-    then gets for each point what `place` made of it. On the mesh that a step of `march` left, `carry` and `carry_place` say what
-    changes. By default the solve is new and points keep their places, for a graph stands on the undeformed mesh.
+    Arguments are those of `AbstractMethod`. In `place` and `carry_place`, `ids` is what `connect`
+    returned for the point. The field gets the point's place as its `ids`. `carry` and `carry_place`
+    say what changes on the mesh after a step of `march`. By default the solve is new and points
+    keep their places, for a graph stands on the undeformed mesh.
     """
 
     @abc.abstractmethod
     def place(self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]) -> PyTree:
-        """Adds to a point's ids what its own place gives, whatever `u` is. Traced."""
+        """Computes the place of a point: its ids, and numbers that do not depend on `u`. Traced."""
 
     def carry(self, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]) -> PyTree:
-        """Computes factors on the mesh that a step of `march` left; those of `fit` by default. Traced.
+        """Computes factors on the mesh after a step of `march`; by default those of `fit`. Traced.
 
-        What goes with the places that points keep stays as it is.
+        Factors that belong to the places of points stay as they are.
         """
         return self.fit(ids, surface, points)
 
     def carry_place(
         self, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], placed: PyTree
     ) -> PyTree:
-        """Changes what `place` returned for a point, on the mesh that a step of `march` left; by default it stays. Traced."""
+        """Changes a point's place after a step of `march`; it stays by default. Traced."""
         return placed
 
 
 def place(
     method: AbstractMethod, x: Float[Array, " d"], ids: PyTree, factors: PyTree, surface: Float[Array, "b d"]
 ) -> PyTree:
-    """Places a point by any method: the ids themselves where the method needs no more."""
+    """Computes a point's place by any method: its ids where the method needs no more."""
     return method.place(x, ids, factors, surface) if isinstance(method, AbstractPlacing) else ids
 
 
 def carry(
     method: AbstractMethod, ids: PyTree, factors: PyTree, surface: Float[Array, "b d"], points: Float[Array, "n d"]
 ) -> PyTree:
-    """Computes any method's factors on the mesh that a step of `march` left."""
+    """Computes any method's factors on the mesh after a step of `march`."""
     if isinstance(method, AbstractPlacing):
         return method.carry(ids, factors, surface, points)
     return method.fit(ids, surface, points)
@@ -57,5 +58,5 @@ def carry_place(
     surface: Float[Array, "b d"],
     placed: PyTree,
 ) -> PyTree:
-    """Changes, by any method, what its `place` returned for a point, on the mesh that a step of `march` left."""
+    """Changes a point's place by any method, on the mesh after a step of `march`."""
     return method.carry_place(x, ids, factors, surface, placed) if isinstance(method, AbstractPlacing) else placed

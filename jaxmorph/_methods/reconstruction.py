@@ -1,4 +1,4 @@
-"""Exact surface reconstruction: a coarse field, corrected by what it misses on the surface (section 2.3 of the paper)."""
+"""Exact surface reconstruction: a coarse field and a correction (section 2.3 of the paper)."""
 
 import equinox as eqx
 import jax
@@ -7,20 +7,22 @@ import numpy as np
 from .._host.package.arguments import checked
 from .._host.sources.reduction import KDTree
 from . import placing
-from .base import AbstractField, AbstractMethod, Control, Surface, check_kind
+from .base import AbstractField, AbstractMethod, Control, check_kind
 from .blocks import map_points, place_points
 from .delaunay import DelaunayGraph
 from .nearwall import NearWall
 from .placing import AbstractPlacing
 from .rbf.fitted import FittedRBF
 from .rbf.rbf import RBF
+from .surface import Surface
 
 
 class SurfaceReconstruction(AbstractPlacing):
-    """Corrects a coarse field by what it misses on the surface, its offset (eq. 5): the paper's method.
+    """Corrects a coarse field by its offset on the surface (eq. 5): the paper's method.
 
-    u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine. The surface is exact if the
-    correction is exact on it. The correction is linear, so several steps of it (section 3.2 of the paper) equal one.
+    u = u_coarse + correction of (u_surface - u_coarse at the surface). Any two methods combine. The
+    surface is exact if the correction is exact on it. The correction is linear, so several steps
+    (section 3.2 of the paper) equal one step.
 
     **Arguments:**
 
@@ -38,13 +40,14 @@ class SurfaceReconstruction(AbstractPlacing):
     @classmethod
     @checked
     def published(cls, leaves: int = 64, fixed_leaves: int = 16) -> "SurfaceReconstruction":
-        """Returns the method as the paper has it: sources by a k-d tree, corrected by Delaunay graph mapping alone.
+        """Returns the paper's method: sources by a k-d tree, corrected by the Delaunay graph alone.
 
-        Its walls should be convex: a graph lays chords over concave ones.
+        Its walls should be convex: a graph lays chords over concave walls.
 
         **Arguments:**
 
-        - `leaves`: leaves of the tree on the moving nodes; a leaf has up to 4 sources (2-D) or 8 (3-D). Default 64.
+        - `leaves`: leaves of the tree on the moving nodes; a leaf has up to 4 sources (2-D) or 8
+          (3-D). Default 64.
         - `fixed_leaves`: leaves of the tree on the fixed nodes. Default 16.
 
         **Returns:** a `SurfaceReconstruction`.
@@ -96,25 +99,26 @@ class SurfaceReconstruction(AbstractPlacing):
         coarse, correction = self.coarse.control(ids[0]), self.correction.control(ids[2])
         return Control(np.concatenate([coarse.sources, correction.sources]), correction.matched)
 
-    def offset(self, ids, factors, surface, u):
-        """Computes the displacement of the surface that is left to the correction (eq. 5). Traced."""
-        coarse_field = self.coarse.field(ids[0], factors[0], surface, u)
-        return u - map_points(coarse_field, surface, factors[1])
-
     def check(self, ids, factors, u):
         self.coarse.check(ids[0], factors[0], u)
         self.correction.check(ids[2], factors[2], u)
 
     def field(self, ids, factors, surface, u):
-        coarse, _, correction = ids
-        coarse_factors, at_surface, correction_factors = factors
-        coarse_field = self.coarse.field(coarse, coarse_factors, surface, u)
-        offset = u - map_points(coarse_field, surface, at_surface)  # eq. (5)
-        return SumField(coarse_field, self.correction.field(correction, correction_factors, surface, offset))
+        coarse, offset = self._split(ids, factors, surface, u)
+        return SumField(coarse, self.correction.field(ids[2], factors[2], surface, offset))
+
+    def offset(self, ids, factors, surface, u):
+        """Computes the surface displacement that is left to the correction (eq. 5). Traced."""
+        return self._split(ids, factors, surface, u)[1]
+
+    def _split(self, ids, factors, surface, u):
+        """Makes the coarse field, and computes what it leaves on the surface."""
+        coarse = self.coarse.field(ids[0], factors[0], surface, u)
+        return coarse, u - map_points(coarse, surface, factors[1])  # eq. (5)
 
 
 class SumField(AbstractField):
-    """The sum of two fields, each with its own ids."""
+    """The sum of two fields with ids of their own."""
 
     first: AbstractField
     second: AbstractField
@@ -133,7 +137,7 @@ class SumField(AbstractField):
 def sees_free_sides(method: AbstractMethod) -> bool:
     """Checks whether a method is or has a `FittedRBF`, whose field depends on `Surface.is_open`."""
 
-    def is_fitted(each: object) -> bool:
-        return isinstance(each, FittedRBF)
+    def is_fitted(node: object) -> bool:
+        return isinstance(node, FittedRBF)
 
     return any(map(is_fitted, jax.tree.leaves(method, is_leaf=is_fitted)))

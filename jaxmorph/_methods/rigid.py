@@ -1,4 +1,7 @@
-"""A rigid motion of the body that fades with distance: translation and rotation blended along a great circle (slerp)."""
+"""A rigid motion of the body that fades with distance.
+
+Translation and rotation are blended along a great circle (slerp).
+"""
 
 import equinox as eqx
 import jax
@@ -8,27 +11,33 @@ from jaxtyping import Array, Float
 
 from .._host.package.rounding import nearest_of
 from .._kernels.values import is_known, norm
-from .base import AbstractField, AbstractMethod, Surface
+from .base import AbstractField, AbstractMethod
 from .numbers import length
+from .surface import Surface
 
 REFINED = 2
-"""Newton steps after the eigenvector: they give it its derivatives, though other eigenvalues may be equal."""
+"""Newton steps after the eigenvector: its derivatives come from them."""
 
 
 class RigidBlend(AbstractMethod):
     """Moves points near the moving surface rigidly with it, and less the farther they are.
 
-    The rigid motion is the one nearest to the displacements, about the middle of the moving nodes. Its angle and translation
-    are those of the body up to `inner` from the nearest moving node, zero from `outer` on. Between they fade with the logarithm
-    of the distance, which spreads the shear evenly over cells that grow with it. It is a coarse field,
-    `SurfaceReconstruction(RigidBlend(0.25, 19.5), NearWall())`, for rotations by up to 180 degrees in one step; OpenFOAM's
-    `sixDoFRigidBodyMotion` moves meshes so, but fades with the distance. It is not linear in `u`. Several bodies count as one.
+    The rigid motion is the nearest one to the displacements, about the middle of the moving nodes.
+    Its angle and translation are those of the body up to `inner` from the nearest moving node, and
+    zero from `outer` on. Between them they fade with the logarithm of the distance, which spreads
+    the shear evenly over cells that grow with it.
+
+    It is a coarse field, `SurfaceReconstruction(RigidBlend(0.25, 19.5), NearWall())`, for rotations
+    by up to 180 degrees in one step. OpenFOAM's `sixDoFRigidBodyMotion` also moves meshes so, but
+    fades with the distance. It is not linear in `u`. Several bodies count as one.
 
     **Arguments:**
 
-    - `inner`, `outer`: distances in the mesh's units: about a quarter of the body, and where the fixed boundary begins.
+    - `inner`, `outer`: distances in the mesh's units: about a quarter of the body, and where the
+      fixed boundary begins.
 
-    **Raises:** `ValueError` unless 0 < inner < outer. `prepare` raises it for moving nodes at one place, or in 3-D on one line.
+    **Raises:** `ValueError` unless 0 < inner < outer. `prepare` raises it for moving nodes at one
+    place, or in 3-D on one line.
     """
 
     inner: Float[Array, ""] = eqx.field(converter=length("inner"))
@@ -62,19 +71,23 @@ class RigidBlend(AbstractMethod):
 
     def field(self, ids, factors, surface, u):
         moves = (jnp.arange(len(surface)) < ids)[:, None]
-        middle, carried = (jnp.sum(jnp.where(moves, each, 0), axis=0) / ids for each in (surface, u))
-        arms, rest = (jnp.where(moves, each, 0) for each in (surface - middle[None], u - carried[None]))
+        middle, translation = (jnp.sum(jnp.where(moves, rows, 0), axis=0) / ids for rows in (surface, u))
+        arms = jnp.where(moves, surface - middle[None], 0)
+        rest = jnp.where(moves, u - translation[None], 0)
         turn = _angle(arms, rest) if surface.shape[1] == 2 else _rotation_vector(arms, rest)
-        return RigidField(self, surface, middle, carried, turn)
+        return RigidField(self, surface, middle, translation, turn)
 
 
 class RigidField(AbstractField):
-    """Evaluates the blended motion: `turn` is the angle, or the rotation vector, about `middle`, which is `carried` along."""
+    """Evaluates the blended motion.
+
+    `turn` is the angle, or the rotation vector, about `middle`, which moves by `translation`.
+    """
 
     method: RigidBlend
     surface: Float[Array, "b d"]
     middle: Float[Array, " d"]
-    carried: Float[Array, " d"]
+    translation: Float[Array, " d"]
     turn: Float[Array, "..."]
 
     def __call__(self, x, ids):
@@ -85,10 +98,10 @@ class RigidField(AbstractField):
         arm, turn = x - self.middle, share * self.turn
         if len(x) == 2:
             along, across = -2 * jnp.sin(turn / 2) ** 2, jnp.sin(turn)
-            return share * self.carried + along * arm + across * jnp.stack([-arm[1], arm[0]])
+            return share * self.translation + along * arm + across * jnp.stack([-arm[1], arm[0]])
         half = _sinc(jnp.sum(turn**2) / 4)
         once = jnp.cross(turn, arm)
-        return share * self.carried + _sinc(jnp.sum(turn**2)) * once + half**2 / 2 * jnp.cross(turn, once)
+        return share * self.translation + _sinc(jnp.sum(turn**2)) * once + half**2 / 2 * jnp.cross(turn, once)
 
 
 def _sinc(squared: Float[Array, ""]) -> Float[Array, ""]:
@@ -105,7 +118,10 @@ def _angle(arms: Float[Array, "b 2"], u: Float[Array, "b 2"]) -> Float[Array, ""
 
 
 def _rotation_vector(arms: Float[Array, "b 3"], u: Float[Array, "b 3"]) -> Float[Array, "3"]:
-    """Computes the rotation vector of the nearest rotation: its quaternion is an eigenvector (Horn 1987)."""
+    """Computes the rotation vector of the nearest rotation.
+
+    Its quaternion is an eigenvector (Horn 1987).
+    """
     size = jnp.sum(arms**2)
     spread = jnp.matmul(arms.T, arms + u, precision="highest") / size
     across = jnp.sum(jnp.cross(arms, u), axis=0) / size

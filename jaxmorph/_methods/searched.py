@@ -1,4 +1,4 @@
-"""Searches for the nodes near each point, and whether another base has nodes that a search on the first one left out."""
+"""Where nodes near points were searched for, and whether that still holds on a new base."""
 
 import equinox as eqx
 import jax
@@ -6,11 +6,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 SLACK = 0.05
-"""Share of a radius by which a search goes beyond it: bases that differ by less than half of it need no look at all pairs."""
+"""Share of a radius by which a search goes beyond it.
+
+Where a new base differs by less than half of it, no other pairs are looked at.
+"""
 
 
 class Searched(eqx.Module):
-    """Base coordinates of the points and of the surface's rows, in which nodes within a `distance` were searched for."""
+    """Base coordinates in which nodes within a `distance` were searched for."""
 
     points: Float[Array, "n d"]
     surface: Float[Array, "b d"]
@@ -31,7 +34,7 @@ class Searched(eqx.Module):
 
 
 def squared_distance(a: Float[Array, "*k d"], b: Float[Array, "*m d"]) -> Float[Array, "*n"]:
-    """Computes squared distances without a derivative, component by component: what they are compared with needs no memory."""
+    """Computes squared distances without a derivative, component by component."""
     a, b = jax.lax.stop_gradient((a, b))
     first, *others = ((a[..., axis] - b[..., axis]) ** 2 for axis in range(a.shape[-1]))
     return sum(others, start=first)

@@ -1,7 +1,7 @@
-"""Points that follow a few surface nodes each: a sparse operator, with its transpose as fast as itself.
+"""A sparse operator from surface nodes to points, with its transpose as fast as itself.
 
-XLA transposes a gather into a scatter, which is many times slower on a CPU. A linear primitive in two forms, each the
-transpose of the other, avoids that.
+XLA transposes a gather into a scatter, which is many times slower on a CPU. A linear primitive in
+two forms, each the transpose of the other, avoids that.
 """
 
 from typing import Any
@@ -20,9 +20,12 @@ from .placing import AbstractPlacing
 
 
 class Table(eqx.Module):
-    """Locates the entries of each column in the flattened weights (n, k); see `jaxmorph._host.linear.transpose.tabulate`.
+    """The entries of each column in the flattened weights (n, k), as `tabulate` sorts them.
 
-    `weights` are those entries, gathered once per base mesh: that gather costs more than all else in a transpose.
+    `jaxmorph._host.linear.transpose.tabulate` describes the order.
+
+    `weights` are the entries themselves, gathered once per base mesh. The gather costs more than
+    all else in a transpose.
     """
 
     entries: Int[Array, "r width"]
@@ -33,8 +36,8 @@ class Table(eqx.Module):
 class Interpolation(AbstractRows):
     """Interpolates points' displacements from surface nodes: weighted sums by a sparse operator.
 
-    For one point, `nodes` and `weights` are (k,); for many (n, k), with a table of the transpose. Where `reached` is
-    given and False, the row, or the entry, is empty for good, whatever the coordinates.
+    For one point, `nodes` and `weights` are (k,); for many (n, k), with a table of the transpose.
+    A row or entry where `reached` is False is empty, whatever the coordinates.
     """
 
     nodes: Int[Array, "*n k"]
@@ -43,7 +46,19 @@ class Interpolation(AbstractRows):
     table: Table | None = None
 
     def with_table(self, count: int, parts: int) -> "Interpolation":
-        return _with_table(self, count, parts)
+        nodes = np.asarray(self.nodes)
+        reached = np.ones(len(nodes), dtype=bool) if self.reached is None else np.asarray(self.reached)
+        shares = zip(np.split(nodes, parts), np.split(reached, parts), strict=True)
+        tables = [tabulate(share, mask, count) for share, mask in shares]
+        # all shares get tables of one length: rows that are added hold no entry, and belong to the
+        # last column
+        longest = _rounded(max(len(owner) for _, owner in tables))
+        entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
+        owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
+        weights = np.split(np.asarray(self.weights), parts)
+        gathered = [np.where(at < 0, 0, share.ravel()[at]) for at, share in zip(entries, weights, strict=True)]
+        table = Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
+        return Interpolation(self.nodes, self.weights, self.reached, table)
 
     def without_table(self) -> "Interpolation":
         return Interpolation(self.nodes, self.weights, self.reached)
@@ -57,7 +72,7 @@ class Interpolation(AbstractRows):
 
 
 class Reach(eqx.Module):
-    """The nodes whose functions of compact support reach a point; where not `reached`, there is none."""
+    """The nodes whose functions reach a point; an entry that is not `reached` is empty."""
 
     nodes: Int[Array, "*n k"]
     reached: Bool[Array, "*n k"]
@@ -67,28 +82,14 @@ class Reach(eqx.Module):
         return Interpolation(self.nodes, jnp.where(self.reached, weights, 0), self.reached)
 
 
-def _with_table(rows: Interpolation, count: int, parts: int) -> Interpolation:
-    nodes = np.asarray(rows.nodes)
-    reached = np.ones(len(nodes), dtype=bool) if rows.reached is None else np.asarray(rows.reached)
-    shares = zip(np.split(nodes, parts), np.split(reached, parts), strict=True)
-    tables = [tabulate(share, mask, count) for share, mask in shares]
-    longest = _rounded(max(len(owner) for _, owner in tables))
-    entries = [np.pad(table, ((0, longest - len(table)), (0, 0)), constant_values=-1) for table, _ in tables]
-    owners = [np.pad(owner, (0, longest - len(owner)), constant_values=count - 1) for _, owner in tables]
-    weights = np.split(np.asarray(rows.weights), parts)
-    gathered = [np.where(at < 0, 0, share.ravel()[at]) for at, share in zip(entries, weights, strict=True)]
-    table = Table(*as_jax([np.concatenate(part) for part in (entries, owners, gathered)]))
-    return Interpolation(rows.nodes, rows.weights, rows.reached, table)
-
-
 def _rounded(rows: int) -> int:
-    """Rounds up by 3 % at most: alike parts of a mesh then have tables of one shape, and compiled code in common."""
+    """Rounds up by 3 % at most, so that similar parts of a mesh share compiled code."""
     step = 2 ** max(0, rows.bit_length() - 6)
     return -(-rows // step) * step
 
 
 class InterpolatedField(AbstractField):
-    """Displacements interpolated between surface nodes (eq. 8), with the weights that `method.place` gives."""
+    """Interpolates displacements between surface nodes (eq. 8)."""
 
     method: AbstractPlacing
     factors: PyTree
@@ -117,12 +118,16 @@ def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Arra
     return _sum_p.bind(values, rows.weights, table.weights, *ids, turned=False, count=len(values))
 
 
-def _sum(values, weights, sorted_weights, nodes, entries, owner, *, turned: bool, count: int):
-    """Computes weights[i, k] values[nodes[i, k]], summed over k, for each row i; `turned`, the transpose, for each column j."""
-    # The transpose by a scatter would add each entry to its column one by one. Instead `tabulate` has sorted the entries by
-    # column, in rows of fixed width. Each row is summed by gathers. The rows of one column are neighbours, so that one sum
-    # over sorted segments adds them. Empty places of the table have the weight 0.
-    k = weights.shape[1]
+def _sum(values, weights, *table, turned: bool, count: int):
+    """Sums weights[i, k] values[nodes[i, k]] over k for each row i.
+
+    `turned`, it computes the transpose, for each column j.
+    """
+    # The transpose by a scatter would add each entry to its column one by one. Instead `tabulate`
+    # has sorted the entries by column, in rows of fixed width. Each row is summed by gathers. The
+    # rows of one column are neighbours, so that one sum over sorted segments adds them. Empty
+    # places of the table have the weight 0.
+    (sorted_weights, nodes, entries, owner), k = table, weights.shape[1]
     values = jax.lax.optimization_barrier(values)  # else what makes them is done again for each gather
     if not turned:
         return sum(weights[:, i, None] * _rows(values, nodes[:, i]) for i in range(k))

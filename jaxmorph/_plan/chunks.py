@@ -1,4 +1,4 @@
-"""A mesh prepared some nodes at a time: memory is that of the surface and of one chunk, not that of all nodes."""
+"""A mesh prepared some nodes at a time: memory holds the surface and one chunk, not all nodes."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -32,9 +32,10 @@ def prepare_in_chunks(
     sliding: Slide | str | Sequence[Slide | str] = (),
     free: str | Sequence[str] | Integer[ArrayLike, " k"] | Sequence[int | np.integer] = (),
 ) -> Iterator[tuple[Int[np.ndarray, " c"], Plan]]:
-    """Yields the plans of all chunks of a mesh, one after the other, with the nodes (c,) that each one moves.
+    """Yields the nodes (c,) and the plan of every chunk of a mesh, one chunk after the other.
 
-    The surface is prepared once, and chunks are attached to it: the moved points are those of the whole mesh.
+    The surface is prepared once, and chunks are attached to it. Points move as with a plan of the
+    whole mesh.
 
     ```python
     points = np.array(mesh.points)
@@ -44,11 +45,13 @@ def prepare_in_chunks(
 
     **Arguments:**
 
-    - `mesh`, `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare` takes them.
-    - `size`: how many inner nodes a chunk has at most, beside all nodes of the surface. None makes one chunk.
+    - `mesh`, `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare`
+      takes them.
+    - `size`: most inner nodes of a chunk, beside all nodes of the surface. None makes one chunk.
 
-    **Raises:** `ValueError` for a size below 1, for a method that solves on cells where there is a size, and for lists as `prepare`
-    does. What `prepare` finds in points is raised with the chunk; a `MeshError` names nodes of the whole mesh.
+    **Raises:** `ValueError` for a size below 1, and where `prepare` does. With a size, also for a
+    method that solves on cells. A wrong point raises with its chunk; a `MeshError` names nodes of
+    the whole mesh.
     """
     if size is not None:
         whole("size", size)
@@ -62,11 +65,9 @@ def prepare_in_chunks(
 def chunks_of(
     boundary: Boundary, method: AbstractMethod | None, size: int | None
 ) -> Iterator[tuple[Int[np.ndarray, " c"], Plan]]:
-    """Yields nodes and plans of the chunks of what has been checked.
-
-    Each of k chunks has the surface and every k-th of the other nodes. Those that are one node short start again with the first,
-    so that all chunks have one length and share compiled code.
-    """
+    """Yields nodes and plans of the chunks of a checked boundary."""
+    # A chunk of k has the surface and every k-th other node. A chunk that is one node short takes
+    # the first other node again: so all chunks have one length and share compiled code.
     points = boundary.points
     if size is None:
         yield np.arange(len(points)), plan_of(boundary, method)
@@ -80,7 +81,7 @@ def chunks_of(
         nodes = np.sort(np.concatenate([surface, others[(k + steps) % max(1, len(others))]]))
         with warnings.catch_warnings():
             if k > 0:
-                warnings.simplefilter("ignore")  # they are about the surface, and came with the first chunk
+                warnings.simplefilter("ignore")  # about the surface: they came with the first chunk
             try:
                 plan = half.attach(points[nodes], nodes)
             except MeshError as error:

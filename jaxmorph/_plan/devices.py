@@ -1,4 +1,4 @@
-"""Layout of a volume's rows over devices."""
+"""The layout of points over devices."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ AXIS = "points"
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """`count` points laid over the devices of `mesh` in equal shares, the last one padded."""
+    """The shares of `count` points on the devices of `mesh`: equal, the last share padded."""
 
     mesh: Mesh
     count: int
@@ -27,9 +27,9 @@ class Layout:
     def over(devices: Sequence[Any], count: int) -> "Layout":
         if len(devices) == 0:
             raise ValueError("`devices` is empty: pass jax.devices(), or some of them.")
-        strange = [device for device in devices if not isinstance(device, jax.Device)]
-        if strange:
-            raise ValueError(f"`devices` holds {shown(strange[0])}, which is no device of JAX: pass jax.devices().")
+        wrong = [device for device in devices if not isinstance(device, jax.Device)]
+        if wrong:
+            raise ValueError(f"`devices` holds {shown(wrong[0])}, which is no device of JAX: pass jax.devices().")
         if len(set(devices)) < len(devices):
             twice = next(device for device in devices if list(devices).count(device) > 1)
             raise ValueError(f"`devices` has {twice} more than once, among {len(devices)}: pass each device once.")
@@ -51,14 +51,17 @@ class Layout:
 
 
 def pad_rows(leaf: Array, layout: Layout) -> Array:
-    """Returns a leaf with its last row repeated until the devices share its rows evenly."""
+    """Repeats the last row of a leaf until all devices have an equal number of rows."""
     if not layout.padding:
         return leaf
     return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (layout.padding, *leaf.shape[1:]))])
 
 
 def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
-    """Finds points `ids` among the `count` rows of this device, within `over_points`; `count` or more for absent ones."""
+    """Finds the rows of points `ids` on this device, within `over_points`.
+
+    The device has `count` rows; a point of another device gets a row from `count` on.
+    """
     if layout is None:
         return ids
     here = ids - jax.lax.axis_index(AXIS) * count
@@ -68,10 +71,10 @@ def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[A
 def over_points(
     layout: Layout | None, function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, rows: PyTree
 ) -> PyTree:
-    """Evaluates `function(shared, rows)`, where each leaf of `rows` and of the result has one row a point.
+    """Evaluates `function(shared, rows)`, where all leaves of `rows` and of the result have one row a point.
 
-    Over devices each works on its own rows. JAX's tracking of what varies (`check_vma`) is off. So one all-reduce at the end
-    sums the gradient of what the devices share, instead of one in each round of a loop inside.
+    Every device works on its own rows. JAX's tracking of what varies (`check_vma`) is off. So one
+    all-reduce at the end sums the gradient of `shared`, not one in every round of an inner loop.
     """
     if layout is None:
         return function(shared, rows)

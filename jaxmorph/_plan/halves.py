@@ -1,4 +1,4 @@
-"""The two halves of `prepare`, for a mesh in pieces: the surface and its solve once, then each piece on its own."""
+"""The two halves of `prepare`, for a mesh in pieces: the surface and its solve once, then piece by piece."""
 
 import dataclasses
 import functools
@@ -9,7 +9,8 @@ import jax
 import numpy as np
 from jaxtyping import Int, Integer, Real
 
-from .._boundary.boundary import Boundary, checked_points, find_boundary
+from .._boundary.boundary import Boundary, find_boundary
+from .._boundary.names import checked_points
 from .._boundary.outer_faces import OuterFaces
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
@@ -20,25 +21,27 @@ from .._host.package.rounding import roundoff
 from .._host.surface.skin import has_free_sides
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Surface, check_kind
+from .._methods.base import AbstractMethod, check_kind
 from .._methods.reconstruction import SurfaceReconstruction, sees_free_sides
+from .._methods.surface import Surface
 from .plan import Plan, SurfacePart
 from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
 
 SAME = 1e-12
-"""Distance by which a piece's place of a surface node may differ from the half's, which it gets, as a share of the extent."""
+"""Largest allowed difference of a surface node's place in a piece and in the half, as a share of the extent."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceHalf:
-    """Holds what all pieces of a mesh share: the surface, its sources and the solve. `prepare_surface` makes it.
+    """What all pieces of a mesh share: the surface, its sources and the solve. `prepare_surface` makes it.
 
-    `jm.save`, `jm.load` and pickle keep its bits. Pieces that are attached to equal bits, in whatever process, move a point
-    that they share alike, to round-off; on the surface to equal bits.
+    `jm.save`, `jm.load` and pickle keep its bits. Two pieces, also of two processes, move a common
+    point alike, to round-off. Common points of the surface are equal bit for bit.
 
-    - `plan`: the plan of the surface's nodes alone, for `inspect`, `plan.offset` and `plan.sources`.
-    - `nodes` (k,): the whole mesh's ids of that plan's points.
-    - `faces`: boundary faces between rows of `plan.surface_nodes` by type, or None where they are not known.
+    - `plan`: the plan of the surface's nodes alone, for `inspect`, `plan.offset` and
+      `plan.sources`.
+    - `nodes` (k,): ids of the plan's points in the whole mesh.
+    - `faces`: boundary faces between rows of `plan.surface_nodes` by type, or None if unknown.
     - `is_open`: whether some side of the mesh is free.
     """
 
@@ -48,7 +51,7 @@ class SurfaceHalf:
     is_open: bool
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leaves out what `attach` keeps for the next piece: it is made again where it is needed."""
+        """Returns the fields, without the cache of `attach`."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     def __repr__(self) -> str:
@@ -56,12 +59,12 @@ class SurfaceHalf:
 
     @property
     def moving(self) -> Int[np.ndarray, " m"]:
-        """The whole mesh's ids of the moving nodes: row i of a displacement moves node `moving[i]`."""
+        """Ids of the moving nodes in the whole mesh: row i of a displacement moves node `moving[i]`."""
         return self.nodes[np.asarray(self.plan.moving)]
 
     @property
     def surface_nodes(self) -> Int[np.ndarray, " o"]:
-        """The whole mesh's ids of the surface's nodes: moving, fixed, then guided."""
+        """Ids of the surface's nodes in the whole mesh: moving, fixed, then guided."""
         return self.nodes[np.asarray(self.plan.surface_nodes)]
 
     @checked
@@ -70,22 +73,24 @@ class SurfaceHalf:
     ) -> Plan:
         """Prepares the plan of one piece of the mesh.
 
-        Its `deform` takes the displacement of all moving nodes, and gives the points of this piece. `pullback` gives what this
-        piece contributes to all moving nodes: the sum over pieces, each node in one of them, is that of the whole mesh.
+        `deform` of the plan takes displacements of all moving nodes, and returns the points of the
+        piece. `pullback` returns the piece's contribution to all moving nodes. The sum of the
+        contributions is the pullback of the whole mesh, if no two pieces share a node.
 
         **Arguments:**
 
-        - `points`: base coordinates (n, d) of the piece, in the unit of the surface's.
-        - `nodes`: the whole mesh's id (n,) of each point. Ids that are not in `surface_nodes`, -1 for example, are inner nodes.
+        - `points`: base coordinates (n, d) of the piece, in the unit of the surface.
+        - `nodes`: id (n,) of every point in the whole mesh. Ids that are not in `surface_nodes`, -1
+          for example, are inner nodes.
 
-        **Returns:** a `Plan` of n points. It takes `march` and `replay`, but not `refit`.
+        **Returns:** a `Plan` of n points, for `march` and `replay`, but not for `refit`.
 
-        **Raises:** `ValueError` for a surface node that is named twice, or lies elsewhere than in the half. Also what `prepare`
-        raises for points: outside of the hull, or not finite.
+        **Raises:** `ValueError` for a surface node that is named twice, or lies elsewhere than in
+        the half. Also for points outside of the hull, and for points that are not finite.
         """
-        # Methods connect to the whole surface and to the piece at once: the piece's points come first, then the half's points that
-        # it lacks, so that tolerances are those of the whole mesh. Rows of the surface name points of this list; the rows
-        # from n on are cut off again, and their numbers stay in the plan for nodes that other pieces have.
+        # A method connects to one list of points: the n points of the piece, then the half's points
+        # that the piece lacks. So tolerances are those of the whole mesh. Then the rows from n on
+        # are cut off; their numbers stay in the plan, for surface nodes that other pieces have.
         plan, points = self.plan, checked_points(points)
         if points.shape[1] != plan.points.shape[1]:
             raise ValueError(f"`points` has shape {points.shape}; the surface has {plan.points.shape[1]} dimensions.")
@@ -110,7 +115,7 @@ class SurfaceHalf:
         return laid_out(plan, shared, as_jax(points), on_plane, volume_ids)
 
     def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:
-        """Raises `ValueError` for points on a free side of a mesh that was taken for one without."""
+        """Raises `ValueError` for points on a free side, where the surface was prepared without free sides."""
         if self.faces is not None or self.is_open or not sees_free_sides(self.plan.method):
             return
         is_inner = np.ones(len(points), dtype=bool)
@@ -118,12 +123,12 @@ class SurfaceHalf:
         if has_free_sides(self._surface[0].points, is_inner, points):
             raise ValueError(
                 "this piece has nodes on a flat side of the mesh that is neither moving, fixed nor a symmetry plane. Name the "
-                "side, or pass is_open=True to prepare_surface: the field is then another one."
+                "side, or pass is_open=True to prepare_surface, which changes the field."
             )
 
     @functools.cached_property
     def _surface(self) -> tuple[Surface, np.ndarray | None]:
-        """The surface as methods see it, and which of the half's points lie on which plane."""
+        """The surface as methods see it, and a mask of the half's points on every plane."""
         boundary = dataclasses.replace(boundary_of(self.plan), pairings=(), tracks=(), is_open=self.is_open)
         if self.faces is not None:
             faces = {kind: boundary.nodes[rows] for kind, rows in self.faces.items()}
@@ -132,11 +137,11 @@ class SurfaceHalf:
         return surface, on_plane
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
-        """Finds which of the points is each of the half's nodes (k,), -1 where none is."""
+        """Finds the row in `points` of all nodes (k,) of the half; -1 for a node that the piece lacks."""
         ids = as_array("nodes", nodes)
         if ids.shape != (len(points),) or ids.dtype.kind not in "iu":
             raise ValueError(
-                f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected one id for each of {len(points)} points."
+                f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected {len(points)} ids, one for every point."
             )
         order = np.argsort(self.nodes, kind="stable")
         at = np.minimum(np.searchsorted(self.nodes[order], ids), len(order) - 1)
@@ -174,28 +179,30 @@ def prepare_surface(
     is_open: bool | None = None,
     faces: Mapping[str, Integer[np.ndarray, "_k _c"]] | None = None,
 ) -> SurfaceHalf:
-    """Prepares the surface of a mesh whose points are too many, or too far apart, for one call of `prepare`.
+    """Prepares the surface of a mesh that is too large for one call of `prepare`, or lies in several processes.
 
-    `prepare_surface(mesh, ...).attach(mesh.points, range(n))` is `prepare(mesh, ...)`. Where no process has the mesh, gather
-    the moving and fixed nodes of all pieces, and pass these.
+    `prepare_surface(mesh, ...).attach(mesh.points, range(n))` equals `prepare(mesh, ...)`. If no
+    process has the whole mesh, gather the moving and fixed nodes of all pieces, and pass them.
 
     **Arguments:**
 
-    - `mesh`: the `Mesh`, all of its points, or at least those of the surface (n, d), among which should be the outermost ones.
-      Points that are not on the surface serve for tolerances, and to see sides that are free. Those on two parallel symmetry
+    - `mesh`: a `Mesh`, or points (n, d). All surface nodes must be in it, and the outermost nodes
+      should be. Other points set tolerances and show free sides. The nodes of two parallel symmetry
       planes are needed too: they are guided.
-    - `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: those of `prepare`; ids are rows of `mesh`.
-    - `nodes`: the whole mesh's ids (n,) of these points, by which pieces name them; -1 for points that no piece names.
-      Default: 0 to n - 1.
-    - `is_open`: whether the whole mesh has a side that is neither moving, fixed nor a symmetry plane. Default None: it is looked
-      for in `mesh`, which must then be whole, or in `faces`.
-    - `faces`: the whole mesh's boundary faces (k, corners) by type as rows of `mesh`, seen from outside; in 2-D `line`s. With them
-      pieces move as by `prepare` of the whole mesh. Default None: those of the mesh's cells, where it has any.
+    - `moving`, `fixed`, `method`, `symmetry`, `periodic`, `sliding`, `free`: as `prepare` takes
+      them; ids are rows of `mesh`.
+    - `nodes`: ids (n,) of the points in the whole mesh, by which pieces name them; -1 for points
+      that no piece names. Default: 0 to n - 1.
+    - `is_open`: whether the whole mesh has a side that is neither moving, fixed nor a symmetry
+      plane. Default None: decided by `faces`, or by `mesh`, which must then be whole.
+    - `faces`: boundary faces (k, corners) of the whole mesh by type, as rows of `mesh`, seen from
+      outside; in 2-D `line`s. With them, pieces move as the whole mesh does. Default None: the
+      faces of the mesh's cells, if it has cells.
 
     **Returns:** a `SurfaceHalf`.
 
-    **Raises:** `ValueError` as `prepare` does, for `nodes` that name one twice, and for a method that solves on the
-    cells of the whole mesh.
+    **Raises:** `ValueError` as `prepare` does, for ids that come twice in `nodes`, and for a method
+    that solves on cells.
     """
     outer = None
     if faces is not None:
@@ -205,12 +212,12 @@ def prepare_surface(
     count = len(boundary.points)
     ids = np.arange(count) if nodes is None else as_array("nodes", nodes)
     if ids.shape != (count,) or ids.dtype.kind not in "iu" or len(np.unique(ids[ids >= 0])) < (ids >= 0).sum():
-        raise ValueError(f"`nodes` must be {count} ids, one for each point of `mesh`, none twice but -1.")
+        raise ValueError(f"`nodes` must be {count} ids, one for every point of `mesh`; only -1 may come twice.")
     return half_of(boundary if is_open is None else dataclasses.replace(boundary, is_open=is_open), method, ids)
 
 
 def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) -> SurfaceHalf:
-    """Prepares the surface of what has been checked; `ids` (n,) name its points in the whole mesh."""
+    """Prepares the surface of a checked boundary; `ids` (n,) name its points in the whole mesh."""
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     method = SurfaceReconstruction() if method is None else method
     refuse_cells(method)
@@ -226,16 +233,13 @@ def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) 
 
 
 def has_open_side(boundary: Boundary) -> bool:
-    """Checks, by points alone, whether a flat side of the mesh is free.
-
-    A free side is neither moving, fixed nor a symmetry plane.
-    """
+    """Checks, by points alone, whether a flat side is free: neither moving, fixed nor a symmetry plane."""
     surface = surface_of(dataclasses.replace(boundary, pairings=()))[0]
     return has_free_sides(surface.points, surface.rows(len(boundary.points)) == len(surface.points), boundary.points)
 
 
 def fence(boundary: Boundary) -> np.ndarray:
-    """Lists the outermost nodes, and one of each symmetry plane: tolerances are relative to their extent."""
+    """Lists the outermost nodes, and one node of every symmetry plane: they set the tolerances."""
     points = boundary.points
     on_planes = (np.flatnonzero(plane.holds(points))[:1] for plane in boundary.planes)
     return np.unique(np.concatenate([points.argmin(axis=0), points.argmax(axis=0), *on_planes]))

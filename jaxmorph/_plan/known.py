@@ -10,13 +10,14 @@ import equinox as eqx
 from .._host.sources.reduction import AbstractReduction, AbstractSearchPoints
 
 ROOTS = (eqx.Module, AbstractReduction, AbstractSearchPoints)
+"""Base classes of all parts of a plan."""
 
 
 def known_classes(added: Sequence[type] = ()) -> dict[str, type]:
-    """Lists by name the classes that a plan's file may name: this package's and the added ones.
+    """Lists by name the classes that a plan's file may name: the package's own and the added classes.
 
-    This package's are the subclasses, in the modules that are loaded, of what its plans are made of. Raises `ValueError` for
-    an added class that is no dataclass or enum, or has the name of another.
+    The package's own classes are subclasses of `ROOTS` in the loaded modules. Raises `ValueError`
+    for an added class that is no dataclass or enum, or has the name of another class.
     """
     package = __name__.partition(".")[0]
     classes: dict[str, type] = {}

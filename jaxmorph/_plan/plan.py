@@ -1,6 +1,6 @@
-"""The driver: a plan moves a mesh in traced code."""
+"""The plan: what is known of a mesh before it moves, and how its displacement fields move it in traced code."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -9,33 +9,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree, Real
 
-from .._boundary.closest import Track
 from .._boundary.images import Images
-from .._boundary.periodic import Pairing
+from .._boundary.pairing import Pairing
+from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._kernels.values import is_known
-from .._methods import placing
 from .._methods.base import AbstractMethod, Located
-from .._methods.blocks import (
-    carry_points,
-    is_rows,
-    map_points,
-    place_points,
-    with_tables,
-    with_tables_of,
-    without_tables,
-)
+from .._methods.blocks import map_points
 from .._methods.reconstruction import SurfaceReconstruction
-from .devices import Layout, over_points, pad_rows, rows_here
+from .devices import Layout, over_points, rows_here
 
 
 class SurfacePart(eqx.Module):
-    """Holds what every device has whole: the surface and the solve.
+    """The surface and the solve, which every device holds whole.
 
-    Its o own rows are the moving, fixed and guided nodes; b rows have images too. In a
-    plan of a piece of a mesh `nodes` holds numbers from n on for nodes that the piece does not have.
+    The o own rows are the moving, fixed and guided nodes. The b rows are own rows and their images.
+    In a plan of a piece, `nodes` has numbers from n on for nodes that the piece lacks.
     """
 
     points: Float[Array, "b d"]
@@ -45,20 +36,24 @@ class SurfacePart(eqx.Module):
     factors: PyTree
     guide: "Guide | None" = None
 
+    def with_images(self, vectors: Float[Array, "o d"]) -> Float[Array, "b d"]:
+        """Extends displacements of the own rows by those of the images."""
+        return vectors if self.images is None else self.images.vectors(vectors)
+
 
 class Guide(Module):
-    """Moves nodes along boundaries: a field of the moving and fixed nodes alone moves them, and they are kept where they belong.
+    """Moves the guided nodes along their boundaries, before the mesh moves.
 
-    Guided nodes slide or repeat. Nobody gives their displacement, yet the field of the mesh needs it: they are rows of its surface.
-    So another field comes first. Its data are the moving and fixed nodes, and its points are the surface's own rows.
-    It needs sources, images, factors, and all of these anew in each step of a march: everything that a plan is.
-    So it is a plan, whose mesh is the surface of the outer one, and which has no guide itself.
-    What it gives is put back on walls and made alike on both sides of periodic pairs; then the outer plan takes it as data.
+    Guided nodes slide or repeat. Nobody gives their displacement, but the field of the mesh needs
+    it. So a first field, of the moving and fixed nodes alone, moves the nodes of the surface. The
+    first field has sources, images and factors, and needs them anew in every step of a march. So it
+    is a plan too: its mesh is the surface of the outer plan, and it has no guide. Its result is put
+    back on walls, and made equal in periodic pairs. The outer plan takes it as data.
 
     - `plan`: moves the surface's own rows, which are its points.
     - `pairings`: pairs of own rows.
     - `tracks`: own rows that stay on walls.
-    - `rows`: own rows that are kept, also by a method that is not exact.
+    - `rows`: own rows with an assigned place, also for a method that is not exact.
     """
 
     plan: "Plan"
@@ -67,10 +62,7 @@ class Guide(Module):
     rows: Int[Array, " r"]
 
     def __call__(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-        """Computes the displacements of all own rows from the displacements of listed rows.
-
-        The listed rows are the moving and the fixed rows.
-        """
+        """Computes the displacements of all own rows from those of the moving and fixed rows."""
         plan, known = self.plan, len(self.plan.surface.nodes)
         displacement = vectors[:known] if plan.images is None else plan.images.kept(vectors[:known])
         u = self._on_walls(jnp.concatenate([displacement, jnp.zeros_like(vectors[known:])]))
@@ -79,7 +71,7 @@ class Guide(Module):
         return self._alike(self._on_walls(u)) if self.tracks else u
 
     def placed(self, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-        """Moves all own rows; pairs that match bit for bit after a translation go on to."""
+        """Moves all own rows; periodic pairs that match bit for bit still do afterwards."""
         base = self.plan.points
         points = base + vectors
         for pairing in self.pairings:
@@ -110,14 +102,16 @@ class VolumePart(eqx.Module):
 
 
 class Plan(Module):
-    """Holds everything that `deform` needs to know about a mesh: an immutable pytree of arrays.
+    """Everything that `deform` needs to know about a mesh: an immutable pytree of arrays.
 
-    `prepare` makes it, and says what may move. It survives `jax.tree` round trips, pickling and
-    `equinox.tree_serialise_leaves`, and may be passed through `jit`, `vmap` and `grad` like any array.
+    `prepare` makes it. It survives `jax.tree` round trips, pickling and
+    `equinox.tree_serialise_leaves`, and passes through `jit`, `vmap` and `grad` like any array.
 
-    Use `points`, `moving`, `fixed`, `guided`, `sources`, `n_moving`, `method`, `is_linear`, `is_piece` and `offset`. The fields
-    `surface` and `volume` belong to the driver, and so do `carried` (by a step of `march`) and `layout` (over devices).
-    In a plan of a piece (`SurfaceHalf.attach`) node ids of len(points) and more stand for nodes that other pieces have.
+    Use `points`, `moving`, `fixed`, `guided`, `sources`, `n_moving`, `method`, `is_linear`,
+    `is_piece` and `offset`. The fields `surface` and `volume` belong to the driver. So do
+    `carried` (by a step of `march`) and `layout` (over devices).
+    In a plan of a piece (`SurfaceHalf.attach`), node ids of len(points) and more stand for
+    nodes of other pieces.
     """
 
     method: AbstractMethod
@@ -131,7 +125,7 @@ class Plan(Module):
 
     @property
     def points(self) -> Float[Array, "n d"]:
-        """Base coordinates: the points that a zero displacement gives back."""
+        """Base coordinates: where a zero displacement leaves the points."""
         return self.volume.points if self.layout is None else self.volume.points[: self.layout.count]
 
     @property
@@ -141,26 +135,20 @@ class Plan(Module):
 
     @property
     def fixed(self) -> Int[Array, " f"]:
-        """Node ids of the fixed nodes, without nodes that also move."""
+        """Node ids of the fixed nodes."""
         return self.surface.nodes[self.n_moving : len(self.surface.nodes) - self.n_guided]
 
     @property
     def guided(self) -> Int[Array, " g"]:
-        """Node ids of the nodes that follow along a boundary.
-
-        They are on sliding patches, periodic patches or parallel symmetry planes.
-        """
+        """Node ids of the nodes that follow along sliding patches, periodic patches or parallel planes."""
         return self.surface.nodes[len(self.surface.nodes) - self.n_guided :]
 
     @property
     def is_linear(self) -> bool:
-        """Checks whether `deform` is linear in `u`.
-
-        The method must be linear, and no nodes may slide along curved walls.
-        """
+        """True where `deform` is linear in `u`: a linear method, and no nodes that slide along curved walls."""
         guide = self.surface.guide
-        along = guide is None or (guide.plan.is_linear and all(track.is_linear for track in guide.tracks))
-        return self.method.linear and along
+        is_guide_linear = guide is None or (guide.plan.is_linear and all(track.is_linear for track in guide.tracks))
+        return self.method.linear and is_guide_linear
 
     @property
     def surface_nodes(self) -> Int[Array, " o"]:
@@ -186,12 +174,12 @@ class Plan(Module):
 
     @property
     def images(self) -> Images | None:
-        """Symmetry planes and periodic pairs, and the images that they make of the surface; None without either."""
+        """The images of the surface by symmetry planes and periodic pairs; None without planes and pairs."""
         return self.surface.images
 
     @property
     def surface_points(self) -> Float[Array, "o d"]:
-        """Base coordinates of `surface_nodes`, nodes of other pieces included."""
+        """Base coordinates of `surface_nodes`, also of nodes that other pieces have."""
         if not self.is_piece:
             return self.points[self.surface.nodes]
         if self.images is None:
@@ -201,29 +189,29 @@ class Plan(Module):
 
     @property
     def moving_points(self) -> Float[Array, "m d"]:
-        """Base coordinates of `moving`; in a piece, nodes of other pieces included."""
+        """Base coordinates of `moving`, also of nodes that other pieces have."""
         return self.surface_points[: self.n_moving]
 
     def check_surface(self, call: str) -> None:
         """Raises `ValueError`, on the host, for a piece that lacks nodes of the surface."""
         if self.is_piece and (absent := int((np.asarray(self.surface_nodes) >= len(self.points)).sum())):
             raise ValueError(
-                f"this plan is of a piece, and {absent} surface nodes are in others: call {call} with the plan of the "
-                "surface, half.plan."
+                f"this plan is of a piece, and {absent} surface nodes are in other pieces: call {call} with the plan of "
+                "the surface, half.plan."
             )
 
     @checked
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes the displacement left to the correction (eq. 5), of moving, fixed and guided nodes. Traced in `u`."""
+        """Computes what the coarse field leaves to the correction (eq. 5), at all surface nodes. Traced in `u`."""
         return _offset(self, u)
 
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes the surface nodes' displacements from the moving nodes' displacements. Traced."""
-        return kept(self, _of_surface(self, u))
+        """Computes the displacements of all surface nodes from those of the moving nodes. Traced."""
+        return kept(self, extended(self, u))
 
     def __repr__(self) -> str:
-        """Describes the plan, whatever its leaves are: concrete, stacked or traced arrays, shapes, or None."""
+        """Describes the plan. Its leaves may be concrete, stacked or traced arrays, shapes, or None."""
         points, nodes = self.volume.points, self.surface.nodes
         parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):
@@ -244,8 +232,7 @@ def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
     vectors, surface = plan.of_surface(u), plan.surface
     if not isinstance(plan.method, SurfaceReconstruction):
         return jnp.zeros_like(vectors)  # nothing is left to a correction
-    extended = vectors if surface.images is None else surface.images.vectors(vectors)
-    offset = plan.method.offset(surface.ids, surface.factors, surface.points, extended)
+    offset = plan.method.offset(surface.ids, surface.factors, surface.points, surface.with_images(vectors))
     if surface.images is None:
         return offset
     rows = _rows_of_originals(surface.images, len(vectors))
@@ -253,7 +240,7 @@ def _offset(plan: Plan, u: Any) -> Float[Array, "o d"]:
 
 
 def _rows_of_originals(images: Images, count: int) -> Int[Array, " b"]:
-    """Finds the own row of each row of the surface; `count` for images."""
+    """Finds the own row of every row of the surface; `count` for images."""
     return jnp.where(images.kind > 0, count, images.rows)
 
 
@@ -261,155 +248,31 @@ def _is_located(leaf: Any) -> bool:
     return isinstance(leaf, Located)
 
 
-@compiled
-def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """Computes a plan anew on other base coordinates, with the planes, walls and transforms that it has."""
-    return _refitted(plan, points)
-
-
-def _refitted(plan: Plan, points) -> Plan:
-    plan = _fitted(plan, points)
-
-    def place(shared, rows: VolumePart) -> PyTree:
-        placed = place_points(plan.method, rows.points, rows.ids, *shared)
-        return placed if rows.placed is None else with_tables_of(rows.placed, placed)
-
-    return _placed(plan, place)
-
-
-def _placed(plan: Plan, place: Callable[[PyTree, VolumePart], PyTree]) -> Plan:
-    placed = over_points(plan.layout, place, (plan.surface.factors, plan.surface.points), plan.volume)
-    return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
-
-
-@compiled
-def carry(
-    plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any], surface: Float[Array, "o d"] | None = None
-) -> Plan:
-    """Moves a plan to the mesh that one of its own steps left; a piece needs all of the moved surface.
-
-    The solve is made anew, and each point keeps its place in the graph. A layer over a wall is laid anew.
-    """
-    return _carried(plan, points, surface)
-
-
-def _carried(plan: Plan, points, surface: Float[Array, "o d"] | None = None) -> Plan:
-    plan = _fitted(plan, points, carried=True, surface=surface)
-
-    def place(shared, rows: VolumePart) -> PyTree:
-        return carry_points(plan.method, (rows.points, rows.ids, rows.placed), *shared)
-
-    return _placed(plan, place)
-
-
-def _stepped(plan: Plan, points, carried: bool) -> Plan:
-    return _carried(plan, points) if carried else _refitted(plan, points)
-
-
-def _fitted(plan: Plan, points, carried: bool = False, surface: Float[Array, "o d"] | None = None) -> Plan:
-    points = base_points(plan, points)
-    old, volume, whole = plan.surface, plan.volume, points
-    originals = points[old.nodes] if surface is None else surface
-    surface = originals if old.images is None else old.images.points(originals)
-    if plan.layout is not None:
-        points = pad_rows(points, plan.layout)
-    method, guide = plan.method, old.guide
-    if guide is not None:
-        guide = eqx.tree_at(lambda guide: guide.plan, guide, _stepped(guide.plan, originals, carried))
-    ids, before = old.ids, old.factors
-    factors = placing.carry(method, ids, before, surface, whole) if carried else method.fit(ids, surface, whole)
-    return Plan(
-        method=method,
-        surface=SurfacePart(surface, old.nodes, old.images, old.ids, factors, guide),
-        volume=VolumePart(points, volume.on_plane, volume.ids, volume.placed),
-        n_moving=plan.n_moving,
-        n_guided=plan.n_guided,
-        carried=carried,
-        is_piece=plan.is_piece,
-        layout=plan.layout,
-    )
-
-
-def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
-    """Returns base coordinates in the precision of a plan. Raises `ValueError` for another shape than the plan's."""
-    points = jnp.asarray(points, plan.volume.points.dtype)
-    if points.shape != plan.points.shape:
-        raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")
-    return points
-
-
-@checked
-@compiled
-def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "n d"]:
-    """Moves the mesh: row i of `u` displaces node `plan.moving[i]`, fixed nodes stay, all others follow.
-
-    Both hold exactly for a method that is `exact`. A reduced `RBF` alone follows both approximately, and moves fixed
-    nodes. It is one step, linear in `u` for a method that is `linear`, unless nodes slide along curved walls
-    (`plan.is_linear`). Traced: `jit`, `grad`, `jvp`, `vmap` and `scan` apply. Judge the result with `quality`: the driver knows
-    nothing of cells.
-
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
-
-    **Returns:** all points (n, d), in the mesh's own node order and unit.
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d).
-    """
-    return deform_surface(plan, _of_surface(plan, u))
-
-
-def _of_surface(plan: Plan, u: Any) -> Float[Array, "o d"]:
-    """Checks a displacement of the moving nodes, and extends it by zeros for the fixed ones."""
+def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
+    """Checks a displacement of the moving nodes, and extends it by zeros for all other surface nodes."""
     if not isinstance(plan, Plan):
         raise ValueError(f"the first argument must be a plan, deform(plan, u), not {type(plan).__name__}.")
     m, d = plan.n_moving, plan.points.shape[1]
     u = u if hasattr(u, "dtype") else np.asarray(u)
-    if u.dtype.kind not in "fiuV":  # V: bfloat16 and its kin
+    if u.dtype.kind not in "fiuV":  # V: bfloat16 and similar types
         raise ValueError(f"`u` holds {u.dtype}; a displacement is real numbers of shape ({m}, {d}).")
     if u.shape != (m, d):
         raise ValueError(f"`u` has shape {u.shape}; this plan moves {m} points in {d} dimensions.")
-    rest = len(plan.surface.nodes) - m
-    return jnp.zeros((m + rest, d), plan.points.dtype).at[:m].set(u.astype(plan.points.dtype))
+    return jnp.zeros((len(plan.surface.nodes), d), plan.points.dtype).at[:m].set(u.astype(plan.points.dtype))
 
 
 def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n d"]:
-    """Moves the mesh as `deform` does, with displacements for the fixed nodes too.
-
-    Rows of the moving nodes come first, then rows of the fixed nodes.
-    """
-    surface, vectors = plan.surface, kept(plan, vectors)
-    u = vectors if surface.images is None else surface.images.vectors(vectors)
-    field = plan.method.field(surface.ids, surface.factors, surface.points, u)
+    """Moves the mesh as `deform` does, by displacements of the moving nodes, then of the fixed nodes."""
+    surface, layout, vectors = plan.surface, plan.layout, kept(plan, vectors)
+    field = plan.method.field(surface.ids, surface.factors, surface.points, surface.with_images(vectors))
     nodes, guide = surface.nodes, surface.guide
+    is_placed = guide is not None
     assigned = vectors if guide is None else guide.placed(vectors)
     if not plan.method.exact:
         rows = jnp.zeros(0, int) if guide is None else guide.rows
         nodes, assigned = nodes[rows], assigned[rows]
-    is_placed = guide is not None
-    moved = over_points(
-        plan.layout, _moved(plan.layout, is_placed), (field, assigned, nodes, surface.images), plan.volume
-    )
-    return moved if plan.layout is None else moved[: plan.layout.count]
 
-
-def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-    """Moves the surface's own rows alone, as `deform_surface` does for a method that is exact."""
-    vectors, guide = kept(plan, vectors), plan.surface.guide
-    return plan.surface_points + vectors if guide is None else guide.placed(vectors)
-
-
-def kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-    """Changes displacements of the surface's own rows so that they stay on planes, and follow along boundaries."""
-    surface = plan.surface
-    if surface.guide is not None:
-        vectors = surface.guide(vectors)
-    return vectors if surface.images is None else surface.images.kept(vectors)
-
-
-def _moved(layout: Layout | None, is_placed: bool) -> Callable[[PyTree, VolumePart], Float[Array, "n d"]]:
-    def move(shared, volume):
+    def move(shared: PyTree, volume: VolumePart) -> Float[Array, "n d"]:
         field, assigned, nodes, images = shared
         displacement = map_points(field, volume.points, volume.placed)
         if images is not None:
@@ -421,77 +284,19 @@ def _moved(layout: Layout | None, is_placed: bool) -> Callable[[PyTree, VolumePa
             moved = moved.at[at].set(places, mode="drop", unique_indices=True)
         return moved
 
-    return move
+    moved = over_points(layout, move, (field, assigned, nodes, surface.images), plan.volume)
+    return moved if layout is None else moved[: layout.count]
 
 
-@checked
-@compiled
-def pullback(
-    plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any], cotangent: Real[ArrayLike, "n d"] | Sequence[Any]
-) -> Float[Array, "m d"]:
-    """Pulls sensitivities with respect to all points back to the moving ones.
-
-    This is the transpose of `deform`, for an adjoint solver that gives dJ/d(points); often called warpDeriv.
-
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `u`: displacements (m, d) of the moving nodes. Where `plan.is_linear`, it only sets the shape: the result does not
-      depend on its value.
-    - `cotangent`: dJ/d(points) at all points (n, d), in the mesh's own node order.
-
-    **Returns:** dJ/du (m, d).
-
-    **Raises:** `ValueError` when the shape of `u` is not (m, d) or that of `cotangent` not (n, d).
-    """
-    cotangent = jnp.asarray(cotangent, plan.points.dtype)
-    if cotangent.shape != plan.points.shape:
-        raise ValueError(f"`cotangent` has shape {cotangent.shape}; this plan's points have {plan.points.shape}.")
-    _, transpose = jax.vjp(lambda u: deform(plan, u), jnp.asarray(u, plan.points.dtype))
-    return transpose(cotangent)[0]
+def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+    """Moves the surface's own rows alone, as `deform_surface` does with an exact method."""
+    vectors, guide = kept(plan, vectors), plan.surface.guide
+    return plan.surface_points + vectors if guide is None else guide.placed(vectors)
 
 
-@checked
-def shard(plan: Plan, devices: Sequence[Any]) -> Plan:
-    """Lays the volume's points over devices; `deform` and all else are called as before, with equal results.
-
-    Each device holds the surface whole and an equal share of the points; the last one is padded where n is not a
-    multiple. A gradient with respect to `u` costs one all-reduce. The devices may belong to several processes
-    (`jax.distributed`), each of which calls this with the same plan.
-
-    **Arguments:**
-
-    - `plan`: what `prepare` returned.
-    - `devices`: JAX's devices.
-
-    **Returns:** a `Plan`.
-
-    **Raises:** `ValueError` when there are no devices, or the plan is laid over devices already.
-    Also for a method that solves for all nodes at once.
-    """
-    if plan.layout is not None:
-        raise ValueError("this plan is laid over devices already: shard the plan that `prepare` returned.")
-    if plan.method.needs_cells:
-        raise ValueError(
-            f"{type(plan.method).__name__} solves for all nodes at once: its plan is not laid over devices."
-        )
-    layout = Layout.over(devices, len(plan.volume.points))
-    volume = jax.tree.map(lambda leaf: pad_rows(leaf, layout), without_tables(plan.volume))
-    placed = with_tables(volume.placed, len(plan.surface.points), layout.mesh.size)
-    volume = eqx.tree_at(
-        lambda volume: volume.placed,
-        volume,
-        placed,
-        is_leaf=lambda leaf: leaf is None or is_rows(leaf),
-    )
-    volume = layout.divided(volume)
-    return Plan(
-        layout.replicated(plan.method),
-        layout.replicated(plan.surface),
-        volume,
-        plan.n_moving,
-        plan.n_guided,
-        plan.carried,
-        plan.is_piece,
-        layout,
-    )
+def kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
+    """Changes displacements of the surface's own rows so that rows stay on planes and follow boundaries."""
+    surface = plan.surface
+    if surface.guide is not None:
+        vectors = surface.guide(vectors)
+    return vectors if surface.images is None else surface.images.kept(vectors)

@@ -13,21 +13,24 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 from .._boundary.boundary import Boundary, find_boundary, renumbered
 from .._boundary.images import Images, images_of
 from .._boundary.kinds import by_kinds
-from .._boundary.periodic import Periodic, check_pairings
+from .._boundary.pairing import check_pairings
+from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
 from .._boundary.symmetry import Plane, check_planes, on_facing
 from .._host.package.errors import warn
 from .._kernels.compile import compiled, quickly_compiled
 from .._kernels.values import as_jax
 from .._mesh.mesh import Mesh
-from .._methods.base import AbstractMethod, Cells, Surface, check_kind
+from .._methods.base import AbstractMethod, check_kind
 from .._methods.blocks import place_points, with_tables
 from .._methods.guiding import guiding
 from .._methods.reconstruction import SurfaceReconstruction
-from .plan import Guide, Plan, SurfacePart, VolumePart, refitted
+from .._methods.surface import Cells, Surface
+from .base import refitted
+from .plan import Guide, Plan, SurfacePart, VolumePart
 
 FEW = 50_000, 2_000
-"""Points, and surface nodes, up to which compilation takes longer than what `prepare` computes with it once."""
+"""Points, and surface nodes, up to which compilation takes longer than the compiled program that `prepare` runs once."""
 
 
 def prepare(
@@ -41,27 +44,32 @@ def prepare(
     sliding: Slide | str | Sequence[Slide | str] = (),
     free: str | Sequence[str] | Integer[ArrayLike, " k"] | Sequence[int | np.integer] = (),
 ) -> Plan:
-    """Prepares a plan, once per mesh and on the host: all that does not depend on the displacement.
+    """Prepares a plan, once per mesh and on the host: everything that does not depend on the displacement.
 
     **Arguments:**
 
-    - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see which nodes its
-      boundary faces connect, patches may be named, and boundary faces in no list are warned of. Precision and device
-      are those of the points: float64 needs JAX's x64 mode.
-    - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both moves. All others follow. Where patches
-      that move are all that is named, others are taken from their `kinds`: symmetry planes, and the rest as fixed. It is told.
+    - `mesh`: a `Mesh`, or points (n, d) alone, d = 2 or 3, in any unit. With a mesh, methods see
+      the boundary faces, patches may be named, and boundary faces in no list cause a warning.
+      Precision and device are those of the points: float64 needs JAX's x64 mode.
+    - `moving`, `fixed`: node ids, (m,) and (f,), or names of patches. A node in both lists moves.
+      Nodes in no list follow. If nothing but moving patches is named, the `kinds` of the other
+      patches decide: symmetry planes slide, all others are fixed. A warning names them.
     - `method`: `SurfaceReconstruction()` by default.
-    - `symmetry`: planes, or names of the patches that lie in one or several. Nodes on a plane stay in it, moving ones too.
-    - `periodic`: pairs of patches of which one repeats the other. Their nodes move alike, and neighbours are felt.
-    - `sliding`: patches whose nodes stay on their surface and move along it; a name stands for the patch's own faces.
-    - `free`: node ids or names of patches whose nodes may follow like inner ones: not warned of. Default: none.
+    - `symmetry`: planes, or names of patches that lie in one or several planes. Nodes on a plane
+      stay in it, also moving nodes.
+    - `periodic`: pairs of patches of which one repeats the other. The two nodes of a pair move
+      alike.
+    - `sliding`: patches whose nodes stay on their surface and move along it. A name stands for the
+      patch's own faces.
+    - `free`: node ids or names of patches whose nodes may follow like inner nodes, without a
+      warning. Default: none.
 
     **Returns:** a `Plan`.
 
-    **Raises:** `ValueError` for ids out of range or named twice in `moving`, and coordinates that are not finite. Also for
-    points outside of the hull of the surface (graph mapping), and sources that do not determine the interpolation. Also for
-    planes that hold no node or have nodes on both sides, for periodic patches that do not match,
-    and sliding ones that do not lie on their surface.
+    **Raises:** `ValueError` for ids out of range, ids that come twice in `moving`, and coordinates
+    that are not finite. Also for points outside of the surface's hull (graph mapping), and sources
+    that do not determine the interpolation. Also for planes that hold no node or have nodes on both
+    sides, periodic patches that do not match, and sliding patches that do not lie on their surface.
     """
     check_kind(method, AbstractMethod, "method", "jm.RBF()", optional=True)
     if all(isinstance(argument, tuple) and not argument for argument in (fixed, symmetry, sliding, free)):
@@ -70,7 +78,7 @@ def prepare(
 
 
 def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
-    """Prepares a plan of what has been checked. It warns of boundary faces that no list names, and of lost precision."""
+    """Prepares the plan of a checked boundary. Warns of boundary faces in no list, and of lost precision."""
     boundary.warn_of_free_faces()
     boundary = between_planes(boundary, method)
     check_pairings(boundary.pairings, boundary.planes, float(np.ptp(boundary.points, axis=0).max()))
@@ -90,8 +98,9 @@ def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
 def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundary:
     """Checks the planes, and guides the nodes of parallel planes, except for methods on cells.
 
-    Two parallel mirrors have images without end, and a field that has some of them leaves a step beside the plane, by which
-    cells invert. So these planes make no images: the field without them guides the nodes, which then are data of the field.
+    Two parallel mirrors have endless images. A field with some of the images has a step beside the
+    plane, by which cells invert. So parallel planes make no images. A field without images guides
+    the nodes of the planes, which then are data of the mesh's field.
     """
     if boundary.planes:
         check_planes(boundary.planes, boundary.points)
@@ -104,7 +113,7 @@ def between_planes(boundary: Boundary, method: AbstractMethod | None) -> Boundar
 
 
 def refuse_cells(method: AbstractMethod) -> None:
-    """Raises `ValueError` for a method that solves on cells, where they are not known."""
+    """Raises `ValueError` for a method that solves on cells, if no cells are known."""
     if method.needs_cells:
         raise ValueError(
             f"{type(method).__name__} needs the cells of the whole mesh: pass the mesh, prepare(mesh, ...), not points or a part."
@@ -133,7 +142,7 @@ def _plan_of(boundary: Boundary, method: AbstractMethod, guide: Guide | None = N
 def laid_out(
     plan: Plan, shared: SurfacePart, points: Array, on_plane: Bool[np.ndarray, "n p"] | None, volume_ids: PyTree
 ) -> Plan:
-    """Makes the plan of other points with an equal surface from a plan: its factors stay."""
+    """Makes a plan of other points with the surface and the factors of a plan."""
     flags = None if on_plane is None else as_jax(on_plane)
     volume = VolumePart(points, flags, volume_ids, _placed(plan.method, shared, points, volume_ids))
     return _with_tables(Plan(plan.method, shared, volume, plan.n_moving, plan.n_guided, is_piece=True))
@@ -152,7 +161,7 @@ def _cells(boundary: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cell
 
 
 def surface_of(boundary: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray, "n p"] | None]:
-    """Returns the surface that a method sees, its images, and which points lie on which plane."""
+    """Returns the surface that a method sees, its images, and a mask (n, p) of the points on every plane."""
     points, nodes, moving, faces = boundary.points, boundary.nodes, len(boundary.moving), boundary.surface_faces
     if not boundary.planes and not boundary.pairings:
         rows = np.arange(len(nodes))
@@ -183,7 +192,7 @@ def surface_of(boundary: Boundary) -> tuple[Surface, Images | None, Bool[np.ndar
 
 
 def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
-    """Prepares what moves nodes along boundaries."""
+    """Prepares the guide, if there are sliding, periodic or guided nodes."""
     if not boundary.pairings and not boundary.tracks and not len(boundary.guided):
         return None
     alone = boundary.alone()
@@ -196,7 +205,7 @@ def _guide_of(boundary: Boundary, method: AbstractMethod) -> Guide | None:
 
 
 def boundary_of(plan: Plan) -> Boundary:
-    """Returns what a plan was made of; without faces, which it does not keep."""
+    """Returns the boundary of a plan; without faces, which a plan does not keep."""
     points, moving, fixed, guided = map(np.asarray, (plan.points, plan.moving, plan.fixed, plan.guided))
     nodes, guide = np.concatenate([moving, fixed, guided]), plan.surface.guide
     planes = () if plan.images is None else plan.images.planes
@@ -206,13 +215,13 @@ def boundary_of(plan: Plan) -> Boundary:
 
 
 def _with_tables(plan: Plan) -> Plan:
-    """Returns the plan with a table of the transpose for each of its interpolations."""
+    """Adds a table of the transpose to all interpolations of a plan."""
     placed = with_tables(plan.volume.placed, len(plan.surface.points))
     return eqx.tree_at(lambda plan: plan.volume.placed, plan, placed, is_leaf=lambda leaf: leaf is None)
 
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:
-    """Makes a smooth displacement of the moving nodes that no polynomial gives, of size one, fixed nodes at rest."""
+    """Makes a smooth displacement of the moving nodes, of size one, that is no polynomial; fixed nodes rest."""
     points, images = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.images
     moving = points[: plan.n_moving]
     arms = moving - moving.mean(axis=0)

@@ -1,4 +1,4 @@
-"""A plan on other base coordinates: what the old ones determined follows, and what was given is checked."""
+"""A plan on other base coordinates: mesh walls and translations follow, given walls and planes are checked."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,32 +8,41 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Real
-from scipy.spatial import KDTree
 
-from .._boundary.closest import Track
-from .._boundary.periodic import MISMATCH, Pairing
+from .._boundary.pairing import Pairing
+from .._boundary.periodic import MISMATCH
 from .._boundary.symmetry import tolerance
+from .._boundary.tracks import Track
 from .._host.package.arguments import checked
 from .._host.package.errors import MeshError, place_of
+from .._host.package.rounding import spacing
 from .._kernels.compile import compiled
 from .._kernels.values import is_readable
 from .._methods.blocks import without_tables
-from .plan import Plan, base_points, refitted
+from .base import base_points, refitted
+from .judge import deviations
+from .plan import Plan
 
 DEVIATION = 1e-5
-"""Distance from a plane or a wall, relative to the extent of its nodes, that a new base may have: small differences pass."""
+"""Largest allowed distance of new base points from a plane or a wall, relative to the extent of its nodes."""
+
+WORDS = {
+    "off_plane": "nodes have left their symmetry plane",
+    "off_surface": "nodes of sliding patches have left their surface",
+    "mismatch": "periodic pairs do not match after their transform",
+}
 
 
 @checked
 def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """Computes a plan anew on other base coordinates: ids are kept, floats computed. Traced and differentiable.
+    """Computes a plan anew on other base coordinates: ids stay, floats are computed. Traced and differentiable.
 
-    It is meant for another mesh of the same family. The steps of one motion are those of `march`: points that a large
-    motion has carried out of their simplices extrapolate.
+    It is meant for another mesh of one family. For the steps of one motion call `march`: after a
+    large motion, points have left their simplices and extrapolate.
 
-    Patches that slide on their own faces do so on those of the new points, and periodic pairs have their translation.
-    Symmetry planes, surfaces that were given to `jm.Slide`, and rotations stay. Points that do not keep them are refused;
-    those that are traced are not looked at.
+    The patches' own faces, and translations of periodic pairs, are taken from the new points.
+    Symmetry planes, surfaces given to `jm.Slide`, and rotations stay. Points that do not lie on
+    them are refused, unless the points are traced.
 
     **Arguments:**
 
@@ -42,11 +51,11 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
     **Returns:** a `Plan`.
 
-    **Raises:** `ValueError` when the shape of `points` differs from the plan's. Also where nodes leave a symmetry plane or a
-    given surface, and where periodic pairs do not match any more: with the number, and the worst node. Also where the ids do not
-    serve any more, because nodes have come within the radius of `CompactRBF` or `LocalCorrection`. In traced code the answer
-    there is NaN. Also for a plan of a piece, which does not know where the surface went: prepare the new surface, and attach the
-    piece to that.
+    **Raises:** `ValueError` when the shape of `points` differs from the plan's. Also where nodes
+    leave a symmetry plane or a given surface, and where periodic pairs match no more: with the
+    number and the worst node. Also where nodes have come within the radius of `CompactRBF` or
+    `LocalCorrection`, so that the ids serve no more; in traced code the result is then NaN. Also
+    for a plan of a piece: prepare the new surface, and attach the piece to it.
     """
     if plan.is_piece:
         raise ValueError(
@@ -65,7 +74,7 @@ def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
 
 
 def with_boundary_of(plan: Plan, other: Plan) -> Plan:
-    """Returns a plan with the walls and transforms of another plan of its mesh and lists."""
+    """Replaces walls and transforms of a plan by those of another plan of its mesh and boundary."""
     guide = other.surface.guide
     return plan if guide is None else _with(plan, guide.tracks, guide.pairings)
 
@@ -85,44 +94,27 @@ def _with(plan: Plan, tracks: tuple[Track, ...], pairings: tuple[Pairing, ...]) 
 def _boundary_at(
     tracks: tuple[Track, ...], pairings: tuple[Pairing, ...], points: Float[Array, "o d"]
 ) -> tuple[tuple[Track, ...], tuple[Pairing, ...]]:
-    return tuple(each.at(points) for each in tracks), tuple(each.at(points) for each in pairings)
+    return tuple(track.at(points) for track in tracks), tuple(pairing.at(points) for pairing in pairings)
 
 
 def _check_boundary(plan: Plan, points: np.ndarray) -> None:
-    """Raises `ValueError` where points are not on the planes and walls of a plan, or do not match as its pairs."""
-    if plan.images is not None:
-        flags = np.asarray(plan.volume.on_plane)[: len(points)]
-        for plane, is_on in zip(plan.images.planes, flags.T, strict=True):
-            nodes = np.flatnonzero(is_on)
-            size = np.ptp(points[nodes], axis=0).max(initial=0.0)
-            allowed = max(DEVIATION * size, tolerance(points))
-            what = f"nodes have left the symmetry plane with normal {plane.normal.tolist()}"
-            _refuse(what, np.abs(plane.height(points[nodes])), allowed, nodes, points)
-    guide = plan.surface.guide
-    if guide is None:
-        return
-    nodes = np.asarray(plan.surface.nodes)
-    here, exact = points[nodes], points[nodes].astype(float)
-    for track in guide.tracks:
-        rows = np.asarray(track.rows)
-        size = np.ptp(np.concatenate([here[np.asarray(track.rows)] for track in guide.tracks]), axis=0).max()
-        for wall in track.walls:
-            off = np.asarray(wall.distance(jax.numpy.asarray(here[rows])))
-            what = "nodes of sliding patches have left their surface"
-            _refuse(what, off, max(DEVIATION * size, tolerance(points)), nodes[rows], points)
-    for pairing in jax.tree.map(np.asarray, guide.pairings):
-        second = exact[pairing.second]
-        spacing = (
-            np.asarray(KDTree(second).query(second, k=2)[0])[:, 1] if len(second) > 1 else np.ptp(exact, axis=0).max()
-        )
-        allowed = np.maximum(MISMATCH * spacing, 2 * tolerance(points))
-        what = "periodic pairs do not match after their transform"
-        _refuse(what, pairing.misses(exact), allowed, nodes[pairing.first], points)
+    """Raises `ValueError` where points are off the planes and walls of a plan, or do not match as its pairs."""
+    surface, guide = np.asarray(plan.surface.nodes), plan.surface.guide
+    tracks = () if guide is None else guide.tracks
+    sliding = surface[np.concatenate([np.zeros(0, int), *(np.asarray(track.rows) for track in tracks)])]
+    for name, nodes, distance in deviations(plan, points):
+        if name == "mismatch":
+            gaps = np.minimum(spacing(points[nodes].astype(float)), np.ptp(points, axis=0).max())
+            allowed = np.maximum(MISMATCH * gaps, 2 * tolerance(points))
+        else:
+            patch = points[nodes if name == "off_plane" else sliding]
+            allowed = max(DEVIATION * np.ptp(patch, axis=0).max(initial=0.0), tolerance(points))
+        _refuse(WORDS[name], distance, allowed, nodes, points)
 
 
 @compiled
 def _have_no_place(plan: Plan) -> tuple[Bool[Array, " n"], Bool[Array, ""]]:
-    """Marks points whose weights are not finite, and tells whether the solve is."""
+    """Marks points whose weights are not finite; also checks whether the solve is finite."""
     rows = [
         leaf.reshape(len(leaf), -1)
         for leaf in jax.tree.leaves(without_tables(plan.volume.placed))
@@ -134,15 +126,15 @@ def _have_no_place(plan: Plan) -> tuple[Bool[Array, " n"], Bool[Array, ""]]:
 
 
 def _check_places(plan: Plan, points: np.ndarray) -> None:
-    """Raises `ValueError` where a plan's ids do not serve at its base points any more; where these are finite."""
+    """Raises `ValueError` where a plan's ids serve no more at its base points, if these points are finite."""
     lost, is_solved = map(np.asarray, _have_no_place(plan))
     if (is_solved and not lost.any()) or not np.isfinite(points).all():
         return
     nodes = np.flatnonzero(lost[: len(points)])
     if not len(nodes):
         raise ValueError(
-            "the plan's solve is not finite at the new base points: nodes of the surface have come nearer to each other than "
-            "the plan searched for them, or coincide. Call `prepare` with the new mesh and its boundaries."
+            "the plan's solve is not finite at the new base points: nodes of the surface coincide, or have come nearer to "
+            "each other than the plan searched. Call `prepare` with the new mesh and its boundaries."
         )
     raise MeshError(
         f"{len(nodes)} of {len(points)} points have lost their place at the new base points, first node {{node}} at "

@@ -1,8 +1,8 @@
-"""Plans in files: arrays beside a description of the tree that holds them, read back without running anything.
+"""Plans in files: arrays, and a description of the tree that holds the arrays.
 
-A file is a NumPy archive (.npz) of plain arrays and of one of bytes, the description in JSON. It names classes; loading
-looks these names up among the classes of this package and those that the caller gives, fills in their fields, and runs
-none of their code.
+A file is a NumPy archive (.npz) of plain arrays and of one array of bytes, the description in JSON.
+The description names classes. `load` looks the names up among the package's classes and the
+caller's, fills in the fields, and runs no code.
 """
 
 import dataclasses
@@ -33,21 +33,22 @@ Plans = Plan | SurfaceHalf | Sequence[Any]
 
 @checked
 def save(path: str | os.PathLike[str], plan: Plans) -> None:
-    """Writes a plan, the plans of several steps that `march` returned, or a `SurfaceHalf`, to a file that `load` reads.
+    """Writes a plan, the plans of a `march`, or a `SurfaceHalf`, to a file that `load` reads.
 
-    Every array keeps its bits, so the loaded plan's `deform` gives the same. Besides arrays, fields may hold None,
-    booleans, numbers, strings, members of an `enum`, tuples, lists, dictionaries by string, and objects of dataclasses
-    (`equinox.Module`s among them). The file appears when it is complete, under a temporary name until then, and
-    replaces one of that name.
+    All arrays keep their bits, so `deform` of the loaded plan gives equal points. Besides arrays,
+    fields may hold None, booleans, numbers, strings, members of an `enum`, tuples, lists,
+    dictionaries by string, and objects of dataclasses (also of `equinox.Module`). The file has a
+    temporary name until it is complete, then replaces a file of its name.
 
     **Arguments:**
 
     - `path`: the file to write.
-    - `plan`: a `Plan`, a sequence of them, or a `SurfaceHalf`.
+    - `plan`: a `Plan`, several plans in a sequence, or a `SurfaceHalf`.
 
-    **Raises:** `ValueError`, with the place in the plan, for anything else (functions, say), and for a class of your
-    own that is called like one of jaxmorph's. Also for a `path` in a folder that is not there, or that is one. A plan laid
-    over devices is refused, too: save the one that `prepare` returned, and `shard` what is loaded.
+    **Raises:** `ValueError`, with the place in the plan, for other fields (functions, say), and for
+    your own class with the name of a jaxmorph class. Also for a `path` that is a folder, or whose
+    folder does not exist. Also for a plan laid over devices: save the plan that `prepare` returned,
+    and `shard` the loaded plan.
     """
     path = output_path(path)
     if not _is_plans(plan):
@@ -62,19 +63,20 @@ def save(path: str | os.PathLike[str], plan: Plans) -> None:
 
 @checked
 def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
-    """Reads the plan, or the tuple of plans, that `save` wrote. Arrays go to JAX's default device.
+    """Reads what `save` wrote. Arrays go to JAX's default device.
 
     **Arguments:**
 
     - `path`: the file.
-    - `classes`: classes of your own that the plan may hold: a basis, a method and its factors, a reduction. Default:
-      none. The file cannot name any but these and jaxmorph's, so one from elsewhere does no harm.
+    - `classes`: your own classes that the plan may hold: a basis, a method and its factors, a
+      reduction. Default: none. A file can name only these and jaxmorph's classes, so that a file
+      from elsewhere does no harm.
 
-    **Returns:** the `Plan`, a tuple of them, or the `SurfaceHalf`.
+    **Returns:** the `Plan`, a tuple of plans, or the `SurfaceHalf`.
 
-    **Raises:** `ValueError` for a file that is no plan, is damaged or cut short, or is of another version.
-    Also for a class that is not known or has other fields here, and for float64 while JAX's x64 mode is off. `OSError`
-    for a file that cannot be opened.
+    **Raises:** `ValueError` for a file that is no plan, is damaged or cut short, or is of another
+    version. Also for a class that is unknown or has other fields, and for float64 while JAX's x64
+    mode is off. `OSError` for a file that cannot be opened.
     """
     path = input_path(path)
     members = read_arrays(path, "a saved plan")
@@ -89,7 +91,7 @@ def load(path: str | os.PathLike[str], classes: Sequence[type] = ()) -> Any:
         raise ValueError(f"{path}: not a saved plan; its format is {kind!r}.")
     if version != VERSION:
         raise ValueError(
-            f"{path}: of version {version}, this jaxmorph reads {VERSION}: prepare the plan anew and save it."
+            f"{path}: of version {version}, but this jaxmorph reads {VERSION}: prepare the plan anew and save it."
         )
     try:
         plan = _Reader(arrays, known_classes((SurfaceHalf, *classes))).node(header["tree"])
@@ -109,12 +111,12 @@ def _is_plans(plan: Any) -> bool:
 
 
 class _Refused(ValueError):
-    """A message for the user, to which the name of the file is added."""
+    """A message for the user, without the name of the file."""
 
 
 @dataclasses.dataclass
 class _Writer:
-    """Describes a tree; `arrays` are those it found, equal ones once: the steps of a march have most in common."""
+    """Describes a tree and collects its `arrays`, equal arrays once: the steps of a march share most of them."""
 
     arrays: list[np.ndarray] = dataclasses.field(default_factory=list)
     places: dict[Any, int] = dataclasses.field(default_factory=dict)
@@ -127,18 +129,18 @@ class _Writer:
         if isinstance(value, jax.Array | np.ndarray | np.generic):
             return self._array(value, where)
         if isinstance(value, tuple | list) and type(value) in (tuple, list):
-            return {type(value).__name__: [self.node(each, f"{where}[{i}]") for i, each in enumerate(value)]}
+            return {type(value).__name__: [self.node(item, f"{where}[{i}]") for i, item in enumerate(value)]}
         if type(value) is dict and all(type(key) is str for key in value):
-            return {"dict": {key: self.node(each, f"{where}[{key!r}]") for key, each in value.items()}}
+            return {"dict": {key: self.node(item, f"{where}[{key!r}]") for key, item in value.items()}}
         if isinstance(value, enum.Enum):
             return {"enum": self._name(type(value), where), "member": value.name}
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
             if isinstance(value, Plan) and value.layout is not None:
                 raise ValueError(
-                    f"{where} is laid over devices: save the plan that `prepare` returned, and `shard` what is loaded."
+                    f"{where} is laid over devices: save the plan that `prepare` returned, and `shard` the loaded plan."
                 )
             fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-            described = {name: self.node(each, f"{where}.{name}") for name, each in fields.items()}
+            described = {name: self.node(item, f"{where}.{name}") for name, item in fields.items()}
             return {"class": self._name(type(value), where), "fields": described}
         kind = type(value).__name__
         raise ValueError(
@@ -165,7 +167,7 @@ class _Writer:
 
 @dataclasses.dataclass
 class _Reader:
-    """Builds the tree again from its description."""
+    """Builds a tree from its description."""
 
     arrays: list[np.ndarray]
     classes: dict[str, type]
@@ -186,7 +188,7 @@ class _Reader:
         if kind in ("tuple", "list"):
             return (tuple if kind == "tuple" else list)(map(self.node, content))
         if kind == "dict":
-            return {name: self.node(each) for name, each in content.items()}
+            return {name: self.node(item) for name, item in content.items()}
         if kind == "enum":
             return self._class(content, enum.Enum)[node["member"]]
         return self._object(node["class"], node["fields"])
@@ -208,8 +210,8 @@ class _Reader:
         expected = {field.name for field in dataclasses.fields(kind)}
         if expected != fields.keys():
             raise _Refused(
-                f"{name} has the fields {', '.join(fields)} in the file, but {', '.join(sorted(expected))} here: it was written "
-                "with another version of that class."
+                f"{name} has the fields {', '.join(fields)} in the file, but {', '.join(sorted(expected))} here: the file was "
+                "written with another version of the class."
             )
         made = object.__new__(kind)
         for field, value in fields.items():
@@ -219,5 +221,5 @@ class _Reader:
     def _class(self, name: str, base: type) -> Any:
         kind = self.classes.get(name)
         if kind is None or not issubclass(kind, base):
-            raise _Refused(f"a class {name!r} that is not known; pass yours as load(path, classes=({name},)).")
+            raise _Refused(f"the class {name!r} is unknown; pass your own class as load(path, classes=({name},)).")
         return kind

@@ -1,4 +1,4 @@
-"""Several steps: a path of surface displacements, followed on the host and replayed in traced code."""
+"""Motions in several steps: a path of surface displacements, followed on the host and replayed in traced code."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,7 +11,8 @@ from jaxtyping import Array, ArrayLike, Float, Real
 from .._host.package.arguments import checked
 from .._kernels.compile import compiled
 from .._mesh.mesh import Mesh
-from .plan import Plan, carry, deform_surface, moved_surface, refitted
+from .base import carry, refitted
+from .plan import Plan, deform_surface, moved_surface
 from .prepare import boundary_of, plan_of
 from .refit import with_boundary_of
 
@@ -20,25 +21,27 @@ from .refit import with_boundary_of
 def march(
     plan: Plan, path: Real[ArrayLike, "k m d"] | Sequence[Any], *, rebuild: bool = False, mesh: Mesh | None = None
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
-    """Follows a path of total surface displacements, each step refitted on the mesh that the last one left.
+    """Follows a path of total surface displacements, and refits the plan on the moved mesh before every step.
 
-    The radial basis functions are solved for anew at each step; a Delaunay graph goes on standing on the undeformed
-    mesh.
+    Radial basis functions are solved for anew at every step. A Delaunay graph stays on the
+    undeformed mesh.
 
     **Arguments:**
 
     - `plan`: what `prepare` returned.
-    - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` displaces the moving nodes from the plan's base
-      coordinates to where step j ends, so a rotation is a path of rotated positions, not a straight line.
-    - `rebuild`: choose the ids (sources, graph) again before each step, as the paper does. Default False. The result
-      then jumps wherever the graph of the moved surface changes, by as much as a step. A line search or a finite
-      difference meets cliffs.
-    - `mesh`: the mesh that the plan is of, for `rebuild`: methods see its cells and boundary faces again. Default: points alone,
-      which methods that need cells refuse.
+    - `path`: displacements (k, m, d) in the mesh's unit. `path[j]` displaces the moving nodes from
+      the plan's base coordinates to the end of step j. So a rotation is a path of rotated
+      positions, not a straight line.
+    - `rebuild`: choose the ids (sources, graph) again before every step, as the paper does. Default
+      False. The result then jumps, by as much as a step, wherever the graph of the moved surface
+      changes. A line search or a finite difference meets cliffs.
+    - `mesh`: the plan's mesh, for `rebuild`: methods see its cells and boundary faces again.
+      Default: points alone, which methods on cells refuse.
 
-    **Returns:** one plan a step, for `replay`, and the points (n, d) at the end.
+    **Returns:** the plans of all steps, for `replay`, and the points (n, d) at the end.
 
-    **Raises:** `ValueError` when `path` is not (k, m, d), for a mesh of other points, and whatever `prepare` raises.
+    **Raises:** `ValueError` when `path` is not (k, m, d), for a mesh of other points, and where
+    `prepare` does.
     """
     if mesh is not None and tuple(mesh.points.shape) != plan.points.shape:
         raise ValueError(f"`mesh` has points {tuple(mesh.points.shape)}, the plan {plan.points.shape}.")
@@ -63,21 +66,22 @@ def march(
 
 @checked
 def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]) -> Float[Array, "n d"]:
-    """Repeats the steps of a `march` with the ids that it recorded: traced, differentiable, equal to its points.
+    """Repeats the steps of a `march` with the recorded ids. Traced and differentiable; the points are equal.
 
-    It is differentiable with respect to `path`, and to the base coordinates through `refit(plans[0], points)`.
+    It is differentiable with respect to `path`, and to the base coordinates through
+    `refit(plans[0], points)`.
 
     **Arguments:**
 
     - `plans`: the plans that `march` returned.
-    - `path`: displacements (k, m, d), one entry a plan, as for `march`.
+    - `path`: displacements (k, m, d), one entry for every plan, as for `march`.
 
     **Returns:** the points (n, d) at the end.
 
-    **Raises:** `ValueError` when `path` does not have one entry a plan, each (m, d).
+    **Raises:** `ValueError` when `path` does not have one entry (m, d) for every plan.
     """
     if not plans:
-        raise ValueError("`plans` is empty: pass those that `march` returned.")
+        raise ValueError("`plans` is empty: pass the plans that `march` returned.")
     targets = _targets(plans[0], path)
     if len(targets) != len(plans):
         raise ValueError(
@@ -94,12 +98,12 @@ def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]
 
 
 def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
-    """Computes where the surface's own rows are to be at the end of each step."""
+    """Computes the places of the surface's own rows at the end of every step."""
     path = jnp.asarray(path, plan.points.dtype)
     m, d = plan.n_moving, plan.points.shape[1]
     if path.ndim != 3 or path.shape[1:] != (m, d):
         raise ValueError(
-            f"`path` has shape {path.shape}; expected (steps, {m}, {d}): the total displacement at each step's end."
+            f"`path` has shape {path.shape}; expected (steps, {m}, {d}): the total displacement at the end of every step."
         )
     base = plan.surface_points
     return jnp.broadcast_to(base, (len(path), *base.shape)).at[:, :m].add(path)
@@ -107,7 +111,7 @@ def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
 
 @compiled
 def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d"], Float[Array, "o d"] | None]:
-    """Moves all of the surface to the target, fixed nodes too where a method moved them; of a piece all of the surface too."""
+    """Moves the surface to the target, also fixed nodes that a method has moved; for a piece, returns the whole surface too."""
     vectors = target - plan.surface_points
     points = deform_surface(plan, vectors)
     if not plan.is_piece:
@@ -118,12 +122,12 @@ def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d
 def _check_piece(plan: Plan, rebuild: bool) -> None:
     if rebuild or (not plan.method.exact and (np.asarray(plan.surface.nodes) >= len(plan.points)).any()):
         raise ValueError(
-            "march of a piece keeps its ids, and needs a method that is exact at the surface: the rest is in other pieces."
+            "march of a piece needs rebuild=False, and a method that is exact at the surface: other pieces have the rest."
         )
 
 
 def _anew(plan: Plan, points, mesh: Mesh | None) -> Plan:
     boundary = dataclasses.replace(boundary_of(plan), points=np.asarray(points))
     if mesh is not None:
-        boundary = dataclasses.replace(boundary.with_faces_of(mesh), left=None)  # `prepare` has warned of these
+        boundary = dataclasses.replace(boundary.with_faces_of(mesh), left=None)  # `prepare` has warned of free faces
     return plan_of(boundary, plan.method)

@@ -15,7 +15,9 @@ Scalar = Float[Either, " k"]
 
 
 def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
-    """Computes the centre of mass of the triangles or tetrahedra between the sides, their means and the first corner.
+    """Computes a cell's centre of mass by triangles or tetrahedra.
+
+    They lie between the sides, the means of the sides and the first corner.
 
     It is OpenFOAM's cell centre, for faces in a plane.
     """
@@ -39,7 +41,10 @@ def centre_of_mass(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def _moments(x: Vector, corners: Int[Either, " c"]) -> list[Scalar]:
-    """Computes six volumes, and 24 first moments, of the tetrahedra between one face and the first corner."""
+    """Computes six volumes and 24 first moments of tetrahedra.
+
+    They lie between one face and the first corner.
+    """
     around = [x.row(corner) for corner in corners]
     middle = mean(around)
     pairs = [(around[i - 1], corner) for i, corner in enumerate(around)]
@@ -49,7 +54,10 @@ def _moments(x: Vector, corners: Int[Either, " c"]) -> list[Scalar]:
 
 
 def _centre_of_quad(corners: Sequence[Vector]) -> Vector:
-    """Computes the centre of mass of the triangles between the sides and the mean of the corners, by their projected areas."""
+    """Computes a quad's centre of mass by triangles, with their projected areas.
+
+    They lie between the sides and the mean of the corners.
+    """
     xp, middle, normal = namespace(corners[0][0]), mean(corners), measures.area_vector(corners)
     spokes = [corner - middle for corner in corners]
     pairs = [(spokes[i - 1], spoke) for i, spoke in enumerate(spokes)]

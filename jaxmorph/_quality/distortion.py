@@ -1,9 +1,12 @@
-"""Distance of cells from target shapes: an energy that stays finite, with a useful gradient, on inverted cells.
+"""Distance of cells from target shapes, as an energy.
 
-At each corner of a cell, and at the centre of a hexahedron, the edges that leave it are the columns of A. The edges of
-the target cell are the columns of W, and T = A W^-1 takes the target to the cell. This is the target-matrix paradigm
-(Knupp, Algebraic mesh quality metrics, SIAM J. Sci. Comput. 23, 2001). The determinant in the denominators is
-regularised as in Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
+It stays finite, with a useful gradient, on inverted cells.
+
+At each corner of a cell, and at the centre of a hexahedron, the edges that leave it are the columns
+of A. The edges of the target cell are the columns of W, and T = A W^-1 takes the target to the
+cell. This is the target-matrix paradigm (Knupp, Algebraic mesh quality metrics, SIAM J. Sci.
+Comput. 23, 2001). The determinant in the denominators is regularised as in Garanzha et al.,
+Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40, 2021.
 """
 
 import functools
@@ -46,7 +49,7 @@ IDEAL = {
 
 
 class Target(NamedTuple):
-    """Inverse target matrices W^-1, row by row, and the samples that count: a sign beyond round-off."""
+    """Inverse target matrices W^-1 by row, and samples that count: a sign beyond round-off."""
 
     inverse: tuple[tuple[Scalar, ...], ...]
     determinant: Scalar
@@ -56,7 +59,8 @@ class Target(NamedTuple):
 def target(kind: str, x: list[Vector], ideal: bool) -> Target:
     """Makes targets of the corners of undeformed cells.
 
-    With `ideal` the targets are cells of ideal shape with the volume and handedness of the undeformed ones.
+    With `ideal` the targets are cells of ideal shape with the volume and handedness of the
+    undeformed ones.
     """
     edges, noise = measures.frames(kind, x), _noise(kind, x)
     volume = measures.volume(kind, [corner - x[0] for corner in x])
@@ -96,10 +100,12 @@ def samples(kind: str, x: list[Vector], goal: Target) -> tuple[Scalar, Scalar]:
 def energy(
     squared: Float[Array, "*shape"], tau: Float[Array, "*shape"], softness: Any, size: float, dimension: int
 ) -> Float[Array, "*shape"]:
-    """Computes the energy: 0 for the target cell, without bound as det T falls to zero, large where it is negative.
+    """Computes the energy: 0 for the target cell, large where det T is negative.
 
-    It is (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det T^2) / (2 chi) - 1, with chi(det T) > 0 the regularised
-    determinant.
+    It grows without bound as det T falls to zero.
+
+    It is (1 - size) |T|^2 / (d chi^(2/d)) + size (1 + det T^2) / (2 chi) - 1, with chi(det T) > 0
+    the regularised determinant.
     """
     chi = positive_part(tau, softness)
     shape = squared / (chi if dimension == 2 else jnp.cbrt(chi) ** 2)
@@ -136,27 +142,27 @@ def distortion(
     size_weight: float = 0.5,
     softness: float = 1e-3,
 ) -> Float[Array, " k"]:
-    """Measures the distortion of each cell that fills the space: what `improve` sums, smooth everywhere.
+    """Measures the distortion of each cell that fills the space, the term of `improve`'s sum.
 
-    The distortion is 0 for a cell like its target, and finite on inverted cells. There it is large, as (1 / softness)^2
-    in 2-D, with a derivative that turns cells round again. Traced in `points`. A curved cell has the mean of its linear
-    pieces, see `Mesh.linear`.
+    The distortion is 0 for a cell like its target, and finite on inverted cells. There it is large,
+    as (1 / softness)^2 in 2-D, with a derivative that turns cells round again. Traced in `points`.
+    A curved cell has the mean of its linear pieces, see `Mesh.linear`.
 
     **Arguments:**
 
     - `mesh`: the mesh; `mesh.points` is undeformed.
     - `points`: where the nodes are (n, d). Default: `mesh.points`.
-    - `ideal`: False (default) compares with the undeformed cell, True with the equilateral one.
-    - `size_weight`: the weight of size against shape, 0 to 1, default 0.5. At 0 the result is the mean over the corners
-      of 1 / mean ratio - 1. At 1 it is a barrier on the corner Jacobians relative to the target's; between them a
-      blend.
-    - `softness`: width of the regularisation of det T, without unit, default 1e-3. A larger value gives a smoother
-      barrier.
+    - `ideal`: False (default) compares with the undeformed cell, True with the equilateral cell.
+    - `size_weight`: the weight of size against shape, 0 to 1, default 0.5. At 0 the result is the
+      mean over the corners of 1 / mean ratio - 1. At 1 it is a barrier on the corner Jacobians
+      relative to the target's; between them a blend.
+    - `softness`: width of the regularisation of det T, without unit, default 1e-3. A larger value
+      gives a smoother barrier.
 
     **Returns:** an array (k,), the cells in the order of `mesh.cells`.
 
-    **Raises:** `ValueError` for a mesh without cells of its own dimension, and when the shape of `points` differs from
-    that of `mesh.points`.
+    **Raises:** `ValueError` for a mesh without cells of its own dimension, and when the shape of
+    `points` differs from that of `mesh.points`.
     """
     d = mesh.points.shape[1]
     cells = solid(mesh.cells, d)

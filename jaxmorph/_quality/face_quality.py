@@ -1,4 +1,4 @@
-"""Volumes, pyramids, skewness, aspect ratio and non-orthogonality from the faces of cells, as OpenFOAM's checkMesh has them."""
+"""Quality of cells from their faces, as OpenFOAM's checkMesh measures it."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -24,9 +24,10 @@ FLOOR = 1e-300
 def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQuality:
     """Measures cells by their faces on the host, as OpenFOAM's checkMesh does.
 
-    `quality` has the measures that are traced; of polyhedra it sees the pieces, this the whole. Where no cell is a polyhedron and
-    faces are flat, both have one non-orthogonality. What is an inverted cell differs: `quality` takes the Jacobians at the
-    corners, as finite elements need them, this the volumes and the pyramids of faces, as finite volumes do.
+    `quality` has the measures that are traced; of polyhedra it sees the pieces, this the whole.
+    Where no cell is a polyhedron and faces are flat, both have one non-orthogonality. What is an
+    inverted cell differs: `quality` takes the Jacobians at the corners, as finite elements need
+    them, this the volumes and the pyramids of faces, as finite volumes do.
 
     **Arguments:**
 
@@ -35,7 +36,8 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
 
     **Returns:** a `FaceQuality`.
 
-    **Raises:** `ValueError` for a mesh without cells, for surfaces in 3-D, and for another shape of `points`.
+    **Raises:** `ValueError` for a mesh without cells, for surfaces in 3-D, and for another shape of
+    `points`.
     """
     return measured(mesh, Sides.listed(mesh), points)
 
@@ -43,7 +45,7 @@ def face_quality(mesh: Mesh, points: Float[Any, "n d"] | None = None) -> FaceQua
 def measured(
     mesh: Mesh, sides: Sides, points: Float[Any, "n d"] | None, undeformed: FaceQuality | None = None
 ) -> FaceQuality:
-    """Measures cells as `face_quality` does, with what was found before: `sides` of `mesh`, and its quality `undeformed`."""
+    """Measures cells as `face_quality` does, with `sides` and `undeformed` quality found before."""
     points = np.asarray(mesh.points if points is None else points, dtype=float)
     if points.shape != tuple(mesh.points.shape):
         raise ValueError(f"`points` has shape {points.shape}; this mesh has {tuple(mesh.points.shape)}.")
@@ -65,7 +67,7 @@ def measured(
 
 @dataclasses.dataclass(eq=False)
 class _Shape:
-    """Holds the faces of each group, their centres and area vectors (d, f), and of cells the middles (d, k) and d volumes (k,)."""
+    """Faces of groups with centres and area vectors (d, f), middles of cells, d volumes (k,)."""
 
     faces: list[tuple[Group, np.ndarray, np.ndarray]]
     middle: Float[np.ndarray, "d k"]
@@ -112,7 +114,7 @@ class _Shape:
 def _of_shape(
     sides: Sides, shape: _Shape, points: Float[np.ndarray, "n d"], old: Float[np.ndarray, " k"]
 ) -> FaceQuality:
-    """Makes the report of a shape; `old` are the undeformed volumes, `d` times, as those of the shape."""
+    """Makes the report of a shape; `old` are the undeformed volumes, times `d`."""
     columns, (d, total) = np.ascontiguousarray(points.T), shape.middle.shape
     counts, noise = sides.counts, 8 * np.finfo(float).eps * np.abs(points).max()
     is_wrong, cosine, skewness = np.zeros(total, dtype=bool), np.ones(total), np.zeros(total)
@@ -152,7 +154,7 @@ def _of_shape(
 def _across(
     block: Block, centre: Columns, area: Columns, middle: Columns, points: Columns
 ) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, " b"]]:
-    """Computes the skewness of faces, and the cosine between their area vectors and the lines of centres; 1 without a line."""
+    """Computes the skewness of faces, and cosines of area vectors with lines of centres."""
     owner, behind = block.owner, block.behind
     arm, size = _arm(centre, middle, owner), _size(area)
     across = [m.take(behind) - m.take(owner) for m in middle]  # anything where there is no cell behind
@@ -216,13 +218,16 @@ def _polygon(x: Sequence[Columns]) -> tuple[Columns, Columns]:
         total = total + weight
         area = [a + n for a, n in zip(area, normal, strict=True)]
         moment = [m + weight * (a + b) for m, a, b in zip(moment, arm, after, strict=True)]
-    return [m - each / (3 * total) for m, each in zip(mean, moment, strict=True)], [a / 2 for a in area]
+    return [m - first / (3 * total) for m, first in zip(mean, moment, strict=True)], [a / 2 for a in area]
 
 
 def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"] | None:
-    """Finds the sign that makes the undeformed volumes positive: by neighbours, and by the volume that they enclose.
+    """Finds the sign that makes the undeformed volumes positive.
 
-    None where all are. A motion that turns a part of the mesh inside out leaves no neighbour to tell so.
+    It follows from neighbours, and from the volume that they enclose.
+
+    None where all are. A motion that turns a part of the mesh inside out leaves no neighbour to
+    tell so.
     """
     if not (volume < 0).any():
         return None

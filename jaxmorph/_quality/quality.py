@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real, Shaped
 
 from .._host.cells.adjacency import handedness, neighbours
-from .._host.cells.topology import DIMENSION
+from .._host.cells.topology import DIMENSION, FACES
 from .._host.package.arguments import checked
+from .._kernels.callback import host_call
 from .._kernels.compile import compiled
 from .._kernels.values import Either, array, as_jax, constant, is_known, namespace, on_host, smallest
 from .._mesh.mesh import Mesh
@@ -121,7 +122,13 @@ class Links(NamedTuple):
 
 def link(cells: dict[str, Any], signs: bool) -> Links:
     if not is_known(*cells.values()):
-        return Links(neighbours(cells, jnp)[0], None, None)
+
+        def behind(*corners):
+            return neighbours(dict(zip(cells, corners, strict=True)))[0]
+
+        faces = sum(len(FACES[kind]) * len(corners) for kind, corners in cells.items())
+        found = host_call(behind, jax.ShapeDtypeStruct((faces,), np.int32), *cells.values())
+        return Links(found, None, None)
     cells = {kind: np.asarray(corners) for kind, corners in cells.items()}
     neighbour, flipped = neighbours(cells)
     return Links(neighbour, *(handedness(cells, neighbour, flipped) if signs else (None, None)))

@@ -1,4 +1,4 @@
-"""Faces of a mesh and the cells beside them, each face once: what measures by faces need of the ids alone."""
+"""Faces of a mesh, and the cells beside them: what measures by faces need of the ids."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -21,8 +21,9 @@ class Group:
 
     - `corners`: node ids (c, f), in the sense in which the owner sees the face from outside.
     - `owner`, `behind`: the cells (f,) beside the face; `behind` is -1 where there is none.
-    - `shared`: the first so many faces stand for both cells. Others stand for their owner: outer faces, and pairs of faces of
-      which one is not the other seen from behind.
+    - `shared`: the number of faces at the beginning that stand for both cells. All further faces
+      stand for their owner: outer faces, and pairs of faces of which one is not its partner seen
+      from behind.
     - `is_between`: marks (f,) faces to other parts of the mesh.
     """
 
@@ -77,7 +78,8 @@ class Sides:
     def listed(cls, mesh: Mesh) -> "Sides":
         """Lists the faces of the cells of the highest dimension, polyhedra and polygons whole.
 
-        Raises `ValueError` where cells do not fill the mesh's dimension, and for a mesh without cells.
+        Raises `ValueError` where cells do not fill the mesh's dimension, and for a mesh without
+        cells.
         """
         if mesh.is_curved:
             raise ValueError("OpenFOAM's measures are for linear cells; `quality` measures curved cells.")

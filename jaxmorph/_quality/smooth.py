@@ -15,20 +15,25 @@ from .._methods.numbers import number
 def soft_maximum(
     values: Real[ArrayLike, "..."] | Sequence[Any], sharpness: Any = 50.0, axis: int | None = None
 ) -> Float[Array, "..."]:
-    """Computes log(mean(exp(sharpness values))) / sharpness: a smooth stand-in for the largest value.
+    """Computes a smooth stand-in for the largest value.
 
-    It is below the largest value by log(count) / sharpness at most. Its derivative is spread over the values near the
-    largest. The mean instead of the sum keeps the soft maximum of equal values equal to them.
+    It is log(mean(exp(sharpness values))) / sharpness.
+
+    It is below the largest value by log(count) / sharpness at most. Its derivative is spread over
+    the values near the largest. The mean instead of the sum keeps the soft maximum of equal values
+    equal to them.
 
     **Arguments:**
 
     - `values`: an array.
-    - `sharpness`: positive, in the inverse unit of `values`, default 50. A larger value comes closer to the maximum.
+    - `sharpness`: positive, in the inverse unit of `values`, default 50. A larger value comes
+      closer to the maximum.
     - `axis`: the axis along which to take it. Default: all values.
 
     **Returns:** a number, or an array without that axis.
 
-    **Raises:** `ValueError` for a sharpness that is not positive and finite, and an axis that is not there.
+    **Raises:** `ValueError` for a sharpness that is not positive and finite, and an axis that is
+    not there.
     """
     values, sharpness = jnp.asarray(values), number("sharpness", 0)(sharpness)
     if axis is not None and not -values.ndim <= axis < values.ndim:
@@ -39,10 +44,12 @@ def soft_maximum(
 
 
 def positive_part(x: Float[Array, "..."], softness: Any) -> Float[Array, "..."]:
-    """Computes (x + sqrt(x^2 + softness^2)) / 2: positive and increasing everywhere, x for x far above `softness`.
+    """Computes a smooth positive part: positive and increasing everywhere.
 
-    It is the regularised determinant of Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40,
-    2021.
+    It is (x + sqrt(x^2 + softness^2)) / 2, close to x for x far above `softness`.
+
+    It is the regularised determinant of Garanzha et al., Foldover-free maps in 50 lines of code,
+    ACM Trans. Graph. 40, 2021.
     """
     root = jnp.sqrt(x**2 + softness**2)
     return jnp.where(x >= 0, (x + root) / 2, softness**2 / (2 * (root + jnp.abs(x))))

@@ -44,33 +44,36 @@ def smooth_quality(
 ) -> SmoothQuality:
     """Measures cells as `quality` does, with smooth twins of the measures that have kinks.
 
-    `volume`, `volume_ratio` and `distortion` have no kinks. Where `quality` takes the largest of m terms of a cell, a
-    soft maximum takes its place (for the smallest a soft minimum). The derivative is then spread over the terms near
-    the largest. The values approach those of `quality` as `sharpness` grows:
+    `volume`, `volume_ratio` and `distortion` have no kinks. Where `quality` takes the largest of m
+    terms of a cell, a soft maximum takes its place (for the smallest a soft minimum). The
+    derivative is then spread over the terms near the largest. The values approach those of
+    `quality` as `sharpness` grows:
 
     - `skewness` is less by log(m) / `sharpness` at most, m up to 36; a quad has m = 2.
-    - `aspect_ratio` is less by a factor of m^(2 / `sharpness`) at most, m up to 12. It is finite on cells that are
-      flat, 2 / `softness`, and where triangles, quads and tetrahedra are inverted. There it is larger still the further
-      they are, so that its derivative turns them round.
-    - `non_orthogonality` is less by 90 (1 + log m) / `sharpness` degrees at most; smooth at 0 degrees too.
+    - `aspect_ratio` is less by a factor of m^(2 / `sharpness`) at most, m up to 12. It is finite on
+      cells that are flat, 2 / `softness`, and where triangles, quads and tetrahedra are inverted.
+      There it is larger still the further they are, so that its derivative turns them round.
+    - `non_orthogonality` is less by 90 (1 + log m) / `sharpness` degrees at most; smooth at 0
+      degrees too.
     - `jacobian_ratio` is more by log(m) / `sharpness` at most.
 
-    Traced in `points`: `jit`, `grad` and `vmap` work, with finite derivatives on inverted cells. Everything is relative
-    to the undeformed mesh, `mesh.points`.
+    Traced in `points`: `jit`, `grad` and `vmap` work, with finite derivatives on inverted cells.
+    Everything is relative to the undeformed mesh, `mesh.points`.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
-    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default: `mesh.points`.
-    - `sharpness`: positive, without unit, default 50. Raise it for values closer to `quality`, lower it for smoother
-      ones.
-    - `softness`: positive, without unit, default 1e-6. Choose it far below the inverse of the aspect ratios that
-      matter.
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default:
+      `mesh.points`.
+    - `sharpness`: positive, without unit, default 50. Raise it for values closer to `quality`,
+      lower it for smoother ones.
+    - `softness`: positive, without unit, default 1e-6. Choose it far below the inverse of the
+      aspect ratios that matter.
 
     **Returns:** a `SmoothQuality`.
 
-    **Raises:** `ValueError` for a mesh without cells, for a shape of `points` other than that of `mesh.points`, and for
-    a `sharpness` or `softness` that is not positive.
+    **Raises:** `ValueError` for a mesh without cells, for a shape of `points` other than that of
+    `mesh.points`, and for a `sharpness` or `softness` that is not positive.
     """
     current = places(mesh, points)
     for name, value in (("sharpness", sharpness), ("softness", softness)):

@@ -1,7 +1,7 @@
 """Vectors of two or three components, each an array whose last axis runs over the cells.
 
-Loops over many cells then run along the arrays, where the machine is fast, and nothing is laid out anew. An axis before
-it runs over the corners, edges or faces of one cell.
+Loops over many cells then run along the arrays, where the machine is fast, and nothing is laid out
+anew. An axis before it runs over the corners, edges or faces of one cell.
 """
 
 import functools
@@ -97,14 +97,20 @@ def mean(vectors: Sequence[Vector]) -> Vector:
 
 
 def divide(a: Scalar, b: Scalar, otherwise: float) -> Scalar:
-    """Divides a by b; returns `otherwise`, with no derivative, where b is so small that its derivative overflows."""
+    """Divides a by b; `otherwise` where b is so small that the derivative overflows.
+
+    The result has no derivative there.
+    """
     xp = namespace(b)
     none = xp.abs(b) <= float(jnp.finfo(b.dtype).tiny) ** 0.4
     return xp.where(none, otherwise, a / xp.where(none, 1, b))
 
 
 def angle(a: Vector, b: Vector) -> Scalar:
-    """Computes the angle in radians, 0 to pi; 0, with no derivative, where a vector has no length."""
+    """Computes the angle in radians, 0 to pi.
+
+    Where a vector has no length it is 0, without a derivative.
+    """
     xp, sine, cosine = namespace(a[0]), norm(cross(a, b)), dot(a, b)
     none = sine**2 + cosine**2 <= float(jnp.finfo(sine.dtype).tiny) ** 0.8
     return xp.where(none, 0, xp.arctan2(sine, xp.where(none, 1, cosine)))

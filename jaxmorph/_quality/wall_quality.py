@@ -21,10 +21,12 @@ from .quality import places
 class WallQuality(Module):
     """Result of `wall_quality` at w wall nodes: arrays (w,).
 
-    - `nodes`: their ids, ascending. A wall node without an edge that leaves the wall is not among them.
-    - `angle`: degrees by which the first grid line has left its own angle to the wall; 0 on the undeformed mesh.
-    - `height`: distance from the wall at which that line ends, along the wall's normal, over the undeformed one: 1 there,
-      negative where the line points out of the mesh.
+    - `nodes`: their ids, ascending. A wall node without an edge that leaves the wall is not among
+      them.
+    - `angle`: degrees by which the first grid line has left its own angle to the wall; 0 on the
+      undeformed mesh.
+    - `height`: distance from the wall at which that line ends, along the wall's normal, over the
+      undeformed one: 1 there, negative where the line points out of the mesh.
     """
 
     nodes: Int[Array, " w"]
@@ -64,14 +66,15 @@ def wall_quality(
     *,
     softness: float | None = None,
 ) -> WallQuality:
-    """Measures wall orthogonality and first-cell height at `points`, relative to the undeformed mesh, `mesh.points`.
+    """Measures wall orthogonality and first-cell height relative to the undeformed mesh.
 
-    The area-weighted mean of skewness hides both. The first grid line of a wall node is the edge that leaves the wall most
-    nearly along its normal on the undeformed mesh. The wall's normal at a node is that of the faces around it, weighted by
-    their area. In 3-D a neighbour on the wall says how the wall turns about the normal.
+    The area-weighted mean of skewness hides both. The first grid line of a wall node is the edge
+    that leaves the wall most nearly along its normal on the undeformed mesh. The wall's normal at a
+    node is that of the faces around it, weighted by their area. In 3-D a neighbour on the wall says
+    how the wall turns about the normal.
 
-    Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call, from cells and
-    coordinates that may not be traced: close over the mesh.
+    Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call,
+    from cells and coordinates that may not be traced: close over the mesh.
 
     Of curved cells all nodes count: the first grid line of a node ends at the next node of its cell.
 
@@ -80,20 +83,22 @@ def wall_quality(
     - `mesh`: the undeformed mesh with its cells.
     - `wall`: a patch, several patches, or node ids (k,).
     - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default `mesh.points`.
-    - `softness`: in degrees. `angle` has a kink where it is zero; sqrt(angle^2 + softness^2) - softness takes its place,
-      smooth and less by `softness` at most. Default None: none. `height` has no kink.
+    - `softness`: in degrees. `angle` has a kink where it is zero; sqrt(angle^2 + softness^2) -
+      softness takes its place, smooth and less by `softness` at most. Default None: none. `height`
+      has no kink.
 
     **Returns:** a `WallQuality`.
 
-    **Raises:** `ValueError` for a patch that is not there, ids out of range, and nodes that hold no side of a cell on the
-    boundary. Also for a mesh without cells, and a shape of `points` other than that of `mesh.points`.
+    **Raises:** `ValueError` for a patch that is not there, ids out of range, and nodes that hold no
+    side of a cell on the boundary. Also for a mesh without cells, and a shape of `points` other
+    than that of `mesh.points`.
     """
     current = places(mesh, points)
     if softness is not None and is_known(softness):
         between("softness", softness, 0)
     names = (wall,) if isinstance(wall, str) else wall
-    is_named = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(each, str) for each in names)
-    ids = mesh.patch(*names) if is_named else rows_of("wall", wall, len(mesh.points))
+    has_names = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(name, str) for name in names)
+    ids = mesh.patch(*names) if has_names else rows_of("wall", wall, len(mesh.points))
     cells = {kind: np.asarray(corners) for kind, corners in mesh.linear.cells.items()}
     lines = first_lines(cells, np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
@@ -125,7 +130,7 @@ _measured = compiled(_angle_and_height)
 
 
 def _components(xp: Any, lines: Lines, x: Float[Either, "n d"]) -> Float[Either, "w d"]:
-    """Computes each first grid line's components in a frame of its wall: along the normal, then along the wall."""
+    """Computes the first grid lines' components along the wall's normal and along the wall."""
     area = areas(x[lines.faces]) * lines.sign[:, None].astype(x.dtype)
     normal = xp.zeros((len(lines.nodes), x.shape[1]), x.dtype)
     for rows in lines.rows.T:

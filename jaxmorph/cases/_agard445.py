@@ -22,7 +22,8 @@ from ._agard445_mesh import CENTRE, CONTOUR_INTERVALS, DISTANCE_SAMPLES, OPTIONS
 from ._agard445_modes import DEFLECTIONS, mode_shape
 
 RESOLUTIONS = {
-    # Edges at the sharp corner of tip and trailing edge: others leave slivers there, that bending makes worse.
+    # Edges at the sharp corner of tip and trailing edge: others leave slivers there, that bending
+    # makes worse.
     64_943: Sizes(wall=0.935, growth=0.155, far=0.755, trailing_edge=3.6e-3, tip=3.6e-3),
     16_000: Sizes(wall=2.3, growth=0.194, far=1.4),
     6_500: Sizes(wall=4.0, growth=0.257, far=2.0),
@@ -34,15 +35,19 @@ REVISION = 1
 
 @checked
 def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None = None) -> jm.Mesh:
-    """Makes the half wing of the paper's section 3.2 in tetrahedra, in metres; needs gmsh (`pip install 'jaxmorph[cases]'`).
+    """Makes the half wing of the paper's section 3.2 in tetrahedra, in metres.
 
-    x is streamwise, the span runs along +y from the plane y = 0, z is up. Sections are NACA 65A004 (ordinates of NASA
-    TM-100492, sharp trailing edge). The root chord is 0.558 m, the tip chord 0.368 m, the semi-span 0.762 m; the tip is flat.
-    The far field is a hemisphere of 8 m round the middle of the root chord. Patches are `wing`, `symmetry` and `farfield`; a
-    node where two of them meet is in both.
+    It needs gmsh (`pip install 'jaxmorph[cases]'`).
 
-    The paper's mesh has 64,943 points, 334,861 cells, 16,285 nodes on the wing and 923 on the far field. Its aspect ratio is
-    1.546 in the mean and 7.223 at most: longest edge over 2 sqrt(6) inscribed radii, 1 for a regular cell. With gmsh 4.15:
+    x is streamwise, the span runs along +y from the plane y = 0, z is up. Sections are NACA 65A004
+    (ordinates of NASA TM-100492, sharp trailing edge). The root chord is 0.558 m, the tip chord
+    0.368 m, the semi-span 0.762 m; the tip is flat. The far field is a hemisphere of 8 m round the
+    middle of the root chord. Patches are `wing`, `symmetry` and `farfield`; a node where two of
+    them meet is in both.
+
+    The paper's mesh has 64,943 points, 334,861 cells, 16,285 nodes on the wing and 923 on the far
+    field. Its aspect ratio is 1.546 in the mean and 7.223 at most: longest edge over 2 sqrt(6)
+    inscribed radii, 1 for a regular cell. With gmsh 4.15:
 
     | `points` | points | cells | wing | far field | aspect ratio: mean, largest |
     |---|---|---|---|---|---|
@@ -50,9 +55,10 @@ def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None 
     | 16_000 | 16,230 | 83,452 | 4,187 | 288 | 1.554, 6.70 |
     | 6_500 | 6,592 | 32,247 | 1,966 | 163 | 1.585, 6.59 |
 
-    The same options give the same mesh, bit for bit, with one version of gmsh. The finest takes 15 to 25 s, once: the
-    mesh is then kept in `cache_directory`, by default the user's cache directory, under its parameters and gmsh's
-    version. A file there that cannot be read is made anew. A gmsh session of the caller's is left as it was.
+    The same options give the same mesh, bit for bit, with one version of gmsh. The finest takes 15
+    to 25 s, once: the mesh is then kept in `cache_directory`, by default the user's cache
+    directory, under its parameters and gmsh's version. A file there that cannot be read is made
+    anew. A gmsh session of the caller's is left as it was.
 
     **Arguments:**
 
@@ -61,7 +67,8 @@ def agard445(*, points: int = 64_943, cache_directory: str | os.PathLike | None 
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for other `points`, and `ImportError` when gmsh, platformdirs or a library of theirs is missing.
+    **Raises:** `ValueError` for other `points`, and `ImportError` when gmsh, platformdirs or a
+    library of theirs is missing.
     """
     if points not in RESOLUTIONS:
         known = ", ".join(f"{n:,}".replace(",", "_") for n in RESOLUTIONS)
@@ -82,14 +89,15 @@ def agard445_mode(
 ) -> Float[Any, "m 3"]:
     """Displaces points of the wing by its first (bending) or second (torsion) mode, in metres.
 
-    The displacement is along z alone. The tip's trailing edge moves up; the published sign of mode 2, up at the tip's leading
-    edge, is the opposite.
+    The displacement is along z alone. The tip's trailing edge moves up; the published sign of mode
+    2, up at the tip's leading edge, is the opposite.
 
-    The shape is sum a_ij eta^i xi^j, i = 2..6, j = 0..3, with eta along the span and xi along the chord from 0 to 1. Value
-    and slope vanish at the root. The a_ij are least squares to the 121 deflections of NASA TM-100492 (Yates, 1987), 1 at the
-    tip's trailing edge. In that unit the root mean square of what is left, off the root, is 0.0007 in mode 1 and 0.0042 in
-    mode 2. Most of it is next to the aft end of the root, which is free in the table: 0.0028 and 0.033 at a tenth of the
-    span, 0.0037 and 0.043 at the root itself. It is a polynomial off the wing too.
+    The shape is sum a_ij eta^i xi^j, i = 2..6, j = 0..3, with eta along the span and xi along the
+    chord from 0 to 1. Value and slope vanish at the root. The a_ij are least squares to the 121
+    deflections of NASA TM-100492 (Yates, 1987), 1 at the tip's trailing edge. In that unit the root
+    mean square of what is left, off the root, is 0.0007 in mode 1 and 0.0042 in mode 2. Most of it
+    is next to the aft end of the root, which is free in the table: 0.0028 and 0.033 at a tenth of
+    the span, 0.0037 and 0.043 at the root itself. It is a polynomial off the wing too.
 
     **Arguments:**
 
@@ -162,7 +170,7 @@ def _file_name(points: int, gmsh_version: str) -> str:
 
 
 def _load(file: Path) -> dict[str, np.ndarray] | None:
-    """Reads the arrays of a file written by `_store`; None if there is no file, or it is damaged."""
+    """Reads the arrays of a file of `_store`; None for no file or a damaged file."""
     if not zipfile.is_zipfile(file):
         return None
     try:
@@ -175,7 +183,7 @@ def _load(file: Path) -> dict[str, np.ndarray] | None:
 
 
 def _store(file: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Writes all of the file or nothing: under a temporary name, then renamed. Warns if the directory refuses it."""
+    """Writes the whole file or nothing; warns if the directory refuses it."""
     content: dict[str, Any] = dict(arrays)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

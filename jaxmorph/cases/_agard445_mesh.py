@@ -9,7 +9,7 @@ import numpy as np
 
 try:
     import resource
-except ImportError:  # Windows has no such limit
+except ImportError:  # Windows has no limit of the stack
     resource = None
 
 from ._agard445_wing import ROOT_CHORD, SEMI_SPAN, TIP_CHORD, TIP_LEADING_EDGE, upper_contour
@@ -21,7 +21,10 @@ DISTANCE_SAMPLES = 200
 
 
 class Sizes(NamedTuple):
-    """Edge lengths in metres: `wall` scales the wing's, `growth` adds length per metre of distance."""
+    """Edge lengths in metres.
+
+    `wall` scales the wing's edges, `growth` adds length per metre of distance.
+    """
 
     wall: float
     growth: float
@@ -88,7 +91,7 @@ OPTIONS = {
 
 
 def generate(gmsh: Any, sizes: Sizes) -> dict[str, np.ndarray]:
-    """Makes `points` (n, 3), `tetra` (k, 4), and the node ids `wing`, `symmetry` and `farfield`; `gmsh` is the module."""
+    """Makes `points` (n, 3), `tetra` (k, 4) and the patches' node ids by the module `gmsh`."""
     with _session(gmsh):
         geo = gmsh.model.geo
         wing, edges, root = _wing(geo)
@@ -119,9 +122,12 @@ def _stack_limit_kept() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _session(gmsh: Any) -> Iterator[None]:
-    """Opens a fresh model under OPTIONS; a caller's own session keeps its options, its models and the one it works on.
+    """Opens a fresh model under OPTIONS.
 
-    Neither configuration files nor signal handlers are touched. An option that this gmsh does not have is left out.
+    A caller's own session keeps its options, its models and its current model.
+
+    Neither configuration files nor signal handlers are touched. An option that this gmsh does not
+    have is left out.
     """
     ours = not gmsh.isInitialized()
     if ours:
@@ -152,7 +158,7 @@ def _session(gmsh: Any) -> Iterator[None]:
 
 
 def _wing(geo: Any) -> tuple[list[int], dict[str, list[int]], list[int]]:
-    """Makes upper, lower and tip surface; the curves that refine the mesh; upper and lower contour of the root."""
+    """Makes the wing's surfaces, the curves that refine the mesh, and the root's contour."""
     root_front, root_back, root_upper, root_lower = _section(geo, 0.0, 0.0, ROOT_CHORD)
     tip_front, tip_back, tip_upper, tip_lower = _section(geo, TIP_LEADING_EDGE, SEMI_SPAN, TIP_CHORD)
     leading, trailing = geo.addLine(root_front, tip_front), geo.addLine(root_back, tip_back)
@@ -166,9 +172,12 @@ def _wing(geo: Any) -> tuple[list[int], dict[str, list[int]], list[int]]:
 
 
 def _section(geo: Any, front: float, y: float, chord: float) -> tuple[int, int, int, int]:
-    """Makes leading and trailing edge (points), upper and lower contour (curves) of a section whose nose is at `front`.
+    """Makes a section: leading and trailing edge (points), upper and lower contour (curves).
 
-    Even along the arc: surfaces are meshed in their parameters, and cells are bad where those are uneven.
+    Its nose is at `front`.
+
+    Points are even along the arc. Surfaces are meshed in their parameters, and uneven parameters
+    give bad cells.
     """
     contour = upper_contour(CONTOUR_INTERVALS)
     nose, back = geo.addPoint(front, y, 0.0), geo.addPoint(front + chord, y, 0.0)
@@ -180,7 +189,7 @@ def _section(geo: Any, front: float, y: float, chord: float) -> tuple[int, int, 
 
 
 def _outside(geo: Any, root: list[int]) -> tuple[list[int], int]:
-    """Makes four patches of the hemisphere, and the symmetry plane from its rim to the root's contour."""
+    """Makes four patches of the hemisphere, and the symmetry plane up to the root."""
     centre, pole = geo.addPoint(CENTRE, 0.0, 0.0), geo.addPoint(CENTRE, RADIUS, 0.0)
     rim = [geo.addPoint(CENTRE + RADIUS * x, 0.0, RADIUS * z) for x, z in ((1, 0), (0, 1), (-1, 0), (0, -1))]
     arcs = [geo.addCircleArc(rim[k], centre, rim[(k + 1) % 4]) for k in range(4)]
@@ -194,7 +203,11 @@ def _outside(geo: Any, root: list[int]) -> tuple[list[int], int]:
 
 
 def _set_sizes(field: Any, sizes: Sizes, wing: list[int], edges: dict[str, list[int]]) -> None:
-    """Sets sizes to min(far, min(mid chord, edge + ramp x distance to it, ...) + growth x distance to the wing)."""
+    """Sets the sizes of edges.
+
+    They are min(far, min(mid chord, edge + ramp x distance to it, ...) + growth x distance to the
+    wing).
+    """
 
     def distance(kind: str, tags: list[int]) -> str:
         tag = field.add("Distance")
@@ -213,7 +226,7 @@ def _set_sizes(field: Any, sizes: Sizes, wing: list[int], edges: dict[str, list[
 
 
 def _read(mesh: Any, volume: int, patches: dict[str, list[int]]) -> dict[str, np.ndarray]:
-    """Reads coordinates and ids of nodes that tetrahedra use: not the centre of the sphere, nor points of the contours."""
+    """Reads coordinates and ids of nodes that tetrahedra use."""
     tags, coordinates, _ = mesh.getNodes()
     tetra = mesh.getElementsByType(4, volume)[1].astype(np.int64).reshape(-1, 4)
     place = np.full(int(tags.max()) + 1, -1)

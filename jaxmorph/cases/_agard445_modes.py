@@ -1,9 +1,9 @@
 """The calculated mode shapes of the AGARD 445.6 wing, and polynomials through them.
 
-E. Carson Yates, "AGARD standard aeroelastic configurations for dynamic response. Candidate configuration I.-wing
-445.6", NASA TM-100492, 1987: deflections of 11 x 11 structural nodes, row by row from root to tip, each from leading to
-trailing edge. The unit of a mode is its own; only the component normal to the wing is kept, the others being 1e-10
-(mode 1) or 4e-6 (mode 2) of it.
+E. Carson Yates, "AGARD standard aeroelastic configurations for dynamic response. Candidate
+configuration I.-wing 445.6", NASA TM-100492, 1987: deflections of 11 x 11 structural nodes, row by
+row from root to tip, each from leading to trailing edge. The unit of a mode is its own; only the
+component normal to the wing counts. The other components are 1e-10 (mode 1) or 4e-6 (mode 2) of it.
 """
 
 import functools
@@ -12,7 +12,8 @@ import numpy as np
 
 from ._agard445_wing import INCH, ROOT_CHORD, SEMI_SPAN, TIP_CHORD, TIP_LEADING_EDGE
 
-# The nodes lie at tenths of the semi-span and of the chord, but for the sixth of each row: its x in inches.
+# The nodes lie at tenths of the semi-span and of the chord, but for the sixth of each row: its x in
+# inches.
 SIXTH_NODE = (10.75, 13.65, 16.6, 19.5, 22.3, 25.2, 28.1, 30.9, 33.7, 36.7, 39.5)
 
 DEFLECTIONS = {
@@ -63,7 +64,10 @@ def deflections(mode: int) -> np.ndarray:
 
 
 def planform_coordinates(points):
-    """Computes `eta` along the span and `xi` along the chord, each (m,) and from 0 to 1 on the wing, of (m, 3) points."""
+    """Computes `eta` along the span and `xi` along the chord (m,) of points (m, 3).
+
+    They are 0 to 1 on the wing.
+    """
     eta = points[:, 1] / SEMI_SPAN
     xi = (points[:, 0] - TIP_LEADING_EDGE * eta) / (ROOT_CHORD + (TIP_CHORD - ROOT_CHORD) * eta)
     return eta, xi
@@ -71,7 +75,9 @@ def planform_coordinates(points):
 
 @functools.cache
 def coefficients(mode: int) -> tuple[tuple[float, ...], ...]:
-    """Fits a_ij of sum a_ij eta^i xi^j, i = 2..6, j = 0..3: least squares to the table, 1 at the tip's trailing edge.
+    """Fits a_ij of sum a_ij eta^i xi^j, i = 2..6, j = 0..3, to the table by least squares.
+
+    The sum is 1 at the tip's trailing edge.
 
     There eta = xi = 1, so the coefficients add up to 1: the first is eliminated by it.
     """

@@ -8,7 +8,7 @@ from .._host.package.arguments import between, checked
 from ._naca import naca4
 from ._structured import geometric, hexahedra, ids_of
 
-# Corners of a hexahedron, in VTK's order, that make each of its parts; 8 is its middle.
+# Corners of a hexahedron, in VTK's order, of the cells into which it is divided; 8 is its middle.
 PARTS = {
     "hexahedron": ((0, 1, 2, 3, 4, 5, 6, 7),),
     "wedge": ((0, 5, 1, 3, 6, 2), (0, 4, 5, 3, 7, 6)),
@@ -21,11 +21,12 @@ PARTS = {
 def wing(
     code: str = "6409", *, points: int = 2000, stations: int = 13, span: float = 2.0, first_cell: float = 1e-5
 ) -> jm.Mesh:
-    """Makes a swept and tapered wing of hexahedra between two planes, its first cell in chords of the root.
+    """Makes a swept and tapered wing of hexahedra between two planes.
 
-    The C-grid of `naca4` is repeated at stations along y, from the root of chord 1 to the tip of chord 0.7. The tip's leading
-    edge lies half a chord behind. Nodes on the wall lie much closer along the section than along the span: chains of nearest
-    neighbours stay within one section. Patches: `wing`, `farfield`, and the planes `root` (y = 0) and `tip` (y = span).
+    The C-grid of `naca4` is repeated at stations along y, from the root of chord 1 to the tip of
+    chord 0.7. The tip's leading edge lies half a chord behind. Nodes on the wall lie much closer
+    along the section than along the span: chains of nearest neighbours stay within one section.
+    Patches: `wing`, `farfield`, and the planes `root` (y = 0) and `tip` (y = span).
 
     **Arguments:**
 
@@ -59,20 +60,23 @@ def wing(
 
 @checked
 def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None = None) -> jm.Mesh:
-    """Makes the unit cube, divided into `cells` by `cells` by `cells` bricks, each of them divided into cells of one type.
+    """Makes the unit cube of `cells` by `cells` by `cells` bricks, divided into cells of a type.
 
     Patches: `floor` (z = 0), `lid` (z = 1), `sides`, which share nodes.
 
     **Arguments:**
 
-    - `kind`: the type of the cells. It is `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick), `pyramid` (6 a brick, around
-      a node in its middle) or `mixed`. A mixed mesh has hexahedra at the floor, a layer of pyramids above, and wedges.
+    - `kind`: the type of the cells. It is `hexahedron`, `wedge` (2 a brick), `tetra` (6 a brick),
+      `pyramid` (6 a brick, around a node in its middle) or `mixed`. A mixed mesh has hexahedra at
+      the floor, a layer of pyramids above, and wedges.
     - `cells`: bricks along each edge, 3 or more. Default 6.
-    - `first_cell`: height of the bricks at z = 0, from which the layers grow. Default None: all layers are equal.
+    - `first_cell`: height of the bricks at z = 0, from which the layers grow. Default None: all
+      layers are equal.
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for another kind, fewer than 3 cells, and a first cell that is not between 0 and 1.
+    **Raises:** `ValueError` for another kind, fewer than 3 cells, and a first cell that is not
+    between 0 and 1.
     """
     if kind not in (*PARTS, "mixed") or cells < 3:
         raise ValueError(f"expected one of {', '.join(PARTS)}, mixed, and 3 cells at least, not {kind!r} and {cells}.")
@@ -94,7 +98,7 @@ def bricks(kind: str = "hexahedron", *, cells: int = 6, first_cell: float | None
 
 
 def _divided(points: np.ndarray, layers: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Divides bricks (k, 8) into cells of each type; adds the middles of bricks to the points where pyramids need them."""
+    """Divides bricks (k, 8) into cells of each type."""
     cells = {}
     for kind, corners in layers.items():
         if kind == "pyramid":

@@ -1,4 +1,4 @@
-"""C-grids of quadrilaterals around any airfoil section, its trailing edge blunt or sharp, in closed form."""
+"""C-grids of quads around any airfoil section, its trailing edge blunt or sharp."""
 
 from collections.abc import Callable
 from typing import NamedTuple, cast
@@ -10,7 +10,8 @@ import jaxmorph as jm
 
 from ._structured import quads
 
-# A section of unit chord: t in [-1, 1] -> (k, 2), from the lower trailing edge (-1) round the nose (0) to the upper.
+# A section of unit chord: t in [-1, 1] -> (k, 2), from the lower trailing edge (-1) round the nose
+# (0) to the upper.
 Section = Callable[[np.ndarray], np.ndarray]
 
 REFERENCE_POINTS = 39_666
@@ -34,27 +35,33 @@ REFERENCE = Counts(half=80, wake=50, normal=150, base=6)
 
 
 def c_grid(section: Section, *, points: int = REFERENCE_POINTS, first_cell: float = 1e-5) -> jm.Mesh:
-    """Makes a C-grid around a section of unit chord: straight rays of 15 chords, a wake to x = 17 chords.
+    """Makes a C-grid around a section of unit chord.
 
-    The mesh has about as many points as asked for, and exactly as many for 39,666 (260 x 150 cells and 50 x 6 behind the
-    base). Other numbers sample the same spacing laws along wall and wake, and scale the four counts alike.
+    It has straight rays of 15 chords, and a wake to x = 17 chords.
 
-    The cells of the C come first, layer after layer from the wall. A layer runs from the lower wake's exit round the nose to
-    the upper wake's. The cells behind the base are last. All are convex and counter-clockwise. Patches: `airfoil`, `farfield`.
-    Behind a sharp trailing edge, both ends of the section at one place, there is no base: the two wakes share their nodes.
+    The mesh has about as many points as asked for, and exactly as many for 39,666 (260 x 150 cells
+    and 50 x 6 behind the base). Other numbers sample the same spacing laws along wall and wake, and
+    scale the four counts alike.
+
+    The cells of the C come first, layer after layer from the wall. A layer runs from the lower
+    wake's exit round the nose to the upper wake's. The cells behind the base are last. All are
+    convex and counter-clockwise. Patches: `airfoil`, `farfield`. Behind a sharp trailing edge, both
+    ends of the section at one place, there is no base: the two wakes share their nodes.
 
     **Arguments:**
 
-    - `section`: a function from parameters (k,), -1 to 1 from the lower trailing edge round the nose to the upper, to places
-      (k, 2) in chords.
+    - `section`: a function from parameters (k,), -1 to 1 from the lower trailing edge round the
+      nose to the upper, to places (k, 2) in chords.
     - `points`: about how many points, 300 or more. Default 39,666.
-    - `first_cell`: height of the cells at the wall in chords, whatever the number of points. Default 1e-5.
+    - `first_cell`: height of the cells at the wall in chords, whatever the number of points.
+      Default 1e-5.
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for fewer than 300 points, a first cell that does not fit, and a section whose upper end lies below
-    its lower one. Also where the rays leave a cell that is not convex: a nose of 1 % thickness at 9 % camber, or thickness
-    and camber of which no airfoil is made.
+    **Raises:** `ValueError` for fewer than 300 points, a first cell that does not fit, and a
+    section whose upper end lies below its lower one. Also where the rays leave a cell that is not
+    convex: a nose of 1 % thickness at 9 % camber, or thickness and camber of which no airfoil is
+    made.
     """
     counts = _counts(points)
     largest = 0.9 * RAY_LENGTH / counts.normal
@@ -87,14 +94,18 @@ def _counts(points: int) -> Counts:
 
 
 def _wall(section: Section, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
-    """Spaces nodes on the section (2 half + 1, 2), lower trailing edge first; computes their rays' angles in radians."""
+    """Spaces nodes on the section (2 half + 1, 2), and computes their rays' angles in radians.
+
+    The lower trailing edge is first.
+    """
     lower, upper = (_half(section, end, counts.half) for end in (-1.0, 1.0))
     t = np.concatenate([lower[::-1], upper[1:]])
     nodes = section(t)
     tangent = section(np.minimum(t + 1e-6, 1.0)) - section(np.maximum(t - 1e-6, -1.0))
     phi = np.unwrap(np.arctan2(tangent[:, 0], -tangent[:, 1]))  # of the outer normal
     phi += 2 * np.pi * np.round((np.pi - phi[counts.half]) / (2 * np.pi))  # about pi at the nose
-    # Rays must not meet: where the wall is concave, the nearest angles (least squares) that do turn steadily.
+    # Rays must not meet: where the wall is concave, the nearest angles (least squares) that do turn
+    # steadily.
     steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(steps)])
     reach = np.convolve(steps, [0.5, 0.5])
@@ -111,9 +122,12 @@ def _half(section: Section, end: float, cells: int) -> np.ndarray:
 
 
 def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarray:
-    """Returns [0, 1] divided with given relative spacings at both ends were it into `cells`, sampled by `samples` cells.
+    """Divides [0, 1] with given relative spacings at both ends.
 
-    Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J. Comput. Phys. 50 (1983).
+    The spacings are those of `cells` cells; the result is sampled by `samples` cells.
+
+    Vinokur, "On one-dimensional stretching functions for finite-difference calculations", J.
+    Comput. Phys. 50 (1983).
     """
     ratio, intensity = np.sqrt(last / first), 1 / (cells * np.sqrt(first * last))
     delta = _root(lambda delta: np.sinh(delta) / delta - intensity, 1e-6, 50.0)
@@ -123,7 +137,10 @@ def _two_sided(samples: int, cells: int, first: float, last: float) -> np.ndarra
 
 
 def _geometric(samples: int, cells: int, first: float) -> np.ndarray:
-    """Returns [0, 1] divided with a constant growth and a given first spacing were it into `cells`, sampled by `samples`."""
+    """Divides [0, 1] with a constant growth and a given first spacing.
+
+    The spacing is that of `cells` cells; the result is sampled by `samples` cells.
+    """
     growth = _root(lambda beta: np.log(np.expm1(beta / cells) / np.expm1(beta) / first), 1e-9, 700.0)
     return np.expm1(growth * np.linspace(0, 1, samples + 1)) / np.expm1(growth)
 
@@ -133,7 +150,10 @@ def _root(function: Callable[[float], float], lower: float, upper: float) -> flo
 
 
 def _with_wake(wall: np.ndarray, counts: Counts) -> tuple[np.ndarray, np.ndarray]:
-    """Makes the innermost line of the C: lower wake, wall, upper wake; and on each ray the wake distribution's weight."""
+    """Makes the innermost line of the C: lower wake, wall, upper wake.
+
+    The second array is each ray's weight of the wake distribution.
+    """
     first = TRAILING_EDGE_SPACING / (FARFIELD_X - 1)
     along = _geometric(counts.wake, REFERENCE.wake, first)[1:]
     rows = []
@@ -152,14 +172,17 @@ def _ray_lengths(weights: np.ndarray, cells: int, first_cell: float) -> np.ndarr
 
 
 def _wake_strip(inner: np.ndarray, counts: Counts) -> np.ndarray:
-    """Places nodes (base - 1, wake + 1, 2) strictly between lower and upper wake, from the trailing edge to the exit."""
+    """Places nodes (base - 1, wake + 1, 2) strictly between lower and upper wake.
+
+    They run from the trailing edge to the exit.
+    """
     lower, upper = inner[counts.wake :: -1], inner[-counts.wake - 1 :]
     across = np.linspace(0, 1, counts.base + 1)[1:-1, None, None]
     return lower + across * (upper - lower)
 
 
 def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
-    """Makes the mesh of the C's nodes alone: upper wake and edge have the nodes of the lower wake."""
+    """Makes the mesh of the C's nodes alone; the upper wake has the nodes of the lower wake."""
     places = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
     places[0, -counts.wake - 1 :] = places[0, counts.wake :: -1]
     kept, ids = np.unique(places, return_inverse=True)
@@ -176,6 +199,8 @@ def _sharp(rays: np.ndarray, counts: Counts) -> jm.Mesh:
 
 def _assemble(rays: np.ndarray, strip: np.ndarray, counts: Counts) -> jm.Mesh:
     """Makes the mesh of the C's nodes (normal + 1, rays, 2) and of the nodes between the wakes."""
+    # The C's nodes are numbered layer by layer from the wall, the strip's nodes follow. The strip
+    # behind the base has the innermost nodes of both wakes as its first and last line.
     ids = np.arange(rays.shape[0] * rays.shape[1]).reshape(rays.shape[:2])
     between = ids.size + np.arange(strip.shape[0] * strip.shape[1]).reshape(strip.shape[:2])
     lower, upper = ids[0, counts.wake :: -1], ids[0, -counts.wake - 1 :]

@@ -1,4 +1,4 @@
-"""Walls that nearly touch or come close: a valve, a blade's tip, bodies in a box. All are grids from which bodies are cut."""
+"""Walls that nearly touch: a valve, a blade's tip, bodies in a box."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,11 +12,13 @@ from ._structured import geometric, hexahedra, ids_of, quads
 
 @checked
 def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
-    """Makes quads around a flat valve that stands above its seat: the right half of a port and of the chamber above it.
+    """Makes quads around a flat valve that stands above its seat.
 
-    The port is 0.5 wide and 0.6 long, the chamber 1.5 wide and 1 high. The valve is 0.7 wide and 0.15 thick: 0.2 of it hang
-    over the seat, `lift` above. Patches: `valve`, `seat` (with the port's wall), `inlet`, `outlet`, `top`, and `middle`
-    (x = 0), where the valve ends too.
+    It is the right half of a port and of the chamber above it.
+
+    The port is 0.5 wide and 0.6 long, the chamber 1.5 wide and 1 high. The valve is 0.7 wide and
+    0.15 thick: 0.2 of it hang over the seat, `lift` above. Patches: `valve`, `seat` (with the
+    port's wall), `inlet`, `outlet`, `top`, and `middle` (x = 0), where the valve ends too.
 
     **Arguments:**
 
@@ -51,10 +53,13 @@ def valve(*, lift: float = 0.1, layers: int = 5) -> jm.Mesh:
 
 @checked
 def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
-    """Makes hexahedra around a blade, a plate 0.5 long and 0.27 thick on a hub of radius 1, whose tip stands below a shroud.
+    """Makes hexahedra around a blade whose tip stands below a shroud.
 
-    The shroud is the cylinder of radius 2 about x, the mesh a sector of 0.8 radians and 2 long. The tip has the radius 2 - gap.
-    Patches: `blade`, `shroud`, `hub`, `inlet`, `outlet`, and the sides `left` and `right`, of which one is the other turned.
+    The blade is a plate 0.5 long and 0.27 thick on a hub of radius 1.
+
+    The shroud is the cylinder of radius 2 about x, the mesh a sector of 0.8 radians and 2 long. The
+    tip has the radius 2 - gap. Patches: `blade`, `shroud`, `hub`, `inlet`, `outlet`, and the sides
+    `left` and `right`, of which one is the other turned.
 
     **Arguments:**
 
@@ -83,19 +88,21 @@ def blade_tip(*, gap: float = 0.01, layers: int = 5) -> jm.Mesh:
 def bodies(
     boxes: Mapping[str, Sequence[float]], *, box: Sequence[float] = (-8.0, 8.0, -4.0, 4.0), spacing: float = 0.25
 ) -> jm.Mesh:
-    """Makes squares around rectangular bodies in a rectangular box: for bodies that pass each other or part.
+    """Makes squares around rectangular bodies in a box, which may pass each other or part.
 
     Patches: each body by its name, and `farfield`.
 
     **Arguments:**
 
-    - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They are moved to the nearest grid line.
+    - `boxes`: each body's sides, (x least, x largest, y least, y largest), by its name. They are
+      moved to the nearest grid line.
     - `box`: those of the box. Default: 16 wide and 8 high about the origin.
     - `spacing`: side of a cell, about; a whole number of them fills the box. Default 0.25.
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for sides in another order, and a body without a cell within or beside it.
+    **Raises:** `ValueError` for sides in another order, and a body without a cell within or beside
+    it.
     """
     left, right, bottom, top = finite_array("box", box, (4,)).tolist()
     sides = {name: finite_array(f"boxes[{name!r}]", each, (4,)).tolist() for name, each in boxes.items()}
@@ -126,7 +133,7 @@ def bodies(
 
 
 def _cut(axes: Sequence[np.ndarray], is_solid) -> tuple[np.ndarray, np.ndarray]:
-    """Makes the grid between axes, the last one running fastest, without cells whose middle is solid, and its cells."""
+    """Makes the grid between axes without cells whose middle is solid."""
     ids = ids_of(*map(len, axes))
     places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     cells = quads(ids) if len(axes) == 2 else hexahedra(ids)

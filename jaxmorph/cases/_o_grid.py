@@ -15,11 +15,11 @@ SAMPLES = 600  # along each ray, to measure its length
 def sharp_o_grid(
     *, around: int = 128, layers: int = 64, first_cell: float = 1.7e-7, camber: float = 0.0, edge: float = 12.0
 ) -> jm.Mesh:
-    """Makes an O-grid of quads around a section of unit chord whose trailing edge is sharp, at (1, 0).
+    """Makes an O-grid of quads around a section of unit chord, its sharp edge at (1, 0).
 
-    The section is a circle under the map of Karman and Trefftz. The far field is a circle of 20 chords. The rays leave the
-    wall along its normal, and at the edge along the line between both sides. All cells are convex and counter-clockwise.
-    Patches: `airfoil`, `farfield`.
+    The section is a circle under the map of Karman and Trefftz. The far field is a circle of 20
+    chords. The rays leave the wall along its normal, and at the edge along the line between both
+    sides. All cells are convex and counter-clockwise. Patches: `airfoil`, `farfield`.
 
     **Arguments:**
 
@@ -31,7 +31,8 @@ def sharp_o_grid(
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for fewer than 16 cells around or 8 layers, and for an edge that is not between 1 and 60 degrees.
+    **Raises:** `ValueError` for fewer than 16 cells around or 8 layers, and for an edge that is not
+    between 1 and 60 degrees.
     """
     if around < 16 or layers < 8:
         raise ValueError(f"an O-grid needs 16 cells around and 8 layers, not {around} and {layers}.")
@@ -46,7 +47,10 @@ def sharp_o_grid(
 
 
 class SharpSection:
-    """A section of unit chord: the image of a circle that runs through the map's singular point 1 and round the other, -1."""
+    """A section of unit chord: the image of a circle under the map of Karman and Trefftz.
+
+    The circle runs through the map's singular point 1 and round the other, -1.
+    """
 
     def __init__(self, camber: float, edge: float, thickness: float = 0.08):
         self.power = 2 - edge / 180
@@ -57,7 +61,10 @@ class SharpSection:
         self.nose = wall.real.min()
 
     def __call__(self, radius: np.ndarray | float, turn: np.ndarray) -> np.ndarray:
-        """Computes complex places at `radius` (1 on the wall) and `turn` (0 to 1, counter-clockwise from the edge) in chords."""
+        """Computes complex places in chords at `radius` (1 on the wall) and `turn`.
+
+        The turn is 0 to 1, counter-clockwise from the edge.
+        """
         return 1 + self._map(radius, turn) / -self.nose
 
     def _map(self, radius, turn):
@@ -68,7 +75,10 @@ class SharpSection:
 
 
 def rays(section: SharpSection, around: int, layers: int, first_cell: float, outermost: float) -> np.ndarray:
-    """Places (layers + 1, around, 2) nodes on the rays from radius 1 to `outermost`, spaced geometrically along each."""
+    """Places (layers + 1, around, 2) nodes on rays, spaced geometrically along each ray.
+
+    The rays go from radius 1 to `outermost`.
+    """
     turn = np.arange(around) / around
     radius = 1 + np.concatenate([[0.0], np.geomspace(1e-7, outermost - 1, SAMPLES)])[:, None]
     places = section(radius, turn)

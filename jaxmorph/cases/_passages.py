@@ -1,4 +1,4 @@
-"""Walls close to each other: a blade in the passage of a cascade, and a channel whose walls touch."""
+"""Walls close to each other: a blade in a passage, and a channel whose walls touch."""
 
 import numpy as np
 
@@ -16,11 +16,12 @@ OUTERMOST = 2.2  # the last ray node's radius about the blade's circle, before i
 def cascade(
     *, around: int = 240, layers: int = 60, first_cell: float = 1e-5, pitch: float = 1.0, periodic: bool = False
 ) -> jm.Mesh:
-    """Makes an O-grid of quads around a cambered turbine blade of unit chord, in a passage `pitch` chords wide.
+    """Makes an O-grid of quads around a turbine blade in a passage `pitch` chords wide.
 
-    The blade's trailing edge is sharp, at (1, 0); the passage is 1.7 chords long. Its sides run straight and half a pitch
-    from the blade's middle: a blade that turns by 45 degrees comes close to them. All cells are convex and counter-clockwise.
-    Patches: `blade`, `inlet`, `outlet`, `lower`, `upper`; corners belong to two of them.
+    The blade's trailing edge is sharp, at (1, 0); the passage is 1.7 chords long. Its sides run
+    straight and half a pitch from the blade's middle: a blade that turns by 45 degrees comes close
+    to them. All cells are convex and counter-clockwise. Patches: `blade`, `inlet`, `outlet`,
+    `lower`, `upper`; corners belong to two of them.
 
     **Arguments:**
 
@@ -32,7 +33,8 @@ def cascade(
 
     **Returns:** a `Mesh`.
 
-    **Raises:** `ValueError` for fewer than 40 cells around or 8 layers, and a pitch not between 1 and 3 chords.
+    **Raises:** `ValueError` for fewer than 40 cells around or 8 layers, and a pitch not between 1
+    and 3 chords.
     """
     if around < 40 or layers < 8:
         raise ValueError(f"a cascade needs 40 cells around and 8 layers, not {around} and {layers}.")
@@ -58,7 +60,7 @@ def cascade(
 
 
 def _box(directions: np.ndarray, half: np.ndarray, periodic: bool) -> np.ndarray:
-    """Places complex points of a rectangle's boundary in the given directions; the nearest to each corner is put there."""
+    """Places complex points on a rectangle's boundary in given directions."""
     reach = np.minimum(half[0] / np.abs(np.real(directions)), half[1] / np.abs(np.imag(directions)))
     points = directions * reach
     corners = [complex(x, y) for x, y in half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])]
@@ -78,7 +80,8 @@ def _box(directions: np.ndarray, half: np.ndarray, periodic: bool) -> np.ndarray
 def channel(*, columns: int = 60, rows: int = 40, gap: float = 0.2, first_cell: float = 1e-5) -> jm.Mesh:
     """Makes a straight channel of unit length between two walls, of quads that are finest at both.
 
-    Its four patches `inner` (y = 0), `outer` (y = gap), `inlet` (x = 0) and `outlet` (x = 1) share their corners.
+    Its four patches `inner` (y = 0), `outer` (y = gap), `inlet` (x = 0) and `outlet` (x = 1) share
+    their corners.
 
     **Arguments:**
 

@@ -12,18 +12,27 @@ def ids_of(*shape: int) -> np.ndarray:
 
 
 def quads(ids: np.ndarray) -> np.ndarray:
-    """Makes the cells (k, 4) between the nodes of a block (rows along y, columns along x), counter-clockwise."""
+    """Makes the cells (k, 4) between the nodes of a block, counter-clockwise.
+
+    Rows run along y, columns along x.
+    """
     return np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1).reshape(-1, 4)
 
 
 def hexahedra(ids: np.ndarray) -> np.ndarray:
-    """Makes the cells (k, 8) between the nodes of a block (layers, rows, columns) that run along z, y and x."""
+    """Makes the cells (k, 8) between the nodes of a block.
+
+    Layers run along z, rows along y, columns along x.
+    """
     floor, lid = ids[:-1], ids[1:]
     return np.concatenate([np.stack([quads(layer) for layer in part]) for part in (floor, lid)], axis=-1).reshape(-1, 8)
 
 
 def geometric(cells: int, first: float) -> np.ndarray:
-    """Returns [0, 1] divided into `cells` that grow by a constant factor from `first`; evenly where that is 1 / cells and more."""
+    """Divides [0, 1] into `cells` that grow by a constant factor from `first`.
+
+    It is even where `first` is 1 / cells or more.
+    """
     between("first_cell", first, 0)
     if first * cells >= 1:
         return np.linspace(0, 1, cells + 1)
@@ -32,7 +41,10 @@ def geometric(cells: int, first: float) -> np.ndarray:
 
 
 def two_sided(cells: int, first: float) -> np.ndarray:
-    """Returns [0, 1] divided into `cells`, the first and the last of them about `first` high, by a hyperbolic tangent."""
+    """Divides [0, 1] into `cells` by a hyperbolic tangent.
+
+    The first and the last cell are about `first` high.
+    """
     between("first_cell", first, 0)
     if first * cells >= 1:
         return np.linspace(0, 1, cells + 1)

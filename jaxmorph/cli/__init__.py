@@ -1,4 +1,4 @@
-"""The command line, a thin skin over the library's public names: `jaxmorph deform`, `modes`, `sensitivity`, `quality` ..."""
+"""The command line, a thin skin over the library's public names."""
 
 import io
 import sys
@@ -8,9 +8,10 @@ from collections.abc import Sequence
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; by default with the arguments of the process.
 
-    Returns the exit status: 0, 1 when a cell is inverted or a quality gate fails, 2 for bad input, after one line that says what
-    is wrong with it, 130 when interrupted. Calculations are in float64: JAX's x64 mode is switched on. `SystemExit` (2) is
-    raised for arguments that make no sense, `SystemExit` (0) after a page of help.
+    Returns the exit status: 0; 1 when a cell is inverted or a quality gate fails; 2 for bad input,
+    after one line that describes the fault; 130 when interrupted. Calculations are in float64:
+    JAX's x64 mode is switched on. `SystemExit` (2) is raised for arguments that make no sense,
+    `SystemExit` (0) after a page of help.
     """
     from . import _interrupt
 
@@ -19,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:
         _interrupt.end_at_once(name)
         if isinstance(sys.stdout, io.TextIOWrapper):
-            sys.stdout.reconfigure(errors="backslashreplace")  # a locale that lacks a letter of a name
+            sys.stdout.reconfigure(errors="backslashreplace")  # the locale may lack a letter of a name
     try:
         from ._entry import answer
 

@@ -1,4 +1,4 @@
-"""Airfoils on the command line: bumps of Hicks and Henne, class and shape functions, on either side of the moving nodes."""
+"""Airfoils on the command line: bumps, class and shape functions, on either side."""
 
 import json
 from pathlib import Path
@@ -15,31 +15,31 @@ CHORD = ("nose", "tail", "up")
 
 
 def bumps(flag: str, source: str, mesh: Mesh, patches: tuple[str, ...]) -> dict[str, tuple[shapes.Chain, Any]]:
-    """Makes the shape of `--hicks-henne`: lists of [centre, height] by side. Raises `ValueError` for anything else."""
+    """Makes the shape of `--hicks-henne`: lists of [centre, height] by side."""
     table = _table(flag, source, ("width",))
-    given = {side: _numbers(flag, table, side, (None, 2)) for side in SIDES if side in table}
+    bumps = {side: _numbers(flag, table, side, (None, 2)) for side in SIDES if side in table}
     width = table.get("width", 3.0)
     chord, masks = _sides(flag, table, mesh, patches)
-    parts = {side: shapes.HicksHenne(rows[:, 0], width, chord=chord) for side, rows in given.items()}
+    parts = {side: shapes.HicksHenne(rows[:, 0], width, chord=chord) for side, rows in bumps.items()}
     chain = shapes.Chain({side: shapes.Part(part, masks[side]) for side, part in parts.items()})
-    return {flag: (chain, {side: rows[:, 1] for side, rows in given.items()})}
+    return {flag: (chain, {side: rows[:, 1] for side, rows in bumps.items()})}
 
 
 def class_functions(
     flag: str, source: str, mesh: Mesh, patches: tuple[str, ...]
 ) -> dict[str, tuple[shapes.Chain, Any]]:
-    """Makes the shape of `--cst`: weights and the ordinate of the edge by side. Raises `ValueError` for anything else."""
+    """Makes the shape of `--cst`: weights and the ordinate of the edge by side."""
     table = _table(flag, source, ("exponents",))
-    given = {side: _numbers(flag, table, side, (None,)) for side in SIDES if side in table}
-    for side, weights in given.items():
+    numbers = {side: _numbers(flag, table, side, (None,)) for side in SIDES if side in table}
+    for side, weights in numbers.items():
         if len(weights) < 3:
             raise ValueError(
                 f"--{flag}: {side} has {len(weights)} numbers; two weights or more are expected, then the ordinate of the edge."
             )
     exponents = tuple(_numbers(flag, {"exponents": table.get("exponents", [0.5, 1.0])}, "exponents", (2,)).tolist())
     chord, masks = _sides(flag, table, mesh, patches)
-    parts = {side: shapes.CST(len(weights) - 2, exponents, chord=chord) for side, weights in given.items()}
-    return {flag: (shapes.Chain({side: shapes.Part(part, masks[side]) for side, part in parts.items()}), given)}
+    parts = {side: shapes.CST(len(weights) - 2, exponents, chord=chord) for side, weights in numbers.items()}
+    return {flag: (shapes.Chain({side: shapes.Part(part, masks[side]) for side, part in parts.items()}), numbers)}
 
 
 def _table(flag: str, source: str, more: tuple[str, ...]) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def _numbers(flag: str, table: dict[str, Any], name: str, shape: tuple[int | Non
 def _sides(
     flag: str, table: dict[str, Any], mesh: Mesh, patches: tuple[str, ...]
 ) -> tuple[shapes.Chord, dict[str, np.ndarray]]:
-    """Finds the chord, and the nodes on each side of it by the normals of the wall."""
+    """Finds the chord, and by the normals of the wall the nodes on either side."""
     nodes, d = mesh.patch(*patches), mesh.points.shape[1]
     ends = {name: _numbers(flag, table, name, (d,)) for name in CHORD if name in table}
     if ends:

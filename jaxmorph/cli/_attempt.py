@@ -21,7 +21,7 @@ from ._summary import Summary
 from ._tables import faults
 
 MORE = "more --sources or --steps"
-CURES = tuple(each.name for each in METHODS if each.is_cure)
+CURES = tuple(method.name for method in METHODS if method.is_cure)
 """Methods that are tried after the default, where the mesh is small enough for them."""
 
 PATIENCE = 120.0
@@ -30,7 +30,10 @@ PATIENCE = 120.0
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """All that one attempt needs but the method and the number of steps; `before` sums up the `undeformed` mesh."""
+    """All that an attempt needs but the method and the steps.
+
+    `before` sums up the `undeformed` mesh.
+    """
 
     request: Deform
     patches: Patches
@@ -54,7 +57,10 @@ class Attempt:
         steps: int,
         done: Callable[[float], None] | None = None,
     ) -> Float[np.ndarray, "n d"]:
-        """Moves the points chunk by chunk, in double precision; `done` is called with the finished share."""
+        """Moves the points chunk by chunk, in double precision.
+
+        `done` is called with the finished share.
+        """
         path, points = self.motion.path(self.wall, steps), self.base.copy()
         is_moved = np.zeros(len(points), dtype=bool)
         for nodes, plan in chunks:
@@ -68,7 +74,7 @@ class Attempt:
         return points
 
     def judge(self, points: Float[np.ndarray, "n d"]) -> tuple[Judged, Summary, list[str]]:
-        """Judges the moved mesh, sums it up, and says one sentence for each fault."""
+        """Judges the moved mesh, sums it up, and writes one sentence for each fault."""
         judged = Judged(self.patches.mesh, points, self.undeformed)
         after = Summary.from_judged(judged, self.request.gates.limits)
         return judged, after, faults(self.before, after)
@@ -101,7 +107,7 @@ def _hint(choice: NamedMethod) -> str:
 
 
 def _tried(attempt: Attempt, choice: NamedMethod, out: Output) -> str:
-    """Returns the flags of the first attempt whose mesh is good, beside the requested ones; nothing if none is."""
+    """Returns other flags of the first attempt whose mesh is good; empty if there is none."""
     asked, steps = attempt.request.method, attempt.request.steps
     n, d = attempt.base.shape
     trials = _trials(asked, steps, choice.sources, len(attempt.wall), n <= MOST_POINTS[d])

@@ -23,8 +23,8 @@ def begin() -> None:
 def keep_compiled() -> None:
     """Turns on JAX's persistent compilation cache in the user's cache folder.
 
-    Nothing is kept if `JAXMORPH_CACHE` is `off`, if JAX has a folder already, if the folder cannot be written to, or without
-    the packages that find and lock it.
+    Nothing is kept if `JAXMORPH_CACHE` is `off`, if JAX has a folder already, if the folder cannot
+    be written to, or without the packages that find and lock it.
     """
     if (
         os.environ.get(SWITCH, "").lower() in ("off", "0", "no", "false")
@@ -50,7 +50,7 @@ def keep_compiled() -> None:
 
 
 def _machine() -> str:
-    """Names the kind of processor: machines that share a home folder may not run each other's code."""
+    """Names the kind of processor."""
     facts = [platform.machine(), platform.processor()]
     try:
         lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()

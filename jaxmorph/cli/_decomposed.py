@@ -1,9 +1,12 @@
 """`jaxmorph deform --decomposed`: an OpenFOAM case part by part, in one process or an MPI run."""
 
+import dataclasses
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -20,7 +23,7 @@ from ._tables import faults, gate_facts, gate_table, table
 from ._told import check_files, described, write_job
 
 COUNTS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
-"""Variables that count the processes which mpiexec or srun started together; the launcher's own are first."""
+"""Variables that count the processes that mpiexec or srun started together."""
 
 STARTED = (*COUNTS, "MPI_LOCALNRANKS", "PMIX_RANK", "PMI_RANK")
 """Variables that mpiexec and srun leave in the environment of the processes that they start."""
@@ -31,7 +34,7 @@ class _Bad(Exception):
 
 
 def deform_parts(request: Deform, out: Output) -> int:
-    """Reads, moves, judges and writes part after part; says each on the terminal. Returns the exit status."""
+    """Reads, moves, judges and writes part after part; prints all. Returns the exit status."""
     ranks = _ranks()
     out.is_silent = ranks.rank > 0
     case = together(ranks, lambda: _checked(request))
@@ -43,23 +46,26 @@ def deform_parts(request: Deform, out: Output) -> int:
     del sides
 
     def prepared() -> tuple[jm.SurfaceHalf, np.ndarray, str] | None:
-        every = {k: side for share in gathered or () for k, side in share.items()}
+        by_part = {k: side for share in gathered or () for k, side in share.items()}
         if not gathered:
             return None
-        return _prepared(request, case.surface([every[k] for k in range(len(case))]), out)
+        return _prepared(request, case.surface([by_part[k] for k in range(len(case))]), out)
 
     half, path, dtype = ranks.bcast(together(ranks, prepared))  # pyright: ignore[reportGeneralTypeIssues]
+    parts = Parts(half, path, dtype, largest, request.gates.limits)
     judged: dict[int, tuple[Summary, Summary]] = {}
     try:
         with case.writing(request.output, ranks) as writer, out.progress("moving and judging the parts") as stage:
             for first in range(0, len(case), ranks.size):
                 k = first + ranks.rank if first + ranks.rank < len(case) else None
-                moved = together(ranks, lambda k=k: _moved(request, case, k, half, path, dtype, largest, judged))
-                writer.add(k, moved)
+                moved = together(ranks, lambda k=k: None if k is None else parts.moved(case, k))
+                if k is not None and moved is not None:
+                    judged[k] = moved[1:]
+                writer.add(k, None if moved is None else moved[0])
                 stage.done(min(1.0, (first + ranks.size) / len(case)))
-            every = {k: pair for share in ranks.allgather(judged) for k, pair in share.items()}
+            by_part = {k: pair for share in ranks.allgather(judged) for k, pair in share.items()}
             _say_warnings_of_all(out, ranks)
-            bad = _print_summary([every[k] for k in sorted(every)], out)
+            bad = _print_summary([by_part[k] for k in sorted(by_part)], out)
             if bad and not request.allow_inverted:
                 raise _Bad
     except _Bad:
@@ -72,7 +78,7 @@ def deform_parts(request: Deform, out: Output) -> int:
 
 
 def _print_summary(parts: list[tuple[Summary, Summary]], out: Output) -> list[str]:
-    """Adds up what was judged before and after the motion, prints it, and returns a sentence for each fault."""
+    """Adds up the summaries before and after the motion, prints them, and returns the faults."""
     before, after = (Summary.together(side) for side in zip(*parts, strict=True))
     out.say("\n" + "\n\n".join(filter(None, [table(before, after), gate_table(before, after)])) + "\n")
     out.say(before=before.facts, after=after.facts, gates=gate_facts(before, after))
@@ -89,14 +95,17 @@ def _complain(request: Deform, bad: list[str], out: Output) -> None:
 
 def _say_warnings_of_all(out: Output, ranks: Ranks) -> None:
     """Prints the warnings of the silent processes of an MPI run, each warning once."""
-    spoken = out.facts.get("warnings", [])
-    for warning in dict.fromkeys(each for some in ranks.gather(spoken) or () for each in some):
-        if warning not in spoken:
+    printed = out.facts.get("warnings", [])
+    for warning in dict.fromkeys(warning for share in ranks.gather(printed) or () for warning in share):
+        if warning not in printed:
             out.complain(warning, "warnings")
 
 
 def _ranks() -> Ranks:
-    """Returns the processes that mpiexec or srun started together. Raises `ImportError` and `ValueError` where they cannot meet."""
+    """Returns the processes that mpiexec or srun started together.
+
+    It raises `ImportError` and `ValueError` where they cannot meet.
+    """
     if not any(name in os.environ for name in STARTED):
         return Alone()
     counts = [os.environ[name] for name in COUNTS if name in os.environ]
@@ -123,19 +132,14 @@ def _checked(request: Deform) -> io.Decomposed:
     """Opens the case. Raises `ValueError` for a request that is sure to fail, before any work."""
     case = io.Decomposed(request.file)
     case.check_output(request.output)
-    _check_flags(request)
+    for name in ("picture", "chunk", "zone"):
+        if getattr(request, name) is not None:
+            raise ValueError(f"--{name} and --decomposed cannot be combined. Remove one of the two.")
     return case
 
 
-def _check_flags(request: Deform) -> None:
-    """Raises `ValueError` for flags that need the whole mesh."""
-    if request.picture is not None or request.chunk is not None:
-        flag = "--picture" if request.picture is not None else "--chunk"
-        raise ValueError(f"{flag} and --decomposed cannot be combined. Remove one of the two.")
-
-
 def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.SurfaceHalf, np.ndarray, str]:
-    """Prepares the surface and its motion, describes both, and warns of what no method moves well."""
+    """Prepares the surface and its motion, describes both, and warns of contradictions."""
     check_files(request, surface)
     patches = patches_of(request, surface)
     wall = np.asarray(surface.points)[patches.nodes]
@@ -156,51 +160,45 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
     return half, path, choice.dtype
 
 
-def _moved(
-    request: Deform,
-    case: io.Decomposed,
-    k: int | None,
-    half: jm.SurfaceHalf,
-    path: np.ndarray,
-    dtype: str,
-    largest: int,
-    judged: dict[int, tuple[Summary, Summary]],
-) -> jm.Mesh | None:
-    """Moves part `k` and judges it; nothing where a process has no part left."""
-    if k is None:
-        return None
-    mesh = case.read(k)
-    base = np.asarray(mesh.points)
-    points = _moved_points(half, path, dtype, largest, base, io.global_nodes(mesh), f"processor{k}")
-    undeformed, limits = Judged(mesh, base), request.gates.limits
-    after = Summary.from_judged(Judged(mesh, points, undeformed), limits, k)
-    judged[k] = Summary.from_judged(undeformed, limits, k), after
-    return mesh.moved(points)
+@dataclasses.dataclass(frozen=True)
+class Parts:
+    """What all parts of a case share: the prepared surface, its path, the precision, the limits.
 
-
-def _moved_points(
-    half: jm.SurfaceHalf,
-    path: np.ndarray,
-    dtype: str,
-    largest: int,
-    base: np.ndarray,
-    ids: np.ndarray,
-    name: str,
-) -> np.ndarray:
-    """Moves the points `base` (k, d) of one piece, whose nodes are `ids` (k,) of the whole mesh; errors begin with `name`.
-
-    It is filled up with copies of a node to the size of the largest piece: all pieces share compiled code.
+    `largest` is the number of nodes of the largest part.
     """
-    is_inner = ~np.isin(ids, half.surface_nodes)
-    more = largest - len(ids)
-    rows = np.append(np.arange(len(ids)), np.full(more, is_inner.argmax()))
-    names = np.append(np.where(is_inner, -1, ids), np.full(more, -1))
-    try:
-        plan = half.attach(base.astype(dtype)[rows], names)
-    except jm.MeshError as error:
-        raise ValueError(f"{name}: {error.renumbered(rows)}") from None
-    points = jm.deform(plan, path[0]) if len(path) == 1 else jm.march(plan, path)[1]
-    here = np.flatnonzero(np.isin(ids, half.moving))
-    order = np.argsort(half.moving)
-    of_moving = order[np.searchsorted(half.moving[order], ids[here])]
-    return in_double(base, np.asarray(points)[: len(ids)], here, path[-1][of_moving], half.plan.method.exact)
+
+    half: jm.SurfaceHalf
+    path: Float[np.ndarray, "k m d"]
+    dtype: str
+    largest: int
+    limits: Mapping[str, float]
+
+    def moved(self, case: io.Decomposed, k: int) -> tuple[jm.Mesh, Summary, Summary]:
+        """Moves part `k`, and judges it before and after."""
+        mesh = case.read(k)
+        base = np.asarray(mesh.points)
+        points = self._points(base, io.global_nodes(mesh), f"processor{k}")
+        undeformed = Judged(mesh, base)
+        after = Summary.from_judged(Judged(mesh, points, undeformed), self.limits, k)
+        return mesh.moved(points), Summary.from_judged(undeformed, self.limits, k), after
+
+    def _points(self, base: np.ndarray, ids: np.ndarray, name: str) -> np.ndarray:
+        """Moves points (k, d) of a part, whose nodes are `ids` (k,) of the whole mesh.
+
+        Errors begin with `name`. The part is filled up with copies of a node to the size of the
+        largest part, so that all parts share compiled code.
+        """
+        half, path = self.half, self.path
+        is_inner = ~np.isin(ids, half.surface_nodes)
+        more = self.largest - len(ids)
+        rows = np.append(np.arange(len(ids)), np.full(more, is_inner.argmax()))
+        nodes = np.append(np.where(is_inner, -1, ids), np.full(more, -1))
+        try:
+            plan = half.attach(base.astype(self.dtype)[rows], nodes)
+        except jm.MeshError as error:
+            raise ValueError(f"{name}: {error.renumbered(rows)}") from None
+        points = jm.deform(plan, path[0]) if len(path) == 1 else jm.march(plan, path)[1]
+        here = np.flatnonzero(np.isin(ids, half.moving))
+        order = np.argsort(half.moving)
+        of_moving = order[np.searchsorted(half.moving[order], ids[here])]
+        return in_double(base, np.asarray(points)[: len(ids)], here, path[-1][of_moving], half.plan.method.exact)

@@ -21,7 +21,7 @@ from ._output import Output, title
 from ._requests import Deform
 from ._summary import Summary, coordinates, count
 from ._tables import gate_facts, gate_table, table
-from ._told import check_files, described, wrapped, write_job
+from ._told import check_files, described, mesh_of, wrapped, write_job
 
 Chunks = Iterator[tuple[np.ndarray, jm.Plan]]
 """Nodes and plans of a mesh in chunks, one after the other."""
@@ -30,13 +30,13 @@ SMALL = 10_000
 """Points, times steps, up to which compilation takes longer than all else."""
 
 LARGE = 500_000
-"""Points from which on the estimate is told."""
+"""Points from which on the estimate is printed."""
 
 
 def deform(request: Deform, out: Output) -> int:
-    """Reads, moves, judges, writes; says each on the terminal. Returns the exit status."""
+    """Reads, moves, judges and writes a mesh; prints all. Returns the exit status."""
     with out.progress(f"reading {title(request.file)}"):
-        mesh = io.read(request.file)
+        mesh = mesh_of(request.file, request.zone)
     with quickly_compiled(len(mesh.points) * request.steps <= SMALL):
         return _deform(request, mesh, out)
 
@@ -54,7 +54,7 @@ def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
         wrapped(out, f"boundary: {boundary}")
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
         out.say(boundary=measures | {"ended": boundary.ended.tolist()})
-    start, end = ({each.name: getattr(each, when) for each in wall} for when in ("before", "after"))
+    start, end = ({number.name: getattr(number, when) for number in wall} for when in ("before", "after"))
     out.say(before=attempt.before.facts | start, after=after.facts | end)
     out.say(overshoot=inspection.overshoot, overshoot_behind=inspection.overshoot_behind)
     out.say(gates=gate_facts(attempt.before, after))
@@ -87,12 +87,16 @@ def _attempt(request: Deform, mesh: Mesh, out: Output) -> tuple[Attempt, NamedMe
     described(request, patches, choice, moves.path(wall, 1)[-1], out)
     with out.progress("judging the cells"):
         undeformed = Judged(mesh, mesh.points)
-        before = Summary.from_judged(undeformed, request.gates.limits)  # what cannot be judged is told now
+        # before any work: it raises for limits on measures that the cells do not have
+        before = Summary.from_judged(undeformed, request.gates.limits)
     return Attempt(request, patches, moves, undeformed, before), choice, chunks
 
 
 def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
-    """Estimates the memory, prints it if the mesh is large or with `--verbose`, and warns where it may not fit."""
+    """Estimates the memory, and warns where it may not fit.
+
+    It is printed if the mesh is large, or with `--verbose`.
+    """
     patches, request = attempt.patches, attempt.request
     mesh = patches.mesh.moved(patches.points(choice))
     surface = (patches.nodes, patches.fixed_nodes)
@@ -107,7 +111,7 @@ def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
 
 
 def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, jm.Inspection, jm.BoundaryQuality]:
-    """Moves the points, inspects the motion before, warns of what no method moves well, and judges the moved boundary."""
+    """Inspects the motion, warns of contradictions, moves the points, and judges the boundary."""
     steps = attempt.request.steps
     with out.progress("preparing"):
         nodes, plan = next(chunks)
@@ -123,7 +127,7 @@ def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, j
 
 @dataclasses.dataclass(frozen=True)
 class WallNumber:
-    """One number of the first grid line at the moving wall: `before` and `after`, and the place of an extreme."""
+    """One number of the first grid line at the moving wall, before and after."""
 
     name: str
     label: str
@@ -133,7 +137,10 @@ class WallNumber:
 
 
 def _wall_numbers(attempt: Attempt, points: np.ndarray) -> list[WallNumber]:
-    """Measures the first grid line at the moving nodes: nothing where no side of a cell lies there, or no line begins."""
+    """Measures the first grid line at the moving nodes.
+
+    The list is empty where no side of a cell lies there, or no line begins.
+    """
     try:
         wall = jm.wall_quality(attempt.patches.mesh, attempt.patches.nodes, points)
     except ValueError:
@@ -153,7 +160,7 @@ def _wall_numbers(attempt: Attempt, points: np.ndarray) -> list[WallNumber]:
 
 def _rows(wall: list[WallNumber], inspection: jm.Inspection) -> list[str]:
     """Formats numbers of the first grid line, and the overshoot, as rows of a table."""
-    rows = [f"{each.label:<23}{each.before:>12g}{each.after:>12.5g}{each.place}" for each in wall]
+    rows = [f"{row.label:<23}{row.before:>12g}{row.after:>12.5g}{row.place}" for row in wall]
     for label, value in (("overshoot", inspection.overshoot), ("overshoot behind", inspection.overshoot_behind)):
         rows.append(f"{label:<23}{'-':>12}{value:>12.5g}")
     return rows

@@ -1,4 +1,4 @@
-"""From words to a command: parses them, runs it, and says in one line what went wrong.
+"""From words to a command: parses, runs, and describes an error in one line.
 
 Nothing of JAX is imported before the words are understood.
 """
@@ -19,7 +19,7 @@ from ._requests import COMMANDS, Request
 
 
 def answer(words: Sequence[str], *, is_own: bool = False) -> int:
-    """Runs one command and returns its exit status, as `main` says; `is_own` where the process has nothing else to do."""
+    """Runs one command and returns its exit status, as `main` does."""
     top, parsers = parser(is_short="--help-all" not in words and "_ARGCOMPLETE" not in os.environ)
     _complete(top)
     if not words:
@@ -37,8 +37,7 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
             out.verbose = getattr(request, "speech", Speech()).verbose
             return out.end(run(request, out))
         except OSError as error:
-            named = f"{error.filename}: {error.strerror}" if error.filename else error
-            out.complain(one_line(named))
+            out.complain(one_line(f"{error.filename}: {error.strerror}" if error.filename else error))
         except (ValueError, ImportError) as error:
             out.complain(one_line(error))
         except (MemoryError, RuntimeError) as error:  # JaxRuntimeError is a RuntimeError
@@ -52,7 +51,7 @@ def answer(words: Sequence[str], *, is_own: bool = False) -> int:
 
 
 def _command(request: Request) -> Callable[[Request, Output], int]:
-    """Imports the command, and JAX with it, which calculates in double precision and keeps compiled code."""
+    """Imports the command, and JAX with it, in double precision and with a cache."""
     importlib.import_module("._compiled", __package__).begin()
     module, name = request.run.split(".")
     return getattr(importlib.import_module(f".{module}", __package__), name)
@@ -65,7 +64,10 @@ def one_line(message: object) -> str:
 
 @contextlib.contextmanager
 def _without_collection() -> Iterator[None]:
-    """Keeps the garbage collector off what is imported: it would go through all of it again and again, and at the end."""
+    """Turns the garbage collector off during imports.
+
+    It would go through all that is imported again and again, and at the end.
+    """
     gc.disable()
     try:
         yield

@@ -13,7 +13,8 @@ from ._requests import COMMANDS, Request
 def parser(*, is_short: bool = True) -> tuple[Parser, dict[str, Parser]]:
     """Builds the parser of the whole command line, and a dict with the parser of each command.
 
-    The command's name is parsed as `command`. `is_short` leaves rare flags out of the pages of help.
+    The command's name is parsed as `command`. `is_short` leaves rare flags out of the pages of
+    help.
     """
     top = Parser(prog="jaxmorph", description="Moves meshes with their surfaces, and judges them.", epilog=_help.MAIN)
     top.add(
@@ -56,7 +57,9 @@ class Version(argparse.Action):
 
 
 def request_of(words: Sequence[str], top: Parser | None = None) -> Request:
-    """Makes the request that the words, with those of a job, ask for. `top` is the parser; it has all flags by default.
+    """Makes the request of the words and of the job that they name.
+
+    `top` is the parser; by default it has all flags.
 
     Raises `ValueError` for a job that is none, `SystemExit` for words that make no sense.
     """

@@ -18,7 +18,7 @@ def table(word: str) -> str:
 
 
 class Moving(argparse.Action):
-    """Begins a group; motion flags that came before the first `--moving` belong to it."""
+    """Begins a group; motion flags before the first `--moving` belong to it."""
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
         groups = _groups(namespace)
@@ -29,7 +29,7 @@ class Moving(argparse.Action):
 
 
 class InGroup(argparse.Action):
-    """One flag of the motion of the last group."""
+    """Sets one field of the last group."""
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
         groups = _groups(namespace)
@@ -40,13 +40,13 @@ class InGroup(argparse.Action):
             group.mode = [*group.mode, _mode(parser, values)]
             return
         if self.dest in group.flags:
-            parser.error(f"{option_string} twice for one --moving; name the patches by --moving again to go on.")
+            parser.error(f"{option_string} twice for one --moving. Begin another motion of the patches by --moving.")
         group.flags.add(self.dest)
         setattr(group, self.dest, values)
 
 
 class Job(argparse.Action):
-    """Ends what a job file said: flags after it say otherwise."""
+    """Ends the flags of a job file: flags after it replace them."""
 
     def __call__(self, parser, namespace, values: Any, option_string=None):
         for group in _groups(namespace):
@@ -82,7 +82,7 @@ def _angle(what: str, **settings: Any) -> Any:
 
 @dataclasses.dataclass
 class Group:
-    """Patches that move and their motion: `--moving` and the flags after it. `flags` are the ones that have been read."""
+    """Patches that move and their motion: `--moving` and the flags after it."""
 
     SECTION: ClassVar = "motion of the patches of the last --moving (one at least)"
 

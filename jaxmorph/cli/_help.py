@@ -9,7 +9,8 @@ from jaxmorph._advice.methods import METHODS
 class Page:
     """Help of one command: summary, usage, and the text below its flags.
 
-    `long` stands on the long page, `short` on the short one; an empty `short` means that there is only the long page.
+    `long` is for the long page, `short` for the short page. With an empty `short` there is only the
+    long page.
     """
 
     summary: str
@@ -164,7 +165,8 @@ The transpose of deform, at the undeformed mesh. Name the patches and the method
 as for deform. Rows of OUT have the node ids of IN.
 
 With --job the derivatives go on to the design variables that --set of deform
-names. OUT has the name, value and derivative of each, per degree for angles.
+names. OUT has the name, value and derivative of every variable, per degree for
+angles.
 SENS must be of the mesh that the job writes.
 
 """

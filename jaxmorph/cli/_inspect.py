@@ -1,6 +1,7 @@
 """`jaxmorph quality`, `jaxmorph info` and `jaxmorph demo`."""
 
 import textwrap
+from typing import Any
 
 import numpy as np
 
@@ -11,14 +12,15 @@ from ._output import Output, title
 from ._requests import Demo, Info, Quality
 from ._summary import Summary, count
 from ._tables import faults, gate_facts, gate_table, table
+from ._told import mesh_of
 
 
 def quality(request: Quality, out: Output) -> int:
-    """Prints the quality of a mesh, or of two with the same cells. Returns the exit status."""
+    """Prints the quality of a mesh, or before and after a motion. Returns the exit status."""
     limits = request.gates.limits
     with out.progress("reading"):
-        mesh = io.read(request.file)
-        moved = None if request.moved is None else io.read(request.moved)
+        mesh = mesh_of(request.file, request.zone)
+        moved = None if request.moved is None else mesh_of(request.moved, request.zone)
     if moved is None and "min_jacobian_ratio" in limits:
         raise ValueError("--min-jacobian-ratio compares two meshes: give FILE2.")
     with out.progress("judging the cells"):
@@ -46,36 +48,52 @@ def quality(request: Quality, out: Output) -> int:
 
 
 def info(request: Info, out: Output) -> int:
-    """Prints what a mesh file holds. Returns the exit status."""
+    """Prints what a mesh file holds, zone by zone where it has several. Returns the exit status."""
     with out.progress("reading"):
-        mesh = io.read(request.file)
-    points = np.asarray(mesh.points)
+        is_su2 = request.file.suffix.lower() == ".su2"
+        meshes = io.read_zones(request.file) if is_su2 else (io.read(request.file),)
+    name, zones = title(request.file), []
+    for number, mesh in enumerate(meshes, start=1):
+        lines, facts = _described(mesh, name if len(meshes) == 1 else f"{name} zone {number}")
+        out.say("\n".join(lines), **(facts if len(meshes) == 1 else {}))
+        zones.append(facts)
+    if len(zones) > 1:
+        out.say(zones=zones)
+    return 0
+
+
+def _described(mesh: Mesh, name: str) -> tuple[list[str], dict[str, Any]]:
+    """Describes a mesh: the lines to print, and the facts by name."""
+    points, cells = np.asarray(mesh.points), mesh.cell_counts
     n, d = points.shape
-    cells = mesh.cell_counts
-    out.say(f"{title(request.file)}: {d}-D, {n} points", dimension=d, points=n)
-    out.say("cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items()), cells=cells)
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    for name, least, most in zip("xyz", low, high, strict=False):
-        out.say(f"{name:<9}{least:.6g} to {most:.6g}")
-    patches = {name: len(nodes) for name, nodes in mesh.patches.items()}
-    kinds = dict(mesh.kinds)
-    out.say("patches" if patches else "patches  none", low=low, high=high, patches=patches, kinds=kinds)
+    patches, kinds = {patch: len(nodes) for patch, nodes in mesh.patches.items()}, dict(mesh.kinds)
+    facts = {"dimension": d, "points": n, "cells": cells, "low": low, "high": high, "patches": patches, "kinds": kinds}
+    lines = [
+        f"{name}: {d}-D, {n} points",
+        "cells    " + ", ".join(f"{number} {kind}" for kind, number in cells.items()),
+    ]
+    for axis, least, most in zip("xyz", low, high, strict=False):
+        lines.append(f"{axis:<9}{least:.6g} to {most:.6g}")
+    lines.append("patches" if patches else "patches  none")
     width = max(map(len, patches), default=0)
-    for name, number in patches.items():
-        out.say(f"  {name:<{width}}  {number:>9} nodes  {kinds.get(name, '')}".rstrip())
+    for patch, number in patches.items():
+        lines.append(f"  {patch:<{width}}  {number:>9} nodes  {kinds.get(patch, '')}".rstrip())
     if mesh.groups:
-        out.say("groups", groups={name: list(names) for name, names in mesh.groups.items()})
-    for name, names in mesh.groups.items():
-        text = f"  {name}: {', '.join(names)}"
-        out.say(textwrap.fill(text, 80, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
+        facts["groups"] = {group: list(names) for group, names in mesh.groups.items()}
+        lines.append("groups")
+    for group, names in mesh.groups.items():
+        text = f"  {group}: {', '.join(names)}"
+        lines.append(textwrap.fill(text, 80, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
     boxes = io.boxes(mesh)
     degrees = {box.name: [count - 1 for count in box.shape.counts] for box in boxes}
     if boxes:
-        out.say("boxes", boxes=degrees)
+        facts["boxes"] = degrees
+        lines.append("boxes")
     for box in boxes:
         nodes = sum(len(ids) for ids, _ in box.surface.values())
-        out.say(f"  {box.name}  degrees {' x '.join(map(str, degrees[box.name]))}, {nodes:>9} nodes")
-    return 0
+        lines.append(f"  {box.name}  degrees {' x '.join(map(str, degrees[box.name]))}, {nodes:>9} nodes")
+    return lines, facts
 
 
 def demo(request: Demo, out: Output) -> int:
@@ -84,7 +102,10 @@ def demo(request: Demo, out: Output) -> int:
 
 
 def _ids(mesh: Mesh) -> dict[str, np.ndarray]:
-    """Collects the ids that say which cells a mesh has; where the pieces of polyhedra are cut depends on the points."""
+    """Collects the ids that define the cells of a mesh.
+
+    Where polyhedra are cut depends on the points, so their faces count.
+    """
     if mesh.polyhedra is None:
         return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
     faces = mesh.polyhedra.faces
@@ -94,7 +115,7 @@ def _ids(mesh: Mesh) -> dict[str, np.ndarray]:
 def _check_same(request: Quality, mesh: Mesh, moved: Mesh) -> None:
     a, b = tuple(mesh.points.shape), tuple(moved.points.shape)
     if a != b:
-        raise ValueError(f"{request.moved} has points of shape {b}, {request.file} of {a}: not the same mesh.")
+        raise ValueError(f"{request.moved} has points of shape {b}, {request.file} of {a}: two different meshes.")
     ours, theirs = _ids(mesh), _ids(moved)
     if ours.keys() != theirs.keys() or not all(np.array_equal(ids, theirs[name]) for name, ids in ours.items()):
-        raise ValueError(f"{request.moved} has other cells than {request.file}: not the same mesh, moved.")
+        raise ValueError(f"{request.moved} has other cells than {request.file}: two different meshes.")

@@ -1,7 +1,8 @@
 """Ctrl-C in a process of its own: one line and status 130, whatever runs.
 
-An exception raised while an extension module is imported can be lost, or crash the process; one raised in a callback of the
-garbage collector is lost. So the process ends at once until all is imported, and a lost interrupt is sent again.
+An exception raised while an extension module is imported can be lost, or crash the process; one
+raised in a callback of the garbage collector is lost. So the process ends at once until all is
+imported, and a lost interrupt is sent again.
 """
 
 import os
@@ -12,7 +13,10 @@ STATUS = 130
 
 
 def end_at_once(name: str) -> None:
-    """Lets an interrupt print one line and end the process. A signal that the caller ignores or handles stays as it is."""
+    """Lets an interrupt print one line and end the process.
+
+    A signal that the caller ignores or handles stays as it is.
+    """
 
     def end(number, frame) -> None:
         os.write(2, f"{name}: interrupted.\n".encode())
@@ -35,7 +39,7 @@ def _is_ours() -> bool:
 
 
 def _send_again(lost) -> None:
-    """Sends an interrupt again that was raised where nobody could catch it."""
+    """Sends an interrupt again that was raised where no code could catch it."""
     if not isinstance(lost.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
         return

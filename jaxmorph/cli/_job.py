@@ -1,4 +1,4 @@
-"""Job files: the flags of `jaxmorph deform` as TOML. They are read into flags, so one parser checks both."""
+"""Job files: the flags of `jaxmorph deform` as TOML."""
 
 import argparse
 import dataclasses
@@ -17,7 +17,7 @@ from ._parts import Speech
 from ._requests import Deform
 
 NO_KEYS = ("job", "save_job", "set", *(field.name for field in dataclasses.fields(Speech)))
-"""Flags that a job has not, or as a table."""
+"""Flags that are not keys of a job; `set` is a table of it."""
 
 KINDS = {int: "number", float: "number", table: "table"}
 """Kinds of values by the types of flags; others are text, paths, or switches."""
@@ -57,9 +57,11 @@ JOB, MOTION = _keys(Deform), _keys(Group)
 
 
 def with_job(arguments: Sequence[str]) -> list[str]:
-    """Puts the flags of the file that `--job` names before the given ones. Raises `ValueError` for a file that is no job.
+    """Puts the flags of the file that `--job` names before the given flags.
 
-    For `sensitivity` it is the mesh that the job names.
+    It raises `ValueError` for a file that is no job.
+
+    For `sensitivity` the mesh that the job names comes first instead.
     """
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     finder.add_argument("--job", type=Path)
@@ -119,7 +121,7 @@ def _changes(path: Path, changes: Any) -> list[str]:
     for name, value in changes.items():
         values = value if isinstance(value, list) else [value]
         if not values or any(type(number) not in (int, float) for number in values):
-            raise ValueError(f"{path}: set.{name} is a number, or a list of such, found {reprlib.repr(value)}.")
+            raise ValueError(f"{path}: set.{name} is a number, or a list of numbers, found {reprlib.repr(value)}.")
         flags += ["--set", f"{name}={','.join(map(str, values))}"]
     return flags
 
@@ -152,7 +154,8 @@ def _words(path: Path, key: Key, value: Any) -> list[str]:
     is_number = key.kind == "number"
     values = value if isinstance(value, list) and key.is_list else [value]
     if not values or any(type(word) not in ((int, float) if is_number else (str, int)) for word in values):
-        what = f"{'a number' if is_number else 'text'}{', or a list of such' if key.is_list else ''}"
+        kinds = ("a number", "numbers") if is_number else ("text", "texts")
+        what = f"{kinds[0]}, or a list of {kinds[1]}" if key.is_list else kinds[0]
         raise ValueError(f"{path}: {key.name} is {what}, found {reprlib.repr(value)}.")
     words = [str(word) for word in values]
     wrong = [word for word in words if not is_number and (word.startswith("-") or "\0" in word)]
@@ -195,7 +198,7 @@ def _is_said(key: Key, value: Any) -> bool:
 
 
 def _seen(key: Key, value: Any, folder: Path) -> Any:
-    """Makes the paths of a value relative to a folder, unless they are absolute; turns a box in JSON into a table."""
+    """Makes the paths of a value relative to a folder, unless they are absolute."""
     if key.name == "mode":
         return [(_seen(MOTION["displacement"], file, folder), amplitude) for file, amplitude in value]
     if key.kind not in ("path", "table"):

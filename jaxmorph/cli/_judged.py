@@ -17,14 +17,20 @@ from jaxmorph._quality.sides import Sides
 ROWS = tuple((kind, name) for name in ("skewness", "aspect_ratio", "non_orthogonality") for kind in ("mean", "max"))
 RATIOS = (("min", "volume_ratio"), ("min", "jacobian_ratio"))
 BY_FACES = {"face_skewness": "skewness", "face_aspect_ratio": "aspect_ratio"}
-"""Measures of faces by their names in tables and flags, where measures of corners have the plain ones."""
+"""Measures of faces by their names in tables and flags.
+
+The plain names are for measures of corners.
+"""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Judged:
-    """A mesh on some points, after a motion with the undeformed mesh `before`. Cells have the numbers of the file.
+    """A mesh on some points, judged relative to the mesh `before` a motion.
 
-    An OpenFOAM case, and any mesh with polyhedra or polygons, is judged by its faces, others by the corners of their cells.
+    Cells have the numbers of the file.
+
+    An OpenFOAM case, and any mesh with polyhedra or polygons, is judged by its faces, others by the
+    corners of their cells.
     """
 
     mesh: Mesh
@@ -79,8 +85,9 @@ class Judged:
     def inverted(self) -> Bool[np.ndarray, " k"]:
         """Cells that are inverted.
 
-        By faces, wherever the mesh came from. By corners, cells that the motion inverts, and those that were inverted
-        before it and still are. A corner without a sign before has none to lose.
+        By faces the mesh before does not matter. By corners they are cells that the motion inverts,
+        and cells that were inverted before and still are. A corner without a sign before cannot
+        lose it.
         """
         if self.by_faces:
             return self.faces.is_inverted
@@ -88,7 +95,7 @@ class Judged:
 
     @property
     def spoilt(self) -> np.ndarray:
-        """Ids of the cells that the motion has inverted, all that are without a motion; the worst first."""
+        """Ids of the cells that the motion has inverted, the worst first."""
         lost = self.inverted & ~self._old if self.by_faces else self._lost
         worst = self.report.worst(len(self.counted)) if lost.any() else np.zeros(0, dtype=int)
         return worst[lost[worst]]
@@ -104,13 +111,13 @@ class Judged:
 
     @functools.cached_property
     def _repaired(self) -> Bool[np.ndarray, " k"]:
-        """Cells that were inverted before the motion and are not on their own now: they lost a sign that was wrong."""
+        """Cells that were inverted before the motion and are not inverted by themselves now."""
         if not self._old.any():
             return self._old
         return self._old & ~np.asarray(jm.quality(self.mesh.moved(self.points)).is_inverted)
 
     def values(self, key: str) -> np.ndarray:
-        """Lists the values of a gate's measure, one for each cell that counts, in the order of `counted`.
+        """Lists the values of a gate's measure for the cells that count, in the order of `counted`.
 
         It raises `ValueError` for a measure of corners where cells are polyhedra.
         """
@@ -134,7 +141,7 @@ class Judged:
         return np.where(self.proof.is_valid, margin, np.minimum(margin, -np.finfo(float).tiny))
 
     def write(self, path: Path) -> None:
-        """Writes the mesh on these points, with the quality of its cells where the format holds arrays."""
+        """Writes the mesh on its points, with the cells' quality where the format holds arrays."""
         moved = self.mesh.moved(self.points)
         if io.check_output(path, self.mesh):
             io.write_moved(path, self.mesh, moved, self.corners)

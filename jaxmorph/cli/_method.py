@@ -12,7 +12,8 @@ from jaxmorph import io
 from jaxmorph._advice.methods import METHODS, Entry, entry
 from jaxmorph._advice.rivals import Extent
 from jaxmorph._boundary.boundary import Boundary as NodeLists
-from jaxmorph._boundary.boundary import find_boundary, planes_of
+from jaxmorph._boundary.boundary import find_boundary
+from jaxmorph._boundary.names import planes_of
 from jaxmorph._boundary.outer_faces import OuterFaces
 from jaxmorph._boundary.symmetry import check_planes
 from jaxmorph._plan.chunks import chunks_of
@@ -24,7 +25,7 @@ from ._requests import Deform, Modes, Sensitivity
 
 @dataclasses.dataclass(frozen=True)
 class NamedMethod:
-    """A method, its entry in the list, what to call it, how many sources it has on the moving patches, and the precision."""
+    """A method, its entry in the list, its sentence, its sources on the wall, the precision."""
 
     method: jm.AbstractMethod
     entry: Entry
@@ -38,11 +39,12 @@ def named_method(
 ) -> NamedMethod:
     """Makes the requested method for the points of the moving and of the fixed nodes.
 
-    It raises `ValueError` for a number of sources, or a size of chunks, that the method cannot take.
+    It raises `ValueError` for a number of sources, or a size of chunks, that the method cannot
+    take.
     """
     listed = entry(asked.method)
     if asked.sources is not None and listed.sources != "some":
-        free = " and ".join(each.name for each in METHODS if each.sources == "some")
+        free = " and ".join(method.name for method in METHODS if method.sources == "some")
         raise ValueError(f"--sources is for the methods {free}; {asked.method} has no sources to choose.")
     if asked.sources is not None and asked.sources <= wall.shape[1]:
         raise ValueError(f"--sources must be {wall.shape[1] + 1} or more in {wall.shape[1]}-D, found {asked.sources}.")
@@ -67,7 +69,7 @@ def named_method(
 
 @dataclasses.dataclass(frozen=True)
 class Patches:
-    """A mesh, the names of the patches that move, stay, lie in a plane, follow and slide, the planes, and periodic pairs."""
+    """A mesh and its patches by what they do: move, stay, lie in a plane, follow, slide."""
 
     mesh: jm.Mesh
     moving: tuple[str, ...]
@@ -87,13 +89,17 @@ class Patches:
     def fixed_nodes(self) -> Int[np.ndarray, " f"]:
         return self.mesh.patch(*self.fixed)
 
-    def explained(self, error: jm.MeshError) -> ValueError:
+    @contextlib.contextmanager
+    def _explaining(self) -> Iterator[None]:
         """Adds to an error the patches in no list that hold the nodes at fault."""
-        named = {*self.moving, *self.fixed, *self.symmetry, *self.sliding}
-        left = [name for name in self.mesh.patches if name not in named]
-        left = [name for name in left if np.isin(error.nodes, self.mesh.patch(name)).any()]
-        others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
-        return ValueError(f"{error}{others}")
+        try:
+            yield
+        except jm.MeshError as error:
+            lists = {*self.moving, *self.fixed, *self.symmetry, *self.sliding}
+            left = [name for name in self.mesh.patches if name not in lists]
+            left = [name for name in left if np.isin(error.nodes, self.mesh.patch(name)).any()]
+            others = f" Patches there that neither move nor stay: {', '.join(left)}." if left else ""
+            raise ValueError(f"{error}{others}") from None
 
     def method(self, asked: Method, chunk: int | None = None) -> NamedMethod:
         """Makes the requested method. Raises what `named_method` does."""
@@ -105,46 +111,44 @@ class Patches:
         return np.asarray(self.mesh.points).astype(choice.dtype, copy=False)
 
     def chunks(self, choice: NamedMethod, size: int | None = None) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
-        """Cuts the mesh into chunks of `size` inner nodes: an iterator over the nodes and the plan of each.
+        """Cuts the mesh into chunks of `size` inner nodes; yields the nodes and plan of each chunk.
 
-        It raises the `ValueError` of `explained`, and one for unnamed patches.
+        It raises `ValueError` for nodes at fault, with the patches that hold them, and for patches
+        in no list.
         """
-        try:
-            named = self._boundary(choice)
-        except jm.MeshError as error:
-            raise self.explained(error) from None
-        return self._plans(named, choice, size)
+        with self._explaining():
+            lists = self._boundary(choice)
+        return self._plans(lists, choice, size)
 
     def _plans(
-        self, named: NodeLists, choice: NamedMethod, size: int | None
+        self, lists: NodeLists, choice: NamedMethod, size: int | None
     ) -> Iterator[tuple[Int[np.ndarray, " c"], jm.Plan]]:
-        try:
-            yield from chunks_of(named, choice.method, size)
-        except jm.MeshError as error:
-            raise self.explained(error) from None
+        with self._explaining():
+            yield from chunks_of(lists, choice.method, size)
 
     def half(self, choice: NamedMethod) -> jm.SurfaceHalf:
         """Prepares the surface of a mesh in parts, which `mesh` is. Raises as `chunks` does."""
-        try:
-            named = self._boundary(choice, OuterFaces.numbered(self.mesh.linear.cells))
-            return half_of(named, choice.method, io.global_nodes(self.mesh))
-        except jm.MeshError as error:
-            raise self.explained(error) from None
+        with self._explaining():
+            lists = self._boundary(choice, OuterFaces.numbered(self.mesh.linear.cells))
+            return half_of(lists, choice.method, io.global_nodes(self.mesh))
 
     def plan(self, choice: NamedMethod) -> jm.Plan:
         """Prepares the mesh as a whole. Raises as `chunks` does."""
         return next(self.chunks(choice))[1]
 
     def _boundary(self, choice: NamedMethod, outer: OuterFaces | None = None) -> NodeLists:
-        """Looks up all nodes in the lists. Raises `ValueError` for boundary faces of patches that no flag names."""
-        mesh, lists = self.mesh.moved(self.points(choice)), (self.planes, self.free, self.periodic, self.sliding)
-        named = find_boundary(mesh, self.moving, self.fixed, *lists, outer=outer)
-        free = named.left
+        """Looks up all nodes in the lists.
+
+        It raises `ValueError` for boundary faces of patches that no flag names.
+        """
+        mesh, boundaries = self.mesh.moved(self.points(choice)), (self.planes, self.free, self.periodic, self.sliding)
+        lists = find_boundary(mesh, self.moving, self.fixed, *boundaries, outer=outer)
+        free = lists.left
         if free is not None and free.patches:
             raise ValueError(
                 f"{free} Name them by --fixed, --moving, --symmetry, --sliding or --periodic, or by --free."
             )
-        return named
+        return lists
 
 
 def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
@@ -152,7 +156,8 @@ def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
 
     Symmetry patches and periodic pairs of the file are taken where no name says otherwise.
 
-    Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat where they slide.
+    Raises `ValueError` for patches that are missing, empty, both moving and fixed, or not flat
+    where they slide.
     """
     surface, file = request.boundary, request.file
     known = ", ".join(mesh.patches) or "none"
@@ -168,7 +173,8 @@ def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
         raise ValueError(f"{', '.join(both)} cannot be both --moving and --fixed.")
     fixed = mesh.patch_names(*surface.fixed)
     periodic = _periodic(surface, mesh, {*moving, *surface.fixed, *symmetry, *sliding, *free})
-    elsewhere = {*moving, *symmetry, *sliding, *(str(each) for pair in periodic for each in (pair.patch, pair.partner))}
+    repeating = {str(patch) for pair in periodic for patch in (pair.patch, pair.partner)}
+    elsewhere = {*moving, *symmetry, *sliding, *repeating}
     fixed = tuple(name for name in fixed if name in surface.fixed or name not in elsewhere)
     if not len(mesh.cells):
         raise ValueError(f"{file}: the mesh has no cells.")
@@ -180,36 +186,38 @@ def patches_of(request: Deform | Modes | Sensitivity, mesh: jm.Mesh) -> Patches:
             raise ValueError(f"--symmetry {name}: {error}") from None
     names, more = _symmetry(mesh, {*elsewhere, *fixed, *free}, planes, file)
     symmetry, planes = (*symmetry, *names), [*planes, *more]
-    named = {*elsewhere, *symmetry, *fixed, *free}
-    if not fixed and not sliding and any(len(nodes) for name, nodes in mesh.patches.items() if name not in named):
+    lists = {*elsewhere, *symmetry, *fixed, *free}
+    if not fixed and not sliding and any(len(nodes) for name, nodes in mesh.patches.items() if name not in lists):
         raise ValueError(f"--fixed is missing: name the patches that stay; this mesh has: {known}.")
     return Patches(mesh, moving, fixed, symmetry, free, tuple(planes), sliding, periodic)
 
 
-def _symmetry(mesh: jm.Mesh, named: set[str], planes: list[jm.Plane], file: object) -> tuple[list[str], list[jm.Plane]]:
-    """Lists the symmetry patches of the file that are in no other list, and their planes, which go with the other `planes`."""
+def _symmetry(mesh: jm.Mesh, lists: set[str], planes: list[jm.Plane], file: object) -> tuple[list[str], list[jm.Plane]]:
+    """Lists the file's symmetry patches that are in no other list, and their planes."""
     names, lying = [], []
     for name in io.symmetry(mesh):
-        with contextlib.suppress(ValueError):  # on a bent one no node slides: it is in no list
-            if name not in named:
+        with contextlib.suppress(ValueError):  # a bent patch has no plane: its nodes do not slide
+            if name not in lists:
                 lying += planes_of(mesh, name)
                 names.append(name)
     if names:
         try:
             check_planes([*planes, *lying], np.asarray(mesh.points))
         except ValueError as error:
-            those = " ".join(names)
-            raise ValueError(f"{file} has the symmetry patches {those}: {error} Hold them, --fixed {those}.") from None
+            patches = " ".join(names)
+            raise ValueError(
+                f"{file} has the symmetry patches {patches}: {error} Hold them by --fixed {patches}."
+            ) from None
     return names, lying
 
 
-def _periodic(surface: Boundary, mesh: jm.Mesh, named: set[str]) -> tuple[jm.Periodic, ...]:
-    """Lists the pairs that are named, and those of the file of which no patch is in another list."""
+def _periodic(surface: Boundary, mesh: jm.Mesh, lists: set[str]) -> tuple[jm.Periodic, ...]:
+    """Lists the pairs of flags, and the file's pairs of which no patch is in another list."""
     if len(surface.periodic) % 2:
         raise ValueError(f"--periodic {' '.join(surface.periodic)}: name pairs of patches, one after the other.")
     pairs = list(zip(surface.periodic[::2], surface.periodic[1::2], strict=True))
-    known = {*named, *surface.periodic}
-    of_file = [each for each in io.periodic(mesh) if not {str(each.patch), str(each.partner)} & known]
+    known = {*lists, *surface.periodic}
+    of_file = [pair for pair in io.periodic(mesh) if not {str(pair.patch), str(pair.partner)} & known]
     return (*(jm.Periodic(*(mesh.patch_names(name)[0] for name in pair)) for pair in pairs), *of_file)
 
 
@@ -220,7 +228,10 @@ def in_double(
     u: Float[np.ndarray, "m d"],
     is_exact: bool,
 ) -> Float[np.ndarray, "n d"]:
-    """Converts moved points to double precision; nodes that do not move in single precision keep all their digits."""
+    """Converts moved points to double precision.
+
+    Nodes that do not move in single precision keep all their digits.
+    """
     moved = np.asarray(moved)
     if moved.dtype == np.float64:
         return moved

@@ -25,7 +25,7 @@ BATCH = 8
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One shape times one amplitude, where it goes, and its time in a series."""
+    """One shape times one amplitude, its output, and its time in a series."""
 
     number: int
     mode: int
@@ -35,7 +35,7 @@ class Case:
 
 
 def modes(request: Modes, out: Output) -> int:
-    """Moves, judges and writes the mesh for each mode file at each amplitude. Returns the exit status."""
+    """Moves, judges and writes the mesh for each mode and amplitude. Returns the exit status."""
     with out.progress(f"reading {title(request.file)}"):
         mesh = io.read(request.file)
     cases = _cases(request)
@@ -68,7 +68,10 @@ def modes(request: Modes, out: Output) -> int:
 
 
 def _cases(request: Modes) -> list[Case]:
-    """Names a file beside OUT for each case, with the case's number. Times are amplitudes if these go up."""
+    """Names a numbered file beside OUT for each case.
+
+    Times are amplitudes if the amplitudes increase.
+    """
     amplitudes = request.amplitude
     pairs = [(mode, amplitude) for mode in range(len(request.mode)) for amplitude in amplitudes]
     go_up = len(request.mode) == 1 and all(a < b for a, b in itertools.pairwise(amplitudes))
@@ -82,7 +85,7 @@ def _cases(request: Modes) -> list[Case]:
 
 
 def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
-    """Looks up the patches. Raises `ValueError` for a request that is sure to fail, before any work."""
+    """Looks up the patches, before any work."""
     patches = patches_of(request, mesh)
     if not np.isfinite(request.amplitude).all():
         raise ValueError("--amplitude needs finite numbers.")
@@ -94,7 +97,7 @@ def _check(request: Modes, mesh: Mesh, cases: list[Case]) -> Patches:
 def _moved(
     mesh: Mesh, plan: jm.Plan, shapes: Float[np.ndarray, "k m d"], cases: list[Case]
 ) -> Iterator[tuple[Case, Float[np.ndarray, "n d"]]]:
-    """Yields the points of each case. `BATCH` cases at a time cost much less than one by one."""
+    """Yields the points of each case. `BATCH` cases together cost much less than single cases."""
     together = jax.vmap(lambda u: jm.deform(plan, u))
     size = min(BATCH, len(cases))
     for first in range(0, len(cases), size):

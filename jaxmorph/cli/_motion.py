@@ -20,14 +20,14 @@ from ._requests import Deform
 
 Points = Float[np.ndarray, "m d"]
 Parts = dict[str, tuple[shapes.AbstractShape, Any]]
-"""Shapes in the order in which they are applied, each with the parameters that the flags say, by name."""
+"""Shapes by name in the order in which they are applied, with their parameters."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
     """Shape of the moving nodes, and its parameters by name of the patches, then of the flag.
 
-    `boxes` are those with a file for their lattice, by the same two names.
+    `boxes` are the boxes with a file for their lattice, with the two names of their parameters.
     """
 
     shape: shapes.Chain
@@ -77,10 +77,10 @@ def motion(request: Deform, mesh: Mesh, moving: Int[np.ndarray, " m"]) -> Motion
 
 
 def _key(group: Group, others: Mapping[str, Any]) -> str:
-    """Names a group: as it is called, or by its patches; with a number if there is one of that name."""
+    """Names a group by `--name` or by its patches, with a number if the name is taken."""
     name = group.name or "+".join(group.patches)
     if group.name in others:
-        raise ValueError(f"--name {group.name}: another --moving is called so.")
+        raise ValueError(f"--name {group.name}: another --moving has this name.")
     return next(key for key in (name, *(f"{name}{k}" for k in range(2, len(others) + 3))) if key not in others)
 
 
@@ -106,13 +106,13 @@ def _parts(group: Group, mesh: Mesh, nodes: np.ndarray) -> Parts:
 def _box(group: Group, d: int) -> Parts:
     if group.box is None:
         return {}
-    given: Any = group.box
+    source: Any = group.box
     if group.box.lstrip().startswith("{"):
         try:
-            given = json.loads(group.box)
+            source = json.loads(group.box)
         except (json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"--box: not a table in JSON ({error}).") from None
-    return {"box": io.read_box(given, d)}
+    return {"box": io.read_box(source, d)}
 
 
 def _airfoil(group: Group, mesh: Mesh) -> Parts:
@@ -166,7 +166,7 @@ def _rotate(group: Group, about: np.ndarray) -> Parts:
 
 
 def _by_angle(function: Callable) -> shapes.Function:
-    """Makes a shape of an angle in degrees: one program, where each operation by itself would be one."""
+    """Makes a shape of an angle in degrees, compiled as one program."""
     return shapes.Function(jax.jit(lambda x, angle: function(x, jnp.radians(angle))), 0.0)
 
 
@@ -188,16 +188,15 @@ def _check_used(group: Group) -> None:
     }
     for name, owners in needs.items():
         if getattr(group, name) is not None and all(getattr(group, owner) is None for owner in owners):
-            flags = [flag_of(each) for each in (name, *owners)]
-            raise ValueError(f"{flags[0]} without {' or '.join(flags[1:])}.")
+            raise ValueError(f"{flag_of(name)} without {' or '.join(map(flag_of, owners))}.")
 
 
 def _vector(option: str, values: list[float] | None, d: int) -> np.ndarray:
     if values is None:
         return np.zeros(d)
     if len(values) != d or not np.isfinite(values).all():
-        given = " ".join(f"{value:g}" for value in values)
-        raise ValueError(f"{option} needs {d} numbers for a mesh in {d}-D, found: {given}.")
+        found = " ".join(f"{value:g}" for value in values)
+        raise ValueError(f"{option} needs {d} numbers for a mesh in {d}-D, found: {found}.")
     return np.array(values)
 
 
@@ -231,7 +230,10 @@ def _axis(option: str, group: Group, d: int) -> np.ndarray | None:
 
 
 def _length(option: str, given: float | None, surface: Points, about: np.ndarray, along: np.ndarray) -> float:
-    """Measures the line along which a surface is bent or twisted: by default it ends where the surface does."""
+    """Measures the line along which a surface is bent or twisted.
+
+    By default the line ends where the surface does.
+    """
     length = float(((surface - about) @ along).max()) if given is None else given
     if not (np.isfinite(length) and length > 0):
         reason = "and no node lies ahead of --about in that direction" if given is None else f"found {length:g}"

@@ -1,4 +1,4 @@
-"""Output of a command: text for people, or one JSON object for machines; warnings; progress and the time of each stage."""
+"""Output of a command: text or one JSON object, warnings, progress, timings."""
 
 import contextlib
 import json
@@ -37,8 +37,8 @@ class Stage:
 class Progress:
     """Announces a stage that takes longer than `PATIENCE`: seconds passed, and left where known.
 
-    Nothing is said when standard error is not a terminal, and nothing stays of it when the stage is over. `seconds` holds
-    how long each stage took.
+    Nothing is printed when standard error is not a terminal. The line vanishes when the stage is
+    over. `seconds` holds how long each stage took.
     """
 
     def __init__(self, command: str):
@@ -61,23 +61,27 @@ class Progress:
                 clock.join()
 
     def _tell(self, stage: Stage, over: threading.Event) -> None:
-        told = False
-        while not over.wait(0.5 if told else PATIENCE):
+        has_line = False
+        while not over.wait(0.5 if has_line else PATIENCE):
             sys.stderr.write(f"\r\033[K{self.command}: {stage}")
             sys.stderr.flush()
-            told = True
-        if told:
+            has_line = True
+        if has_line:
             sys.stderr.write("\r\033[K")
             sys.stderr.flush()
 
 
 class Output:
-    """Text goes to standard output as it comes, unless `as_json`: then facts are gathered and printed at the end."""
+    """Output of one command.
+
+    Text goes to standard output as it comes. With `as_json`, facts are gathered and printed at the
+    end.
+    """
 
     def __init__(self, command: str, *, as_json: bool = False, verbose: bool = False):
         self.name, self.as_json, self.verbose = f"jaxmorph {command}", as_json, verbose
         self.is_silent = False
-        """True in all processes of an MPI run but one, which speaks for all."""
+        """True in all processes of an MPI run but one, which prints for all."""
         self.facts: dict[str, Any] = {"command": command}
         self.progress = Progress(self.name)
         self.began = time.monotonic()
@@ -102,7 +106,7 @@ class Output:
         return time.monotonic() - self.began
 
     def end(self, status: int) -> int:
-        """Timings where asked for, the JSON object where it is; returns the exit status."""
+        """Prints the timings or the JSON object that were asked for; returns the exit status."""
         stages = self.progress.seconds
         if self.is_silent:
             return status
@@ -125,7 +129,7 @@ def title(path: Path) -> str:
 def finite(value: Any) -> Any:
     """Replaces NaN and infinity, which JSON does not know, by None."""
     if isinstance(value, dict):
-        return {key: finite(each) for key, each in value.items()}
+        return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(each) for each in value]
+        return [finite(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

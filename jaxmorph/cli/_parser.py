@@ -1,4 +1,4 @@
-"""Flags as fields of dataclasses, and the parser that is built from them: errors in one line, and a short page of help."""
+"""Flags as fields of dataclasses, and the parser that is built from them."""
 
 import argparse
 import dataclasses
@@ -9,18 +9,23 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 Fields = type[Any]
-"""A dataclass whose fields are flags, made by `flag`, `positional` and `switch`, or parts: dataclasses of the kind."""
+"""A dataclass of flags.
+
+Its fields are made by `flag`, `positional` and `switch`, or they are parts: dataclasses of flags.
+"""
 
 
 def flag(
     what: str, *names: str, default: Any = None, section: str = "", everyday: bool = False, **settings: Any
 ) -> Any:
-    """Makes a field of a flag; `what` describes it. The flag is called as the field unless `names` say otherwise.
+    """Makes a field of a flag that `what` describes.
 
-    - `default`: its value where no word gives one; `()` for a flag of several values.
+    The flag has the field's name unless `names` are given.
+
+    - `default`: its value where the flag is absent; `()` for a flag of several values.
     - `section`: the title above it on the page of help. Default: `SECTION` of its dataclass.
-    - `everyday`: whether the short page has it.
-    - `settings`: those of argparse.
+    - `everyday`: True for a flag that the short page of help has, too.
+    - `settings`: further settings of argparse.
     """
     settings = {"default": list(default) if default == () else default, "help": what, **settings}
     facts = {"names": names, "settings": settings, "section": section, "everyday": everyday}
@@ -43,12 +48,12 @@ def part(fields: Fields) -> Any:
 
 
 def several(fields: Fields) -> Any:
-    """Makes a field for any number of a dataclass of flags, whose actions list them in the namespace by the field's name."""
+    """Makes a field for any number of instances of a dataclass of flags."""
     return dataclasses.field(default=(), metadata={"several": fields})
 
 
 def flags_of(fields: Fields) -> Iterator[tuple[dataclasses.Field, Fields]]:
-    """Yields all fields that are flags, each with its dataclass; fields of parts in their place."""
+    """Yields all fields that are flags, with their dataclass; fields of parts in their place."""
     for field in dataclasses.fields(fields):
         inner = field.metadata.get("part") or field.metadata.get("several")
         if inner:
@@ -72,7 +77,8 @@ def made(fields: type[T], values: argparse.Namespace) -> T:
 class Parser(argparse.ArgumentParser):
     """Describes in one line what is wrong with the arguments, and guesses what was meant.
 
-    A short page of help leaves out all flags that are not for every day. `flags` are the long flags of this command.
+    A short page of help leaves out all flags that are not for every day. `flags` are the long flags
+    of this command.
     """
 
     def __init__(self, *, is_short: bool = False, **settings: Any):
@@ -114,7 +120,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def one_of(kind: str, words: Iterable[str]) -> Callable[[str], str]:
-    """Makes the type of a flag whose value is one of some words; its error says which was perhaps meant."""
+    """Makes the type of a flag whose value is one of some words."""
     known = tuple(words)
 
     def chosen(word: str) -> str:

@@ -1,4 +1,4 @@
-"""Flags that several commands have: the boundary, the method, limits of quality, and how a command speaks."""
+"""Flags of several commands: boundary, method, quality limits, output."""
 
 import dataclasses
 from typing import Any, ClassVar
@@ -11,7 +11,7 @@ SEVERAL: dict[str, Any] = {"metavar": "NAME", "nargs": "+", "default": ()}
 """Settings of flags of several patches."""
 
 PRESETS = {"checkmesh": {"max_face_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
-"""OpenFOAM's checkMesh: `primitiveMesh::aspectThreshold_`, `nonOrthThreshold_`, `skewThreshold_`."""
+"""Limits of OpenFOAM's checkMesh."""
 
 PROVEN = "min_proven_margin"
 """The limit that `--proven` sets, to 0."""
@@ -21,7 +21,7 @@ NAMES = [entry.name for entry in METHODS]
 
 @dataclasses.dataclass(frozen=True)
 class Boundary:
-    """Patches that stay, lie in a plane, slide, repeat, and follow like inner nodes: names, patterns or groups."""
+    """Patches by what they do: names, patterns or groups."""
 
     SECTION: ClassVar = "surface"
 
@@ -36,7 +36,10 @@ class Boundary:
 
 @dataclasses.dataclass(frozen=True)
 class Method:
-    """The method by its name, how many sources it has on the moving patches (None: its own choice), and the precision."""
+    """The method by its name, its number of sources, and the precision.
+
+    With None the method has its own number of sources on the moving patches.
+    """
 
     SECTION: ClassVar = "method"
 

@@ -1,4 +1,4 @@
-"""The request of each command: its flags as fields. The parser, job files and pages of help are built from them."""
+"""The request of each command: its flags as fields."""
 
 import argparse
 import dataclasses
@@ -9,11 +9,18 @@ from ._groups import WHAT_MOVES, Group, Job
 from ._parser import Fields, flag, part, positional, several, switch
 from ._parts import SEVERAL, Boundary, Gates, Method, Speech
 
-MESH = "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), PLOT3D (.xyz, .p3d), or an OpenFOAM case"
+MESH = (
+    "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med), Exodus (.exo, .e), PLOT3D (.xyz, .p3d), "
+    "or an OpenFOAM case"
+)
+ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 
 
 def _output(name: str) -> Path:
-    """Reads the name of what is written. A path forgets the slash at its end, which the name of a file does not have."""
+    """Reads the name of an output.
+
+    A path forgets the slash at its end, which the name of a file does not have.
+    """
     path = Path(name)
     if name.endswith("/") and path.suffix.strip(".0123456789") and not path.is_dir():
         from jaxmorph._host.package.files import file_path
@@ -67,6 +74,7 @@ class Deform:
         type=_output,
         everyday=True,
     )
+    zone: int | None = flag(ZONE, metavar="N", type=int)
     groups: tuple[Group, ...] = several(Group)
     boundary: Boundary = part(Boundary)
     set: tuple[tuple[str, tuple[float, ...]], ...] = flag(CHANGES_HELP, section="design variables", **CHANGES)
@@ -137,7 +145,7 @@ class Modes:
 
 @dataclasses.dataclass(frozen=True)
 class Sensitivity:
-    """Request of `jaxmorph sensitivity`; with a job on to what it moves by."""
+    """Request of `jaxmorph sensitivity`; with a job the result is by design variables."""
 
     run: ClassVar = "_sensitivity.sensitivity"
 
@@ -191,13 +199,14 @@ class SU2:
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
-    """Request of `jaxmorph quality`. `moved` is the file of the same mesh, moved."""
+    """Request of `jaxmorph quality`. `moved` is the file of the moved mesh."""
 
     run: ClassVar = "_inspect.quality"
 
     file: Path = positional(MESH, "FILE", type=Path)
     moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?", type=Path)
     proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
+    zone: int | None = flag("of SU2 files with several zones the zone IZONE= N", metavar="N", type=int)
     gates: Gates = part(Gates)
     speech: Speech = part(Speech)
 

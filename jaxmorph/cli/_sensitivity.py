@@ -1,4 +1,4 @@
-"""`jaxmorph sensitivity`: dJ/d(points of the volume) to dJ/d(moving nodes) or to a job's design variables."""
+"""`jaxmorph sensitivity`: dJ/d(points) to dJ/d(moving nodes) or dJ/d(variables of a job)."""
 
 import dataclasses
 from typing import Any
@@ -16,9 +16,7 @@ from ._output import Output, title
 from ._parts import Boundary, Method
 from ._requests import Deform, Sensitivity
 from ._summary import count
-
-LISTED = 20
-"""Design variables on the terminal, at most."""
+from ._tables import LISTED, steepest
 
 
 def sensitivity(request: Sensitivity, out: Output) -> int:
@@ -50,13 +48,16 @@ def sensitivity(request: Sensitivity, out: Output) -> int:
 
 
 def _job_of(request: Sensitivity) -> Deform | None:
-    """Reads the job that the request names. Raises `ValueError` for flags that make no sense with it, or without one."""
+    """Reads the job that the request names.
+
+    It raises `ValueError` for flags that make no sense with a job, or without one.
+    """
     if request.job is None:
         if request.set:
             raise ValueError("--set without --job: it names design variables of a job.")
         return None
     if (request.moving, request.boundary, request.method) != ((), Boundary(), Method()):
-        raise ValueError("--job says what moves and how; flags of patches and methods beside it make no sense.")
+        raise ValueError("--job names patches and method. Remove the flags of patches and methods.")
     job = request_of(["deform", str(request.file), str(request.file), "--job", str(request.job)])
     assert isinstance(job, Deform)
     return dataclasses.replace(job, set=(*job.set, *request.set))
@@ -78,7 +79,7 @@ def _to_nodes(request: Sensitivity, plan: jm.Plan, given: np.ndarray, out: Outpu
 def _of_surface(
     request: Sensitivity, points: np.ndarray, moving: np.ndarray, moves: Motion | None, given: np.ndarray, out: Output
 ) -> int:
-    """Takes sensitivities of the moving nodes alone to design variables: the volume has no part in it."""
+    """Takes sensitivities of the moving nodes to design variables, without the volume."""
     if moves is None:
         raise ValueError(
             f"{request.sensitivity}: {len(given)} of {len(points)} nodes, the moving ones: it is dJ/d(moving nodes) already. "
@@ -106,7 +107,7 @@ def _write(request: Sensitivity, moves: Motion, gradient: Any, out: Output) -> N
         np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(tree)]) for tree in (moves.parameters, gradient)
     )
     out.say(f"\n{'dJ/d(variable)':>16}{'variable':>16}")
-    for k in np.argsort(-np.abs(slopes), kind="stable")[:LISTED]:
+    for k in steepest(slopes):
         out.say(f"{slopes[k]:>16.6g}{values[k]:>16.6g}  {names[k]}")
     out.say(f"{'... ' if len(names) > LISTED else ''}{count(len(names), 'design variable')} in {request.output.name}\n")
     out.say(variables=dict(zip(names, slopes.tolist(), strict=True)))

@@ -1,4 +1,4 @@
-"""`jaxmorph su2 def` and `jaxmorph su2 dot`: what SU2_DEF and SU2_DOT do, from SU2's own config file."""
+"""`jaxmorph su2 def` and `su2 dot`: SU2_DEF and SU2_DOT, from SU2's own config file."""
 
 import collections
 from pathlib import Path
@@ -17,7 +17,7 @@ from ._method import NamedMethod, named_method
 from ._output import Output, title
 from ._requests import SU2
 from ._summary import Summary, count
-from ._tables import faults, table
+from ._tables import faults, steepest, table
 
 MAGIC = 535532
 """The first number of SU2's binary files."""
@@ -27,16 +27,13 @@ SOURCES = {
     "VOLUME_SENS_FILENAME": "volume_sens",
     "SURFACE_SENS_FILENAME": "surface_sens",
 }
-"""Options that name a file of sensitivities, and SU2's own names; the first one that is there is read."""
-
-LISTED = 20
-"""Design variables on the terminal, at most."""
+"""Options that name a file of sensitivities, and SU2's default names."""
 
 
 def run(request: SU2, out: Output) -> int:
-    """Reads the config file, and moves its mesh or projects its sensitivities. Returns the exit status."""
+    """Reads the config file, and moves its mesh or projects sensitivities. Returns the status."""
     if request.action == "def" and request.sensitivity is not None:
-        raise ValueError("--sensitivity is for su2 dot; su2 def moves the mesh.")
+        raise ValueError("--sensitivity is for su2 dot, and su2 def moves the mesh.")
     with out.progress(f"reading {title(request.file)}"):
         config = su2.read_config(request.file, definition=request.definition)
     mesh, nodes = config.mesh, config.mesh.patch(*config.moving)
@@ -123,7 +120,7 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     project = jax.jit(lambda gradient: shapes.project(config.shape, wall, config.shape.neutral(), gradient))
     gradient = np.asarray(project(given), float)
     out.say(f"\n{'dJ/d(value)':>16}")
-    for k in np.argsort(-np.abs(gradient), kind="stable")[:LISTED]:
+    for k in steepest(gradient):
         out.say(f"{gradient[k]:>16.6g}  {config.names[k]}")
     out.say(gradient=dict(zip(config.names, gradient.tolist(), strict=True)))
     su2.write_gradient(output, gradient, config.options.text("OBJECTIVE_FUNCTION", "DRAG").split(",")[0].strip("() "))

@@ -16,7 +16,9 @@ LABELS = {"non_orthogonality": "non-orthogonality", "pyramid": "face pyramid"}
 
 @dataclasses.dataclass(frozen=True)
 class Number:
-    """A number of a mesh or a part: an extreme and the `cell` that has it, at `near`; or a mean and its `weight`.
+    """A number of a mesh or a part: an extreme with its cell, or a mean with its weight.
+
+    The extreme is at `cell`, whose middle is `near`.
 
     `part` is the part of the mesh, None for the whole. `kind` is `mean`, `max` or `min`.
     """
@@ -50,7 +52,7 @@ class Number:
 
 @dataclasses.dataclass(frozen=True)
 class Gate:
-    """A limit by the name of its flag: the extreme, how many cells are beyond it, and the worst of these."""
+    """A limit by the name of its flag, the extreme, and the cells beyond the limit."""
 
     flag: str
     limit: float
@@ -80,10 +82,11 @@ class Summary:
     """Sums up one judged mesh, or all its parts.
 
     - `cells`, `inverted`, `degenerate`: numbers of cells; `rule`: by what a cell is inverted.
-    - `spoilt`: how many the motion has inverted; `worst` is the worst of them.
+    - `spoilt`: how many cells the motion has inverted; `worst` is the worst of them.
     - `rows`: numbers by kind and measure, in the order of tables.
     - `gates`: what is beyond each limit.
-    - `parts`, `between`: how many parts there are, 0 for a whole mesh, and the faces that they share with others.
+    - `parts`: the number of parts, 0 for a whole mesh. `between`: the number of faces between
+      parts.
     """
 
     cells: int
@@ -99,7 +102,7 @@ class Summary:
 
     @classmethod
     def from_judged(cls, judged: Judged, limits: Mapping[str, float], part: int | None = None) -> "Summary":
-        """Sums up a mesh, or part number `part`. Raises `ValueError` for a limit on a measure that its cells do not have."""
+        """Sums up a mesh, or part number `part`."""
         gates = tuple(Gate.from_judged(judged, flag, limit, part) for flag, limit in limits.items())
         spoilt = judged.spoilt
         number = "pyramid" if judged.by_faces else "jacobian_ratio"
@@ -204,4 +207,4 @@ def count(number: int, what: str) -> str:
 
 def coordinates(x: Any) -> str:
     """Writes a place."""
-    return "(" + ", ".join(f"{each:.3g}" for each in np.asarray(x).tolist()) + ")"
+    return "(" + ", ".join(f"{number:.3g}" for number in np.asarray(x).tolist()) + ")"

@@ -3,14 +3,24 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from ._judged import RATIOS
 from ._parser import flag_of
 from ._parts import PROVEN
 from ._summary import Summary, count, label
 
+LISTED = 20
+"""Design variables on the terminal, at most."""
+
+
+def steepest(slopes: np.ndarray) -> np.ndarray:
+    """Sorts design variables by their derivative, the largest first, at most `LISTED`."""
+    return np.argsort(-np.abs(slopes), kind="stable")[:LISTED]
+
 
 def table(before: Summary | None, after: Summary, more: Sequence[str] = ()) -> str:
-    """Formats the numbers of a mesh, or of one before and after its motion, with the worst cells; `more` rows come last."""
+    """Formats the numbers of a mesh, or before and after a motion, with the worst cells."""
     parts = f" in {after.parts} parts" if after.parts else ""
     note = f", {after.degenerate} degenerate from the start" if after.degenerate else ""
     lines = [f"quality of {after.cells} cells{parts}, inverted by {after.rule}{note}"]
@@ -33,7 +43,7 @@ def table(before: Summary | None, after: Summary, more: Sequence[str] = ()) -> s
 
 
 def gate_table(before: Summary | None, after: Summary) -> str:
-    """Formats a row for each gate, then the worst cells of gates that fail; nothing without gates."""
+    """Formats a row for each gate, then the worst cells of gates that fail."""
     if not after.gates:
         return ""
     lines = [f"{'gate':<23}{'limit':>12}{'before':>12}{'after' if before else 'now':>12}   cells beyond"]
@@ -64,14 +74,17 @@ def gate_facts(before: Summary | None, after: Summary) -> list[dict[str, Any]]:
 
 
 def _old(before: Summary | None, after: Summary) -> list[float | None]:
-    """Lists the extremes before the motion. The ratio of Jacobians has none: it is relative to the mesh there."""
+    """Lists the extremes before the motion.
+
+    The ratio of Jacobians has none: it is relative to the mesh before.
+    """
     if before is None:
         return [None] * len(after.gates)
     return [None if gate.flag == "min_jacobian_ratio" else gate.extreme.value for gate in before.gates]
 
 
 def faults(before: Summary | None, after: Summary) -> list[str]:
-    """Writes one sentence for the cells that the motion has inverted, and one for each gate that fails."""
+    """Writes a sentence for the cells that the motion has inverted, and for each failed gate."""
     sentences = []
     if after.worst is not None:
         are = "is" if after.spoilt == 1 else "are"

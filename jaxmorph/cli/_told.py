@@ -1,4 +1,4 @@
-"""Checks and descriptions of a request of `deform`, for a whole mesh and for one in parts."""
+"""Checks and descriptions of a request of `deform`, for a whole mesh and a mesh in parts."""
 
 import textwrap
 from pathlib import Path
@@ -15,8 +15,18 @@ from ._requests import Deform
 from ._summary import count
 
 
+def mesh_of(path: Path, zone: int | None) -> Mesh:
+    """Reads the mesh of a file, or zone number `zone` of an SU2 file. Raises `ValueError` for a zone that the file has not."""
+    if zone is None:
+        return io.read(path)
+    meshes = io.read_zones(path)
+    if not 1 <= zone <= len(meshes):
+        raise ValueError(f"--zone {zone}: {path} has {count(len(meshes), 'zone')}.")
+    return meshes[zone - 1]
+
+
 def check_files(request: Deform, mesh: Mesh) -> None:
-    """Raises `ValueError` for patches without nodes, and for files that are read or written beside the meshes."""
+    """Raises `ValueError` for patches without nodes, and for files beside the meshes."""
     for group in request.groups:
         tables = [group.box, group.hicks_henne, group.cst]
         inputs = [group.displacement, group.displacement_from, *(file for file, _ in group.mode), *tables]
@@ -36,11 +46,14 @@ def check_files(request: Deform, mesh: Mesh) -> None:
         except ValueError as error:
             raise ValueError(f"--save-job {error}") from error
         if job.resolve() == request.output.resolve():
-            raise ValueError(f"--save-job {job}: OUT goes there.")
+            raise ValueError(f"--save-job {job} is the file of OUT. Write the job to another file.")
 
 
 def described(request: Deform, patches: Patches, choice: NamedMethod, u: np.ndarray, out: Output) -> None:
-    """Describes what moves, by how much, what stays, and the method; `u` are the displacements of the moving nodes."""
+    """Describes what moves, by how much, what stays, and the method.
+
+    `u` are the displacements of the moving nodes.
+    """
     mesh, way = patches.mesh, np.linalg.norm(u, axis=1)
     for names in dict.fromkeys(tuple(group.patches) for group in request.groups):
         nodes = mesh.patch(*names)

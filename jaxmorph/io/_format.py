@@ -64,6 +64,8 @@ class Codec(Protocol):
 class Format:
     """Describes a format: its name, its endings, and the module of this package that reads and writes it.
 
+    `magic` are the first bytes of its files, for an ending that another format has too.
+
     The module is imported when it is needed, and with it the extra that it may stand on. A format that is a folder
     writes it complete or not at all by itself.
     """
@@ -73,6 +75,7 @@ class Format:
     module: str
     holds_arrays: bool = True
     is_folder: bool = False
+    magic: tuple[bytes, ...] = ()
 
     def codec(self) -> Codec:
         return cast(Codec, importlib.import_module(f"{__package__}.{self.module}"))
@@ -99,6 +102,18 @@ def stamp_of(path: pathlib.Path) -> tuple[int, int]:
     """Returns marks by which a changed file is found: its size, and when it was last written."""
     status = path.stat()
     return status.st_size, status.st_mtime_ns
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FilePoints:
+    """The points of a file, and marks by which a changed file is found."""
+
+    points: np.ndarray
+    stamp: tuple[int, int]
+
+    def in_file(self, points: np.ndarray) -> np.ndarray:
+        """Returns points with the z of the file where they have none."""
+        return np.concatenate([points, self.points[:, points.shape[1] :]], axis=1)
 
 
 def unchanged_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:

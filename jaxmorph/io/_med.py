@@ -1,6 +1,5 @@
 """MED files of Salome and Code_Aster, in HDF5: a copy of the file with other coordinates, all else untouched."""
 
-import dataclasses
 import pathlib
 import urllib.parse
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ import numpy as np
 from jaxmorph import Mesh
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, Source, own_source, stamp_of, unchanged_source
+from ._format import Arrays, FilePoints, Source, own_source, stamp_of, unchanged_source
 from ._meshio import meshio, to_mesh
 from .cgns.tree import copy, opened
 
@@ -28,18 +27,6 @@ TYPES = {
     "HE8": ("hexahedron", [0, 3, 2, 1, 4, 7, 6, 5]),
 }
 """Our types by MED's, and MED's corners in VTK's order: it sees cells from the other side."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _MEDContent:
-    """The points of the file, and marks by which a changed file is found."""
-
-    points: np.ndarray
-    stamp: tuple[int, int]
-
-    def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Returns points with the z of the file where they have none."""
-        return np.concatenate([points, self.points[:, points.shape[1] :]], axis=1)
 
 
 def read(path: pathlib.Path) -> Mesh:
@@ -65,7 +52,7 @@ def read(path: pathlib.Path) -> Mesh:
             flags[PREFIX + urllib.parse.quote(group)] = np.isin(of_nodes, numbers).astype(int)
     if any(len(each) != len(corners) for each, (_, corners) in zip(families, blocks, strict=True)):
         raise ValueError(f"{path}: not {WHAT}, or a damaged one (families of other elements than there are).")
-    content = _MEDContent(points, stamp_of(path))
+    content = FilePoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, blocks, point_data=flags, cell_sets=sets)
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
 

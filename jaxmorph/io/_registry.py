@@ -19,36 +19,49 @@ FORMATS = (
     Format("gmsh", (".msh",), "gmsh.file", holds_arrays=False),
     Format("CGNS", (".cgns",), "cgns.file", holds_arrays=False),
     Format("MED", (".med",), "_med", holds_arrays=False),
+    Format("Exodus", (".e", ".exo", ".ex2", ".exoii", ".g"), "_exodus", holds_arrays=False, magic=(b"CDF", b"\x89HDF")),
     Format("PLOT3D", (".xyz", ".p3d", ".p3dfmt", ".x", ".g"), "_plot3d", holds_arrays=False),
     Format("OpenFOAM", (), "openfoam.case", holds_arrays=False, is_folder=True),
 )
 
 
-def format_of(path: pathlib.Path) -> Format:
+def format_of(path: pathlib.Path, source: object = None) -> Format:
     """Finds the format of a file by its ending, of a folder OpenFOAM.
 
-    It raises `ValueError`, with the endings there are, for another one.
+    Two formats may have an ending. Then the format of `source` decides, from which a mesh to be written came, or the first bytes of
+    a file to be read. It raises `ValueError`, with the endings there are, for another one.
     """
-    for candidate in FORMATS:
-        if path.suffix.lower() in candidate.suffixes:
-            return candidate
-        if candidate.is_folder and (path.is_dir() or path.suffix.strip(".0123456789") == ""):
-            return candidate
-    known = ", ".join(suffix for candidate in FORMATS for suffix in candidate.suffixes)
-    raise ValueError(f"{path}: unknown file ending {path.suffix!r}; known are {known}, and folders of OpenFOAM.")
+    found = [candidate for candidate in FORMATS if path.suffix.lower() in candidate.suffixes]
+    if len(found) > 1 and isinstance(source, Source):
+        found = [candidate for candidate in found if candidate.name == source.format] or found
+    elif len(found) > 1 and path.is_file():
+        with path.open("rb") as file:
+            first = file.read(8)
+        known = [candidate for candidate in found if first.startswith(candidate.magic)]
+        found = known or [candidate for candidate in found if not candidate.magic]
+    found += [candidate for candidate in FORMATS if candidate.is_folder]
+    if len(found) > 1 or path.is_dir() or path.suffix.strip(".0123456789") == "":
+        return found[0]
+    known = ", ".join(f"{candidate.name} ({', '.join(candidate.suffixes) or 'folders'})" for candidate in FORMATS)
+    raise ValueError(
+        f"{path}: unknown file ending {path.suffix!r}; known are {known}. Write one of them where the file was made. Or let "
+        "meshio, which knows more formats, make one: `meshio convert FILE FILE.vtu`, in Python jaxmorph.Mesh.from_meshio."
+    )
 
 
 @checked
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
-    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g).
-    Of an OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh, CGNS and MED need the extra `io`.
+    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g)
+    and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g).
+    Of an OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh, CGNS, MED and Exodus need the extra `io`.
 
     Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two coordinates when all z
     of the file are equal. Patches are
 
     - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, MED's groups, OpenFOAM's patches;
+    - Exodus's side sets and node sets, and its blocks of shells, beams or points beside larger cells;
     - the sides of PLOT3D's blocks, or those that a file beside it names. It is called as the grid with the ending
       `.patches`, and holds lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
     - in VTK files the point arrays called `patch:NAME`;
@@ -65,11 +78,11 @@ def read(path: str | os.PathLike[str]) -> Mesh:
     """
     path = files.input_path(path)
     mesh = format_of(path).codec().read(path)
-    _check_copies(path, mesh)
+    check_copies(path, mesh)
     return mesh
 
 
-def _check_copies(path: pathlib.Path, mesh: Mesh) -> None:
+def check_copies(path: pathlib.Path, mesh: Mesh) -> None:
     """Raises `ValueError` for two cells with equal nodes. Pieces of polyhedra may coincide."""
     cut, first = None if mesh.polyhedra is None else np.isin(mesh.cell_ids, mesh.polyhedra.cut), 0
     for kind, corners in mesh.cells.items():
@@ -97,7 +110,7 @@ def write(
     Written to the format it came from, everything but the coordinates is kept, byte for byte in SU2, gmsh, OpenFOAM and
     PLOT3D files. An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once where the file is
     in single precision. Between formats, and for generated meshes, points, cells and patches are written. SU2 and gmsh
-    express a patch by the boundary faces between its nodes. CGNS, MED, PLOT3D and OpenFOAM take back only meshes that came
+    express a patch by the boundary faces between its nodes. CGNS, MED, Exodus, PLOT3D and OpenFOAM take back only meshes that came
     from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its `polyMesh/points`), or into a new
@@ -161,7 +174,7 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
 
 def checked_target(name: str | os.PathLike[str], source: object) -> Format:
     """Checks the name of a file to write, whatever it will hold; raises `ValueError` also where it is the file of `source`."""
-    chosen = format_of(pathlib.Path(name))
+    chosen = format_of(pathlib.Path(name), source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and _same_file(path, source.path):
         raise ValueError(f"{path}: the mesh was read from this file; write to another one.")

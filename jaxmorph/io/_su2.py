@@ -66,13 +66,13 @@ def read(path: pathlib.Path) -> Mesh:
     if len(zones) > 1:
         raise ValueError(
             f"{path}: the file holds {len(zones)} zones, each a mesh of its own: io.read_zones reads them, and io.write_zones "
-            "writes some of them, the others as they are."
+            "writes some of them, the others as they are. On the command line --zone 1 is the first."
         )
     return mesh_of(path, text, zones[0])
 
 
 def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
-    """Finds the keywords of each zone of a text: those behind its `IZONE=`, and those before all zones."""
+    """Finds the keywords of each zone of a text, by its number: those behind its `IZONE=`, and those before all zones."""
     keywords = list(_keywords(path, blank_comments(text)))
     cuts = [number for number, keyword in enumerate(keywords) if keyword.name == "IZONE"]
     head, *zones = [keywords[a:b] for a, b in zip([0, *cuts], [*cuts, len(keywords)], strict=True)]
@@ -83,7 +83,7 @@ def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
     if sorted(numbers) != list(range(1, len(zones) + 1)):
         raise ValueError(f"{path}: IZONE= is {', '.join(map(str, numbers))}; 1 to {len(zones)} expected, each once.")
     parts = []
-    for zone in zones or [[]]:
+    for zone in sorted(zones, key=lambda zone: zone[0].number()) or [[]]:
         names = {keyword.name for keyword in zone}
         parts.append([*(keyword for keyword in head if keyword.name not in names), *zone])
     return parts

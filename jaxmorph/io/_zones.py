@@ -11,13 +11,13 @@ from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, input_path
 
 from ._format import source_of
-from ._registry import check_output
+from ._registry import check_copies, check_output
 from ._su2 import NAME, by_zones, mesh_of, with_points
 
 
 @checked
 def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
-    """Reads each zone of an SU2 file as a mesh (`NZONE= 2`), in the order of the file.
+    """Reads each zone of an SU2 file as a mesh (`NZONE= 2`), in the order of their numbers (`IZONE= 1`).
 
     Zones are moved alone or together: a wall that two zones have moves in both where each is given its displacement. `write` writes
     the file with one zone moved, `write_zones` with several. All else stays byte for byte.
@@ -36,7 +36,10 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
             f"{path}: SU2 files (.su2) have zones that are meshes of their own; io.read joins those of others."
         )
     text = path.read_bytes()
-    return tuple(mesh_of(path, text, zone) for zone in by_zones(path, text))
+    meshes = tuple(mesh_of(path, text, zone) for zone in by_zones(path, text))
+    for mesh in meshes:
+        check_copies(path, mesh)
+    return meshes
 
 
 @checked

@@ -33,12 +33,9 @@ from ._measures import curvature as curvature
 from ._measures import leading_edge_radius as leading_edge_radius
 from ._measures import trailing_edge_angle as trailing_edge_angle
 from ._measures import volume as volume
-from ._measures import wall_faces as wall_faces
-from ._measures import wall_loop as wall_loop
 from ._naca import NACA4 as NACA4
 from ._names import names as names
 from ._names import varied as varied
-from ._normals import wall_normals as wall_normals
 from ._rigid import rotate as rotate
 from ._rigid import scale as scale
 from ._rigid import translate as translate
@@ -50,3 +47,5 @@ from ._shape import AbstractShape as AbstractShape
 from ._smooth import Smoother as Smoother
 from ._thickness import Stations as Stations
 from ._thickness import thickness as thickness
+from ._walls import wall_loop as wall_loop
+from ._walls import wall_normals as wall_normals

@@ -55,7 +55,7 @@ def check_parameters(parameters: Any) -> None:
 def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
     """Turns ids into row numbers of `count` positions.
 
-    **Raises:** `ValueError` for anything else, with the first such id.
+    **Raises:** `ValueError` for anything else, with the first wrong id.
     """
     ids = as_array(name, ids)
     if ids.dtype.kind not in "iu":
@@ -69,7 +69,7 @@ def rows_of(name: str, ids: Any, count: int) -> Int[np.ndarray, "..."]:
 def number(name: str, value: Any, like: Array) -> Float[Array, ""]:
     """Turns one number into an array of the positions' dtype.
 
-    **Raises:** `ValueError` for more than one number, and for one that is not finite.
+    **Raises:** `ValueError` for more than one number, and for a number that is not finite.
     """
     value = jnp.asarray(value, like.dtype)
     if value.ndim != 0:
@@ -106,7 +106,7 @@ def direction(name: str, values: Any, like: Array) -> Float[Array, " d"]:
 def positive(name: str, value: Any, like: Array) -> Float[Array, ""]:
     """Turns a length into an array.
 
-    **Raises:** `ValueError` for one that is not above 0.
+    **Raises:** `ValueError` for a length that is not above 0.
     """
     value = number(name, value, like)
     if is_known(value) and not value > 0:

@@ -19,23 +19,30 @@ NEUTRAL = {"twist": 0.0, "chord": 1.0, "sweep": 0.0, "dihedral": 0.0, "span": 0.
 
 
 class ReferenceAxis(AbstractShape):
-    """Moves sections of a wing with the stations of an axis: twisted about it, scaled around it, carried with it.
+    """Moves sections of a wing with stations of an axis: twisted, scaled and carried.
 
     The parameters are a dict with any of these, one value for each station (k,):
 
-    - `twist`: radians about the direction of the span at the axis, in the sense of `rotate`; 0 is neutral.
-    - `chord`: factor of a section's size around the axis; 1 is neutral. A taper is a chord that falls from root to tip.
-    - `sweep`, `dihedral`, `span`: lengths by which a station moves along the chord, across chord and span, and along the span.
+    - `twist`: radians about the direction of the span at the axis, in the sense of `rotate`; 0 is
+      neutral.
+    - `chord`: factor of a section's size around the axis; 1 is neutral. A taper is a chord that
+      falls from root to tip.
+    - `sweep`, `dihedral`, `span`: lengths by which a station moves along the chord, across chord
+      and span, and along the span.
 
-    Between stations the values are interpolated, beyond the first and the last one they stay as there.
+    Between stations the values are interpolated. Before the first and behind the last station they
+    are constant.
 
     **Arguments:**
 
     - `points`: (k, 3) stations on the axis, from root to tip; straight lines join them.
-    - `chordwise`, `spanwise`: directions (3,) of chord and span, at right angles; the axes x and y by default.
-    - `cubic`: natural cubic splines between stations instead of straight lines, for values and axis.
+    - `chordwise`, `spanwise`: directions (3,) of chord and span, at right angles; the axes x and y
+      by default.
+    - `cubic`: natural cubic splines between stations instead of straight lines, for values and
+      axis.
 
-    **Raises:** `ValueError` for fewer than two stations, stations that do not advance along the span, and wrong parameters.
+    **Raises:** `ValueError` for fewer than two stations, stations that do not advance along the
+    span, and wrong parameters.
     """
 
     points: Float[Array, "k 3"]
@@ -118,7 +125,7 @@ class ReferenceAxis(AbstractShape):
 
 
 def _second_derivatives(steps: Float[Array, " j"]) -> Float[Array, "k k"]:
-    """Computes the matrix from values at stations to the second derivatives of their natural cubic spline."""
+    """Computes the matrix from values at stations to second derivatives of a natural spline."""
     k = len(steps) + 1
     inner = jnp.arange(k - 2)
     system = jnp.zeros((k, k), steps.dtype).at[0, 0].set(1).at[-1, -1].set(1)

@@ -1,4 +1,7 @@
-"""B-splines on clamped, equal knots over [0, 1]; of the highest degree they are Bernstein polynomials."""
+"""B-splines on clamped, equal knots over [0, 1].
+
+Those of the highest degree are Bernstein polynomials.
+"""
 
 import math
 
@@ -8,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 
 def greville(count: int, degree: int) -> Float[np.ndarray, " count"]:
-    """Finds where the control points of t itself stand: the means of `degree` knots each."""
+    """Finds Greville's abscissae, means of `degree` knots: control points that give t itself."""
     knots = np.clip(np.arange(1 - degree, count) / (count - degree), 0, 1)
     return np.convolve(knots, np.full(degree, 1 / degree), mode="valid")
 

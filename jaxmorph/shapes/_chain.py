@@ -1,4 +1,4 @@
-"""Shapes one after the other, shapes of some positions, and functions as shapes."""
+"""Shapes in sequence, shapes of some positions, and functions as shapes."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -14,7 +14,7 @@ from ._shape import AbstractShape
 
 
 class Function(AbstractShape):
-    """Makes a shape of a function of positions and parameters, with the parameters that move nothing.
+    """Makes a shape of a function of positions and parameters.
 
         pitch = shapes.Function(lambda x, angle: shapes.rotate(x, angle, [0.25, 0.0]), 0.0)
 
@@ -39,9 +39,9 @@ class Function(AbstractShape):
 
 
 class Chain(AbstractShape):
-    """Applies shapes one after the other, each with parameters of its own name.
+    """Applies shapes in sequence; the parameters are a dict by the shapes' names.
 
-    The parameters are a dict by name. A shape whose name is left out of it is not applied.
+    A shape whose name is not in the dict is not applied.
 
         wing = shapes.Chain({"box": box, "pitch": pitch})
         u = shapes.displacement(wing, plan, {"pitch": 0.1})
@@ -78,7 +78,7 @@ class Chain(AbstractShape):
 
 
 class OnRows(AbstractShape):
-    """Moves some rows of the positions by a shape, such as one patch of a wall; the rest stays.
+    """Moves some rows of the positions by a shape, such as one patch of a wall.
 
     Unlike `Part`, it takes shapes that are not linear, and the shape meets its own rows alone.
 
@@ -87,7 +87,8 @@ class OnRows(AbstractShape):
     - `shape`: any shape.
     - `rows`: (k,) different row numbers, 0 or more.
 
-    **Raises:** `ValueError` for rows that are no such numbers, and rows beyond the positions.
+    **Raises:** `ValueError` for rows that are no different row numbers, and rows beyond the
+    positions.
     """
 
     shape: AbstractShape

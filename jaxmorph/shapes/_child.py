@@ -37,11 +37,14 @@ class ChildOperator(AbstractOperator):
 
 
 class Child(AbstractLinearShape):
-    """A box whose control points another shape carries, such as a flap's box in that of a wing. Boxes nest to any depth.
+    """A box whose control points another shape carries, such as a flap's box in a wing's box.
 
-    Points in the child's box follow its control points, which move with the parent and by their own displacements; the other points
-    follow the parent. The parent is asked at Greville's abscissae, so that a child in a parent that moves affinely does so too, to
-    round-off. It follows any other motion as closely as its control points can: put its border between walls, not across one.
+    Boxes nest to any depth.
+
+    Points in the child's box follow its control points, which move with the parent and by their own
+    displacements. All other points follow the parent. The parent's motion is taken at Greville's
+    abscissae, so a child reproduces affine motions of its parent to round-off. It follows any other
+    motion as closely as its control points can: put its border between walls, not across a wall.
     The parameters are (parent's, child's).
 
     **Arguments:**
@@ -49,7 +52,8 @@ class Child(AbstractLinearShape):
     - `child`: a box; what its `continuity` holds stays where the parent carries it.
     - `parent`: a linear shape, such as a box or another `Child`.
 
-    **Raises:** `ValueError` for positions in another dimension, and for parameters of another shape.
+    **Raises:** `ValueError` for positions in another dimension, and for parameters of another
+    shape.
     """
 
     child: FreeForm
@@ -73,7 +77,7 @@ class Child(AbstractLinearShape):
         )
 
     def lattice(self, parameters: PyTree) -> Float[Array, "..."]:
-        """Computes the positions (*counts, d) of the child's control points as the parent and their own parameters place them."""
+        """Computes the positions (*counts, d) of the child's control points."""
         of_parent, offsets = parameters
         anchors = self.child.anchors()
         carried = self.parent.at(anchors.reshape(-1, anchors.shape[-1]))(of_parent).reshape(anchors.shape)

@@ -1,4 +1,4 @@
-"""Shapes made of shapes: fewer parameters, several shapes added, a shape on some of the positions."""
+"""Shapes made of shapes: fewer parameters, sums of shapes, shapes on some positions."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -29,7 +29,9 @@ class LinkedOperator(AbstractOperator):
 
 
 class Linked(AbstractLinearShape):
-    """A shape whose parameters are a linear map of fewer: frozen, linked and mirrored ones, or a basis of your own.
+    """A shape whose parameters are a linear map of fewer parameters.
+
+    It freezes, links and mirrors parameters, or takes a basis of your own.
 
     **Arguments:**
 
@@ -70,12 +72,14 @@ class SumOperator(AbstractOperator):
     def __call__(self, parameters: Sequence[Any]) -> Float[Array, "m d"]:
         if len(parameters) != len(self.operators):
             raise ValueError(f"{len(parameters)} sets of parameters for {len(self.operators)} shapes.")
-        terms = [operator(each) for operator, each in zip(self.operators, parameters, strict=True)]
+        terms = [operator(values) for operator, values in zip(self.operators, parameters, strict=True)]
         return sum(terms[1:], terms[0])
 
 
 class Together(AbstractLinearShape):
-    """Several linear shapes added, such as two boxes side by side. The parameters are a tuple, one entry for each shape.
+    """Several linear shapes added, such as two boxes side by side.
+
+    The parameters are a tuple, one entry for each shape.
 
     A box that another box is to carry is nested instead: `outer(inner(x, q), p)`.
     """
@@ -108,7 +112,7 @@ class MaskedOperator(AbstractOperator):
 
 
 class Part(AbstractLinearShape):
-    """A linear shape on some of the positions, such as the upper side of an airfoil; the rest stays.
+    """A linear shape on some of the positions, such as the upper side of an airfoil.
 
     **Arguments:**
 
@@ -141,7 +145,10 @@ class Part(AbstractLinearShape):
 
 
 class MatrixOperator(AbstractOperator):
-    """Sums vectors with weights: one matrix product. The parameters are (k, d), or numbers (k,) along one direction."""
+    """Sums vectors with weights: one matrix product.
+
+    The parameters are (k, d), or numbers (k,) along one direction.
+    """
 
     weights: Float[Array, "m k"]
     along: Float[Array, " d"] | None = None

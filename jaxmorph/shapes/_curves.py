@@ -1,4 +1,4 @@
-"""Shapes of a wall along one coordinate: bumps of Hicks and Henne, class and shape functions, a B-spline, given modes."""
+"""Shapes of a wall along one coordinate: bumps, class functions, B-splines, modes."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,18 +15,22 @@ from ._shape import AbstractLinearShape, AbstractOperator
 
 
 class HicksHenne(AbstractLinearShape):
-    """Bumps on an airfoil's side: sin(pi t^(ln 0.5 / ln c))^w, of height 1 at t = c (Hicks and Henne, 1978).
+    """Bumps on an airfoil's side (Hicks and Henne, 1978).
 
-    t runs along the chord from 0 to 1; positions before and behind it stay. The parameters (k,) are the heights, in the units of
-    the positions, across the chord. `Part` restricts the bumps to one side.
+    A bump is sin(pi t^(ln 0.5 / ln c))^w, of height 1 at t = c.
+
+    t runs along the chord from 0 to 1; positions before and behind it stay. The parameters (k,) are
+    the heights, in the units of the positions, across the chord. `Part` restricts the bumps to one
+    side.
 
     **Arguments:**
 
     - `centres`: (k,) between 0 and 1.
-    - `widths`: exponents, one or (k,), above 0; a larger one is narrower.
+    - `widths`: exponents, one or (k,), above 0. A bump with a larger exponent is narrower.
     - `chord`: where the airfoil lies; from (0, 0) to (1, 0) by default.
 
-    **Raises:** `ValueError` for centres outside of 0 to 1, widths that are not above 0, and two bumps alike.
+    **Raises:** `ValueError` for centres outside of 0 to 1, widths that are not above 0, and equal
+    bumps.
     """
 
     centres: Float[Array, " k"]
@@ -63,10 +67,13 @@ class HicksHenne(AbstractLinearShape):
 
 
 class CST(AbstractLinearShape):
-    """Class and shape functions of one side of an airfoil (Kulfan, 2008): t^a (1 - t)^b times Bernstein polynomials.
+    """Class and shape functions of one side of an airfoil (Kulfan, 2008).
 
-    The parameters are `order + 2` numbers in chords: the weights of the polynomials, and the ordinate of a blunt trailing edge.
-    The displacement is what they add across the chord. `Part` restricts it to one side; `fit_cst` finds the weights of an airfoil.
+    They are t^a (1 - t)^b times Bernstein polynomials.
+
+    The parameters are `order + 2` numbers in chords: the weights of the polynomials, and the
+    ordinate of a blunt trailing edge. The displacement is what they add across the chord. `Part`
+    restricts it to one side; `fit_cst` finds the weights of an airfoil.
 
     **Arguments:**
 
@@ -104,7 +111,10 @@ class CST(AbstractLinearShape):
 
 
 def _power(distance: Float[Array, " m"], exponent: float) -> Float[Array, " m"]:
-    """Raises distances from nose or tail to a power; there the derivative is that inside, or 0 where it has no bound."""
+    """Raises distances from nose or tail to a power.
+
+    The derivative at the nose or tail is the derivative inside, or 0 where that is infinite.
+    """
     if float(exponent).is_integer():
         return distance ** int(exponent)
     ahead = distance > 0
@@ -112,7 +122,7 @@ def _power(distance: Float[Array, " m"], exponent: float) -> Float[Array, " m"]:
 
 
 class BSplineCurve(AbstractLinearShape):
-    """A B-spline along a curve of nodes: in order, they follow `count` control points by their arc length.
+    """A B-spline along a curve of nodes, which follow control points by their arc length.
 
     The parameters are the displacements (count, d) of the control points.
 
@@ -122,7 +132,8 @@ class BSplineCurve(AbstractLinearShape):
     - `count`: control points, above `degree`.
     - `degree`: of the spline.
 
-    **Raises:** `ValueError` for too few control points, coincident neighbours, and other positions than `points`.
+    **Raises:** `ValueError` for too few control points, coincident neighbours, and other positions
+    than `points`.
     """
 
     shares: Float[Array, " m"]
@@ -161,7 +172,7 @@ class BSplineCurve(AbstractLinearShape):
 
 
 class Modes(AbstractLinearShape):
-    """Given displacement fields, such as mode shapes of a structure; the parameters (k,) are their amplitudes.
+    """Given displacement fields, such as mode shapes; the parameters (k,) are amplitudes.
 
     **Arguments:**
 

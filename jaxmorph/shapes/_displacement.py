@@ -1,4 +1,4 @@
-"""From a shape to what `deform` and `march` take, and from sensitivities of a volume back to the shape's parameters."""
+"""From a shape to the input of `deform`, and from sensitivities to the shape's parameters."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from .._host.package.arguments import checked, whole
+from .._plan.deform import pullback as to_nodes
 from .._plan.plan import Plan
-from .._plan.plan import pullback as to_nodes
 from .._plan.steps import replay
 from ._arguments import Numbers, check_parameters, positions
 from ._shape import AbstractLinearShape
@@ -24,7 +24,8 @@ def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array
 
     **Arguments:**
 
-    - `shape`: a function of positions and parameters that returns positions, or a shape of `jaxmorph.shapes`.
+    - `shape`: a function of positions and parameters that returns positions, or a shape of
+      `jaxmorph.shapes`.
     - `plan`: from `prepare`.
     - `parameters`: what the shape takes; traced, for derivatives.
 
@@ -37,20 +38,21 @@ def displacement(shape: AnyShape, plan: Plan, parameters: PyTree) -> Float[Array
 
 @checked
 def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[Array, "k m d"]:
-    """Computes the total displacements at the ends of equal steps of the parameters: the path of `march`.
+    """Computes total displacements after equal steps of the parameters: the path of `march`.
 
     A rotation in steps is a path of rotated positions. Traced in positions and parameters.
 
     **Arguments:**
 
-    - `shape`: a shape that tells its neutral parameters, where the path begins.
+    - `shape`: a shape with `neutral()`, the parameters where the path begins.
     - `x`: positions (m, d).
-    - `parameters`: those at the end.
+    - `parameters`: the parameters at the end.
     - `steps`: 1 or more.
 
     **Returns:** displacements (k, m, d).
 
-    **Raises:** `ValueError` for no steps, for a plain function in more than one, and as `displacement` does.
+    **Raises:** `ValueError` for no steps, for a plain function in several steps, and as
+    `displacement` does.
     """
     x = positions(x)
     whole("steps", steps)
@@ -60,12 +62,12 @@ def path(shape: AnyShape, x: Numbers, parameters: PyTree, steps: int) -> Float[A
     start = neutral(shape)
     if jax.tree.structure(start) != jax.tree.structure(parameters):
         raise ValueError(f"parameters for several steps must all be given: {jax.tree.structure(start)}.")
-    sizes = [[np.shape(leaf) for leaf in jax.tree.leaves(each)] for each in (parameters, start)]
+    sizes = [[np.shape(leaf) for leaf in jax.tree.leaves(tree)] for tree in (parameters, start)]
     if sizes[0] != sizes[1]:
         raise ValueError(f"`parameters` have shapes {sizes[0]}; this shape takes {sizes[1]}.")
     shares = [(j + 1) / steps for j in range(steps)]
     at = [jax.tree.map(lambda a, b, share=share: a + share * (b - a), start, parameters) for share in shares]
-    return jnp.stack([moves(shape, x, each) for each in at])
+    return jnp.stack([moves(shape, x, values) for values in at])
 
 
 @checked
@@ -75,8 +77,9 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
     **Arguments:**
 
     - `shape`: a shape, or a function of positions and parameters.
-    - `plan`: from `prepare`; or the plans that `march` returned for `path(shape, x, parameters, len(plans))`.
-    - `parameters`: those that the mesh was moved by.
+    - `plan`: from `prepare`; or the plans that `march` returned for `path(shape, x, parameters,
+      len(plans))`.
+    - `parameters`: the parameters that moved the mesh.
     - `cotangent`: dJ/d(points) (n, d) at the moved mesh.
 
     **Returns:** dJ/d(parameters), of the structure of `parameters`.
@@ -99,15 +102,16 @@ def pullback(shape: AnyShape, plan: Plan | Sequence[Plan], parameters: PyTree, c
 
 @checked
 def project(shape: AnyShape, x: Numbers, parameters: PyTree, gradient: Numbers) -> PyTree:
-    """Takes dJ/d(positions) of a wall to dJ/d(parameters) of the shape that moved it: no mesh is needed.
+    """Takes dJ/d(positions) of a wall to dJ/d(parameters) of its shape, without a mesh.
 
-    It is for sensitivities that are the wall's own, as `jm.pullback` or a solver's surface file gives them.
+    It is for sensitivities that are the wall's own, as `jm.pullback` or a solver's surface file
+    gives them.
 
     **Arguments:**
 
     - `shape`: a shape, or a function of positions and parameters.
     - `x`: undeformed positions (m, d) of the wall.
-    - `parameters`: those that the wall was moved by.
+    - `parameters`: the parameters that moved the wall.
     - `gradient`: dJ/d(positions) (m, d) of the moved wall.
 
     **Returns:** dJ/d(parameters), of the structure of `parameters`.
@@ -128,9 +132,7 @@ def neutral(shape: AnyShape) -> PyTree:
     **Raises:** `ValueError` for a plain function.
     """
     if not hasattr(shape, "neutral"):
-        raise ValueError(
-            "a plain function does not tell its neutral parameters: take `shapes.Function(function, rest)`."
-        )
+        raise ValueError("a plain function has no neutral parameters: take `shapes.Function(function, rest)`.")
     return shape.neutral()  # pyright: ignore[reportFunctionMemberAccess]
 
 
@@ -141,7 +143,7 @@ def moves(shape: AnyShape, x: Float[Array, "m d"], parameters: PyTree) -> Float[
     """
     check_parameters(parameters)
     if isinstance(shape, AbstractLinearShape) and parameters is None:
-        raise ValueError("`parameters` is None; `shape.neutral()` gives those that move nothing.")
+        raise ValueError("`parameters` is None; `shape.neutral()` gives parameters that move nothing.")
     if isinstance(shape, AbstractLinearShape):
         return shape.at(x)(parameters)
     moved = shape(x, parameters)

@@ -25,7 +25,8 @@ class Fit(Module):
 
     - `parameters`: as the shape takes them.
     - `residual`: (m,) distance of each position from its target.
-    - `rank`: of the derivative by the parameters; below `count` some of them have no effect, and are as small as can be.
+    - `rank`: of the derivative by the parameters. Below `count` some parameters have no effect, and
+      are as small as possible.
     - `count`: numbers in the parameters.
     """
 
@@ -35,7 +36,7 @@ class Fit(Module):
     count: int = eqx.field(static=True)
 
     def raise_if_singular(self) -> None:
-        """Raises `ValueError` where some parameters, or some combinations of them, have no effect on the points."""
+        """Raises `ValueError` where parameters, or combinations of them, have no effect."""
         idle = self.count - int(self.rank)
         if idle:
             raise ValueError(
@@ -53,9 +54,10 @@ class Fit(Module):
 def fit(
     shape: Callable, points: Numbers, targets: Numbers, start: PyTree | None = None, *, max_steps: int = 100
 ) -> Fit:
-    """Finds the parameters with which a shape moves points closest to targets, in the sense of least squares.
+    """Finds the parameters with which a shape moves points closest to targets (least squares).
 
-    A linear shape takes one solve, by singular values; any other is fitted by Levenberg and Marquardt's method.
+    A linear shape takes one solve, by singular values; any other is fitted by Levenberg and
+    Marquardt's method.
 
     **Arguments:**
 
@@ -67,8 +69,8 @@ def fit(
 
     **Returns:** a `Fit`.
 
-    **Raises:** `ValueError` for different shapes, values that are not finite, no `start` for a function, and parameters of which
-    none moves a point.
+    **Raises:** `ValueError` for different shapes, values that are not finite, no `start` for a
+    function, and parameters of which none moves a point.
     """
     whole("max_steps", max_steps)
     points, targets = positions(points, "points"), positions(targets, "targets")
@@ -115,11 +117,12 @@ def fit_cst(
 
     - `points`: (m, 2) nodes of the airfoil, in any order.
     - `order`, `exponents`: of `CST`.
-    - `chord`: from the tail to the node farthest from it by default. A nose between two nodes shows in the residual there.
-    - `wall`: rows of all points in the order of the wall, by which `upper_side` tells the sides.
+    - `chord`: from the tail to the node farthest from it by default. A nose between two nodes shows
+      in the residual there.
+    - `wall`: rows of all points in the order of the wall, by which `upper_side` finds the sides.
 
-    **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters are those of this airfoil.
-    Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.
+    **Returns:** the shape, whose parameters are (upper, lower), and the `Fit`, whose parameters are
+    those of this airfoil. Changes to them move the airfoil: `shape(points, (d_upper, d_lower))`.
 
     **Raises:** `ValueError` for fewer nodes than unknowns, and where two sides are not to be seen.
     """
@@ -131,7 +134,7 @@ def fit_cst(
         raise ValueError(f"`wall` names {len(wall)} of {len(points)} points; all of them belong to the airfoil.")
     if min(upper.sum(), (~upper).sum()) < order + 2:
         raise ValueError(
-            f"{upper.sum()} nodes above and {(~upper).sum()} below do not tell {order + 2} numbers a side."
+            f"{upper.sum()} nodes above and {(~upper).sum()} below do not determine {order + 2} numbers a side."
         )
     shape = Together(*(Part(cst, side) for side in (upper, ~upper)))
     _, height = chord.coordinates(points)

@@ -22,22 +22,25 @@ MANY = 1000
 
 
 class FreeForm(AbstractLinearShape):
-    """A box of control points; points inside move by the controls' displacements weighted with B-splines, points outside stay.
+    """A box of control points that carry the points inside; points outside stay.
 
-    With the highest degree the weights are Bernstein polynomials (Sederberg and Parry, Free-form deformation of solid
-    geometric models, SIGGRAPH 1986). The parameters are the displacements (*counts, d) of the control points.
+    With the highest degree the weights are Bernstein polynomials (Sederberg and Parry, Free-form
+    deformation of solid geometric models, SIGGRAPH 1986). The parameters are the displacements
+    (*counts, d) of the control points.
 
     **Arguments:**
 
     - `origin`: a corner (d,) of the box.
     - `axes`: the edges (d, d) that leave it, one in each row; they need not be at right angles.
     - `counts`: numbers of control points along each edge, 2 or more.
-    - `degree`: of the B-splines, for all directions or one for each; None is the highest, `counts - 1`.
-    - `continuity`: k holds the k + 1 outer layers of control points. What stands across the border then joins with k continuous
-      derivatives. None holds none, and a wall across the border tears where the border moves.
+    - `degree`: of the B-splines, one number or a number for each direction; None is the highest,
+      `counts - 1`.
+    - `continuity`: k holds the k + 1 outer layers of control points. What stands across the border
+      then joins with k continuous derivatives. None holds none, and a wall across the border tears
+      where the border moves.
 
-    **Raises:** `ValueError` for wrong shapes, edges in one plane, counts below 2, degrees outside of 1 to `counts - 1`, and a
-    continuity that leaves no control point free.
+    **Raises:** `ValueError` for wrong shapes, edges in one plane, counts below 2, degrees outside
+    of 1 to `counts - 1`, and a continuity that leaves no control point free.
     """
 
     origin: Float[Array, " d"]
@@ -86,8 +89,9 @@ class FreeForm(AbstractLinearShape):
         **Arguments:**
 
         - `points`: positions (m, d) to be inside.
-        - `counts`, `degree`, `continuity`: those of the class.
-        - `margin`: room on each side, relative to the longest edge of the points' box. Default 0.05.
+        - `counts`, `degree`, `continuity`: as for the class.
+        - `margin`: room on each side, relative to the longest edge of the points' box. Default
+          0.05.
 
         **Returns:** a `FreeForm`.
 
@@ -110,16 +114,16 @@ class FreeForm(AbstractLinearShape):
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
         """Control points (*counts,) that may move: `continuity` does not hold them."""
-        held = -1 if self.continuity is None else self.continuity
+        layers = 0 if self.continuity is None else self.continuity + 1
         free = np.ones(self.counts, bool)
         for axis, count in enumerate(self.counts):
             layer = np.arange(count)
             shape = [-1 if other == axis else 1 for other in range(len(self.counts))]
-            free &= ((layer > held) & (layer < count - 1 - held)).reshape(shape)
+            free &= ((layer >= layers) & (layer < count - layers)).reshape(shape)
         return free
 
     def at(self, x: Numbers) -> LatticeOperator:
-        """Computes the weights of positions (m, d) once, to be applied to many control displacements."""
+        """Computes the weights of positions (m, d) once, for many control displacements."""
         x = positions(x)
         if x.shape[1] != len(self.counts):
             raise ValueError(f"`x` has shape {x.shape}; this box is in {len(self.counts)}-D.")
@@ -148,18 +152,21 @@ class FreeForm(AbstractLinearShape):
         return jnp.all((t >= -beyond) & (t <= 1 + beyond), axis=1)
 
     def lattice(self, control: Numbers | None = None) -> Float[Array, "..."]:
-        """Computes the positions (*counts, d) of the control points, displaced where `control` is given."""
+        """Computes the positions (*counts, d) of the control points, displaced by `control`."""
         shares = [jnp.linspace(0, 1, count) for count in self.counts]
         t = jnp.stack(jnp.meshgrid(*shares, indexing="ij"), axis=-1)
         points = t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
         return points if control is None else points + jnp.asarray(control)
 
     def anchors(self) -> Float[Array, "..."]:
-        """Computes the positions (*counts, d) at which an affine field gives the control displacements that reproduce it.
+        """Computes the positions (*counts, d) at which control points reproduce an affine field.
 
-        They are those of `lattice` for the highest degree, and Greville's abscissae for any other.
+        Control displacements are then the field's values.
+
+        For the highest degree they are the positions of `lattice`, else Greville's abscissae.
         """
-        shares = [jnp.asarray(_bspline.greville(*each)) for each in zip(self.counts, self.degrees, strict=True)]
+        sizes = zip(self.counts, self.degrees, strict=True)
+        shares = [jnp.asarray(_bspline.greville(count, degree)) for count, degree in sizes]
         t = jnp.stack(jnp.meshgrid(*shares, indexing="ij"), axis=-1)
         return t @ self.axes + jnp.broadcast_to(self.origin, t.shape)
 
@@ -175,11 +182,14 @@ class FreeForm(AbstractLinearShape):
 
         **Arguments:**
 
-        - `free`: which controls may move, (*counts,), or which of their coordinates, (*counts, d); all by default.
+        - `free`: which controls may move, (*counts,), or which of their coordinates, (*counts, d);
+          all by default.
         - `groups`: lists of controls (i, j[, k]) that move alike.
-        - `mirror`: direction of the lattice whose two halves move as mirror images; its edge must be along an axis.
+        - `mirror`: direction of the lattice whose two halves move as mirror images; its edge must
+          be along an axis.
 
-        **Raises:** `ValueError` for arrays or controls that are not of this lattice, an edge along no axis, and nothing free.
+        **Raises:** `ValueError` for arrays or controls that are not of this lattice, an edge along
+        no axis, and nothing free.
         """
         d = len(self.counts)
         free = np.ones((*self.counts, d), bool) if free is None else np.asarray(free)
@@ -188,7 +198,7 @@ class FreeForm(AbstractLinearShape):
             raise ValueError(
                 f"`free` has shape {free.shape} of {free.dtype}; expected {self.counts} or {(*self.counts, d)}."
             )
-        bad = [each for group in groups for each in group if not _is_control(each, self.counts)]
+        bad = [control for group in groups for control in group if not _is_control(control, self.counts)]
         if bad:
             raise ValueError(f"{len(bad)} entries of `groups` are no control of {self.counts}, first {bad[0]}.")
         reflected = None
@@ -210,7 +220,7 @@ class FreeForm(AbstractLinearShape):
     def raise_if_outside(self, x: Numbers) -> None:
         """Raises where positions (m, d) that the box should hold are outside, and would stay.
 
-        **Raises:** `ValueError` with their number and the first one.
+        **Raises:** `ValueError` with the number of positions and the first of them.
         """
         known = known_positions(x)
         outside = np.flatnonzero(~np.asarray(self.holds(self.coordinates(jnp.asarray(known)))))
@@ -223,14 +233,15 @@ class FreeForm(AbstractLinearShape):
 
     @checked
     def raise_if_torn(self, x: Numbers, control: Numbers) -> None:
-        """Raises where the box would tear a wall: nodes outside of it stay while the border beside them moves past them.
+        """Raises where the border of the box passes nodes outside, and so tears a wall.
 
         **Arguments:**
 
         - `x`: positions (m, d) of the wall.
         - `control`: displacements (*counts, d) of the control points.
 
-        **Raises:** `ValueError` with the number of nodes that are nearer to the border than it moves there.
+        **Raises:** `ValueError` with the number of nodes that are nearer to the border than it
+        moves there.
         """
         x = known_positions(x)
         t = np.asarray(self.coordinates(jnp.asarray(x)))
@@ -262,5 +273,5 @@ def _checked_counts(counts, degree, d: int) -> tuple[tuple[int, ...], tuple[int,
     return counts, degrees
 
 
-def _is_control(each, counts: tuple[int, ...]) -> bool:
-    return len(each) == len(counts) and all(0 <= i < count for i, count in zip(each, counts, strict=True))
+def _is_control(control, counts: tuple[int, ...]) -> bool:
+    return len(control) == len(counts) and all(0 <= i < count for i, count in zip(control, counts, strict=True))

@@ -1,4 +1,4 @@
-"""A guard for optimisers: the smallest Jacobian ratio of a moved mesh as a smooth constraint, and the cells that bind."""
+"""A guard for optimisers: the smallest Jacobian ratio as a smooth constraint."""
 
 import dataclasses
 import functools
@@ -16,18 +16,19 @@ from .._host.package.arguments import between, checked, finite_array, whole
 from .._kernels.compile import compiled
 from .._kernels.module import Module
 from .._mesh.mesh import Mesh
-from .._plan.plan import Plan, deform
+from .._plan.deform import deform
+from .._plan.plan import Plan
 from .._quality.quality import places
 from ._arguments import Numbers
 
 
 @dataclasses.dataclass(frozen=True)
 class QualityRows:
-    """The smallest corner Jacobians of a moved mesh, over their initial values, with their derivatives.
+    """The smallest Jacobian ratios at corners of a moved mesh, with their derivatives.
 
-    - `values` (k,): the ratios less the bound, ascending; negative ones break it.
-    - `matrix` (k, p): their derivatives by the design variables, a row each. To first order a step `s` gives
-      `values + matrix @ s`.
+    - `values` (k,): the ratios less the bound, ascending. A negative value breaks the bound.
+    - `matrix` (k, p): derivatives of the values by the design variables. To first order a step `s`
+      gives `values + matrix @ s`.
     - `cells` (k,): the cells, in the order of `quality`.
     """
 
@@ -37,11 +38,14 @@ class QualityRows:
 
 
 class MeshGuard(Module):
-    """A constraint that keeps the mesh valid, for any optimiser: a soft smallest Jacobian ratio less a bound, not negative.
+    """A constraint that keeps the mesh valid, for any optimiser.
 
-    It is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells, and centres of hexahedra. It is never more than
-    the smallest ratio: a design that it allows has no cell below the bound. It is less by log(count) / sharpness at most, where
-    all corners are alike. It is twice differentiable, along any motion of a plan.
+    It is a soft smallest Jacobian ratio less a bound, and must not be negative.
+
+    The soft ratio is -log(sum(exp(-sharpness ratio))) / sharpness over all corners of cells, and
+    centres of hexahedra. It is never more than the smallest ratio, so a design that it allows has
+    no cell below the bound. It is less by log(count) / sharpness at most, where all ratios are
+    equal. It is twice differentiable, along any motion of a plan.
 
         guard = shapes.MeshGuard(plan, mesh, lambda p: shapes.displacement(bumps, plan, p))
         scipy.optimize.minimize(guard.guarded(drag), start, jac=True, method="SLSQP", constraints=guard.constraint())
@@ -51,8 +55,10 @@ class MeshGuard(Module):
     - `plan`: what `prepare` returned.
     - `mesh`: whose `points` are the plan's, with cells.
     - `displacement`: takes the design variables (p,) and returns `u` (m, d); traced.
-    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells invert at 0.
-    - `sharpness`: positive, without unit, default 100. A larger one comes closer to the bound, and bends more.
+    - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`, from 0 to 1. Default 0.1; cells
+      invert at 0.
+    - `sharpness`: positive, without unit, default 100. A larger value comes closer to the smallest
+      ratio, and bends more.
 
     **Raises:** `ValueError` for numbers out of their range, and for a mesh that is not the plan's.
     """
@@ -89,13 +95,13 @@ class MeshGuard(Module):
         self.bound, self.sharpness = float(min_jacobian_ratio), float(sharpness)
 
     def __call__(self, design: Any) -> Float[Array, ""]:
-        """Computes the soft smallest ratio less the bound: a mesh with 0 or more keeps it. Traced."""
+        """Computes the soft smallest ratio less the bound; 0 or more keeps the bound. Traced."""
         ratios, judged = self._ratios(design)
         least = -jax.scipy.special.logsumexp(-self.sharpness * ratios, b=judged.astype(ratios.dtype)) / self.sharpness
         return least - self.bound
 
     def _ratios(self, design: Any) -> tuple[Float[Array, " s"], Bool[Array, " s"]]:
-        """Computes the Jacobian at each corner of a cell over its initial value, and which corners count. Traced."""
+        """Computes the Jacobian ratio at each corner of a cell, and marks corners that count."""
         points = deform(self.plan, self.displacement(design))
         ratios = []
         for kind, ids, sign, scale in zip(self.kinds, self.ids, self.signs, self.scales, strict=True):
@@ -114,14 +120,15 @@ class MeshGuard(Module):
 
     @checked
     def gradient(self, design: Numbers) -> Float[np.ndarray, " p"]:
-        """Computes the derivative of the constraint by each design variable (p,), for optimisers that call NumPy."""
+        """Computes the derivative by each design variable (p,), for optimisers that call NumPy."""
         return np.asarray(_gradient(self, _flat(design)), float)
 
     @checked
     def quality_rows(self, design: Numbers, count: int) -> QualityRows:
-        """Finds the corners that bind: the smallest ratios and their derivatives by the design variables as one matrix.
+        """Finds the corners that bind: the smallest ratios and the matrix of their derivatives.
 
-        A gradient that would lower them is projected off their rows; a linear program steps so that none breaks the bound.
+        A gradient that would lower them is projected off their rows; a linear program steps so that
+        none breaks the bound.
 
         **Arguments:**
 
@@ -142,7 +149,10 @@ class MeshGuard(Module):
         return int(count)
 
     def constraint(self, count: int | None = None) -> dict[str, Any]:
-        """Makes the constraint of `scipy.optimize.minimize` with its derivative: the soft one, or the `count` smallest corners."""
+        """Makes the constraint of `scipy.optimize.minimize` with its derivative.
+
+        It is the soft smallest ratio, or the ratios of the `count` smallest corners.
+        """
         if count is None:
             return {"type": "ineq", "fun": self.value, "jac": self.gradient}
         count = self._checked_count(count)
@@ -155,7 +165,9 @@ class MeshGuard(Module):
         }
 
     def guarded(self, objective: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Makes an objective that is infinite, and runs no flow, where a cell is below the bound: line searches then step back.
+        """Makes an objective that is infinite where a cell is below the bound.
+
+        It runs no flow there, and line searches step back.
 
         The objective takes design variables (p,), and returns its value and its derivative (p,).
         """

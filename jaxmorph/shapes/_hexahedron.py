@@ -22,22 +22,27 @@ OUTSIDE = 2.0
 
 ORDER = {2: [(0, 0), (1, 0), (1, 1), (0, 1)]}
 ORDER[3] = [(*corner, k) for k in (0, 1) for corner in ORDER[2]]  # pyright: ignore[reportArgumentType]
-"""Place in the lattice of each corner, in VTK's order: around one face, then around the opposite one."""
+"""Place of each corner in the lattice, in VTK's order: one face, then the opposite face."""
 
 
 class Hexahedron(AbstractLinearShape):
-    """A box of control points between corners that may stand anywhere; a quadrilateral in 2-D. It is `FreeForm` in a bent box.
+    """A box of control points between corners that may stand anywhere: a bent `FreeForm`.
 
-    A place in the box is that of a multilinear map of the unit cube. Positions inside move by the controls' displacements weighted
-    with B-splines of their coordinates in the cube, positions outside stay. The parameters are the displacements (*counts, d).
-    A box whose edges are parallel gives what `FreeForm` gives.
+    In 2-D it is a quadrilateral.
+
+    A place in the box is that of a multilinear map of the unit cube. Positions inside move by the
+    controls' displacements weighted with B-splines of their coordinates in the cube, positions
+    outside stay. The parameters are the displacements (*counts, d). A box whose edges are parallel
+    gives what `FreeForm` gives.
 
     **Arguments:**
 
-    - `corners`: (8, 3) in the order of a cell of the mesh (VTK's and SU2's), the first four around one face; (4, 2) in 2-D.
-    - `counts`, `degree`, `continuity`: those of `FreeForm`.
+    - `corners`: (8, 3) in the order of a cell of the mesh (VTK's and SU2's), the first four around
+      one face; (4, 2) in 2-D.
+    - `counts`, `degree`, `continuity`: as for `FreeForm`.
 
-    **Raises:** `ValueError` for another number of corners, a box without volume or turned inside out, and as `FreeForm` does.
+    **Raises:** `ValueError` for another number of corners, a box without volume or turned inside
+    out, and as `FreeForm` does.
     """
 
     corners: Float[Array, "..."]
@@ -52,20 +57,20 @@ class Hexahedron(AbstractLinearShape):
         degree: int | Sequence[int | None] | None = None,
         continuity: int | None = None,
     ):
-        given = jnp.asarray(corners, float)
-        check_finite(corners=given)
-        if given.shape not in ((4, 2), (8, 3)):
-            raise ValueError(f"`corners` has shape {given.shape}; expected (8, 3), or (4, 2) in 2-D.")
-        d = given.shape[1]
+        listed = jnp.asarray(corners, float)
+        check_finite(corners=listed)
+        if listed.shape not in ((4, 2), (8, 3)):
+            raise ValueError(f"`corners` has shape {listed.shape}; expected (8, 3), or (4, 2) in 2-D.")
+        d = listed.shape[1]
         places = np.array(ORDER[d])
-        self.corners = jnp.zeros((*(2,) * d, d), given.dtype).at[tuple(places.T)].set(given)
+        self.corners = jnp.zeros((*(2,) * d, d), listed.dtype).at[tuple(places.T)].set(listed)
         self.box = FreeForm(np.zeros(d), np.eye(d), counts, degree=degree, continuity=continuity)
         if is_known(self.corners):
             sizes = np.asarray(jax.vmap(lambda t: jnp.linalg.det(_slopes(t, self.corners)))(jnp.asarray(places, float)))
-            scale = np.linalg.norm(np.ptp(np.asarray(given), axis=0)) ** d
+            scale = np.linalg.norm(np.ptp(np.asarray(listed), axis=0)) ** d
             if not ((sizes > 1e-12 * scale).all() or (sizes < -1e-12 * scale).all()):
                 raise ValueError(
-                    "the box is flat or turned inside out: list the corners around one face, then around the opposite one."
+                    "the box is flat or turned inside out: list the corners around one face, then around the opposite face."
                 )
 
     @property
@@ -98,7 +103,7 @@ class Hexahedron(AbstractLinearShape):
 
     @checked
     def coordinates(self, x: Numbers) -> Float[Array, "m d"]:
-        """Computes coordinates in the box, each from 0 to 1 inside; those of positions far outside are 2. Traced.
+        """Computes coordinates in the box, from 0 to 1 inside, 2 far outside. Traced.
 
         **Raises:** `ValueError` for positions in another dimension.
         """
@@ -108,7 +113,7 @@ class Hexahedron(AbstractLinearShape):
         return _places(x, self.corners.astype(x.dtype))
 
     def lattice(self, control: Numbers | None = None) -> Float[Array, "..."]:
-        """Computes the positions (*counts, d) of the control points, displaced where `control` is given."""
+        """Computes the positions (*counts, d) of the control points, displaced by `control`."""
         t = self.box.lattice()
         points = jax.vmap(lambda place: _at(place, self.corners))(t.reshape(-1, t.shape[-1])).reshape(t.shape)
         return points if control is None else points + jnp.asarray(control)
@@ -144,7 +149,8 @@ def _places(x: Float[Array, "m d"], corners: Float[Array, "..."]) -> Float[Array
 
 @_places.defjvp
 def _places_jvp(primals, tangents):
-    # the place is defined by at(t, corners) = x; the rule contains the place itself, so that derivatives of all orders follow
+    # the place is defined by at(t, corners) = x; the rule contains the place itself, so that
+    # derivatives of all orders follow
     (x, corners), (x_dot, corners_dot) = primals, tangents
     t = _places(x, corners)
 

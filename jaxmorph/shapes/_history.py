@@ -17,14 +17,14 @@ FIELDS = ("design", "value", "constraints", "measures")
 
 
 class History:
-    """Iterations of an optimisation: a line of JSON each, on the disk as soon as it is added.
+    """Iterations of an optimisation: lines of JSON, on the disk as soon as they are added.
 
         history = shapes.History("wing.jsonl")
         start = history.designs[-1] if len(history) else np.zeros(20)
         history.add(design, drag, constraints={"lift": lift}, measures={"jacobian_ratio": guard.smallest(design)})
 
-    A file that is there is read first, so that a run that was ended goes on from its last iteration. A last line that is cut off is
-    left out. `plot.convergence(history)` draws it.
+    A file that is there is read first, so that a run that was ended goes on from its last
+    iteration. A last line that is cut off is left out. `plot.convergence(history)` draws it.
 
     **Arguments:**
 
@@ -105,14 +105,14 @@ class History:
 
         **Raises:** `ValueError` for another number of design variables, and for what is no number.
         """
-        given = finite_array("design", design, (None,))
-        if self.rows and len(given) != len(self.rows[0]["design"]):
-            raise ValueError(f"`design` has {len(given)} variables; {self.path} has {len(self.rows[0]['design'])}.")
+        variables = finite_array("design", design, (None,))
+        if self.rows and len(variables) != len(self.rows[0]["design"]):
+            raise ValueError(f"`design` has {len(variables)} variables; {self.path} has {len(self.rows[0]['design'])}.")
         row = {
-            "design": given.astype(float).tolist(),
+            "design": variables.astype(float).tolist(),
             "value": _numbers("value", value),
-            "constraints": {name: _numbers(name, each) for name, each in (constraints or {}).items()},
-            "measures": {name: _numbers(name, each) for name, each in (measures or {}).items()},
+            "constraints": {name: _numbers(name, numbers) for name, numbers in (constraints or {}).items()},
+            "measures": {name: _numbers(name, numbers) for name, numbers in (measures or {}).items()},
         }
         with self.path.open("r+b" if self.path.exists() else "xb") as file:
             file.truncate(self._end)  # a line that was cut off

@@ -1,4 +1,4 @@
-"""The operator of a lattice of control points: displacements of points from displacements of controls."""
+"""The operator of a lattice: displacements of points from those of control points."""
 
 import itertools
 
@@ -12,7 +12,10 @@ from ._spans import Blocks
 
 
 class Rows(eqx.Module):
-    """Weights of points, one array for each direction: a point takes part in `k` functions from `first` on."""
+    """Weights of points, one array for each direction.
+
+    A point takes part in `k` functions from `first` on.
+    """
 
     weights: tuple[Float[Array, "m _"], ...]
     first: tuple[Int[Array, " m"], ...]
@@ -40,7 +43,7 @@ class Rows(eqx.Module):
 
 
 class LatticeOperator(AbstractOperator):
-    """Computes displacements of points from the control points' displacements; `free` may hold some."""
+    """Computes displacements of points from control displacements; `free` may hold controls."""
 
     weights: Rows | Blocks
     free: Bool[Array, "..."] | None

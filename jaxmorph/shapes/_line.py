@@ -12,9 +12,9 @@ from ._rigid import turn
 
 @checked
 def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Number) -> Float[Array, "m 3"]:
-    """Twists positions about an axis: each section turns in proportion to its distance along the axis.
+    """Twists positions about an axis, in proportion to the distance along the axis.
 
-    Positions before `about` stay, those beyond `length` turn by the whole angle.
+    Positions before `about` stay, positions beyond `length` turn by the whole angle.
 
     **Arguments:**
 
@@ -26,7 +26,8 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
 
     **Returns:** positions (m, 3).
 
-    **Raises:** `ValueError` for positions in 2-D, for wrong shapes, and for an axis or a length that is 0.
+    **Raises:** `ValueError` for positions in 2-D, for wrong shapes, and for an axis or a length
+    that is 0.
     """
     x = positions(x)
     if x.shape[1] == 2:
@@ -41,14 +42,16 @@ def twist(x: Numbers, angle: Number, about: Numbers, axis: Numbers, length: Numb
 def bend(
     x: Numbers, angle: Number, about: Numbers, along: Numbers, length: Number, axis: Numbers | None = None
 ) -> Float[Array, "m d"]:
-    """Bends a straight line, with all that is around it, into an arc of the same length.
+    """Bends a straight line, with all that is around it, into an arc of equal length.
 
-    Sections stay plane and at right angles to the line. Positions before `about` stay, those beyond `length` follow the tangent.
+    Sections stay plane and at right angles to the line. Positions before `about` stay, positions
+    beyond `length` follow the tangent.
 
     **Arguments:**
 
     - `x`: positions (m, d).
-    - `angle`: radians by which the tangent turns at the end, in the sense of `rotate`; 0 is neutral.
+    - `angle`: radians by which the tangent turns at the end, in the sense of `rotate`; 0 is
+      neutral.
     - `about`: the point (d,) where the line begins.
     - `along`: direction (d,) of the line.
     - `length`: length of the arc, above 0.
@@ -56,7 +59,8 @@ def bend(
 
     **Returns:** positions (m, d).
 
-    **Raises:** `ValueError` for wrong shapes, directions or a length that are 0, and an axis not at right angles to the line.
+    **Raises:** `ValueError` for wrong shapes, directions or a length that are 0, and an axis not at
+    right angles to the line.
     """
     x = positions(x)
     arm, along = x - vector("about", about, x)[None, :], direction("along", along, x)

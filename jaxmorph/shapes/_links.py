@@ -1,4 +1,4 @@
-"""Links between control displacements: frozen, linked and mirrored ones as one matrix."""
+"""Links between control displacements as one matrix: frozen, linked, mirrored."""
 
 from collections.abc import Sequence
 
@@ -14,18 +14,20 @@ def link_matrix(
     """Builds the matrix from free parameters to the displacements of all controls, flattened.
 
     - `free` (*counts, d): True for components that may move.
-    - `groups`: each lists controls that move alike.
-    - `mirror`: the direction of the lattice that is reflected, and the signs (d,) of the reflection.
+    - `groups`: lists of controls that move alike.
+    - `mirror`: the direction of the lattice that is reflected, and the signs (d,) of the
+      reflection.
     """
     counts, d = free.shape[:-1], free.shape[-1]
     ids = np.arange(free.size).reshape(free.shape)
-    pairs = [(ids[group[0]], ids[each], np.ones(d, int)) for group in groups for each in group[1:]]
+    pairs = [(ids[group[0]], ids[control], np.ones(d, int)) for group in groups for control in group[1:]]
     if mirror is not None:
         axis, signs = mirror
         images = np.flip(ids, axis=axis).reshape(-1, d)
         pairs += [(row, image, signs) for row, image in zip(ids.reshape(-1, d), images, strict=True)]
     a, b, sign = (np.concatenate([np.asarray(pair[k]) for pair in pairs] or [np.zeros(0, int)]) for k in range(3))
-    # each displacement stands twice, as itself and as its opposite (+ count); what is linked to its own opposite is zero
+    # each displacement stands twice, as itself and as its opposite (+ count); what is linked to its
+    # own opposite is zero
     count = int(np.prod(counts)) * d
     opposite = np.where(sign < 0, count, 0)
     rows, columns = np.concatenate([a, a + count]), np.concatenate([b + opposite, b + count - opposite])

@@ -1,7 +1,7 @@
 """Measures of walls for constraints: ids from the host, floats in the trace.
 
-A wall in 2-D is a loop: ids (k,) of its nodes in order, counter-clockwise, without repeating the first. A wall in 3-D is a set of
-triangles (k, 3) or quads (k, 4), outward from what they enclose.
+A wall in 2-D is a loop: ids (k,) of its nodes in order, counter-clockwise, without repeating the
+first. A wall in 3-D is a set of triangles (k, 3) or quads (k, 4), outward from what they enclose.
 """
 
 from typing import Any
@@ -11,70 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._host.cells.pieces import boundary_faces
 from .._host.package.arguments import as_array, checked
 from .._kernels.values import is_known, slack
-from .._mesh.mesh import Mesh
 from ._arguments import Numbers, positions, rows_of, vector
-
-
-def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
-    return {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
-
-
-@checked
-def wall_loop(mesh: Mesh, patch: str) -> Int[np.ndarray, " k"]:
-    """Finds the nodes of a closed wall in 2-D in order, counter-clockwise.
-
-    **Arguments:**
-
-    - `mesh`: a `Mesh` in 2-D.
-    - `patch`: the name of the wall's patch.
-
-    **Returns:** node ids (k,).
-
-    **Raises:** `ValueError` for a patch that is not one closed loop, with a node where it ends or branches.
-    """
-    nodes = mesh.patch(patch)
-    segments = boundary_faces(_cells(mesh), len(mesh.points), nodes).get("line", np.zeros((0, 2), int))
-    ends, degree = np.unique(segments, return_counts=True)
-    if len(segments) == 0 or (degree != 2).any():
-        where = f", first node {ends[degree != 2][0]}" if len(segments) else ""
-        raise ValueError(f"patch {patch!r} is no closed loop: {(degree != 2).sum()} ends or branches{where}.")
-    beside: dict[int, list[int]] = {int(node): [] for node in ends}
-    for a, b in segments.tolist():
-        beside[a].append(b)
-        beside[b].append(a)
-    loop = [int(ends[0])]
-    loop.append(beside[loop[0]][0])
-    while (following := next(n for n in beside[loop[-1]] if n != loop[-2])) != loop[0]:
-        loop.append(following)
-    if len(loop) != len(ends):
-        raise ValueError(f"patch {patch!r} is several loops: {len(loop)} of its {len(ends)} nodes hang together.")
-    ids = np.array(loop)
-    return ids if float(area(np.asarray(mesh.points), ids)) > 0 else ids[::-1].copy()
-
-
-@checked
-def wall_faces(mesh: Mesh, patch: str) -> list[Int[np.ndarray, "k corners"]]:
-    """Lists the faces of a wall, triangles and quads in 3-D, segments in 2-D, as the mesh's cells order them.
-
-    **Arguments:**
-
-    - `mesh`: a `Mesh`.
-    - `patch`: the name of the wall's patch.
-
-    **Returns:** node ids, one array (k, 2), (k, 3) or (k, 4) for each type.
-
-    **Raises:** `ValueError` for a patch without faces.
-    """
-    faces = boundary_faces(_cells(mesh), len(mesh.points), mesh.patch(patch))
-    if mesh.points.shape[1] == 3:
-        faces.pop("line", None)
-    faces = {kind: ids for kind, ids in faces.items() if len(ids)}
-    if not faces:
-        raise ValueError(f"patch {patch!r} has no faces on the boundary of the mesh's cells.")
-    return list(faces.values())
+from ._walls import triangles_of
 
 
 @checked
@@ -120,14 +60,16 @@ def volume(x: Numbers, faces: Any, plane: Numbers | None = None) -> Float[Array,
 
     - `x`: positions (n, 3).
     - `faces`: ids (k, 3) or (k, 4), one array or a list of them.
-    - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane; None for a closed one.
+    - `plane`: a point (3,) of the plane that closes an open wall, such as a symmetry plane; None
+      for a closed wall.
 
     **Returns:** a number, in the cube of the unit of `x`.
 
-    **Raises:** `ValueError` for an open wall without a plane, and for a border that is not in one plane with the point.
+    **Raises:** `ValueError` for an open wall without a plane, and for a border that is not in one
+    plane with the point.
     """
     x = positions(x)
-    triangles = _triangles(faces, x)
+    triangles = triangles_of(faces, x)
     origin = x[triangles[0, 0]] if plane is None else vector("plane", plane, x)
     _check_closed(x, triangles, None if plane is None else origin)
     a, b, c = (x[triangles[:, k]] - origin[None, :] for k in range(3))
@@ -155,7 +97,9 @@ def chord(x: Numbers, nose: Any, tail: Any) -> Float[Array, ""]:
 
 @checked
 def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
-    """Computes the curvature at each node of a loop (2-D): of the circle through it and its neighbours, positive where convex.
+    """Computes the curvature at each node of a loop (2-D), positive where convex.
+
+    It is the curvature of the circle through the node and its neighbours.
 
     **Arguments:** `x` and `loop` as in `area`.
 
@@ -173,14 +117,17 @@ def curvature(x: Numbers, loop: Any) -> Float[Array, " k"]:
 
 @checked
 def leading_edge_radius(x: Numbers, loop: Any, tail: int, around: int = 4) -> Float[Array, ""]:
-    """Computes the radius of the nose: of the circle closest to the node farthest from the tail and `around` nodes on each side.
+    """Computes the radius of the nose of an airfoil (2-D).
+
+    The circle is closest to the node farthest from the tail and `around` nodes on each side of it.
 
     **Arguments:**
 
     - `x`: positions (n, 2).
     - `loop`: ids (k,) of the airfoil's nodes in order.
     - `tail`: a node of the trailing edge.
-    - `around`: nodes on each side of the nose, 1 or more; their circle is the osculating one to second order in their spacing.
+    - `around`: nodes on each side of the nose, 1 or more. Their circle is the osculating circle to
+      second order in their spacing.
 
     **Returns:** a radius, in the unit of `x`.
 
@@ -238,21 +185,8 @@ def _segments(x: Numbers, loop: Any) -> tuple[Float[Array, "k 2"], Float[Array, 
     return x[loop], x[np.roll(loop, -1)]
 
 
-def _triangles(faces: Any, x: Float[Array, "n d"]) -> Int[np.ndarray, "k 3"]:
-    pieces = []
-    for ids in faces if isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2 else [faces]:
-        ids = as_array("faces", ids)
-        if x.shape[1] != 3 or ids.ndim != 2 or ids.shape[1] not in (3, 4) or ids.size == 0:
-            raise ValueError(
-                f"`x` has shape {x.shape}, `faces` {ids.shape}; expected (n, 3) and its rows (k, 3) or (k, 4)."
-            )
-        ids = rows_of("faces", ids, len(x))
-        pieces += [ids[:, [0, k, k + 1]] for k in range(1, ids.shape[1] - 1)]
-    return np.concatenate(pieces)
-
-
 def _check_closed(x: Float[Array, "n 3"], triangles: Int[np.ndarray, "k 3"], plane: Float[Array, " 3"] | None) -> None:
-    """Raises `ValueError` for edges of one triangle alone, where no plane closes them."""
+    """Raises `ValueError` for edges of only one triangle, unless a plane closes them."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     border = unique[count == 1]

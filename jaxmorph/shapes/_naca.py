@@ -11,20 +11,20 @@ from ._section import Chord
 from ._shape import AbstractShape
 
 LAST = (0.1015, 0.1036)
-"""The last coefficient of the thickness: of a blunt trailing edge, and of a sharp one."""
+"""Last coefficient of the thickness: for a blunt trailing edge, and for a sharp edge."""
 
 REACH = 2.0
 """Chords before and behind the crest of the mean line within which feet are searched."""
 
 HALVINGS = 56
-"""Halvings of an interval; they leave round-off of it."""
+"""Halvings of an interval, down to round-off."""
 
 
 class NACA4(AbstractShape):
-    """Turns one NACA 4-digit airfoil into another: exact for its own nodes, smooth for nodes nearby.
+    """Turns a NACA 4-digit airfoil into another: exact for its own nodes, smooth nearby.
 
-    The parameters are (camber, place, thickness) in chords: (0.04, 0.4, 0.12) is the NACA 4412. A node keeps its place on the mean
-    line; its height above the mean line scales with the thickness.
+    The parameters are (camber, place, thickness) in chords: (0.04, 0.4, 0.12) is the NACA 4412. A
+    node keeps its place on the mean line; its height above the mean line scales with the thickness.
 
     **Arguments:**
 
@@ -50,7 +50,7 @@ class NACA4(AbstractShape):
         return self.given
 
     def __call__(self, x: Numbers, parameters: Numbers) -> Float[Array, "m d"]:
-        """Moves positions (m, d) from the given airfoil to the one of the parameters (3,)."""
+        """Moves positions (m, d) from the given airfoil to the airfoil of the parameters (3,)."""
         x = positions(x)
         parameters, given = jnp.asarray(parameters, x.dtype), self.given.astype(x.dtype)
         if parameters.shape != (3,):
@@ -76,7 +76,7 @@ def _mean_line(
 
 
 def _away(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
-    """Computes how far each position is beyond the normal of the mean line at s: 0 where s is its foot."""
+    """Computes how far positions are beyond the mean line's normal at s: 0 at their foot."""
     ordinate, slope = _mean_line(s, airfoil)
     return s - t + (ordinate - height) * slope
 
@@ -89,7 +89,10 @@ def _rate(s, t, height, airfoil: Float[Array, " 3"]) -> Float[Array, "..."]:
 @jax.custom_jvp
 @jax.jit
 def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[Array, " 3"]) -> Float[Array, " m"]:
-    """Finds the foot of each position on the mean line: of several the one at which the airfoil is as thick as it is far."""
+    """Finds the foot of each position on the mean line.
+
+    Of several feet it is the one at which the airfoil is as thick as the position is far.
+    """
     t, height = t[None], height[None]
     near, far = _intervals(height, airfoil)
     sign = jnp.sign(_away(near, t, height, airfoil))
@@ -106,14 +109,15 @@ def _station(t: Float[Array, " m"], height: Float[Array, " m"], airfoil: Float[A
     part = jnp.clip(s, 0, 1)
     half = [_half_thickness(part, airfoil[2], last) for last in LAST]
     offset = jnp.abs(_offset(s, t, height, airfoil))
-    miss = jnp.minimum(*(jnp.abs(offset - each) for each in half)) + jnp.abs(_away(s, t, height, airfoil))
+    miss = jnp.minimum(*(jnp.abs(offset - thickness) for thickness in half)) + jnp.abs(_away(s, t, height, airfoil))
     first = jnp.argmax(miss <= miss.min(axis=0, keepdims=True) + slack(s.dtype), axis=0)
     return jnp.take_along_axis(s, first[None], axis=0)[0]
 
 
 @_station.defjvp
 def _station_jvp(primals, tangents):
-    # the foot is defined by away(s, ...) = 0; the rule contains the foot itself, so that derivatives of all orders follow
+    # the foot is defined by away(s, ...) = 0; the rule contains the foot itself, so that
+    # derivatives of all orders follow
     s = _station(*primals)
     rate = _rate(s, *primals)
     moved = jax.jvp(lambda *given: _away(s, *given), primals, tangents)[1]
@@ -125,8 +129,9 @@ def _intervals(
 ) -> tuple[Float[Array, "4 m"], Float[Array, "4 m"]]:
     """Computes the ends of intervals in which a position has at most one foot.
 
-    Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a root of
-    2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t. The cubic is monotone up to its extremum, and beyond it.
+    Let v = s - place, and b = -camber / width^2 on each of the two parabolas. There a foot is a
+    root of 2 b^2 v^3 + (1 + 2 b (camber - height)) v + place - t. The cubic is monotone up to its
+    extremum, and beyond it.
     """
     camber, place = airfoil[0], airfoil[1]
     near, far = [], []

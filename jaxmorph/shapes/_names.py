@@ -38,13 +38,13 @@ def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
     **Arguments:**
 
     - `parameters`: what a shape takes.
-    - `changes`: values by the names that `names` gives, or by those of whole arrays (`wing.box`). The end of a name is enough
-      where one name alone ends so (`twist`).
+    - `changes`: values by the names that `names` gives, or by names of whole arrays (`wing.box`).
+      The end of a name is enough where no other name ends like it (`twist`).
 
-    **Returns:** parameters of the same structure, as NumPy's floats.
+    **Returns:** parameters in their structure, as NumPy's floats.
 
-    **Raises:** `ValueError` for names that are unknown or that several parameters share, counts that differ, and values
-    that are not finite.
+    **Raises:** `ValueError` for names that are unknown or that several parameters share, counts
+    that differ, and values that are not finite.
     """
     check_parameters(parameters)
     stems, leaves = zip(*_leaves(parameters), strict=True) if jax.tree.leaves(parameters) else ((), ())
@@ -68,23 +68,23 @@ def varied(parameters: PyTree, changes: Mapping[str, Any]) -> PyTree:
                 )
             raise ValueError(f"there is no design variable {name}{_hint(name, stems)}; there are: {listed}.")
         k, at = places[matches[0]]
-        given, target = np.asarray(change, float), values[k][at]
-        if given.size != target.size or not np.isfinite(given).all():
+        value, target = np.asarray(change, float), values[k][at]
+        if value.size != target.size or not np.isfinite(value).all():
             count = "one finite number" if target.size == 1 else f"{target.size} finite numbers"
-            raise ValueError(f"{name} takes {count}, found {given.ravel().tolist()}.")
-        values[k][at] = given.reshape(target.shape)
+            raise ValueError(f"{name} takes {count}, found {value.ravel().tolist()}.")
+        values[k][at] = value.reshape(target.shape)
     return jax.tree.unflatten(jax.tree.structure(parameters), values)
 
 
 def _called(name: str, known: Iterable[str]) -> list[str]:
     """Lists the name itself, or all names that end with it."""
     known = list(known)
-    return [name] if name in known else [each for each in known if each.endswith(f".{name}")]
+    return [name] if name in known else [other for other in known if other.endswith(f".{name}")]
 
 
 def _hint(name: str, known: Sequence[str]) -> str:
-    """Suggests a known name, or the end of one, that is like the given one."""
-    near = difflib.get_close_matches(name, [*known, *(each.rpartition(".")[2] for each in known)], n=1)
+    """Suggests a known name, or the end of a known name, that is similar."""
+    near = difflib.get_close_matches(name, [*known, *(stem.rpartition(".")[2] for stem in known)], n=1)
     return f" (did you mean {near[0]!r}?)" if near else ""
 
 

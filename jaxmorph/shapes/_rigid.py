@@ -17,7 +17,8 @@ def rotate(x: Numbers, angle: Number | Numbers, about: Numbers, axis: Numbers | 
     **Arguments:**
 
     - `x`: positions (m, d).
-    - `angle`: radians, counter-clockwise as seen against `axis`, for all positions or one for each (m,); 0 is neutral.
+    - `angle`: radians, counter-clockwise as seen against `axis`, for all positions or one for each
+      (m,); 0 is neutral.
     - `about`: a point (d,) that stays.
     - `axis`: direction (3,) of any length; only in 3-D.
 
@@ -72,7 +73,10 @@ def scale(x: Numbers, factors: Numbers | Number, about: Numbers) -> Float[Array,
 def turn(
     arm: Float[Array, "m d"], angle: Float[Array, ""] | Float[Array, "m 1"], axis: Float[Array, " 3"] | None
 ) -> Float[Array, "m d"]:
-    """Computes what a rotation adds to arms from its centre (Rodrigues' formula); each arm may have an angle (m, 1)."""
+    """Computes what a rotation adds to arms from its centre (Rodrigues' formula).
+
+    There is one angle, or one for each arm (m, 1).
+    """
     versine = 2 * jnp.sin(angle / 2) ** 2
     if axis is None:
         return jnp.sin(angle) * jnp.stack([-arm[:, 1], arm[:, 0]], axis=1) - versine * arm

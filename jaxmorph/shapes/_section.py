@@ -9,11 +9,11 @@ from jaxtyping import Array, Bool, Float, Int
 from .._host.package.arguments import checked
 from .._kernels.module import Module
 from ._arguments import Numbers, check_finite, known_positions, rows_of
-from ._measures import _triangles
 from ._sides import SAME, upper_of_loop, upper_of_points
+from ._walls import triangles_of
 
 WINDOW = 14
-"""Nodes around each one by which the two sides of an airfoil are told apart."""
+"""Nodes around a node that decide on which side of an airfoil it is."""
 
 
 class Chord(Module):
@@ -52,7 +52,7 @@ class Chord(Module):
         return jnp.linalg.norm(self.tail - self.nose)
 
     def coordinates(self, x: Float[Array, "m d"]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        """Computes the place along the chord (0 to 1) and the height across it (in the units of x) of positions."""
+        """Computes the place along the chord (0 to 1) and the height across it (in units of x)."""
         chord = (self.tail - self.nose).astype(x.dtype)
         if chord.shape != x.shape[1:]:
             raise ValueError(f"positions in {x.shape[1]}-D and a chord in {len(chord)}-D.")
@@ -62,10 +62,12 @@ class Chord(Module):
     @staticmethod
     @checked
     def along(points: Numbers) -> "Chord":
-        """Finds the chord of an airfoil in 2-D: the tail has the largest x, the nose is the node farthest from the tail.
+        """Finds the chord of an airfoil in 2-D.
 
-        Nodes of a blunt tail, which share the largest x, give their mean, and so do nodes that are equally far from the tail.
-        `points` are positions (m, 2).
+            The tail has the largest x, the nose is the node farthest from the tail.
+
+            Nodes of a blunt tail, which share the largest x, give their mean. Nodes that are equally far from
+        the tail do so too. `points` are positions (m, 2).
         """
         known = known_positions(points, "points")
         last = known[:, 0].max()
@@ -78,26 +80,30 @@ class Chord(Module):
 def upper_side(points: Numbers, chord: Chord | None = None, *, wall: Any = None) -> Bool[np.ndarray, " m"]:
     """Marks the nodes on the upper side of an airfoil.
 
-    The wall is cut at nose and tail: a single node there is an upper one, and of a blunt tail each side has its corner. In 2-D
-    without `wall`, the shortest way around through all nodes, along the chord and back, counts as the wall. In 3-D without
-    it, a node is compared with the parabola closest to its neighbours along the chord, which thin edges may mislead.
+    The wall is cut at nose and tail. A single node there is on the upper side. A blunt tail has a
+    corner on either side. In 2-D without `wall`, the shortest way around through all nodes, along
+    the chord and back, counts as the wall. In 3-D without it, a node is compared with the parabola
+    closest to its neighbours along the chord, which thin edges may mislead.
 
     **Arguments:**
 
-    - `points`: positions (m, d) of the airfoil's nodes; of a mesh, where `wall` names those of the airfoil.
+    - `points`: positions (m, d) of the airfoil's nodes, or of a mesh where `wall` names the
+      airfoil's nodes.
     - `chord`: the airfoil's. Default `Chord.along` of its nodes.
-    - `wall`: ids of its nodes in order, as `wall_loop` finds them; its faces in 3-D, as `wall_faces` finds them.
+    - `wall`: ids of its nodes in order, as `wall_loop` finds them; its faces in 3-D, as
+      `jaxmorph.boundary_faces` finds them.
 
     **Returns:** booleans (m,), False for nodes that are not the airfoil's.
 
-    **Raises:** `ValueError` where all nodes would be on one side, and for a wall that is no rows of the points.
+    **Raises:** `ValueError` where all nodes would be on one side, and for a wall whose ids are no
+    rows of the points.
     """
     x = known_positions(points, "points")
     solid = wall is not None and x.shape[1] == 3
-    groups = [_triangles(wall, jnp.asarray(x))] if solid else [] if wall is None else [_rows_of_loop(wall, len(x))]
-    rows = np.unique(np.concatenate([each.ravel() for each in groups])) if groups else np.arange(len(x))
+    groups = [triangles_of(wall, jnp.asarray(x))] if solid else [] if wall is None else [_rows_of_loop(wall, len(x))]
+    rows = np.unique(np.concatenate([ids.ravel() for ids in groups])) if groups else np.arange(len(x))
     chord = Chord.along(x[rows]) if chord is None else chord
-    t, height = (np.asarray(each, float) for each in chord.coordinates(jnp.asarray(x)))
+    t, height = (np.asarray(values, float) for values in chord.coordinates(jnp.asarray(x)))
     places = np.column_stack([t, height / float(chord.length)])
     upper = np.zeros(len(x), bool)
     if solid:
@@ -127,7 +133,7 @@ def _by_faces(
 
     The normals of a node's faces are summed with the faces' angles at the node. A tie is upper.
 
-    Faces that are inward, as those of a mesh's cells around the body, enclose a negative volume.
+    Inward faces enclose a negative volume. The faces of a mesh's cells around the body are inward.
     """
     corners = x[triangles] - x[np.unique(triangles)].mean(axis=0)
     ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners

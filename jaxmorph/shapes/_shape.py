@@ -12,7 +12,8 @@ from ._arguments import Numbers, positions
 class AbstractShape(Module):
     """Moves positions by parameters: `shape(x, parameters)`.
 
-    A plain function of the same form serves as well. A class adds `neutral()`, the parameters that move nothing.
+    A plain function of `(x, parameters)` serves as well. A class adds `neutral()`, the parameters
+    that move nothing.
     """
 
     @abc.abstractmethod
@@ -25,7 +26,10 @@ class AbstractShape(Module):
 
 
 class AbstractOperator(Module):
-    """Computes displacements (m, d) of fixed positions; linear in the parameters. Its transpose is `jax.linear_transpose`'s."""
+    """Computes displacements (m, d) of fixed positions; linear in the parameters.
+
+    `jax.linear_transpose` gives its transpose.
+    """
 
     @abc.abstractmethod
     def __call__(self, parameters: PyTree) -> Float[Array, "m d"]:

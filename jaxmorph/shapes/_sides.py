@@ -1,4 +1,4 @@
-"""The two sides of an airfoil: its loop is cut at nose and tail, so that no node lies near the border between them."""
+"""The two sides of an airfoil: its loop is cut at nose and tail."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,25 +10,26 @@ SAME = 1e-9
 """Distance in chords within which two nodes stand at one place."""
 
 TIE = 1e-12
-"""Difference in chords within which two tours are equally long; the node that comes first is taken."""
+"""Difference in chords within which two tours are equally long."""
 
 AT = 1e-3
 """Share of an edge within which the nose or the tail is the node at its end."""
 
 BLUNT = 0.1
-"""Length in chords of a blunt tail, at most, where the tail that is given is one of its corners."""
+"""Largest length in chords of a blunt tail whose corner is given as the tail."""
 
 CORNER, SHARP = np.cos(np.deg2rad([45, 135]))
-"""Cosines of the turn of a loop at a corner of a blunt tail: less than the first, more than the second."""
+"""Cosines of the turn of a loop at a corner of a blunt tail: an upper and a lower bound."""
 
 
 def upper_of_loop(places: Float[np.ndarray, "k 2"]) -> Bool[np.ndarray, " k"]:
     """Marks the nodes on the upper side of a loop.
 
-    A single node at the nose or the tail is an upper one. Of several there, as on a blunt tail, each side has its half.
-    On a line none is.
+    A single node at the nose or the tail is on the upper side. Of several nodes there, as on a
+    blunt tail, each side has one half. A line has no upper side.
 
-    - `places`: along the chord from 0 to 1 and across it, in chords; in the order of the loop, in either sense.
+    - `places`: along the chord from 0 to 1 and across it, in chords; in the order of the loop, in
+      either sense.
     """
     x, y = places.T
     area = (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
@@ -70,7 +71,10 @@ def upper_of_points(places: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, " m"]:
 
 
 def _cut(corners: Float[np.ndarray, "k 2"], place: float) -> tuple[int, int]:
-    """Finds where the loop is nearest to a place on the chord: corners from the first to before the last; none within an edge."""
+    """Finds where the loop is nearest to a place on the chord.
+
+    It returns the corners from the first to before the last; none within an edge.
+    """
     edges, arms = np.roll(corners, -1, axis=0) - corners, np.array([[place, 0.0]]) - corners
     share = np.clip(np.sum(arms * edges, axis=1) / np.sum(edges**2, axis=1), 0, 1)
     nearest = int(np.linalg.norm(arms - share[:, None] * edges, axis=1).argmin())
@@ -81,7 +85,7 @@ def _cut(corners: Float[np.ndarray, "k 2"], place: float) -> tuple[int, int]:
 
 
 def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[int, int]:
-    """Goes from one corner of a blunt tail to the other one."""
+    """Extends one corner of a blunt tail to both of its corners."""
     edges = np.roll(corners, -1, axis=0) - corners
     lengths = np.linalg.norm(edges, axis=1)
     before = np.roll(edges, 1, axis=0)
@@ -103,15 +107,16 @@ def _blunt(corners: Float[np.ndarray, "k 2"], first: int, last: int) -> tuple[in
 
 
 def tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
-    """Finds the shortest way around that goes through all places, along the chord and back (the bitonic tour).
+    """Finds the shortest tour of all places, along the chord and back (bitonic).
 
-    - `places`: different ones, along the chord and across it, in chords.
+    - `places`: different places, along the chord and across it, in chords.
     """
     along = np.argsort(places[:, 0], kind="stable")
     column = np.cumsum(np.diff(places[along, 0], prepend=-np.inf) > SAME)
     order = along[np.lexsort((places[along, 1], column))]
     ahead, count = places[order], len(order)
-    # two chains reach the nodes up to k: one ends at k, the other at j < k, and `cost[j]` is the length of both
+    # two chains reach the nodes up to k: one ends at k, the other at j < k, and `cost[j]` is the
+    # length of both
     cost, before = np.zeros(count), np.zeros(count, int)
     cost[0] = np.linalg.norm(ahead[1] - ahead[0])
     for k in range(1, count):
@@ -120,7 +125,8 @@ def tour(places: Float[np.ndarray, "m 2"]) -> Int[np.ndarray, " m"]:
         before[k] = int(np.argmax(total <= total.min() + TIE))
         cost[:k] += np.linalg.norm(following - ahead[k])
         cost[k] = total[before[k]]
-    # backwards: k was reached from k - 1, or from `before[k - 1]` where the other chain ends at k - 1
+    # backwards: k was reached from k - 1, or from `before[k - 1]` where the other chain ends at k -
+    # 1
     other = int(before[count - 1])
     chains = [count - 1], [other]
     for k in range(count - 1, 1, -1):

@@ -1,6 +1,7 @@
 """Smoothing along a wall: Sobolev gradients, vertex morphing.
 
-The solve stays on the host, with a factor made once; it is symmetric, so its transpose is itself.
+The solve stays on the host, with a factor that is made once. It is symmetric, and so is its
+transpose.
 """
 
 from typing import Any
@@ -14,27 +15,33 @@ from scipy import sparse
 
 from .._host.cells.pieces import boundary_faces
 from .._host.linear.solves import Factors
-from .._host.package.arguments import as_array, between, checked, rows_of
+from .._host.package.arguments import between, checked, rows_of
 from .._kernels.callback import host_call
 from .._mesh.mesh import Mesh
 from ._arguments import Numbers, known_positions, positions
 from ._shape import AbstractLinearShape, AbstractOperator
+from ._walls import face_arrays
 
 
 class Smoother(AbstractLinearShape):
-    """Solves (I + length^2 L) v = u on a wall, L its Laplace-Beltrami operator: waves much shorter than `length` vanish.
+    """Smooths along a wall: waves much shorter than `length` vanish.
 
-    With linear elements and lumped masses M, v = (M + length^2 K)^-1 M u. `smoother.apply(u)` filters displacements; its transpose,
-    `smoother.sensitivities(gradient)`, filters sensitivities. As a shape its parameters are (m, d): vertex morphing.
+    It solves (I + length^2 L) v = u, where L is the wall's Laplace-Beltrami operator.
+
+    With linear elements and lumped masses M, v = (M + length^2 K)^-1 M u. `smoother.apply(u)`
+    filters displacements; its transpose, `smoother.sensitivities(gradient)`, filters sensitivities.
+    As a shape its parameters are (m, d): vertex morphing.
 
     **Arguments:**
 
     - `points`: (m, d) the wall's nodes.
-    - `faces`: ids (k, 2) of segments in 2-D; (k, 3) or (k, 4) of triangles or quads in 3-D, one array or several.
+    - `faces`: ids (k, 2) of segments in 2-D; (k, 3) or (k, 4) of triangles or quads in 3-D, one
+      array or several.
     - `length`: in the units of the points.
     - `held`: rows of nodes that stay, such as the wall's border; all others end freely.
 
-    **Raises:** `ValueError` for a negative length, ids that are no rows, faces without size, and nodes of no face.
+    **Raises:** `ValueError` for a negative length, ids that are no rows, faces without size, and
+    nodes of no face.
     """
 
     masses: Float[Array, " m"]
@@ -89,7 +96,7 @@ class Smoother(AbstractLinearShape):
         return jnp.zeros((len(self.masses), self.dimension))
 
     def at(self, x: Numbers) -> "SmoothOperator":
-        """Checks that positions (m, d) are the wall's in number; the operator is that of the wall as it was given."""
+        """Checks the number of positions (m, d); the operator is that of the given wall."""
         if positions(x).shape != self.neutral().shape:
             raise ValueError(f"`x` has shape {positions(x).shape}; this wall has {self.neutral().shape}.")
         return SmoothOperator(self)
@@ -117,10 +124,12 @@ class Smoother(AbstractLinearShape):
 
 
 def _pieces(faces: Any, points: np.ndarray) -> list[tuple[np.ndarray, float]]:
-    """Cuts faces into segments or triangles; a quad becomes its four corner triangles, each with half its weight."""
+    """Cuts faces into segments or triangles, with weights.
+
+    A quad becomes its four corner triangles with half their weight.
+    """
     pieces, d = [], points.shape[1]
-    for ids in faces if isinstance(faces, list | tuple) and np.ndim(faces[0]) == 2 else [faces]:
-        ids = as_array("faces", ids)
+    for ids in face_arrays(faces):
         if ids.ndim != 2 or ids.shape[1] not in ((2,) if d == 2 else (3, 4)) or ids.dtype.kind not in "iu":
             raise ValueError(
                 f"`faces` has shape {ids.shape} of {ids.dtype}; walls in {d}-D have {'(k, 2)' if d == 2 else '(k, 3) or (k, 4)'}."

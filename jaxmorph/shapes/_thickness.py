@@ -1,4 +1,7 @@
-"""Thickness of a body along lines: which faces a line meets is found on the host, where it meets them in the trace."""
+"""Thickness of a body along lines.
+
+The host finds which faces a line meets, traced code where it meets them.
+"""
 
 from typing import Any
 
@@ -10,15 +13,16 @@ from .._host.package.arguments import as_array, checked
 from .._kernels.module import Module
 from .._kernels.values import is_known
 from ._arguments import Numbers, check_finite, known_positions, positions, rows_of
-from ._measures import _triangles
+from ._walls import triangles_of
 
 
 class Stations(Module):
-    """Lines on which thickness is measured, each with the two faces that it meets first and last.
+    """Lines on which thickness is measured, with the first and the last face on each line.
 
-    `Stations.on` makes them once. The faces keep the wall's nodes, so that a moved wall is measured where its faces went.
+    `Stations.on` makes them once. The faces keep the wall's nodes, so that a moved wall is measured
+    where its faces went.
 
-    - `points` (s, d): one on each line.
+    - `points` (s, d): a point on each line.
     - `directions` (s, d): of the lines, of length 1.
     - `faces` (s, 2, d): node ids of each line's two faces.
     """
@@ -36,7 +40,7 @@ class Stations(Module):
 
         - `x`: positions (n, d) of the wall.
         - `faces`: segments (k, 2) in 2-D; triangles or quads in 3-D, one array or several.
-        - `points`: (s, d) one on each line.
+        - `points`: (s, d) a point on each line.
         - `direction`: (d,) of all lines, or (s, d).
 
         **Raises:** `ValueError` with the number of lines that meet fewer than two faces.
@@ -52,7 +56,7 @@ class Stations(Module):
         if not np.linalg.norm(lines, axis=1).all():
             raise ValueError("`direction` has length 0; it must be a direction.")
         lines = lines / np.linalg.norm(lines, axis=1)[:, None]
-        ids = as_array("faces", faces) if x.shape[1] == 2 else _triangles(faces, jnp.asarray(x))
+        ids = as_array("faces", faces) if x.shape[1] == 2 else triangles_of(faces, jnp.asarray(x))
         if ids.ndim != 2 or ids.shape[1] != x.shape[1]:
             raise ValueError(f"`faces` has shape {ids.shape}; walls in 2-D have segments (k, 2).")
         rows_of("faces", ids, len(x))
@@ -63,7 +67,7 @@ class Stations(Module):
             hits = np.flatnonzero(inside)
             if len(hits) < 2 or np.ptp(place[hits]) <= same:
                 missed.append(s)
-            else:  # faces met at one place, as those of a node, count by their number
+            else:  # of faces that are met at one place, such as around a node, the first counts
                 ends = place[hits] <= place[hits].min() + same, place[hits] >= place[hits].max() - same
                 chosen[s] = ids[[hits[end.argmax()] for end in ends]]
         if missed:
@@ -82,9 +86,11 @@ def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
     - `x`: positions (n, d) of the wall, moved or not; traced.
     - `stations`: from `Stations.on`.
 
-    **Returns:** thickness (s,), in the units of `x`; the faces count as planes, beyond their corners too.
+    **Returns:** thickness (s,), in the units of `x`; the faces count as planes, beyond their
+    corners too.
 
-    **Raises:** `ValueError` for positions of another wall: another dimension, or fewer rows than the faces name.
+    **Raises:** `ValueError` for positions of another wall: another dimension, or fewer rows than
+    the faces name.
     """
     x = positions(x)
     if is_known(stations.faces) and x.shape[1] == stations.points.shape[1]:
@@ -107,7 +113,10 @@ def thickness(x: Numbers, stations: Stations) -> Float[Array, " s"]:
 
 
 def _meets(x: np.ndarray, ids: np.ndarray, point: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solves point + s line = first corner + weights times edges for all faces: s, and whether it is inside."""
+    """Solves point + s line = first corner + weights times edges for all faces.
+
+    It returns s, and whether the place is inside the face.
+    """
     first, d = x[ids[:, 0]], x.shape[1]
     columns = [np.broadcast_to(line, first.shape)] + [first - x[ids[:, k]] for k in range(1, d)]
     system = np.stack(columns, axis=2)

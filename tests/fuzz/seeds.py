@@ -12,6 +12,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 
 import adf
 import cgns
+import exodus
 import foam
 import h5py
 import meshio
@@ -127,6 +128,20 @@ def adf_files(folder: pathlib.Path) -> list[Seed]:
     return seeds
 
 
+def exodus_files(folder: pathlib.Path) -> list[Seed]:
+    for form in exodus.FORMS:
+        exodus.solid(folder / f"{form}.e", form=form)
+    return [single(folder / f"{form}.e") for form in exodus.FORMS]
+
+
+def med(folder: pathlib.Path) -> list[Seed]:
+    points, cells = single_type()
+    mesh = meshio.Mesh(points, cells, point_data={"point_tags": (points[:, 2] == 0).astype(int)})
+    mesh.point_tags = {1: ["floor"]}
+    meshio.med.write(str(folder / "a.med"), mesh)
+    return [single(folder / "a.med")]
+
+
 def plot3d(folder: pathlib.Path) -> list[Seed]:
     seeds = []
     for k, (form, order) in enumerate(itertools.product(("text", "records", "plain"), "<>")):
@@ -228,6 +243,8 @@ FORMATS = {
     "gmsh": gmsh,
     "CGNS": cgns_files,
     "ADF": adf_files,
+    "Exodus": exodus_files,
+    "MED": med,
     "PLOT3D": plot3d,
     "OpenFOAM": openfoam,
     "tables": tables,

@@ -1,7 +1,6 @@
-"""Neighbours of cells: the cells that share a face, and whether they are numbered alike."""
+"""Neighbours of cells: the cells that share a face, and the handedness of their numbering."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -9,70 +8,71 @@ from .pairs import columns_of, parts_of, sorted_columns, twins
 from .topology import FACES
 
 
-def neighbours(cells: dict[str, Any], xp: Any = np) -> tuple[Any, Any]:
-    """Finds the cell behind each face of each cell.
+def neighbours(cells: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Finds the cell behind every face of all cells.
 
-    Two cells are neighbours when a face of one has the nodes of a face of the other. Sorting the rows of sorted nodes brings
-    equal faces together. The sense in which the two run round the face tells whether the cells are numbered alike.
+    Two cells are neighbours if a face of one has the nodes of a face of the other.
 
     **Arguments:**
 
     - `cells`: corner ids (k, corners) by type.
-    - `xp`: the array module: NumPy, or `jax.numpy` where the corner ids are traced (all shapes are static).
 
     **Returns:**
 
-    Two arrays with one entry for each face. Cells are in the order of `cells`, the faces of one cell in that of `FACES`.
+    Two arrays with one entry a face: cells in the order of `cells`, faces of a cell in the order of
+    `FACES`.
 
     - The id of the neighbour, -1 on the boundary and where more than two cells meet.
-    - True where the neighbour is numbered with the other handedness.
+    - True where the neighbour is numbered with the opposite handedness.
     """
-    # Each face becomes a row of its sorted nodes, with its cell and the sense in which it runs. `twins` sorts all rows, so
-    # that equal faces stand side by side: the twin's cell is the neighbour. Two cells that are numbered alike run round their
-    # common face in opposite senses.
+    # A face becomes a row of its sorted nodes, with its cell and its sense of rotation. `twins`
+    # sorts all rows, so that equal faces stand side by side: the twin's cell is the neighbour. Two
+    # cells of one handedness run round their common face in opposite senses.
     columns, turns, owners, first = [], [], [], 0
     width = max((len(face) for kind in cells for face in FACES[kind]), default=2)
     for kind, corners in cells.items():
-        nodes = columns_of(corners) if xp is np else list(corners.T)
+        nodes = columns_of(corners)
         for face in FACES[kind]:
             side = [nodes[corner] for corner in face]
-            columns.append(sorted_columns(side, width, xp))
-            turns.append(_turns(side, columns[-1], xp))
+            columns.append(sorted_columns(side, width))
+            turns.append(_turns(side, columns[-1]))
             owners.append(np.arange(first, first + len(corners), dtype=np.int32))
         first += len(corners)
     if not columns:
-        return xp.zeros(0, dtype=np.int32), xp.zeros(0, dtype=bool)
-    turn, owner = xp.concatenate(turns), xp.asarray(np.concatenate(owners))
-    twin = twins([xp.concatenate(parts) for parts in zip(*columns, strict=True)], xp)
-    neighbour, flipped = xp.where(twin < 0, -1, owner[twin]), (twin >= 0) & (turn == turn[twin])
-    return _by_cell(neighbour, cells, xp), _by_cell(flipped, cells, xp)
+        return np.zeros(0, dtype=np.int32), np.zeros(0, dtype=bool)
+    turn, owner = np.concatenate(turns), np.concatenate(owners)
+    twin = twins([np.concatenate(parts) for parts in zip(*columns, strict=True)])
+    neighbour, flipped = np.where(twin < 0, -1, owner[twin]), (twin >= 0) & (turn == turn[twin])
+    return _by_cell(neighbour, cells), _by_cell(flipped, cells)
 
 
-def _turns(nodes: Sequence[Any], ordered: Sequence[Any], xp: Any) -> Any:
-    """Finds the sense of each face: whether the lower neighbour follows the lowest node."""
+def _turns(nodes: Sequence[np.ndarray], ordered: Sequence[np.ndarray]) -> np.ndarray:
+    """Finds the sense of faces: True if the lower neighbour follows the lowest node."""
     if len(nodes) == 2:
         return nodes[0] < nodes[1]
-    turns = xp.zeros(len(nodes[0]), dtype=bool)
+    turns = np.zeros(len(nodes[0]), dtype=bool)
     for corner, node in enumerate(nodes):
-        turns = turns | ((node == ordered[0]) & (nodes[(corner + 1) % len(nodes)] < nodes[corner - 1]))
+        turns |= (node == ordered[0]) & (nodes[(corner + 1) % len(nodes)] < nodes[corner - 1])
     return turns
 
 
-def _by_cell(values: Any, cells: dict[str, Any], xp: Any) -> Any:
+def _by_cell(values: np.ndarray, cells: Mapping[str, np.ndarray]) -> np.ndarray:
     """Reorders values that stand face by face, so that all faces of one cell follow each other."""
     parts, first = [], 0
     for kind, corners in cells.items():
         last = first + len(FACES[kind]) * len(corners)
         parts.append(values[first:last].reshape(len(FACES[kind]), len(corners)).T.reshape(-1))
         first = last
-    return xp.concatenate(parts)
+    return np.concatenate(parts)
 
 
-def handedness(cells: dict[str, Any], neighbour: np.ndarray, flipped: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the orientation sign of each cell, and the connected part that it belongs to.
+def handedness(
+    cells: Mapping[str, np.ndarray], neighbour: np.ndarray, flipped: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Finds the orientation sign of all cells, and their connected parts.
 
-    Cells connected through faces have the same sign when their numbering has the same handedness. Ids alone decide it: no
-    coordinate enters. A part that cannot be oriented (a Moebius strip) has sign 1 throughout.
+    Cells that faces connect have equal signs if their numbering has one handedness. Ids alone
+    decide, no coordinates. A part that cannot be oriented (a Moebius strip) has sign 1 throughout.
 
     **Arguments:**
 
@@ -81,23 +81,16 @@ def handedness(cells: dict[str, Any], neighbour: np.ndarray, flipped: np.ndarray
 
     **Returns:**
 
-    Two arrays with one entry for each cell: its sign, 1 or -1, and the id of its part.
+    Two arrays with one entry a cell: its sign, 1 or -1, and the id of its part.
     """
     count = sum(len(corners) for corners in cells.values())
-    owner = np.concatenate(
-        [np.repeat(np.arange(len(corners)), len(FACES[kind])) + first for (kind, corners), first in _firsts(cells)]
-        or [np.zeros(0, dtype=np.int64)]
-    )
+    faces = [np.full(len(corners), len(FACES[kind])) for kind, corners in cells.items()]
+    owner = np.repeat(np.arange(count), np.concatenate([np.zeros(0, dtype=int), *faces]))
     inner = (neighbour >= 0) & (owner < neighbour)
     a, b, other = owner[inner], neighbour[inner], flipped[inner] * count
-    # two sheets, one for each sign: crossing a face where the numbering turns round changes the sheet
+    # A cell stands on two sheets, one for each sign. A face between cells of opposite handedness
+    # connects different sheets. The sheets of an orientable part stay two parts.
     start = np.concatenate([a, a + count])
     end = np.concatenate([b + other, b + count - other])
     sheet = parts_of(start, end, 2 * count)
     return np.where(sheet[:count] <= sheet[count:], 1, -1), np.minimum(sheet[:count], sheet[count:])
-
-
-def _firsts(cells: dict[str, Any]) -> list[tuple[tuple[str, Any], int]]:
-    """Lists each type with its corner ids, and the id of its first cell."""
-    firsts = np.cumsum([0, *(len(corners) for corners in cells.values())])
-    return list(zip(cells.items(), firsts.tolist(), strict=False))

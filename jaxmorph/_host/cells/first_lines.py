@@ -1,4 +1,4 @@
-"""The first grid line off a wall: which of the edges that leave a wall node it is."""
+"""First grid lines off a wall: the edge of every wall node that leaves the wall nearest to its normal."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -10,11 +10,13 @@ from .topology import DIMENSION, EDGES, FACES
 
 
 class Lines(NamedTuple):
-    """Ids of w wall nodes, of the node at the other end of each one's first grid line, and of a neighbour on the wall.
+    """First grid lines of w wall nodes, and the faces of the wall.
 
+    - `nodes`, `ends`, `beside` (w,): ids of the wall nodes, of the other ends of their lines, and
+      of neighbours on the wall.
     - `faces` (f, c): sides of cells on the wall; a triangle repeats its last corner.
-    - `rows` (f, c): the place of each corner among the w nodes, w for a repeated corner, which does not count.
-    - `sign` (f,): 1 or -1; times this, an area vector points into the mesh.
+    - `rows` (f, c): the corners as rows of `nodes`; w for a repeated corner, which does not count.
+    - `sign` (f,): 1 or -1. An area vector times its sign points into the mesh.
     """
 
     nodes: np.ndarray
@@ -26,9 +28,9 @@ class Lines(NamedTuple):
 
 
 def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.ndarray) -> Lines:
-    """Picks for each wall node, of its edges to nodes off the wall, the one nearest to the wall's normal.
+    """Picks, for every wall node, the edge off the wall that is nearest to the wall's normal.
 
-    Raises `ValueError` where the wall nodes hold no side of a cell on the mesh's boundary.
+    Raises `ValueError` if no boundary side of a cell has all corners among the wall nodes.
     """
     on_wall = np.zeros(len(points), dtype=bool)
     on_wall[wall] = True
@@ -36,7 +38,7 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
     faces, apexes = _sides(cells, on_wall)
     if not len(faces):
         raise ValueError(
-            f"no cell of the mesh has a side whose corners are all among the {len(wall)} wall nodes: name the nodes of a patch."
+            f"no cell has a boundary side whose corners are all among the {len(wall)} wall nodes: name the nodes of a patch."
         )
     area = areas(points[faces])
     sign = np.where(np.sum(area * (points[apexes] - points[faces[:, 0]]), axis=1) < 0, -1, 1)
@@ -44,9 +46,9 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
     counted[:, -1] = faces[:, -1] != faces[:, -2]
     normal, beside = np.zeros(points.shape), np.full(len(points), -1)
     for corner in range(faces.shape[1]):
-        held = counted[:, corner]
-        np.add.at(normal, faces[held, corner], (sign[:, None] * area)[held])
-        beside[faces[held, corner]] = faces[held, corner - 1]
+        is_corner = counted[:, corner]
+        np.add.at(normal, faces[is_corner, corner], (sign[:, None] * area)[is_corner])
+        beside[faces[is_corner, corner]] = faces[is_corner, corner - 1]
     start, end = _edges_off(cells, on_wall)
     start, end = start[beside[start] >= 0], end[beside[start] >= 0]
     along = points[end] - points[start]
@@ -60,7 +62,7 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
 
 
 def areas(x: Any) -> Any:
-    """Computes area vectors (f, d) of faces (f, c, d), as long as an edge in 2-D; not turned. Takes JAX's arrays too."""
+    """Computes area vectors (f, d) of faces (f, c, d), in 2-D as long as the edge. Takes arrays of NumPy or JAX."""
     if x.shape[2] == 2:
         along = x[:, 1] - x[:, 0]
         return along[:, ::-1] * np.array([[-1.0, 1.0]], dtype=x.dtype)
@@ -70,15 +72,15 @@ def areas(x: Any) -> Any:
 
 
 def _sides(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lists sides that have all corners on the wall and one cell only, and a corner of that cell off the side."""
+    """Lists sides of single cells that have all corners on the wall, and a corner of the cell off the side."""
     faces, apexes = [], []
     width = {2: 2, 3: 4}[max((DIMENSION[kind] for kind in cells), default=2)]
     for kind, corners in cells.items():
         for side in FACES[kind]:
-            held = np.flatnonzero(on_wall[corners[:, side]].all(axis=1))
+            rows = np.flatnonzero(on_wall[corners[:, side]].all(axis=1))
             padded = (*side, *side[-1:] * (width - len(side)))
-            faces.append(corners[held][:, np.array(padded)])
-            apexes.append(corners[held, min(set(range(corners.shape[1])) - set(side))])
+            faces.append(corners[rows][:, np.array(padded)])
+            apexes.append(corners[rows, min(set(range(corners.shape[1])) - set(side))])
     if not faces:
         return np.zeros((0, width), dtype=np.int64), np.zeros(0, dtype=np.int64)
     joined, apex = np.concatenate(faces), np.concatenate(apexes)
@@ -88,7 +90,7 @@ def _sides(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.nda
 
 
 def _edges_off(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lists edges of cells with one end on the wall: that end, and the other one."""
+    """Lists edges of cells from the wall to a node off the wall: start and end."""
     pairs = [np.zeros((0, 2), dtype=np.int64)]
     for kind, corners in cells.items():
         near = corners[on_wall[corners].any(axis=1)]

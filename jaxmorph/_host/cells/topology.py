@@ -8,7 +8,7 @@ import numpy as np
 from .pairs import columns_of, is_single, sorted_columns
 
 CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
-"""Corners of each type; names are meshio's."""
+"""Number of corners by type; names are meshio's."""
 
 HIGH_ORDER = (
     *("line3", "line4", "line5", "triangle6", "triangle10", "triangle15", "quad8", "quad9", "quad16", "quad25"),
@@ -24,7 +24,7 @@ NODES = CORNERS | {kind: int(kind.removeprefix(SHAPES[kind])) for kind in HIGH_O
 """The number of nodes of each type."""
 
 VTK = {"line": 3, "triangle": 5, "quad": 9, "tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14}
-"""VTK's number of each type, and SU2's."""
+"""Numbers of the types in VTK and SU2."""
 
 VTK_QUADRATIC = {
     **{"line3": 21, "line4": 35, "triangle6": 22, "quad8": 23, "quad9": 28, "tetra10": 24, "pyramid13": 27},
@@ -45,7 +45,7 @@ _ALIASES = {"tri": "triangle", "tet": "tetra", "tetrahedron": "tetra", "prism": 
 
 
 def canonical_type(name: str) -> str:
-    """Returns the name used here for a cell type; raises `ValueError` for one that is not known."""
+    """Returns meshio's name of a cell type. Raises `ValueError` for an unknown type."""
     name = _ALIASES.get(name, name)
     if name not in NODES:
         raise ValueError(f"unknown cell type {name!r}; {KNOWN}.")
@@ -53,7 +53,7 @@ def canonical_type(name: str) -> str:
 
 
 def filling(cells: Mapping[str, Any]) -> dict[str, Any]:
-    """Selects the cells of the highest dimension; none where that is below two."""
+    """Selects the cells of the highest dimension; no cells if it is below two."""
     highest = max((DIMENSION[kind] for kind, corners in cells.items() if len(corners)), default=0)
     return {kind: corners for kind, corners in cells.items() if DIMENSION[kind] == highest >= 2}
 
@@ -68,7 +68,7 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
 FACES |= {kind: FACES[SHAPES[kind]] for kind in HIGH_ORDER}
-"""Corners of the faces of each type (edges of a 2-D cell), each seen counterclockwise from outside."""
+"""Corners of the faces by type (edges of a 2-D cell), counterclockwise as seen from outside."""
 
 EDGES: dict[str, tuple[tuple[int, int], ...]] = {
     "line": ((0, 1),),
@@ -95,14 +95,14 @@ FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
         *((4, 7, 5, 0), (5, 4, 6, 1), (6, 5, 7, 2), (7, 6, 4, 3)),
     ),
 }
-"""Corner and the ends of the edges that leave it, right-handed: where the corner Jacobians are taken. One for a simplex."""
+"""Corners with the ends of their edges, right-handed, by type: there corner Jacobians are taken. A simplex has one."""
 
 SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
 """Types of faces by their number of corners."""
 
 
 def solid(cells: Mapping[str, Any], dimension: int) -> dict[str, Any]:
-    """Selects the cells that fill the space: boundary elements and types without cells are left out."""
+    """Selects the cells that fill the space, without boundary elements and empty types."""
     return {kind: ids for kind, ids in cells.items() if DIMENSION[kind] == dimension and len(ids)}
 
 

@@ -11,22 +11,23 @@ Faces that nearly touched before are not reported.
 """
 
 PARALLEL = 1e-9
-"""Sine of the angle below which an edge lies along a face, and is not said to cross it."""
+"""Sine of the angle below which an edge lies along a face, and does not cross it."""
 
 TOGETHER = 1 << 17
-"""Pairs of faces looked at together."""
+"""Pairs of faces that are checked together."""
 
 
 def crossing_faces(
     points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds pairs (k, 2) of faces that meet after the motion and did not before, and where (k, d).
+    """Finds pairs (k, 2) of faces that meet only after the motion, and the places (k, d) where they meet.
 
     **Arguments:**
 
     - `points`, `moved`: coordinates (b, d) before and after.
     - `faces`: segments (f, 2) in 2-D, triangles (f, 3) in 3-D, as rows of `points`.
-    - `place`: a number (b,) for each row. Faces that share one are neighbours, and do not count.
+    - `place`: a number (b,) for every row. Faces that share a number are neighbours, and do not
+      count.
     """
     is_moving = (points != moved).any(axis=1)[faces].any(axis=1)
     if not is_moving.any():
@@ -47,11 +48,9 @@ def crossing_faces(
 
 
 def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds pairs of faces (f, corners, d) whose bounding boxes overlap and of which one moves, each pair once.
-
-    Faces are the leaves of a balanced tree. The search goes down a level at a time, for all pairs of boxes at once: a pair
-    that is apart, or rests, has no pairs of children.
-    """
+    """Finds pairs of faces (f, corners, d) with overlapping bounding boxes, of which one face moves, no pair twice."""
+    # Faces are the leaves of a balanced tree. The search goes down level by level, for all pairs of
+    # boxes together. Only pairs that overlap, and of which one box moves, have pairs of children.
     order, depth = _balanced(corners.mean(axis=1))
     is_face, order = order < len(corners), np.minimum(order, len(corners) - 1)
     slack = AFTER * np.ptp(corners, axis=1).max(axis=1, keepdims=True)
@@ -77,7 +76,7 @@ def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.nd
 
 
 def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
-    """Orders faces as the leaves of a balanced tree, by halving along the widest axis; ids beyond the last fill it up."""
+    """Orders faces as the leaves of a balanced tree, by halving along the widest axis; ids from k on are padding."""
     depth = (len(centres) - 1).bit_length()
     order = np.arange(1 << depth)[None]
     padded = np.concatenate([centres, np.repeat(centres[-1:], (1 << depth) - len(centres), axis=0)])
@@ -91,10 +90,7 @@ def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _meet(first: np.ndarray, second: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the pairs of faces (k, corners, d) that meet in a point, and the point.
-
-    Faces that lie in one plane do not count.
-    """
+    """Marks the pairs of faces (k, corners, d) that meet, and finds the point. Faces in one plane do not count."""
     meets, where = np.zeros(len(first), bool), np.full((len(first), first.shape[2]), np.nan)
     if first.shape[2] == 2:
         left = np.arange(len(first))
@@ -122,10 +118,7 @@ def _aside(first: np.ndarray, second: np.ndarray, slack: float) -> np.ndarray:
 
 
 def _segment_meets_segment(start, end, other, slack):
-    """Checks whether segments from `start` to `end` (k, 2) meet the segments `other` (k, 2, 2).
-
-    It returns the share of the way to the meeting point too.
-    """
+    """Marks segments from `start` to `end` (k, 2) that meet the segments `other` (k, 2, 2), and finds the share of the way."""
     along, across, arm = end - start, other[:, 1] - other[:, 0], other[:, 0] - start
     turn = cross(along.T, across.T)[0]
     is_turned = np.abs(turn) > PARALLEL * np.sqrt((along**2).sum(axis=1) * (across**2).sum(axis=1))
@@ -136,10 +129,7 @@ def _segment_meets_segment(start, end, other, slack):
 
 
 def _segment_meets_triangle(start, end, corners, slack):
-    """Checks whether segments from `start` to `end` (k, 3) meet triangles (k, 3, 3).
-
-    It returns the share of the way to the meeting point too.
-    """
+    """Marks segments from `start` to `end` (k, 3) that meet triangles (k, 3, 3), and finds the share of the way."""
     along, one, other = end - start, corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     arm, normal = start - corners[:, 0], np.cross(one, other)
     descent = -np.einsum("kd,kd->k", along, normal)

@@ -1,4 +1,4 @@
-"""Sparse symmetric systems with one small block for each pair of nodes that share a cell."""
+"""Sparse symmetric systems with a small block for every pair of nodes that share a cell."""
 
 from typing import Any, NamedTuple
 
@@ -8,14 +8,18 @@ from scipy import sparse
 from .solves import Factors, conjugate_gradients, dot, is_factored
 
 DAMPING = (1e-2, 1e-1, 1.0, 10.0)
+"""Terms that are added to the diagonal, one after another, until a matrix is positive."""
+
 ROUGH = 1e-2
 """Relative residual that is enough for a step of Newton's method."""
 
 
 class Pattern(NamedTuple):
-    """Lists the blocks of a matrix in compressed rows, and the block to which each pair of a cell's corners adds.
+    """The blocks of a matrix in compressed rows.
 
-    Row i is that of node `order[i]`.
+    - `starts`, `columns`: where rows begin, and the column of every block.
+    - `block`: the block to which a pair of a cell's corners adds.
+    - `order`: row i belongs to node `order[i]`.
     """
 
     starts: np.ndarray
@@ -25,9 +29,9 @@ class Pattern(NamedTuple):
 
 
 def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
-    """Makes the pattern of the corner ids (k, c) of each type.
+    """Makes the pattern of cells, given by corner ids (k, c), type by type.
 
-    Pairs run over corners, then corners again, then cells.
+    Pairs of a type run over first corners, then over second corners, then, fastest, over cells.
     """
     starts, columns, block = _rows(cells, n)
     order = np.arange(n)
@@ -47,7 +51,7 @@ def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Orders the nodes by minimum degree: less fill, and half the time, than ordering their components."""
+    """Orders the nodes by minimum degree: less fill, and half the time of ordering their components."""
     n = len(starts) - 1
     degrees = sparse.diags(np.diff(starts) + 1.0)
     graph = sparse.csr_matrix((np.ones(len(columns)), columns, starts), shape=(n, n))
@@ -57,9 +61,9 @@ def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
 def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
     """Solves (H + diag(shift)) x = right for a step that descends.
 
-    `right` is (n, d), and H the sum of `blocks` (d, d, pairs). The matrix is factored where that is cheap. Else
-    conjugate gradients with the diagonal blocks as preconditioner run to 1 % of the right side. The matrix is damped
-    where H is not positive; the result is zero where H is not finite.
+    `right` is (n, d), and H the sum of `blocks` (d, d, pairs). A small matrix is factored; for a
+    large matrix, conjugate gradients with the diagonal blocks as preconditioner run to 1 % of the
+    right side. The matrix is damped if H is not positive. The result is zero if H is not finite.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, None)
 
@@ -67,7 +71,7 @@ def solve(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
 def solve_exactly(starts, columns, block, order, blocks, shift, right) -> np.ndarray:
     """Solves as `solve` does, to round-off or to 1e-10 of the right side.
 
-    The result is NaN where the matrix is not positive or the iteration does not end.
+    The result is NaN if the matrix is not positive or the iteration does not converge.
     """
     return _solved((starts, columns, block, order), blocks, shift, right, 1e-10)
 
@@ -93,10 +97,7 @@ def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarr
 
 
 def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.ndarray:
-    """Solves by pivots on the diagonal, whose signs show whether the matrix is positive.
-
-    If it is not, the values of `damping` are added to the diagonal, one after another.
-    """
+    """Solves by pivots on the diagonal, with the first term of `damping` that makes the matrix positive."""
     for added in damping:
         factors = Factors(matrix + added * sparse.identity(matrix.shape[0]), is_ordered=True)
         if factors.is_positive:
@@ -119,7 +120,7 @@ def _iterated(matrix: Any, right: np.ndarray, accuracy: float) -> np.ndarray:
 
 
 def _inverse_diagonal(matrix: Any) -> np.ndarray:
-    """Inverts the blocks on the diagonal, their eigenvalues made positive."""
+    """Inverts the blocks on the diagonal, with positive eigenvalues."""
     rows = np.repeat(np.arange(matrix.shape[0] // matrix.blocksize[0]), np.diff(matrix.indptr))
     values, vectors = np.linalg.eigh(matrix.data[matrix.indices == rows])
     return np.einsum("nip,np,njp->nij", vectors, 1 / np.maximum(np.abs(values), 1e-8), vectors)

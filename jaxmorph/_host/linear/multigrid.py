@@ -1,7 +1,8 @@
-"""A cycle of multigrid for large sparse positive matrices: pyamg's levels, with sweeps that are products of SciPy.
+"""A multigrid cycle for large sparse positive matrices: pyamg's levels, with sweeps of SciPy's products.
 
-pyamg's own sweeps of Gauss and Seidel need as many steps, and two to three times as long: see `benchmarks/README.md`.
-Its polynomials take their bounds from random vectors, so that no two runs would agree.
+pyamg's Gauss-Seidel sweeps need as many steps, and two to three times as long: see
+`benchmarks/README.md`. Its polynomials take their bounds from random vectors, so that no two runs
+would agree.
 """
 
 import dataclasses
@@ -13,24 +14,28 @@ import numpy as np
 from .solves import Factors
 
 SPREAD = 10
-"""Largest eigenvalue over the smallest one that the smoother is made for."""
+"""Ratio of the largest to the smallest eigenvalue that the smoother reduces."""
 
 STRONG = 0.3
-"""Least entry, relative to the most negative one of its row, by which unknowns are joined.
+"""Least entry, relative to the most negative entry of its row, by which unknowns are joined.
 
-In a thin layer of hexahedra a node's neighbour across it has -16/36, the nodes beside that one -4/36, and those beside
-the node itself a positive entry. Only lines across the layer are joined.
+In a thin layer of hexahedra, a node's neighbour across the layer has the entry -16/36, the nodes
+beside that neighbour -4/36, and the nodes beside the node itself a positive entry. So only lines
+across the layer are joined.
 """
 
 COARSEST = 90
-"""Unknowns of the last level that are solved by a dense inverse: few enough for a BLAS to take no threads."""
+"""Most unknowns of the last level, which a dense inverse solves: few enough for a BLAS without threads."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Level:
-    """A matrix (k, k), the interpolation (k, coarse) from the next one, its transpose, and the inverse of the diagonal (k,).
+    """A matrix (k, k) of the cycle, and the way to the next matrix.
 
-    `top` bounds the eigenvalues of the matrix over its diagonal, by Gershgorin's circles.
+    - `prolongation` (k, coarse), `restriction` (coarse, k): the interpolation from the next level,
+      and its transpose.
+    - `inverse` (k,): one over the diagonal.
+    - `top`: a bound of the eigenvalues of the matrix over its diagonal, by Gershgorin's circles.
     """
 
     matrix: Any
@@ -40,7 +45,7 @@ class Level:
     top: float
 
     def smoothed(self, right: np.ndarray) -> np.ndarray:
-        """Solves roughly for right sides (k,): the second of Chebyshev's polynomials for the upper eigenvalues."""
+        """Solves roughly for a right side (k,), by Chebyshev's second polynomial for the upper eigenvalues."""
         middle, half = (1 + 1 / SPREAD) * self.top / 2, (1 - 1 / SPREAD) * self.top / 2
         first = self.inverse * right / middle
         rate = 1 / (2 * middle / half - half / middle)
@@ -50,7 +55,7 @@ class Level:
 
 @dataclasses.dataclass(frozen=True)
 class Hierarchy:
-    """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996): levels, and the solver of the last matrix."""
+    """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996): levels, and the `last` level's solver."""
 
     levels: Sequence[Level]
     last: Callable[[np.ndarray], np.ndarray]
@@ -66,10 +71,10 @@ class Hierarchy:
 
 
 def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
-    """Makes the cycle for a positive matrix (k, k) in CSR form; `mode` (k,) is what it nearly takes to zero."""
+    """Makes the cycle of a positive matrix (k, k) in CSR form, which takes `mode` (k,) nearly to zero."""
     import pyamg  # pyright: ignore[reportMissingImports]
 
-    # local weights are a bound, too: others come from random vectors
+    # Local weights are bounds; other weights come from random vectors.
     options: dict[str, Any] = {"strength": ("classical", {"theta": STRONG, "norm": "min"}), "max_coarse": COARSEST}
     options["smooth"] = ("jacobi", {"omega": 4 / 3, "weighting": "local", "filter_entries": True})
     options |= dict.fromkeys(("improve_candidates", "presmoother", "postsmoother"))
@@ -81,7 +86,7 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
 
 
 def _last(matrix: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the solver of the last level: by sparse factors where unknowns that nothing joins have left it large."""
+    """Makes the solver of the last level: a dense inverse, or sparse factors if many unknowns were not joined."""
     if matrix.shape[0] <= COARSEST:
         return np.linalg.pinv(matrix.toarray(), hermitian=True).__matmul__
     return Factors(matrix)
@@ -95,7 +100,7 @@ def _level(level: Any) -> Level:
 
 
 def by_component(cycles: Sequence[Hierarchy]) -> Callable[[np.ndarray], np.ndarray]:
-    """Joins a cycle for each component of the nodes, whose unknowns (k d,) stand together."""
+    """Joins the cycles of all components. The unknowns (k d,) run over nodes, then over the components of a node."""
 
     def cycle(right):
         columns = np.ascontiguousarray(right.reshape(-1, len(cycles)).T)

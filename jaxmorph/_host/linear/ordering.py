@@ -3,16 +3,16 @@
 import numpy as np
 from scipy.spatial import KDTree
 
+from ..package.orders import canonical_order
 from ..sources.farthest import farthest
-from ..sources.reduction import canonical_order
 
 
 def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
+    """Orders points (n, d) so that the next is far from its predecessors, and finds near predecessors.
 
-    Returns ids (n,), and places in that order (n - first, count). A row begins with the point's own place. The nearest of the
-    places before it follow; where there are no more, its own stands again. The result depends on the set of points,
-    not on their order.
+    Returns ids (n,), and places in their order (n - first, count). A row begins with the point's
+    own place. The nearest earlier places follow; its own place fills up the row. The result depends
+    on the set of points, not on their order.
     """
     canonical = canonical_order(points)
     order = canonical[farthest(points[canonical], len(points), 0.0)]
@@ -29,21 +29,22 @@ def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray,
 
 
 def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
-    """Finds for the points from `start` on the places of `count` near ones before each; its own place where there are no more.
+    """Finds, for the points from `start` on, `count` near earlier places; a point's own place fills up its row.
 
-    They are the nearest, but where most of a point's neighbours come after it: some between `start` and it may then be missed.
+    The places are the nearest, unless most neighbours of a point are later ones. Then some places
+    between `start` and the point may be missed.
     """
     place = np.arange(start, len(points))[:, None]
     distance, nearest = _query(points, points[start:], min(len(points), 2 * count + 2))
     distance = np.where(nearest < place, distance, np.inf)
     short = np.flatnonzero((distance < np.inf).sum(axis=1) < count)
-    best, kept = _smallest(distance, nearest, count)
+    best, chosen = _smallest(distance, nearest, count)
     if short.size:
         distances = np.where(nearest[short] >= start, distance[short], np.inf)
         more, older = _query(points[:start], points[start + short], min(start, count))
-        both = np.concatenate([distances, more], axis=1), np.concatenate([nearest[short], older], axis=1)
-        best[short], kept[short] = _smallest(*both, count)
-    return np.where(best < np.inf, kept, place)
+        candidates = np.concatenate([distances, more], axis=1), np.concatenate([nearest[short], older], axis=1)
+        best[short], chosen[short] = _smallest(*candidates, count)
+    return np.where(best < np.inf, chosen, place)
 
 
 def _query(points: np.ndarray, at: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +53,7 @@ def _query(points: np.ndarray, at: np.ndarray, count: int) -> tuple[np.ndarray, 
 
 
 def _smallest(distance: np.ndarray, ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Selects in each row the `count` ids of least distance, in this order; infinite distances where there are fewer."""
+    """Selects, in every row, the `count` ids of least distance, nearest first; infinite distances fill up a row."""
     columns = np.argsort(distance, axis=1, kind="stable")[:, :count]
     missing = ((0, 0), (0, count - columns.shape[1]))
     best = np.pad(np.take_along_axis(distance, columns, axis=1), missing, constant_values=np.inf)

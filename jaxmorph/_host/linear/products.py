@@ -1,4 +1,4 @@
-"""Products of vectors that are given by their components: numbers, or arrays of NumPy or JAX."""
+"""Products of vectors given by their components: numbers, or arrays of NumPy or JAX."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,8 +1,9 @@
-"""The two ways in which a sparse symmetric system is solved: by factors, and by conjugate gradients.
+"""The two solvers of a sparse symmetric system: by factors, and by conjugate gradients.
 
-SciPy's conjugate gradients and pyamg's cycle were measured beside these: see `benchmarks/README.md`. SciPy's stop at the
-residual alone. Their sums of products are those of a BLAS, whose threads wait for each next one in a loop, at the cost
-of a second core. Sums of products are NumPy's own here.
+SciPy's conjugate gradients stop at the residual alone. Its sums of products are those of a BLAS,
+whose threads wait in a loop for the next sum, at the cost of a second core. Sums of products are
+NumPy's own here. `benchmarks/README.md` compares these solvers with SciPy's conjugate gradients and
+pyamg's cycle.
 """
 
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import numpy as np
 from scipy.sparse import linalg
 
 DIRECT = 12_000
-"""Unknowns up to which a 3-D system is factored. 2-D systems always are, since their factors hardly fill."""
+"""Unknowns up to which a 3-D system is factored. 2-D systems always are: their factors stay sparse."""
 
 
 def is_factored(unknowns: int, dimension: int) -> bool:
@@ -21,9 +22,10 @@ def is_factored(unknowns: int, dimension: int) -> bool:
 
 
 class Factors:
-    """Factors of a sparse symmetric matrix, by pivots on the diagonal; equal to itself alone.
+    """Factors of a sparse symmetric matrix, by pivots on the diagonal.
 
-    Pivots are taken in an order of minimum degree, or, where `is_ordered`, as they stand.
+    Pivots are taken in an order of minimum degree, or, with `is_ordered`, in the order of the
+    matrix.
     """
 
     def __init__(self, matrix: Any, *, is_ordered: bool = False):
@@ -38,7 +40,7 @@ class Factors:
             self._factors = None
 
     def __call__(self, right: np.ndarray) -> np.ndarray:
-        """Solves for right sides (k,) or (k, c); NaN where the matrix is singular."""
+        """Solves for right sides (k,) or (k, c); NaN if the matrix is singular."""
         return np.full_like(right, np.nan) if self._factors is None else self._factors.solve(np.asarray(right, float))
 
     @property
@@ -48,7 +50,7 @@ class Factors:
 
     @property
     def order(self) -> np.ndarray:
-        """The order (k,) in which unknowns are taken."""
+        """The order (k,) of the pivots."""
         return np.argsort(self._factors.perm_c) if self._factors is not None else np.arange(0)
 
 
@@ -65,7 +67,8 @@ def conjugate_gradients(
     - `is_enough`: decides from the solution, the residual and the residual's image under `inverse`.
     - `limit`: most steps.
 
-    **Returns:** x (k,), and whether it `is_enough`. If the first direction has negative curvature, x is that direction.
+    **Returns:** x (k,), and True if it `is_enough`. If the first direction has negative curvature,
+    x is the direction.
     """
     x, residual, along, before = np.zeros_like(right), right.copy(), np.zeros_like(right), 1.0
     for _ in range(limit):

@@ -1,4 +1,4 @@
-"""Sparse symmetric positive systems with one number, or one small block, for each pair of nodes. The last few are kept."""
+"""Sparse symmetric positive systems with one number, or one small block, for every pair of nodes. The last few are cached."""
 
 import collections
 import threading
@@ -17,12 +17,15 @@ from .solves import Factors, conjugate_gradients, dot, is_factored
 
 ACCURACY = 1e-9
 """Residual, relative to the right side, and error, relative to the solution, at which conjugate gradients stop."""
+
 LIMIT = 500
-"""Most steps. A mesh of 65,000 nodes takes 50."""
+"""Most steps of conjugate gradients. A mesh of 65,000 nodes takes 50."""
+
 RESORT = 60_000
-"""Unknowns up to which a 3-D system is factored where conjugate gradients do not converge, as on thin layers of cells."""
+"""Unknowns up to which a 3-D system is factored if conjugate gradients do not converge, as on thin layers of cells."""
+
 KEPT = 2
-"""Systems whose factors are kept, the latest ones."""
+"""Number of the latest systems whose factors are cached."""
 
 _kept: collections.deque[tuple[tuple[np.ndarray, ...], Callable]] = collections.deque(maxlen=KEPT)
 _lock = threading.Lock()
@@ -34,14 +37,17 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
     **Arguments:**
 
     - `pairs` (e, 2): nodes i and j of each pair, no pair twice.
-    - `values` (e,) or (e, d, d): the matrix's entries in row i and column j; those in row j are their transposes.
+    - `values` (e,) or (e, d, d): the matrix's entries in row i and column j; those in row j are
+      their transposes.
     - `diagonal` (n,) or (n, d, d): entries of a node with itself.
-    - `masses` (n,) or (0,): where given, the matrix is K M^-1 K, with K the one described and M of these masses.
+    - `masses` (n,) or (0,): with masses M, the matrix is K M^-1 K, where K is the matrix described
+      above.
     - `free` (n, d): unknowns to solve for.
     - `right` (n, k): k = d columns.
-    - `multigrid`: whether conjugate gradients take it: the matrix is of an equation on cells.
+    - `multigrid`: whether conjugate gradients use multigrid: for equations on cells.
 
-    **Returns:** x (n, d), in the precision of `right`; NaN where a system is not finite or not positive, or not solved.
+    **Returns:** x (n, d), in the precision of `right`; NaN if a system is not finite, not positive,
+    or not solved.
     """
     key = (pairs, values, diagonal, masses, free, np.array(multigrid))
     with _lock:
@@ -57,7 +63,7 @@ def solve(pairs, values, diagonal, masses, free, right, *, multigrid: bool = Tru
 
 
 def check_solver(unknowns: int, dimension: int) -> None:
-    """Raises `ImportError` where a system needs multigrid, and pyamg is missing."""
+    """Raises `ImportError` if a system needs multigrid, and pyamg is missing."""
     if not is_factored(unknowns, dimension) and find_spec("pyamg") is None:
         raise ImportError(
             f"{unknowns} unknowns in 3-D are solved by multigrid, which needs pyamg: pip install 'jaxmorph[solvers]'."
@@ -109,7 +115,9 @@ def _scalar(pairs, values, diagonal, n) -> sparse.csr_matrix:
 
 
 def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
-    """Assembles the matrix of the nodes `rows` block by block; unknowns not `used` have a one on the diagonal."""
+    """Assembles the matrix of the nodes `rows` block by block; unknowns that are not `used` have a one on the diagonal."""
+    # The blocks of pairs, of their transposes and of the diagonal are listed one after the other,
+    # and sorted by row and column. Rows and columns of unused unknowns are cleared.
     d = used.shape[1]
     number = np.full(len(diagonal), -1)
     number[rows] = np.arange(len(rows))
@@ -162,10 +170,11 @@ def _factored(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarr
 def iterated(
     matrix: Any, right: np.ndarray, cycle: Callable[[np.ndarray], np.ndarray] | None, scale: np.ndarray
 ) -> np.ndarray:
-    """Solves for one right side (k,); NaN where conjugate gradients do not converge, or the matrix is not positive.
+    """Solves for one right side (k,); NaN if conjugate gradients do not converge, or the matrix is not positive.
 
-    `scale` (k,) times the unknowns are those that are wanted. What the cycle makes of the residual is as large as their
-    error. The residual alone is not enough: one small beside that of stiff cells moves soft ones far. Without a cycle it has to do.
+    The wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as
+    the error. The residual alone says too little: one that is small beside stiff cells moves soft
+    cells far. Without a cycle, it must be enough.
     """
     enough = ACCURACY**2 * dot(right, right)
 
@@ -173,7 +182,7 @@ def iterated(
         is_small = dot(residual, residual) <= enough
         return is_small and (cycle is None or _largest(scale * steep) <= ACCURACY * _largest(scale * x))
 
-    # without a cycle there are twice the steps
+    # Without a cycle, twice as many steps are allowed.
     inverse, limit = (cycle, LIMIT) if cycle else (lambda residual: residual, 2 * LIMIT)
     x, is_solved = conjugate_gradients(matrix, right, inverse, is_enough, limit)
     return x if is_solved else np.full_like(right, np.nan)
@@ -184,9 +193,10 @@ def _largest(x: np.ndarray) -> float:
 
 
 def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes a cycle of multigrid for each component by itself: of blocks, their diagonal entries alone.
+    """Makes the multigrid cycle of a matrix; for blocks, one cycle for every component, of the blocks' diagonal entries.
 
-    These are as good as the matrix but for a factor (Korn's inequality), in a ninth of the entries.
+    The diagonal entries are equivalent to the matrix (Korn's inequality), with a ninth of its
+    entries.
     """
     if scaled.format != "bsr":
         return hierarchy(scaled, 1 / scale)
@@ -199,7 +209,7 @@ def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]
 
 
 def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the solver of B^T B x = right for a sparse B (n, k): by the system of both, whose condition is not squared."""
+    """Makes the solver of B^T B x = right for a sparse B (n, k), by a larger system whose condition is not squared."""
     n = root.shape[0]
     scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))
     scaled = root @ sparse.diags(scale)
@@ -210,16 +220,16 @@ def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
         return lambda right: np.full_like(right, np.nan)
 
     def apply(right):
-        given = np.concatenate([np.zeros((n, *right.shape[1:])), (right.T * scale).T])
-        x = factors.solve(given)
-        x = x + factors.solve(given - both @ x)  # a step of refinement
+        both_rights = np.concatenate([np.zeros((n, *right.shape[1:])), (right.T * scale).T])
+        x = factors.solve(both_rights)
+        x = x + factors.solve(both_rights - both @ x)  # a step of refinement
         return (x[n:].T * scale).T
 
     return apply
 
 
 def _scaled(matrix: Any, scale: np.ndarray) -> Any:
-    """Multiplies rows and columns; blocks stay blocks, and are changed in place."""
+    """Multiplies rows and columns of a matrix by `scale`; blocks stay blocks, and change in place."""
     if matrix.format != "bsr":
         return (sparse.diags(scale) @ matrix @ sparse.diags(scale)).tocsr()
     scale = scale.reshape(-1, matrix.blocksize[0])
@@ -236,9 +246,9 @@ def reached(pairs: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def coincident(points: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Finds the point that represents all points at one place, for each point (n,).
+    """Finds, for every point (n,), the point that represents its place.
 
-    A point of `first` represents itself, and all points at its place.
+    A point of `first` represents itself, and all other points at its place.
     """
     order = np.concatenate([first, np.setdiff1d(np.arange(len(points)), first)])
     index, inverse = distinct(points[order])

@@ -1,4 +1,4 @@
-"""The transpose of a sparse operator with a few entries a row, sorted on the host so that no scatter is needed."""
+"""Tables of the transpose of a sparse operator with a few entries a row, which need no scatter."""
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -8,19 +8,22 @@ WIDTH = 16
 
 
 def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sorts the entries of a sparse operator by column, in rows of `WIDTH` entries.
+    """Sorts the entries of a sparse operator by column, into rows of `WIDTH` entries.
 
     **Arguments:**
 
-    - `nodes`: the column (n, k) of each entry.
-    - `used`: which rows (n,), or which entries (n, k), count.
-    - `count`: how many columns there are.
+    - `nodes`: columns (n, k) of the entries.
+    - `used`: a mask of rows (n,), or of entries (n, k), that count.
+    - `count`: number of columns.
 
-    **Returns:** `entries` (r, WIDTH), positions in the flattened (n, k), -1 where there is none; and `owner` (r,), the
-    column of each row of the table, ascending.
+    **Returns:** `entries` (r, WIDTH), positions in the flattened (n, k), -1 for padding; and
+    `owner` (r,), the column of a row of the table, ascending.
 
     **Raises:** `ValueError` for more entries than 32 bits count.
     """
+    # Used entries are sorted by column. A column of s entries fills ceil(s / WIDTH) rows of the
+    # table; its last row is padded. The shift of an entry is the padding of all columns before its
+    # own.
     k = nodes.shape[1]
     if len(nodes) * k >= 2**31:
         raise ValueError(f"{len(nodes)} points are too many for one device; lay the plan over several with `shard`.")
@@ -38,7 +41,7 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
 
 
 def _stable_order(columns: np.ndarray, count: int) -> np.ndarray:
-    """Sorts small integers, equal ones in their order: SciPy counts them, several times faster than a sort."""
+    """Sorts small integers stably, by SciPy's counting sort, several times faster than `numpy.argsort`."""
     places = np.arange(len(columns), dtype=np.int32)
     row = csr_array((places, columns, np.array([0, len(columns)], dtype=np.int32)), shape=(1, count))
     return row.tocsc().data

@@ -1,4 +1,4 @@
-"""The error that names nodes, and warnings that name the caller's line."""
+"""An error that names nodes, and warnings that name the caller's line."""
 
 import sys
 import warnings
@@ -8,11 +8,11 @@ import numpy as np
 
 
 class MeshError(ValueError):
-    """Refuses a mesh, and names the nodes that are at fault. It is a `ValueError`.
+    """A `ValueError` about a mesh that names the nodes at fault.
 
     **Arguments:**
 
-    - `message`: the text. `{node}` in it stands where the worst node's id belongs; `str` puts the id there.
+    - `message`: the text. `str` replaces `{node}` in it by the id of the worst node.
     - `nodes`: ids of the nodes at fault, the worst first.
     """
 
@@ -24,7 +24,7 @@ class MeshError(ValueError):
         return self.message.replace("{node}", str(self.nodes[0]))
 
     def renumbered(self, ids: np.ndarray) -> "MeshError":
-        """Renumbers the error's nodes for a larger mesh, in which node k is node `ids[k]`."""
+        """Renumbers the nodes for a larger mesh: node k becomes `ids[k]`."""
         return MeshError(self.message, np.asarray(ids)[self.nodes])
 
 
@@ -33,7 +33,7 @@ INNER = {"jaxmorph", "jax", "equinox", "jaxtyping", "beartype", "contextlib", "f
 
 
 def warn(message: str) -> None:
-    """Warns about the line of the user's script that called the library, however deep the call is."""
+    """Warns, with the line of the user's script that called the library."""
     level, frame = 1, sys._getframe()
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in INNER:
         level, frame = level + 1, frame.f_back

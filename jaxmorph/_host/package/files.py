@@ -16,15 +16,15 @@ import numpy as np
 
 
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Checks the name of a file or a folder to read; returns it as a path.
+    """Checks the name of a file or a folder to read; returns it as a path, also where nothing exists.
 
-    It raises `ValueError` for a device and a pipe, for which a reader would wait, and for a name with a null byte. What is not
-    there is for the reader to tell.
+    It raises `ValueError` for a device or a pipe, for which a reader would wait, and for a name
+    with a null byte.
     """
     path = _without_null(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ValueError(
-            f"{path}: is a device or a pipe; what is read is looked at more than once: write it to a file."
+            f"{path}: is a device or a pipe, but a file is read more than once: write its content to a file."
         )
     return path
 
@@ -32,7 +32,7 @@ def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
 def file_path(path: str | os.PathLike[str]) -> pathlib.Path:
     """Returns the name of a file to write as a path.
 
-    Raises `ValueError` for a name with a null byte, and for a name that ends as a folder's.
+    Raises `ValueError` for a name with a null byte, and for the name of a folder.
     """
     name = os.fspath(path)
     if name.endswith((os.sep, os.altsep or os.sep)):
@@ -49,8 +49,8 @@ def _without_null(path: str | os.PathLike[str]) -> pathlib.Path:
 def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = False) -> pathlib.Path:
     """Checks the name of a file, or of a folder, to write, before any work; returns it as a path.
 
-    It raises `ValueError` for a name that ends in none of `endings`, where there are any, and for a folder that is not there. Also
-    for what cannot be replaced by a file: a folder, a name that ends as one does, a device, a pipe.
+    It raises `ValueError` for a name without one of the `endings`, if there are any, and if the
+    parent folder does not exist. Also for a folder, a device or a pipe, which no file can replace.
     """
     path = _without_null(path) if folder else file_path(path)
     if endings and path.suffix.lower() not in endings:
@@ -64,7 +64,8 @@ def output_path(path: str | os.PathLike[str], *endings: str, folder: bool = Fals
 def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.ndarray]:
     """Reads the arrays of an NPZ file by name, without objects.
 
-    It raises `ValueError` for a file that is not `what` it should be or is damaged, `OSError` for one that cannot be opened.
+    It raises `ValueError` for a file that is damaged or not `what` is expected, `OSError` for a
+    file that cannot be opened.
     """
     with path.open("rb") as file:
         try:
@@ -76,9 +77,9 @@ def read_arrays(path: pathlib.Path, what: str = "an NPZ file") -> dict[str, np.n
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Reads one array to the end of its member, where the checksum is compared.
+    """Reads one array to the end of its member, where `zipfile` compares the checksum.
 
-    With a damaged type, NumPy would read less than the member has.
+    With a damaged type, NumPy would read only a part of the member.
     """
     with archive.open(name) as member:
         array = np.lib.format.read_array(member, allow_pickle=False)
@@ -96,15 +97,16 @@ def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> 
 
 @contextlib.contextmanager
 def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = True) -> Iterator[pathlib.Path]:
-    """Yields a temporary file or folder beside `path` that takes its place at the end; on failure nothing is left.
+    """Yields a temporary file or folder beside `path`, which replaces `path` at the end; a failure leaves nothing.
 
-    The temporary one is new, under a name that no other writer has: nothing that stands there is followed or overwritten. A `path`
-    that is a symbolic link keeps being one, and its target is replaced. A file that is replaced hands on its permissions. What
-    writers that were killed on this machine left behind for the same path is removed.
+    The temporary file is new, and its name is unique: no link is followed, and no file is
+    overwritten. If `path` is a symbolic link, its target is replaced. The new file gets the
+    permissions of the old file. Temporary files of `path` that killed writers of this machine left
+    are removed.
 
-    Raises `FileNotFoundError` where the folder that is to hold `path` does not exist, `ValueError` where `path` is a folder, a
-    device or a pipe. An `OSError` of the writing names `path`, not the temporary file. Where a caller's own errors pass through, it
-    is `name_errors=False`, and the writing is in `named`.
+    Raises `FileNotFoundError` if the parent folder does not exist, and `ValueError` if `path` is a
+    folder, a device or a pipe. An `OSError` of the writer names `path`, not the temporary file. A
+    caller that raises errors of its own passes `name_errors=False`, and writes within `named`.
     """
     target = pathlib.Path(os.path.realpath(path))
     if not target.parent.is_dir():
@@ -124,29 +126,27 @@ def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = Tr
 
 def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -> None:
     if target.is_symlink():
-        raise ValueError(f"{path}: is a symbolic link that leads back to itself; remove it, or give another name.")
+        raise ValueError(f"{path}: is a symbolic link to itself; remove it, or give another name.")
     if folder or not target.exists() or target.is_file():
         return
     kind = "a folder" if target.is_dir() else "a device or a pipe"
-    raise ValueError(
-        f"{path}: is {kind}; a file that is written takes the place of what is there: give it another name."
-    )
+    raise ValueError(f"{path}: is {kind}, which a file cannot replace: give the file another name.")
 
 
 @contextlib.contextmanager
 def named(path: pathlib.Path) -> Iterator[None]:
-    """Makes a system error name the target file, if the error names the temporary file or none."""
+    """Makes a system error name the target file, if the error names the temporary file or no file."""
     try:
         yield
     except (OSError, RuntimeError) as error:
-        # of a tree, the first that failed
+        # `shutil` lists the errors of a tree: the first one counts.
         text = str(error.args[0][0][-1] if isinstance(error, shutil.Error) else error)
         number = getattr(error, "errno", None) or int((re.search(r"\b[Ee]rrno (?:= )?(\d+)", text) or [0, 0])[1])
         names = [getattr(error, name, None) for name in ("filename", "filename2")]
         of_another = any(names) and not any(".partial" in os.fsdecode(name) for name in names if name is not None)
-        if of_another or not (number or isinstance(error, OSError)):  # HDF5 tells a full device by a RuntimeError
+        if of_another or not (number or isinstance(error, OSError)):  # HDF5 raises a RuntimeError for a full device
             raise
-        if not number:  # NumPy's, for one: so many bytes requested, so many written
+        if not number:  # NumPy, for example, counts the bytes that were not written
             raise OSError(f"{path}: not written ({text})") from error
         raise OSError(number, os.strerror(number), str(path)) from error
 
@@ -169,7 +169,7 @@ def _new(target: pathlib.Path, folder: bool) -> pathlib.Path:
 
 
 def _sweep(target: pathlib.Path) -> None:
-    """Removes temporary files of a target that killed processes of this machine left behind."""
+    """Removes temporary files of a target that killed processes of this machine left."""
     name = re.compile(
         rf"\.{re.escape(_stem(target))}\.{_machine()}-(\d+)-[0-9a-f]{{8}}\.partial{re.escape(target.suffix)}"
     )
@@ -199,10 +199,7 @@ def _is_alive(process: int) -> bool:
 
 
 def _machine() -> str:
-    """Names this machine in eight digits.
-
-    Another machine that shares the folder has process numbers of its own.
-    """
+    """Names this machine in eight digits: process numbers of other machines mean nothing here."""
     return f"{zlib.crc32(socket.gethostname().encode()):08x}"
 
 

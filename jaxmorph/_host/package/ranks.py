@@ -1,4 +1,4 @@
-"""Work that the processes of a run share; a single process does it alone. It takes mpi4py's ranks."""
+"""Work that the processes of a run share, by a communicator such as mpi4py's."""
 
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 @runtime_checkable
 class Ranks(Protocol):
-    """The used part of a communicator: a process is number `rank` of `size`."""
+    """The part of a communicator that is used here: a process is number `rank` of `size`."""
 
     @property
     def rank(self) -> int: ...
@@ -46,7 +46,7 @@ class Alone:
 
 
 def together(ranks: Ranks, function: Callable[[], T]) -> T:
-    """Calls a function in every process. If one process raises, all raise: no process waits forever."""
+    """Calls a function in every process. If one process raises an error, all do, so that no process waits forever."""
     result, error = None, None
     try:
         result = function()
@@ -62,9 +62,9 @@ def together(ranks: Ranks, function: Callable[[], T]) -> T:
 
 
 class Agreement:
-    """Gives a node that several parts share one row of values in all of them: the first that came.
+    """Makes the values of a node that several parts share equal: the first values count.
 
-    Each id has a process that keeps its row, so that no process has those of all.
+    One process keeps the values of an id, and no process keeps the values of all ids.
     """
 
     def __init__(self, ranks: Ranks):
@@ -72,21 +72,23 @@ class Agreement:
         self.ids, self.values = np.zeros(0, np.int64), np.zeros((0, 0))
 
     def __call__(self, ids: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Returns the shared values (k, d) of ids (k,). All processes call it, also without nodes."""
+        """Returns the common values (k, d) of ids (k,). All processes call it, also without nodes."""
+        # The keeper of an id is the process `id % size`. Every process sends ids and values to
+        # their keepers, which add new ids and answer with the values that they keep.
         keeper = ids % self.ranks.size
         rows = [np.flatnonzero(keeper == rank) for rank in range(self.ranks.size)]
-        asked = self.ranks.alltoall([(ids[each], values[each]) for each in rows])
-        for names, places in asked:
+        received = self.ranks.alltoall([(ids[row], values[row]) for row in rows])
+        for names, places in received:
             self._keep(names, places)
-        answers = self.ranks.alltoall([self.values[np.searchsorted(self.ids, names)] for names, _ in asked])
-        agreed = values.copy()
-        for each, answer in zip(rows, answers, strict=True):
-            if len(each):
-                agreed[each] = answer
-        return agreed
+        answers = self.ranks.alltoall([self.values[np.searchsorted(self.ids, names)] for names, _ in received])
+        common = values.copy()
+        for row, answer in zip(rows, answers, strict=True):
+            if len(row):
+                common[row] = answer
+        return common
 
     def _keep(self, ids: np.ndarray, values: np.ndarray) -> None:
-        """Adds the ids that are new, with their values."""
+        """Adds new ids, with their values."""
         new = np.flatnonzero(~np.isin(ids, self.ids))
         if len(new):
             order = np.argsort(np.concatenate([self.ids, ids[new]]), kind="stable")

@@ -1,22 +1,28 @@
-"""Decisions on computed numbers that round-off does not make: what is equal to `SAME` counts as equal, and the first is taken.
+"""Decisions that do not depend on round-off: numbers within `SAME` count as equal, and the first of equals is taken.
 
-A mesh with flat sides, even spacings or a plane of symmetry has many lengths that are equal in truth. Compared as they are
-computed, their last bit decides, and differs from one processor to the next.
+A mesh with flat sides, even spacings or a plane of symmetry has many equal lengths. Computed
+lengths differ in the last bit, and differently on different processors. A plain comparison would
+follow that bit.
 """
 
 import numpy as np
 from scipy.spatial import KDTree
 
 SAME = 1e-9
-"""Relative difference up to which two numbers are equal."""
+"""Relative difference up to which two numbers count as equal."""
 
 TIES = 4
-"""Nearest places that are looked at first; more are looked at where all of these are equal."""
+"""Nearest places that are searched first; if all are equally near, more are searched."""
 
 
 def roundoff(points: np.ndarray) -> float:
-    """Returns the distance below which two points are taken to coincide."""
+    """Computes the distance below which two points count as one."""
     return 8 * float(np.finfo(points.dtype).eps) * float(np.abs(points).max(initial=0))
+
+
+def spacing(points: np.ndarray) -> np.ndarray:
+    """Measures the distance (n,) of every point from its nearest neighbour; infinite for a single point."""
+    return np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
 
 
 def ranked(values: np.ndarray, slack: float) -> np.ndarray:
@@ -31,7 +37,7 @@ def ranked(values: np.ndarray, slack: float) -> np.ndarray:
 
 
 def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the first point (k,) of each place, in canonical order, and each point's place (n,)."""
+    """Finds the places of points: the first point (k,) at a place, in canonical order, and the place (n,) of a point."""
     slack = roundoff(points)
     rows = np.stack([ranked(column, slack) for column in points.T], axis=1)
     _, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -39,26 +45,27 @@ def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def first_largest(values: np.ndarray, slack: float | None = None) -> int:
-    """Finds the first number within a slack of the largest; by default `SAME` times the largest."""
+    """Finds the first number within a slack of the largest; the default slack is `SAME` times the largest."""
     top = values.max()
     return int((values >= top - (SAME * abs(top) if slack is None else slack)).argmax())
 
 
 def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds the id of the nearest `chosen` place for each point, out of `ids`; ties go to the first."""
+    """Finds, for every point, the nearest `chosen` place, and returns its entry of `ids`; ties go to the first place."""
     return ids[nearest_few(points, chosen, 1)[:, 0]]
 
 
 def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarray:
-    """Finds the `count` nearest of the `chosen` places (k, count) for each point, nearest first.
-
-    Of places that are equally near, the first comes first.
-    """
+    """Finds, for every point, the `count` nearest `chosen` places (k, count), nearest first; ties go to the first place."""
+    # Distances are ranked: a distance within the slack of the one before has its rank. The sort is
+    # by rank, then by number. If the last rank reaches the end of the search, more places are
+    # searched.
     tree, slack = KDTree(chosen), max(roundoff(points), roundoff(chosen))
     nearest, left = np.zeros((len(points), count), dtype=np.int64), np.arange(len(points))
     looked = min(count - 1 + TIES, len(chosen))
     while left.size:
-        distance, places = (np.asarray(each).reshape(len(left), looked) for each in tree.query(points[left], k=looked))
+        found = tree.query(points[left], k=looked)
+        distance, places = (np.asarray(table).reshape(len(left), looked) for table in found)
         is_more = np.diff(distance, axis=1) > SAME * distance[:, :-1] + slack
         rank = np.cumsum(is_more, axis=1)
         rank = np.concatenate([np.zeros((len(left), 1), dtype=np.int64), rank], axis=1)

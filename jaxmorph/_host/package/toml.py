@@ -7,7 +7,7 @@ from typing import Any
 
 
 def read(name: str, content: bytes) -> dict[str, Any]:
-    """Reads a table from a file's content. Raises `ValueError` for what is no TOML or nested without end."""
+    """Reads a table from a file's content. Raises `ValueError` for content that is no TOML, or nested too deep."""
     try:
         text = content.decode()
         return tomllib.loads(text.replace("\r\n", "\n"))
@@ -29,5 +29,5 @@ def written(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(written, value))}]"
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {written(each)}" for key, each in value.items()) + " }"
+        return "{ " + ", ".join(f"{json.dumps(key)} = {written(entry)}" for key, entry in value.items()) + " }"
     return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,4 +1,4 @@
-"""Farthest points: sources spread evenly over a surface, one after the other (Gonzalez 1985)."""
+"""Farthest points: sources spread evenly over a surface (Gonzalez 1985)."""
 
 import dataclasses
 
@@ -6,28 +6,28 @@ import numpy as np
 
 from ..package.arguments import check_fields, whole
 from ..package.rounding import SAME, first_largest
-from .reduction import AbstractReduction, KDTree, check_separation, chosen_in_order, extreme_points, least_distance
+from .reduction import AbstractReduction, AbstractSeparated, KDTree, check_separation, chosen_in_order, extreme_points
 
 ENOUGH = {2: 84, 3: 400}
-"""Sources of `Filled` by dimension: a wall in 3-D has the square of what a curve has."""
+"""Sources of `Filled` by dimension: a wall in 3-D needs more than a curve."""
 
 
 @dataclasses.dataclass(frozen=True)
-class FarthestPoints(AbstractReduction):
-    """Chooses `count` points, each the farthest from its predecessors.
+class FarthestPoints(AbstractSeparated):
+    """Chooses `count` points one by one, always the farthest from all chosen points.
 
-    The first is the farthest from the middle. No point of the surface is then farther from the nearest source than
-    twice what the best choice of as many sources allows (Gonzalez, Theoretical Computer Science 38, 1985). That holds
-    whatever the density of the mesh. The result depends on the set of points, not on their order. It costs n times
-    `count` operations.
+    The first is the farthest from the middle. The largest distance of a surface point from its
+    nearest source is then at most twice that of the best choice of `count` sources, whatever the
+    density of the mesh. The result depends on the set of points, not on their order. It costs n
+    times `count` operations (Gonzalez, Theoretical Computer Science 38, 1985).
 
     **Arguments:**
 
-    - `count`: how many points to choose, at least 1. There are fewer where `separation` or the mesh leaves no more.
-    - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1.
-      Default 1e-3.
-    - `extremes`: begin with the points at which the bounding box is touched, as `KDTree` does: a blunt trailing edge, a
-      wing's tip. Default False.
+    - `count`: number of points, at least 1; fewer if `separation` leaves no more.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all
+      points, from 0 to 1. Default 1e-3.
+    - `extremes`: begin with the points on the bounding box, as `KDTree` does: a blunt trailing
+      edge, a wing's tip. Default False.
 
     **Raises:** `ValueError` for a count below one, and for a separation that is not from 0 to 1.
     """
@@ -42,28 +42,23 @@ class FarthestPoints(AbstractReduction):
         check_fields(self)
         check_separation(self.separation)
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        return chosen_in_order(points, self._chosen)
-
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         first = extreme_points(points) if self.extremes else None
         return farthest(points, self.count, self.closest(points), first)
 
-    def closest(self, points: np.ndarray) -> float:
-        return least_distance(points, self.separation)
-
 
 @dataclasses.dataclass(frozen=True)
 class Filled(AbstractReduction):
-    """Chooses the sources of a k-d tree with `extremes`, then the farthest points from them, until there are enough.
+    """Chooses the sources of a k-d tree with `extremes`, then the farthest points from them.
 
-    The tree follows the density of the mesh: it is finer at edges. The farthest points leave no part of a wall without
-    sources. There are 84 sources in 2-D and 400 in 3-D, or as many as the tree alone gives.
+    The tree follows the density of the mesh: it is finer at edges. The farthest points leave no
+    part of a wall without sources. There are 84 sources in 2-D and 400 in 3-D, or more if the tree
+    has more.
 
     **Arguments:**
 
     - `leaves`: leaves of the tree. Default 16.
-    - `crowded`: leaves where another boundary is near, as in `KDTree`. Default 32.
+    - `crowded`: leaves if another boundary is near, as in `KDTree`. Default 32.
     """
 
     leaves: int = 16
@@ -94,16 +89,16 @@ def farthest(
     first: np.ndarray | None = None,
     reach: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Picks the ids of `count` points, each the farthest from its predecessors; `first` come first.
+    """Picks the ids of `count` points, always the farthest from all chosen points; `first` come first.
 
-    It ends early when no point is `closest` away. With `reach` (n,) each point's distance is relative to its own reach, and
-    it ends when all points are within reach.
+    It ends early if all points are within `closest` of chosen points. With `reach` (n,), distances
+    are relative to a point's own reach, and it ends when all points are within reach.
     """
     columns = np.ascontiguousarray(points.T)
     distance, work = np.full(len(points), np.inf), np.empty((2, len(points)))
     least, weight = closest**2, 1.0
     if np.ndim(reach):
-        # finite where all points are in one place
+        # finite, also if all points are in one place
         weight, least = 1 / np.maximum(reach, max(closest, 1e-100)) ** 2, 1.0
     least *= 1 + SAME
     chosen, outermost = [], first_largest(((points - points.mean(axis=0)) ** 2).sum(axis=1))
@@ -118,10 +113,7 @@ def farthest(
 
 
 def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndarray | float, work: np.ndarray) -> None:
-    """Lowers the squared distances from the nearest chosen node, now that `node` is chosen too.
-
-    It works in place, so that all stays in the cache.
-    """
+    """Lowers the squared distances from the nearest chosen node to those from `node`, in place: all data stay in the cache."""
     total, term = work
     np.subtract(columns[0], columns[0, node], out=total)
     np.multiply(total, total, out=total)

@@ -1,4 +1,4 @@
-"""Sources on one boundary as close to each other as the other boundary is near."""
+"""Sources on one boundary whose spacing follows the distance of the other boundary."""
 
 import dataclasses
 
@@ -6,33 +6,36 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ..package.arguments import between, whole
-from ..package.rounding import nearest_of
+from ..package.rounding import nearest_of, spacing
 from .farthest import farthest
-from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
+from .reduction import AbstractSeparated, check_separation, chosen_in_order
 
 SHARE = {2: 0.25, 3: 0.5}
-"""A circle far away gets 16 sources, a sphere about 30."""
+"""Default `share` by dimension: a distant circle gets 16 sources, a sphere about 30."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Graded(AbstractReduction):
-    """Chooses points so that none is farther from a source than `share` times its distance from the other boundary.
+class Graded(AbstractSeparated):
+    """Chooses points so that the distance of every point from a source is at most `share` of its distance from the other boundary.
 
-    It is made for the fixed boundary. Where the moving one is near, the field must vanish within the gap, and few sources
-    leave it wavy there. A far field needs a few dozen sources at most, however fine its mesh.
+    It is made for the fixed boundary. Where the moving boundary is near, the field must vanish
+    within the gap, and few sources would leave it wavy. A far field needs a few dozen sources at
+    most, however fine its mesh.
 
-    The distance is measured to the other boundary's nearest source. It is no less than the distance from that source to its
-    own nearest one: where boundaries touch, the spacing changes gradually from one to the other. Without another boundary it
-    is the diagonal of all points.
+    The distance is measured to the nearest source of the other boundary. It is at least the
+    distance of that source from its own nearest source: where boundaries touch, the spacing changes
+    gradually. Without another boundary it is the diagonal of all points.
 
-    A fixed wall that is farther away than it is long, a body for example, may be near later. It gets the sources that it would have
-    without another boundary; 512 at most on all such walls. The faces of the mesh tell what a wall is.
+    A fixed wall whose distance is larger than its length, a body for example, may come near later.
+    It gets its sources as if there were no other boundary, at most 512 on all such walls. Walls are
+    found by the faces of the mesh.
 
     **Arguments:**
 
     - `share`: relative, above 0; 0.25 in 2-D and 0.5 in 3-D by default.
-    - `most`: sources at most, the most needed ones first; 512 by default.
-    - `separation`: least distance between sources, relative to the diagonal of all points, from 0 to 1; 1e-3 by default.
+    - `most`: most sources; the most needed sources come first; 512 by default.
+    - `separation`: least distance between sources, relative to the diagonal of all points, from 0
+      to 1; 1e-3 by default.
 
     **Raises:** `ValueError` for values that are not in these ranges.
     """
@@ -50,30 +53,22 @@ class Graded(AbstractReduction):
         whole("most", self.most)
         check_separation(self.separation)
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        return self.beside(points, np.zeros((0, np.shape(points)[1])))
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        return self._near(points, points[:0])
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
-        def chosen(points, order):
-            share = SHARE[points.shape[1]] if self.share is None else self.share
-            return farthest(points, self.most, self.closest(points), reach=share * _room(points, others))
+        return chosen_in_order(points, lambda points, order: self._near(points, others))
 
-        return chosen_in_order(points, chosen)
-
-    def closest(self, points: np.ndarray) -> float:
-        return least_distance(points, self.separation)
+    def _near(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        share = SHARE[points.shape[1]] if self.share is None else self.share
+        return farthest(points, self.most, self.closest(points), reach=share * _room(points, others))
 
 
 def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Measures each point's distance from the nearest of the `others`.
-
-    The distance is at least that nearest point's own distance from its nearest neighbour.
-    """
+    """Measures the distance (n,) of points from the nearest of the `others`, at least the spacing of the others there."""
     if len(others) == 0:
         return np.full(len(points), float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
-    tree = KDTree(others)
-    distance = np.asarray(tree.query(points)[0])
+    distance = np.asarray(KDTree(others).query(points)[0])
     if len(others) == 1:
         return np.maximum(distance, 1e-12 * distance.max())
-    spacing = np.asarray(tree.query(others, k=2)[0])[:, 1]
-    return np.maximum(distance, nearest_of(points, others, spacing))
+    return np.maximum(distance, nearest_of(points, others, spacing(others)))

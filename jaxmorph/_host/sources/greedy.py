@@ -1,4 +1,4 @@
-"""Greedy reduction: sources one after the other, where the interpolation is worst (Rendall and Allen 2009)."""
+"""Greedy reduction: sources where the interpolation is worst, one after the other (Rendall and Allen 2009)."""
 
 import dataclasses
 
@@ -7,29 +7,31 @@ import numpy as np
 from ..package.arguments import between, finite_array, whole
 from ..package.rounding import SAME, first_largest
 from .farthest import farthest
-from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
+from .reduction import AbstractSeparated, check_separation
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Greedy(AbstractReduction):
-    """Chooses sources one after the other, each where it is needed most.
+class Greedy(AbstractSeparated):
+    """Chooses sources one after the other, always where a source is needed most.
 
-    With `motions`, each source is put where a thin plate spline through those before misses the motions by most, as Rendall
-    and Allen do (Journal of Computational Physics 228, 2009). Without motions it chooses as `FarthestPoints` does. It costs
-    the host sources^3 operations.
+    With `motions`, the next source is the point where a thin plate spline through the chosen
+    sources misses the motions by most (Rendall and Allen, Journal of Computational Physics 228,
+    2009). Without motions it chooses as `FarthestPoints` does. It costs the host sources^3
+    operations.
 
     **Arguments:**
 
-    - `sources`: how many points to choose, at least 1.
-    - `motions`: displacements (k, m, d) of the m points, typical of the motions to come, such as modes. Default None.
-    - `tolerance`: it ends early when the spline misses no motion by more than this, relative to the largest displacement, or
-      by more than 1e-9, which is round-off; 0 by default.
-    - `group`: how many sources join in one round, as a share of those before: 0 puts them one by one. A source of a group knows of
-      those before it in the group by their distance alone. Default 1/8.
-    - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1.
-      Default 1e-3.
+    - `sources`: number of points, at least 1.
+    - `motions`: typical displacements (k, m, d) of the m points, such as modes. Default None.
+    - `tolerance`: it ends early when the largest miss, relative to the largest displacement, is at
+      most this, or at most 1e-9, which is round-off. Default 0.
+    - `group`: number of sources that join in one round, as a share of the chosen sources; with 0,
+      one by one. A source sees sources of its own round by their distance alone. Default 1/8.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all
+      points, from 0 to 1. Default 1e-3.
 
-    **Raises:** `ValueError` for fewer than one source, and when called with another number of points than the motions have.
+    **Raises:** `ValueError` for fewer than one source, and if the points are not as many as the
+    motions'.
     """
 
     sources: int
@@ -47,9 +49,6 @@ class Greedy(AbstractReduction):
         between("group", self.group, 0, 1, "[]")
         check_separation(self.separation)
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        return chosen_in_order(points, self._chosen)
-
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         closest = self.closest(points)
         if self.motions is None:
@@ -62,14 +61,11 @@ class Greedy(AbstractReduction):
         values = np.concatenate(list(motions[:, order]), axis=1)
         return _by_error(points, values, self.sources, closest, self.tolerance, self.group)
 
-    def closest(self, points: np.ndarray) -> float:
-        return least_distance(points, self.separation)
-
 
 def _by_error(
     points: np.ndarray, values: np.ndarray, count: int, closest: float, tolerance: float, group: float
 ) -> np.ndarray:
-    """Picks the points where the interpolation of `values` (m, k d) misses by most, a `group` in each round."""
+    """Picks the points where the interpolation of `values` (m, k d) misses by most, a `group` in a round."""
     unit = (points - points.mean(axis=0)) / (np.ptp(points, axis=0).max() or 1.0)
     tail = np.concatenate([np.ones((len(unit), 1)), unit], axis=1)
     chosen = farthest(points, min(count, points.shape[1] + 1), closest)
@@ -89,7 +85,7 @@ def _by_error(
                 break
             added.append(worst)
             away = np.linalg.norm(points - points[worst], axis=1)
-            missed = missed * np.minimum(away / distance[worst], 1)  # what this source will mend
+            missed = missed * np.minimum(away / distance[worst], 1)  # without the part that this source will mend
             distance = np.minimum(distance, away)
             missed[distance <= closest] = 0
         chosen = np.concatenate([chosen, added])

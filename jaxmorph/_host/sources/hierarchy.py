@@ -1,4 +1,4 @@
-"""A hierarchy of surface nodes, farthest first, and the triangular system of functions that reach from node to node."""
+"""A hierarchy of surface nodes, farthest first, and the triangular system of its functions."""
 
 import dataclasses
 
@@ -7,25 +7,29 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from ..package.arguments import between
+from ..package.orders import canonical_order
 from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
 from .farthest import FarthestPoints
-from .reduction import AbstractReduction, canonical_order
+from .reduction import AbstractReduction
 
 BATCH = 256
-"""Candidates for the next nodes, examined together."""
+"""Candidates for the next nodes that are examined together."""
 
 WIDTH = 8
 """Entries in a row of a sweep's table."""
 
 
 def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orders the nodes: each is the farthest from its predecessors. Also finds the nearest predecessor.
+    """Orders nodes so that the next is always the farthest from its predecessors. Also finds nearest predecessors.
 
-    The nodes `earlier` stand before all others. Without any, the first is the one farthest from the middle; the node
-    farthest from it then takes the place of its nearest. The mirror images of a node, those with its number in `images`
-    (b,), count as before it, so that images come alike. Nodes that coincide with one before are left out. They and the
-    earlier ones are their own nearest.
+    The `earlier` nodes are predecessors of all nodes. Without earlier nodes, the first node is the
+    farthest from the middle, and the node farthest from it counts as its nearest predecessor. The
+    mirror images of a node, which share its number in `images` (b,), count as its predecessors. So
+    images come in one order. A node that coincides with a predecessor is left out. Left out and
+    earlier nodes are their own nearest predecessors.
     """
+    # A batch holds the nodes with the largest distances. Those that do not depend on each other are
+    # picked together. Only nodes within the distance of a picked node can come nearer to it.
     rank = canonical_order(points)
     place = np.argsort(rank)
     ordered = points[rank].astype(float)
@@ -45,10 +49,9 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
         radius[picked], distance[picked] = distance[picked], 0
         around = tree.query_ball_point(ordered[picked], radius[picked])
         near, node = _joined(around), np.repeat(picked, [len(ids) for ids in around])
-        apart = np.linalg.norm(ordered[near] - ordered[node], axis=1)
-        # nodes outside of the radius come before this node, or are not nearer to it
-        inside = apart < radius[node] * (1 - SAME)
-        _approach(distance, nearest, near[inside], node[inside], apart[inside])
+        gap = np.linalg.norm(ordered[near] - ordered[node], axis=1)
+        inside = gap < radius[node] * (1 - SAME)
+        _approach(distance, nearest, near[inside], node[inside], gap[inside])
     nearest[radius == 0] = np.flatnonzero(radius == 0)
     order = np.lexsort((np.arange(len(points)), -radius))[: np.count_nonzero(radius)]
     return rank[order], rank[nearest[place]]
@@ -56,7 +59,7 @@ def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) 
 
 @dataclasses.dataclass(frozen=True)
 class Share(AbstractReduction):
-    """Chooses a fraction of the points, at least one, each the farthest from its predecessors."""
+    """Chooses a fraction of the points, at least one, as `FarthestPoints` does."""
 
     fraction: float
 
@@ -69,16 +72,16 @@ class Share(AbstractReduction):
 
 
 def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds each node's nearest mirror image: its distance, infinite where there is none, and its id."""
+    """Finds the nearest mirror image of every node: its distance, infinite without images, and its id."""
     distance, nearest = np.full(len(points), np.inf), np.arange(len(points))
     order = np.argsort(images, kind="stable")
     for shift in range(1, int(np.bincount(np.unique(images, return_inverse=True)[1]).max())):
         for here, there in ((order[shift:], order[:-shift]), (order[:-shift], order[shift:])):
             same = images[here] == images[there]
             here, there = here[same], there[same]
-            apart = np.linalg.norm(points[here] - points[there], axis=1)
-            closer = apart < (1 - SAME) * distance[here]
-            distance[here[closer]], nearest[here[closer]] = apart[closer], there[closer]
+            gap = np.linalg.norm(points[here] - points[there], axis=1)
+            closer = gap < (1 - SAME) * distance[here]
+            distance[here[closer]], nearest[here[closer]] = gap[closer], there[closer]
     return distance, nearest
 
 
@@ -97,7 +100,7 @@ def _nearest_of(points: np.ndarray, chosen: np.ndarray, others: np.ndarray) -> t
 
 
 def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
-    """Lists the nodes with the largest distances above `least`, the largest first, of equals the first."""
+    """Lists the nodes with the largest distances above `least`, the largest first; ties go to the first node."""
     last = np.partition(distance, -min(BATCH, len(distance)))[-min(BATCH, len(distance))]
     above, below = np.flatnonzero(distance > (1 + SAME) * last), (1 - SAME) * last
     equal = np.flatnonzero((distance >= below) & (distance <= (1 + SAME) * last))
@@ -107,20 +110,17 @@ def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
 
 
 def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.ndarray:
-    """Selects the nodes of a batch whose distance does not change by the nodes that come before them."""
-    apart = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
-    return batch[apart.min(axis=1) >= distance[batch] * (1 - SAME)]
+    """Selects the nodes of a batch whose distance does not change by earlier nodes of the batch."""
+    gap = np.where(np.tri(len(batch), k=-1, dtype=bool), cdist(points[batch], points[batch]), np.inf)
+    return batch[gap.min(axis=1) >= distance[batch] * (1 - SAME)]
 
 
-def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, apart: np.ndarray) -> None:
-    """Updates, in place, distance and nearest node of the nodes `near`.
-
-    Node `near[k]` has the distance `apart[k]` from `node[k]`.
-    """
-    closer = np.flatnonzero(apart < (1 - SAME) * distance[near])
-    np.minimum.at(distance, near[closer], apart[closer])
-    closer = closer[apart[closer] <= (1 + SAME) * distance[near[closer]]]
-    closer = closer[np.argsort(-node[closer], kind="stable")]  # of equals the first is written last
+def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, gap: np.ndarray) -> None:
+    """Updates, in place, distances and nearest nodes: node `near[k]` has the distance `gap[k]` from `node[k]`."""
+    closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
+    np.minimum.at(distance, near[closer], gap[closer])
+    closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
+    closer = closer[np.argsort(-node[closer], kind="stable")]  # the first of equals is written last
     nearest[near[closer]] = node[closer]
 
 
@@ -131,7 +131,7 @@ def _joined(lists) -> np.ndarray:
 def overlaps(
     points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds pairs (target, centre) closer than the centre's radius (b,), sorted by target, then as in `centres`."""
+    """Finds pairs (target, centre) within the centre's radius (b,), sorted by target, then in the order of `centres`."""
     tree = KDTree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
     around = tree.query_ball_point(points[centres], radius[centres], return_sorted=False)
     target, rank = _joined(around), np.repeat(np.arange(len(centres)), [len(ids) for ids in around])
@@ -140,9 +140,9 @@ def overlaps(
 
 
 def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lays pairs sorted by target into rows (count, k) of centres, and tells which entries are pairs.
+    """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the entries that are pairs.
 
-    k is the largest number of centres that a target has.
+    k is the largest number of centres of a target.
     """
     sizes = np.bincount(target, minlength=count)
     column = np.arange(len(target)) - (np.cumsum(sizes) - sizes)[target]
@@ -153,17 +153,18 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarr
 
 
 Sweep = tuple[np.ndarray, np.ndarray]
-"""The order in which a triangular system is solved: s steps of r rows, each a sum of up to `WIDTH` entries for its owner.
+"""The order in which a triangular system is solved: s steps of r rows. A row adds up to `WIDTH` entries of its owner.
 
-The first array (s, r, WIDTH) has positions in the list of entries, -1 where there is none; the second one (s, r) the owners.
+The first array (s, r, WIDTH) has positions in the list of entries, -1 for padding; the second array
+(s, r) has the owners.
 """
 
 
 def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Sweep]:
     """Orders the equations of a triangular matrix, and of its transpose, for forward substitution.
 
-    The `count` equations have ones on the diagonal and entries below it. Equations of one level do not depend on each
-    other; a level needs only the levels before it.
+    The `count` equations have ones on the diagonal and entries below it. Equations of one level are
+    independent; a level needs only earlier levels.
     """
     level = np.zeros(count, dtype=np.int64)
     while True:
@@ -176,8 +177,10 @@ def sweeps(row: np.ndarray, column: np.ndarray, count: int) -> tuple[Sweep, Swee
 
 
 def _sweep(owner: np.ndarray, level: np.ndarray) -> Sweep:
-    # Entries of one owner within a level fill rows of `WIDTH`. All steps have one number of rows, a quarter of a mean level's.
-    # Each level begins with a step of its own and takes as many as it needs; the rest of its last step stays empty.
+    """Lays entries (e,), sorted by level and owner, into steps of rows."""
+    # The entries of one owner within a level fill rows of `WIDTH`. All steps have equally many
+    # rows, a quarter of the mean number of rows of a level. A level begins with a new step and
+    # takes as many steps as it needs; the rest of its last step stays empty.
     if not owner.size:
         return np.zeros((0, 1, WIDTH), dtype=np.int32), np.zeros((0, 1), dtype=np.int32)
     order = np.lexsort((owner, level))

@@ -6,24 +6,25 @@ import numpy as np
 
 from ..package.arguments import check_fields, whole
 from ..package.rounding import SAME, first_largest
-from .reduction import AbstractReduction, check_separation, chosen_in_order, least_distance
+from .reduction import AbstractSeparated, check_separation
 
 NOISE = 1e-13
 """Round-off of the power function, whose largest value is 1."""
 
 
 @dataclasses.dataclass(frozen=True)
-class PGreedy(AbstractReduction):
-    """Picks points one after the other, each where its predecessors' power function is largest.
+class PGreedy(AbstractSeparated):
+    """Chooses points one after the other, always where the power function of the chosen points is largest.
 
-    The choice is that of De Marchi, Schaback and Wendland (Advances in Computational Mathematics 23, 2005).
-    It depends on the places alone, not on a motion. The function is Wendland's C2 of a radius as large as the points'
-    extent. The factors grow by a column for each point (Newton's basis).
+    The method is that of De Marchi, Schaback and Wendland (Advances in Computational Mathematics
+    23, 2005). It depends on places alone, not on a motion. The basis is Wendland's C2 with a radius
+    as large as the extent of the points. The factors grow by one column a point (Newton's basis).
 
     **Arguments:**
 
-    - `count`: how many points to choose; fewer where they come closer than `separation`.
-    - `separation`: least distance of two of them, relative to the extent. Default 1e-3.
+    - `count`: number of points; fewer if `separation` leaves no more.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all
+      points, from 0 to 1. Default 1e-3.
 
     **Raises:** `ValueError` for a count below 1, and a separation that is not from 0 to 1.
     """
@@ -36,9 +37,6 @@ class PGreedy(AbstractReduction):
         whole("count", self.count)
         check_fields(self)
         check_separation(self.separation)
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        return chosen_in_order(points, self._chosen)
 
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         radius = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
@@ -55,6 +53,3 @@ class PGreedy(AbstractReduction):
             chosen.append(node)
             node = first_largest(power, SAME * power.max() + NOISE)
         return np.array(chosen)
-
-    def closest(self, points: np.ndarray) -> float:
-        return least_distance(points, self.separation)

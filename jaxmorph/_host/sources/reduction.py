@@ -1,4 +1,4 @@
-"""Reduction of the source points: which nodes of a surface carry the radial basis functions (section 2.1 of the paper)."""
+"""Reduction of the source points: the choice of nodes with radial basis functions (section 2.1 of the paper)."""
 
 import abc
 import dataclasses
@@ -11,29 +11,31 @@ import numpy as np
 import scipy.spatial
 
 from ..package.arguments import between, check_fields, finite_array, whole
-from ..package.rounding import SAME, first_largest, nearest_of, ranked, roundoff
+from ..package.orders import canonical_order
+from ..package.rounding import SAME, first_largest, nearest_of, roundoff
 
 
 class AbstractReduction(abc.ABC):
-    """Chooses source points: called with points (k, d), it returns the ids of the chosen ones, each once, ascending.
+    """Chooses source points: called with points (k, d), it returns the ids of sources, ascending, no id twice.
 
-    A reduction of your own is a frozen (hashable) dataclass with this one method, `__call__`.
+    Your own reduction is a frozen (hashable) dataclass with one method, `__call__`.
 
-    A choice is discontinuous in the coordinates: as nodes move, another one becomes a source. Round-off chooses none in the
-    library's own reductions: lengths within a relative 1e-9 are equal, and the first of equals in the order of coordinates counts.
+    A choice is discontinuous in the coordinates: as nodes move, another node becomes a source. In
+    the library's own reductions, round-off decides nothing: lengths within a relative 1e-9 are
+    equal, and the first of equals in the order of coordinates counts.
     """
 
     most_on_far_walls: ClassVar[int] = 0
-    """Most sources of fixed walls that are farther from the moving walls than they are long.
+    """Most sources on fixed walls whose distance from the moving walls is larger than their length.
 
-    With 0 such walls are reduced as all fixed walls are.
+    With 0, such walls are reduced like all fixed walls.
     """
 
     @abc.abstractmethod
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses as `__call__` does, with the `others` (k, d): the fixed nodes, or the moving sources.
+        """Chooses as `__call__` does, near the `others` (k, d): the fixed nodes, or the moving sources.
 
         The default ignores `others`.
         """
@@ -44,8 +46,24 @@ class AbstractReduction(abc.ABC):
         return roundoff(points)
 
 
+class AbstractSeparated(AbstractReduction):
+    """A reduction whose sources keep a least distance, and that chooses from points in canonical order."""
+
+    separation: float
+
+    @abc.abstractmethod
+    def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
+        """Chooses rows of `points` (k, d), which are in canonical order; `order` (k,) has their ids."""
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return chosen_in_order(points, self._chosen)
+
+    def closest(self, points: np.ndarray) -> float:
+        return least_distance(points, self.separation)
+
+
 class AbstractSearchPoints(abc.ABC):
-    """Places in a leaf's box, in its local coordinates from -1 to 1: the mesh point closest to each becomes a source."""
+    """Places in a leaf's box, in local coordinates from -1 to 1. The mesh points closest to them become sources."""
 
     @abc.abstractmethod
     def local(self, dimension: int) -> np.ndarray:
@@ -54,7 +72,7 @@ class AbstractSearchPoints(abc.ABC):
 
 @dataclasses.dataclass(frozen=True)
 class Centre(AbstractSearchPoints):
-    """The middle of each box."""
+    """The middle of a box."""
 
     def local(self, dimension: int) -> np.ndarray:
         return np.zeros((1, dimension))
@@ -70,7 +88,7 @@ class GaussPoints(AbstractSearchPoints):
 
 @dataclasses.dataclass(frozen=True)
 class Corners(AbstractSearchPoints):
-    """The 4 or 8 corners of each box."""
+    """The 4 or 8 corners of a box."""
 
     def local(self, dimension: int) -> np.ndarray:
         return np.array(list(itertools.product((-1.0, 1.0), repeat=dimension)))
@@ -78,35 +96,39 @@ class Corners(AbstractSearchPoints):
 
 @dataclasses.dataclass(frozen=True)
 class AllPoints(AbstractReduction):
-    """Chooses every point, as in the classic method; of coincident points one."""
+    """Chooses all points, as in the classic method; of coincident points, one."""
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         return drop_close(points, np.arange(len(points)), roundoff(points))
 
 
 @dataclasses.dataclass(frozen=True)
-class KDTree(AbstractReduction):
-    """The paper's explicit reduction by a k-d tree (section 2.1), all five steps.
+class KDTree(AbstractSeparated):
+    """The paper's explicit reduction by a k-d tree (section 2.1), in five steps.
 
-    The box with the most points is split at the median of its longest side; points at one coordinate stay together. A leaf's
-    box bounds its own points. The mesh point closest to each search point of a leaf becomes a source, and duplicates are
-    dropped. The result depends on the set of points, not on their order.
+    The box with the most points is split at the median of its longest side; points at one
+    coordinate stay together. A leaf's box bounds its own points. The mesh points closest to the
+    search points of the leaves become sources, without repetition. The result depends on the set of
+    points, not on their order.
 
     **Arguments:**
 
-    - `leaves`: boxes are split until there are so many. One of `leaves`, `points_per_leaf` and `largest_box` is needed.
-    - `search_points`: places in each box; its `Corners()` by default, or `Centre()` or `GaussPoints()`.
-    - `points_per_leaf`: boxes are split until none holds more points. Default None: no limit.
-    - `smallest_box`, `largest_box`: lengths in the mesh's units. A box not longer than the first is left whole, one longer
-      than the second is split. Defaults 0 and infinity.
-    - `separation`: the least distance between two sources, as a share of the diagonal of all points, from 0 to 1. Closer ones
-      are dropped, for they ruin the conditioning of the solve and its derivatives. A fixed source is also dropped beside a
-      moving one, by the smaller one of their distances. Default 1e-3.
-    - `extremes`: adds the points that touch the bounding box, as on a blunt trailing edge or a wing's tip. Default False.
-    - `crowded`: the number of leaves if the other boundary is nearer to a point than the longest side of the bounding box,
-      as in a passage or at a joint. Default None: `leaves`.
+    - `leaves`: number of boxes at which splitting ends. One of `leaves`, `points_per_leaf` and
+      `largest_box` is needed.
+    - `search_points`: places in a box; `Corners()` by default, or `Centre()` or `GaussPoints()`.
+    - `points_per_leaf`: a box with more points is split. Default None: no limit.
+    - `smallest_box`, `largest_box`: lengths in the mesh's units. A box no longer than the first
+      stays whole, a box longer than the second is split. Defaults 0 and infinity.
+    - `separation`: the least distance between two sources, as a share of the diagonal of all
+      points, from 0 to 1. Closer sources are dropped: they ruin the condition of the solve and of
+      its derivatives. A fixed source is also dropped beside a moving source, by the smaller of both
+      distances. Default 1e-3.
+    - `extremes`: adds points on the bounding box: a blunt trailing edge, a wing's tip. Default
+      False.
+    - `crowded`: number of leaves if the other boundary is near: nearer to a point than the longest
+      side of the bounding box. Default None: `leaves`.
 
-    **Raises:** `ValueError` if nothing says when to stop, and for values that are not in these ranges.
+    **Raises:** `ValueError` if no argument ends the splitting, and for values out of range.
     """
 
     leaves: int | np.integer | None = None
@@ -121,7 +143,7 @@ class KDTree(AbstractReduction):
 
     def __post_init__(self):
         if self.leaves is None and self.points_per_leaf is None and self.largest_box == np.inf:
-            raise ValueError("KDTree needs one of `leaves`, `points_per_leaf`, `largest_box` to know when to stop.")
+            raise ValueError("KDTree needs `leaves`, `points_per_leaf` or `largest_box`: splitting would not end.")
         for name in ("leaves", "points_per_leaf", "crowded"):
             if getattr(self, name) is not None:
                 whole(name, getattr(self, name))
@@ -129,9 +151,6 @@ class KDTree(AbstractReduction):
         if not 0 <= self.smallest_box <= self.largest_box:
             raise ValueError(f"need 0 <= smallest_box <= largest_box, not {self.smallest_box}, {self.largest_box}.")
         check_separation(self.separation)
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        return chosen_in_order(points, self._chosen)
 
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
         boxes = self.boxes(points)
@@ -147,26 +166,24 @@ class KDTree(AbstractReduction):
         return self.given(points, others)(points)
 
     def given(self, points: np.ndarray, others: np.ndarray) -> "KDTree":
-        """Returns the tree to build beside the `others`, with `crowded` leaves if one of them is near."""
+        """Returns the tree to build near the `others`: with `crowded` leaves if another point is near."""
         if self.crowded is None or not len(points) or not len(others):
             return self
         near = (1 - SAME) * float(np.ptp(points, axis=0).max())
         distance = scipy.spatial.KDTree(others).query(points, distance_upper_bound=near)[0]
         return dataclasses.replace(self, leaves=self.crowded) if np.isfinite(distance).any() else self
 
-    def closest(self, points: np.ndarray) -> float:
-        return least_distance(points, self.separation)
-
     @staticmethod
     def with_sources(count: int, points: np.ndarray) -> "KDTree":
-        """Searches for the number of leaves that gives points (n, d) about `count` sources, `extremes` among them.
+        """Searches for the tree that gives about `count` sources, with `extremes`.
 
         **Arguments:**
 
-        - `count`: how many sources are wanted, at least d + 1. A tree gives not every number: the nearest found is taken.
-        - `points`: the moving nodes.
+        - `count`: number of sources, at least d + 1. Not all numbers are possible: the nearest is
+          taken.
+        - `points`: coordinates (n, d) of the moving nodes.
 
-        **Returns:** a tree with so many leaves.
+        **Returns:** a `KDTree`.
 
         **Raises:** `ValueError` for a count below d + 1.
         """
@@ -184,7 +201,7 @@ class KDTree(AbstractReduction):
         return KDTree(min(tried, key=lambda leaves: (abs(tried[leaves] - count), leaves)), extremes=True)
 
     def boxes(self, points: np.ndarray) -> np.ndarray:
-        """Builds the tree for points (n, d): lower and upper corner of each leaf's box (k, 2, d)."""
+        """Builds the tree for points (n, d), and returns the lower and upper corners of the leaves' boxes (k, 2, d)."""
         counter = itertools.count()  # breaks ties: the leaf found first is split first
 
         def entry(members):
@@ -210,18 +227,12 @@ class KDTree(AbstractReduction):
 
 
 def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Splits members at the median along an axis; points side by side (an outlet, both sides of a wing) stay together."""
+    """Splits members at the median along an axis; points at one coordinate (an outlet, both sides of a wing) stay together."""
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
     gaps = 1 + np.flatnonzero(np.diff(along) > SAME * (along[-1] - along[0]))
     middle = gaps[np.abs(gaps - len(members) / 2).argmin()]
     return members[:middle], members[middle:]
-
-
-def canonical_order(points: np.ndarray) -> np.ndarray:
-    """Sorts points by their coordinates, so that results do not depend on the order in which they came."""
-    slack = SAME * float(np.ptp(points, axis=0).max())
-    return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
 
 
 def chosen_in_order(points: np.ndarray, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
@@ -239,27 +250,26 @@ def check_separation(separation: float) -> None:
 
 
 def least_distance(points: np.ndarray, separation: float) -> float:
-    """Returns `separation` times the diagonal of all points, but no less than round-off."""
+    """Computes `separation` times the diagonal of all points, but at least round-off."""
     if len(points) == 0:
         return 0.0
     return max(separation * float(np.linalg.norm(np.ptp(points, axis=0))), roundoff(points))
 
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
-    """Finds points on the bounding box: for each side, the points furthest apart on it."""
+    """Finds the points farthest apart on all sides of the bounding box."""
     extremes, slack = [], SAME * float(np.ptp(points, axis=0).max())
     for axis in range(points.shape[1]):
         for sign in (-1, 1):
             along = sign * points[:, axis]
             touching = np.flatnonzero(along >= along.max() - slack)
             others = np.delete(points[touching], axis, axis=1)
-            corners = [touching[first_largest(each, slack)] for column in others.T for each in (-column, column)]
-            extremes.extend(corners)
+            extremes += [touching[first_largest(side * column, slack)] for column in others.T for side in (-1, 1)]
     return np.unique(extremes)
 
 
 def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarray:
-    """Drops ids whose point lies within `closest` of an earlier one that is kept; the order is kept."""
+    """Drops ids of points within `closest` of an earlier point that stays; the order stays."""
     if len(ids) < 2:
         return ids
     ids = ids[np.sort(np.unique(ids, return_index=True)[1])]
@@ -272,7 +282,7 @@ def drop_close(points: np.ndarray, ids: np.ndarray, closest: float) -> np.ndarra
 
 
 def drop_near(points: np.ndarray, ids: np.ndarray, others: np.ndarray, closest: float) -> np.ndarray:
-    """Drops ids whose point lies within `closest` of one of the `others`; the order is kept."""
+    """Drops ids of points within `closest` of one of the `others`; the order stays."""
     if len(ids) == 0 or len(others) == 0:
         return ids
     return ids[scipy.spatial.KDTree(points[others]).query(points[ids])[0] > closest * (1 + SAME)]

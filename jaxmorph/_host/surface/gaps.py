@@ -1,4 +1,4 @@
-"""Gaps between walls: how far each node is from the nearest face of another wall."""
+"""Gaps between walls: distances of nodes from the nearest faces of other walls."""
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -6,16 +6,17 @@ from scipy.spatial import KDTree
 from .neighbours import searched_together
 
 CLOSEST = 12
-"""Number of other walls' faces, with the nearest middles, to which a node's distance is measured."""
+"""Faces of other walls to which a node's distance is measured: those with the nearest middles."""
 
 
 def share_left(
     before: np.ndarray, after: np.ndarray, wall: np.ndarray, faces: np.ndarray, touching: float
 ) -> np.ndarray:
-    """Measures the share (b,) of the gap at each row that a motion leaves: infinite where there was no gap.
+    """Measures the share (b,) of the gap at every row that a motion leaves; infinite without a gap.
 
-    The gap before is that of the row, or of the corners of the face that is nearest afterwards, whichever is less. So walls
-    that slide along each other keep their gap. Distances up to `touching` are none.
+    The gap before is the smaller of two: at the row, and at the corners of the face that is nearest
+    afterwards. So walls that slide along each other keep their gap. Distances up to `touching`
+    count as no gap.
     """
     first, second = gaps(before, wall, faces)[0], gaps(after, wall, faces)
     narrowest = np.minimum(first, first[second[1]].min(axis=1))
@@ -24,12 +25,11 @@ def share_left(
 
 
 def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Measures the distance (b,) of each row of `points` to the nearest face of another wall, and returns that face (b, d).
+    """Finds the nearest face (b, d) of another wall for every row of `points`, and its distance (b,).
 
-    The distance is infinite if there is none.
-
-    `wall` (b,) numbers the walls; `faces` are segments (f, 2) in 2-D, triangles (f, 3) in 3-D, rows of `points`. A face between
-    two walls belongs to neither.
+    The distance is infinite without other walls. `wall` (b,) numbers the walls; `faces` are rows of
+    `points`, segments (f, 2) in 2-D and triangles (f, 3) in 3-D. A face between two walls does not
+    count.
     """
     labels = wall[faces]
     whole = (labels == labels[:, :1]).all(axis=1)
@@ -40,33 +40,33 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.nd
     for label in np.unique(wall):
         here, others = np.flatnonzero(wall == label), np.flatnonzero(labels != label)
         if len(others):
-            apart = [each for each in trees if labels[each[0][0]] != label] if len(trees) > 1 else None
-            near = _closest(points[here], apart or [(others, KDTree(middles[others]))])
-            each = np.stack([_distance(points[here], points[faces[column]]) for column in near.T], axis=1)
-            closest, row = each.argmin(axis=1), np.arange(len(here))
-            distance[here], nearest[here] = each[row, closest], faces[near[row, closest]]
+            of_others = [(rows, tree) for rows, tree in trees if labels[rows[0]] != label] if len(trees) > 1 else []
+            near = _closest(points[here], of_others or [(others, KDTree(middles[others]))])
+            distances = np.stack([_distance(points[here], points[faces[column]]) for column in near.T], axis=1)
+            closest, row = distances.argmin(axis=1), np.arange(len(here))
+            distance[here], nearest[here] = distances[row, closest], faces[near[row, closest]]
     return distance, nearest
 
 
 def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, KDTree]]) -> np.ndarray:
-    """Finds the faces (k, c) whose middles are nearest to points (k, d), out of several trees, each with its rows of faces."""
-    apart, near = [], []
+    """Finds the faces (k, c) whose middles are nearest to points (k, d), by several trees with their rows of faces."""
+    distances, near = [], []
     for rows, tree in trees:
         count = min(CLOSEST, len(rows))
         distance, row = map(np.asarray, tree.query(points, k=count))
-        apart.append(distance.reshape(len(points), count))
+        distances.append(distance.reshape(len(points), count))
         near.append(rows[row].reshape(len(points), count))
     if len(near) == 1:
         return near[0]
-    order = np.argsort(np.concatenate(apart, axis=1), axis=1, kind="stable")[:, :CLOSEST]
+    order = np.argsort(np.concatenate(distances, axis=1), axis=1, kind="stable")[:, :CLOSEST]
     return np.take_along_axis(np.concatenate(near, axis=1), order, axis=1)
 
 
 def _distance(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Measures the distance (k,) of points (k, d) to segments (k, 2, d) or triangles (k, 3, d), one each."""
+    """Measures the distances (k,) of points (k, d) from their segments (k, 2, d) or triangles (k, 3, d)."""
     count = corners.shape[1]
     sides = [(corners[:, k], corners[:, (k + 1) % count]) for k in range(count if count > 2 else 1)]
-    nearest = np.min([_to_segment(x, *side) for side in sides], axis=0)
+    nearest = np.min([distance_from_segment(x, *side) for side in sides], axis=0)
     if count == 2:
         return nearest
     first, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -79,8 +79,9 @@ def _distance(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.where((u >= 0) & (v >= 0) & (u + v <= 1), above, nearest)
 
 
-def _to_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    along = end - start
+def distance_from_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Measures the distances (k,) of points (k, d) from segments, one for all points or one a point."""
+    along = np.broadcast_to(end - start, x.shape)
     squared = np.maximum(np.einsum("kd,kd->k", along, along), 1e-300)
     share = np.clip(np.einsum("kd,kd->k", x - start, along) / squared, 0, 1)
     return np.linalg.norm(x - start - share[:, None] * along, axis=1)

@@ -1,4 +1,4 @@
-"""Nearest nodes: which nodes of which wall lie nearest to a point."""
+"""Nearest nodes: the nodes of a wall that lie nearest to a point."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from ..package.orders import morton_order
 from ..package.rounding import SAME, nearest_few
-from .graph import morton_order
 
 FEW = 16
-"""Walls up to which each is searched on its own."""
+"""Most walls for which every wall has a search tree of its own."""
 
 AROUND = 8
-"""Neighbours among which a leap in their distances is looked for."""
+"""Neighbours among whose distances a leap is searched."""
 
 Once = Callable[[Any, Callable[[], Any]], Any]
 
@@ -31,18 +31,19 @@ def digest(values: np.ndarray) -> tuple[int, int]:
 def near_walls(
     surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, count: int, once: Once = at_once
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the points that lie near a wall, and the ids (k, count + 1) of the surface nodes that matter to them.
+    """Finds the points near a wall, and the ids (k, count + 1) of the surface nodes near them.
 
-    `reach` (b,) is how far a node's wall reaches into the volume. A row holds the `count` nearest nodes of the nearest
-    wall, nearest first, of equals the first one first. Its last entry is the nearest node of any other wall within eight
-    times the reach, or the first entry again. A point belongs to the wall of its nearest node alone; a point nearer to another
-    wall is left out.
+    `reach` (b,) is the distance to which a node's wall reaches into the volume. A row holds the
+    `count` nearest nodes of the nearest wall, nearest first; ties go to the first node. Its last
+    entry is the nearest node of another wall within eight times the reach, or the first entry
+    again. A point that is nearer to another wall is left out.
 
-    `once(key, make)` keeps what depends on the surface and its walls alone, for other points.
+    `once(key, make)` caches results that depend on the surface and its walls alone.
     """
-    # Searches give each point its nearest node within reach. Its `count` nearest nodes are then among that node's
-    # 2 count neighbours on the wall, which are found once a node instead of once a point. At last each wall's points are
-    # compared with the nodes of all other walls.
+    # A search finds the nearest node of a point within reach. The `count` nearest nodes of the
+    # point are then among 2 `count` neighbours of that node on its wall, which are found once a
+    # node, not once a point. Then the points of a wall are compared with the nodes of all other
+    # walls.
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, count + 1), dtype=np.int32)
     order = morton_order(points)  # a tree is searched three times faster for neighbours one after the other
@@ -71,7 +72,7 @@ def near_walls(
 
 
 def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
-    """Picks the `count` nearest nodes from each row (k, c), nearest first; ties go to the first."""
+    """Picks the `count` nearest nodes of every row (k, c), nearest first; ties go to the first node."""
     order = np.argsort(squared, axis=1, kind="stable")
     nodes, squared = (np.take_along_axis(table, order, axis=1) for table in (nodes, squared))
     is_more = squared[:, 1:] > (1 + 2 * SAME) * squared[:, :-1]
@@ -86,23 +87,24 @@ def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
 def _nearest_within(
     surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, once: Once
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest surface node within whose reach a point lies, and its distance, infinite where there is none.
+    """Finds the nearest surface node within whose reach a point lies, and its distance, infinite without a node.
 
-    Nodes of about the same reach are searched together: a bound that is far too large costs ten times as much.
+    Nodes of similar reach are searched together: a bound that is far too large costs ten times as
+    much.
     """
     bounded = []
     for members in searched_together(wall, np.flatnonzero(reach > 0)):
         size = np.frexp(reach[members])[1]
-        alike = [members[size == exponent] for exponent in np.unique(size)]
-        bounded += [(rows, reach[rows].max()) for rows in alike]
+        groups = [members[size == exponent] for exponent in np.unique(size)]
+        bounded += [(rows, reach[rows].max()) for rows in groups]
     return _nearest(surface, bounded, points, once, reach)
 
 
 def searched_together(wall: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-    """Divides rows of the surface by their walls, unless these are many.
+    """Divides rows of the surface by their walls, unless there are more than `FEW` walls.
 
-    The nearest node of a plane is found at once, from however far away. A tree of several planes has boxes that reach from
-    one to the other: from the middle of a cube it takes fifty times longer.
+    A search in a plane is fast from any distance. A tree of several planes has boxes that reach
+    from plane to plane: a search from the middle of a cube then takes fifty times longer.
     """
     labels = wall[rows]
     walls = np.unique(labels)
@@ -116,26 +118,22 @@ def _nearest(
     once: Once,
     reach: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest of several lists of surface nodes, each up to a bound, and its distance, infinite where there is none.
+    """Finds the nearest node of several lists within their bounds, and its distance, infinite without a node.
 
-    With `reach` (b,), nodes count up to their own distance alone.
+    With `reach` (b,), a node counts only within its own reach.
     """
     distance, nearest = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     for members, bound in bounded:
-        tree = _kept_tree(surface, members, once)
-        both, rows = map(np.asarray, tree.query(points, k=min(2, len(members)), distance_upper_bound=bound))
-        both, rows = both.reshape(len(points), -1), rows.reshape(len(points), -1)
-        apart, row = both[:, 0], np.minimum(rows[:, 0], len(members) - 1)
-        equal = np.flatnonzero((both[:, -1] <= (1 + SAME) * apart) & (rows[:, -1] < len(members)))
+        tree = once(("tree", digest(members)), lambda members=members: _tree(surface[members]))
+        distances, rows = map(np.asarray, tree.query(points, k=min(2, len(members)), distance_upper_bound=bound))
+        distances, rows = distances.reshape(len(points), -1), rows.reshape(len(points), -1)
+        least, row = distances[:, 0], np.minimum(rows[:, 0], len(members) - 1)
+        equal = np.flatnonzero((distances[:, -1] <= (1 + SAME) * least) & (rows[:, -1] < len(members)))
         row[equal] = nearest_few(points[equal], surface[members], 1)[:, 0]
         node = members[row]
-        closer = apart < (distance if reach is None else np.minimum(distance, reach[node]))
-        distance[closer], nearest[closer] = apart[closer], node[closer]
+        closer = least < (distance if reach is None else np.minimum(distance, reach[node]))
+        distance[closer], nearest[closer] = least[closer], node[closer]
     return distance, nearest
-
-
-def _kept_tree(surface: np.ndarray, rows: np.ndarray, once: Once) -> KDTree:
-    return once(("tree", digest(rows)), lambda: _tree(surface[rows]))
 
 
 def _tree(points: np.ndarray) -> KDTree:
@@ -144,7 +142,7 @@ def _tree(points: np.ndarray) -> KDTree:
 
 
 def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
-    """Lists (b, count) the nodes nearest to each node on its wall, itself first and repeated if the wall has fewer."""
+    """Lists (b, count) the nearest nodes of every node on its wall: the node itself first, and again as padding."""
     around = np.empty((len(surface), count), dtype=np.int32)
     for label in np.unique(wall):
         nodes = np.flatnonzero(wall == label)
@@ -155,16 +153,16 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Finds points far nearer to some others than these are to the next ones: their ids and nearest points, the nearest first.
+    """Finds close pairs: points with neighbours far nearer than the next neighbour. Returns ids and nearest ids.
 
-    Far nearer is below a `share` of the distance to the next ones, or of the `radius`, beyond which none counts. Up to `AROUND`
-    points may be near each other.
+    Far nearer means below a `share` of the distance of the next neighbour, or of the `radius`. The
+    closest pair comes first. Up to `AROUND` points may be near each other.
     """
     if len(points) < 2:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     distance, nearest = map(np.asarray, KDTree(points).query(points, k=min(AROUND + 1, len(points))))
     distance = distance[:, 1:]
-    if distance.shape[1] < AROUND:  # there are no others
+    if distance.shape[1] < AROUND:  # all points are neighbours
         distance = np.column_stack([distance, np.full(len(points), radius)])
     jumps = (distance[:, :-1] < share * np.minimum(distance[:, 1:], radius)).any(axis=1)
     first = np.flatnonzero(jumps)[np.argsort(distance[jumps, 0], kind="stable")]

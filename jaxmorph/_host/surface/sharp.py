@@ -1,4 +1,4 @@
-"""Sharp edges of walls in 2-D, and places behind them: mirror images of the wall in its own tip."""
+"""Sharp tips of walls in 2-D, and places behind them: mirror images of the wall in its own tip."""
 
 import dataclasses
 
@@ -10,19 +10,20 @@ SHARP = np.cos(np.deg2rad(60))
 """Cosine of the angle between the two edges of a tip below which the wall is sharp there."""
 
 NEARBY = 0.002, 0.008, 0.032
-"""Distances of sources from a sharp tip, relative to the mean chord. Cells at the tip do not bear a field that is wavy there."""
+"""Distances of sources from a sharp tip, relative to the mean chord: a wavy field would invert cells at the tip."""
 
 AWAY = 0.7
-"""Least distance of such a place from all of the wall, relative to its distance from the tip."""
+"""Least distance of a place behind a tip from the wall, relative to its distance from the tip."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Tips:
-    """Sharp tips of the walls in 2-D, and the walls as chains of places: coincident nodes are one place.
+    """Sharp tips of walls in 2-D, and the walls as chains of places; coincident nodes are one place.
 
-    - `rows` (p,): a row of the surface at each place; `points` (p, 2): where it is.
-    - `ends` (e, 2): the places of each edge; `beside` (p, 2): the places on either side of a place with `count` (p,) of 2.
-    - `tips` (t,): places at which the wall is sharp.
+    - `rows` (p,), `points` (p, 2): a row of the surface at every place, and its coordinates.
+    - `ends` (e, 2): the two places of every edge.
+    - `count` (p,), `beside` (p, 2): number of neighbours of a place, and two of them.
+    - `tips` (t,): places at which a wall is sharp.
     """
 
     rows: np.ndarray
@@ -37,11 +38,11 @@ class Tips:
         return lengths[(self.ends == tip).any(axis=1)]
 
     def sides(self, tip: int, length: float) -> list[int]:
-        """Finds the first place at the distance `length`, on each side of a tip."""
+        """Finds the first place at the distance `length` on both sides of a tip."""
         return [self._walk(tip, start, length) for start in self.beside[tip].tolist()]
 
     def _walk(self, tip: int, place: int, length: float) -> int:
-        """Follows the wall from a tip to the first place that is as far away as `length`, or that is the last one."""
+        """Follows the wall from a tip to the first place at the distance `length`, or to the end of the wall."""
         before = tip
         while self.count[place] == 2 and np.linalg.norm(self.points[place] - self.points[tip]) < length * (1 - SAME):
             ahead = int(self.beside[place, 0] if self.beside[place, 0] != before else self.beside[place, 1])
@@ -56,19 +57,20 @@ def sharp_tips(points: np.ndarray, pairs: np.ndarray) -> Tips:
     first, same = distinct(points[pairs.ravel()])
     rows, ends = pairs.ravel()[first], same.reshape(-1, 2)  # the two nodes of a closed edge are one place
     place = points[rows]
-    every = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
-    count = np.bincount(every[:, 0], minlength=len(place))
-    beside = every[:, 1][np.minimum((np.cumsum(count) - count)[:, None] + np.arange(2), len(every) - 1)]
+    directed = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)  # sorted by start
+    count = np.bincount(directed[:, 0], minlength=len(place))
+    beside = directed[:, 1][np.minimum((np.cumsum(count) - count)[:, None] + np.arange(2), len(directed) - 1)]
     arms = place[beside] - place[:, None]
     is_sharp = np.sum(arms[:, 0] * arms[:, 1], axis=1) > SHARP * (1 + SAME) * np.linalg.norm(arms, axis=2).prod(axis=1)
     return Tips(rows, place, ends, beside, count, np.flatnonzero((count == 2) & is_sharp))
 
 
 def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarray) -> np.ndarray:
-    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side of it.
+    """Lists rows (g, 3): a sharp tip of a wall, and a node on either side.
 
-    The mirror image in the tip of the middle of both nodes lies behind the tip. It is `length` away or one edge, whichever is
-    more, no less than `closest`, and no more than `room`. These are given for each edge (e,) of the walls.
+    The middle of the two nodes, mirrored in the tip, lies behind the tip. Its distance is at least
+    `length`, at least one edge, more than `closest`, and less than `room`. Edges (e,) of the walls
+    have `length` and `room`.
     """
     place, found = walls.points, []
     for tip in walls.tips.tolist():
@@ -82,11 +84,11 @@ def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarra
 
 
 def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
-    """Lists rows on either side of the sharp tips, at `NEARBY` of the chord of each edge (e,): closer as the tip is nearer."""
-    every = [
+    """Lists rows on both sides of the sharp tips, at the distances `NEARBY`; edges (e,) have a `chord`."""
+    places = [
         place
         for tip in walls.tips.tolist()
         for share in NEARBY
         for place in walls.sides(tip, share * walls.lengths(tip, chord).min())
     ]
-    return walls.rows[np.unique(np.array(every, dtype=np.int64))]
+    return walls.rows[np.unique(np.array(places, dtype=np.int64))]

@@ -1,4 +1,4 @@
-"""Geometry of simplices in closed form: NumPy's and SciPy's calls to LAPACK, one a simplex, take twenty times longer."""
+"""Geometry of simplices in closed form: a LAPACK call for every simplex, as in NumPy and SciPy, takes twenty times longer."""
 
 import numpy as np
 
@@ -8,9 +8,10 @@ from ..linear import products
 def smallest_weight(
     nodes: np.ndarray, simplices: np.ndarray, simplex: np.ndarray, points: np.ndarray, flat: float
 ) -> np.ndarray:
-    """Computes the smallest barycentric coordinate of each point in its simplex.
+    """Computes the smallest barycentric coordinate of every point in its simplex.
 
-    It is -inf where the simplex is -1 or not higher than `flat`. Only what is needed is held for all points at once.
+    It is -inf where the simplex is -1 or not higher than `flat`. Blocks of points keep memory
+    small.
     """
     smallest = np.empty(len(points))
     for start in range(0, len(points), 65536):
@@ -29,7 +30,7 @@ def smallest_weight(
 
 
 def smallest_height(corners: np.ndarray) -> np.ndarray:
-    """Computes the least height (k,) of simplices (k, c, d): content over that of the largest side.
+    """Computes the least height (k,) of simplices (k, c, d): their content over the content of the largest side.
 
     The result does not depend on which corner comes first.
     """
@@ -40,7 +41,7 @@ def smallest_height(corners: np.ndarray) -> np.ndarray:
 
 
 def _content(corners: list[np.ndarray]) -> np.ndarray:
-    """Computes lengths, twice the areas or six times the volumes of simplices with corners (k, d) each; 1 for points."""
+    """Computes lengths, twice the areas or six times the volumes of simplices from their corners (k, d); 1 for points."""
     edges = [corner - corners[0] for corner in corners[1:]]
     if not edges:
         return np.ones(len(corners[0]))
@@ -48,6 +49,12 @@ def _content(corners: list[np.ndarray]) -> np.ndarray:
         return np.abs(np.einsum("kd,kd->k", cofactors(edges)[0], edges[0]))
     normal = edges[0] if len(edges) == 1 else cross(*edges)
     return np.sqrt(np.einsum("kd,kd->k", normal, normal))
+
+
+def normals(corners: np.ndarray) -> np.ndarray:
+    """Computes normals (k, d) of segments or triangles (k, d, d), as long as the segment or twice the area."""
+    edges = corners[:, 1:] - corners[:, :1]
+    return edges[:, 0, ::-1] * [1, -1] if edges.shape[1] == 1 else cross(edges[:, 0], edges[:, 1])
 
 
 def cofactors(edges: list[np.ndarray]) -> list[np.ndarray]:

@@ -1,34 +1,35 @@
-"""The skin of the moving walls: which of its nodes are joined by edges, and how large the bodies are."""
+"""The skin of the moving walls: the edges between its nodes, and the size of the bodies."""
 
 from collections.abc import Mapping
 
 import numpy as np
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
+from ..package.orders import canonical_order, morton_order
 from ..package.rounding import SAME, distinct, first_largest, nearest_few, nearest_of, ranked, roundoff
 from ..sources.farthest import farthest
-from ..sources.reduction import canonical_order
-from .graph import morton_order
+from .walls import outward
 
 FacesByType = Mapping[str, np.ndarray] | None
 
 RINGS, BEYOND = (40, 80), 1.1
 """Radii of rings at which a body's field comes to rest, relative to the distance of its ends from its middle.
 
-A far field has them if it is `BEYOND` times as far away as the last one.
+A far field has rings if it is `BEYOND` times as far away as the last ring.
 """
 
 SIDES = 64
-"""Sides of the surface's hull, the largest ones, that are looked at for free nodes."""
+"""Largest sides of the surface's hull on which free nodes are searched."""
 
 APART = {2: 0.6, 3: 0.8}
 """Distance of the points of a ring, relative to its radius: about 8 on a circle."""
 
 
 def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndarray:
-    """Lists each pair (e, 2) of neighbouring rows of the surface once, both among the `moving` first ones.
+    """Lists pairs (e, 2) of neighbouring rows among the first `moving` rows of the surface, no pair twice.
 
-    Pairs are the sides of the `faces` where those are known, else neighbours by distance. None is as short as round-off.
+    Pairs are the sides of the `faces`; without faces, neighbours by distance. Pairs that coincide
+    are left out.
     """
     pairs = _sides(faces, moving)
     if not len(pairs):
@@ -48,7 +49,7 @@ def _sides(faces: FacesByType, moving: int) -> np.ndarray:
 
 
 def _neighbours(points: np.ndarray) -> np.ndarray:
-    """Pairs each node with its nearest and the nearest on its other side (2-D), or with its six nearest (3-D)."""
+    """Pairs a node with its nearest node and the nearest node behind it (2-D), or with its six nearest nodes (3-D)."""
     first = distinct(points)[0]
     unique = points[first]
     count = min(6, len(unique) - 1)
@@ -65,7 +66,7 @@ def _neighbours(points: np.ndarray) -> np.ndarray:
 
 
 def thinned(places: np.ndarray, most: int) -> np.ndarray:
-    """Picks the ids of at most `most` places, spread as all of them are."""
+    """Picks the ids of at most `most` places, spread like all places."""
     if len(places) <= most:
         return np.arange(len(places))
     canonical = canonical_order(places)
@@ -74,10 +75,10 @@ def thinned(places: np.ndarray, most: int) -> np.ndarray:
 
 
 def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> tuple[np.ndarray, np.ndarray]:
-    """Finds two nodes far apart on each wall (w, 2), and measures its mean chord (w,) relative to their distance.
+    """Finds two distant nodes of every wall (w, 2), and measures its mean chord (w,).
 
-    In 2-D the mean chord is half of a wall's length. In 3-D it is half of a wall's area over the distance of those two
-    nodes: a wing's chord, and about the diameter of a sphere or a fuselage.
+    In 2-D the mean chord is half of the wall's length. In 3-D it is half of the wall's area over
+    the distance of the two nodes: a wing's chord, and about the diameter of a sphere or a fuselage.
     """
     count = int(wall.max(initial=-1)) + 1
     size, ends = np.zeros(count), np.zeros((count, 2), dtype=np.int32)
@@ -94,9 +95,9 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> t
 
 
 def thicknesses(points: np.ndarray, wall: np.ndarray, faces: FacesByType, ends: np.ndarray) -> np.ndarray:
-    """Measures the mean thickness (w,) of each wall in 2-D: the area inside over half of the length, over the distance of its ends.
+    """Measures the relative thickness (w,) of walls in 2-D: area over half of the length, over the distance of the `ends`.
 
-    It is infinite for a wall that is not closed, and where no faces are known.
+    It is infinite for a wall that is not closed, and without faces.
     """
     count = len(ends)
     area, length, gap = np.zeros(count), np.zeros(count), np.zeros((count, 2))
@@ -115,14 +116,14 @@ def thicknesses(points: np.ndarray, wall: np.ndarray, faces: FacesByType, ends: 
 
 
 def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
-    """Measures the length (2-D) or area (3-D) of the surface around each node (b,).
+    """Measures the length (2-D) or area (3-D) of the surface around every node (b,).
 
-    It is exact with faces, else an estimate from the distances of neighbours.
+    It is exact with faces, and an estimate from the distances of neighbours without faces.
     """
     share = np.zeros(len(points))
     for corners in (faces or {}).values():
         for column in corners.T:
-            np.add.at(share, column, _measure(points[corners]) / corners.shape[1])
+            np.add.at(share, column, np.linalg.norm(outward(points[corners]), axis=1) / corners.shape[1])
     left = np.flatnonzero(share == 0)
     count = min(2 if points.shape[1] == 2 else 6, len(points) - 1)
     if not left.size or count < 1:
@@ -132,14 +133,8 @@ def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
     return share
 
 
-def _measure(corners: np.ndarray) -> np.ndarray:
-    if corners.shape[1] == 2:
-        return np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-    return np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]), axis=1) / 2
-
-
 def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Finds for each edge (e,) the nearest row that is fixed or on another wall; the edge's first row if there is none."""
+    """Finds, for every edge (e,), the nearest row that is fixed or on another wall; without one, the edge's first row."""
     middle = points[pairs].mean(axis=1)
     nearest = pairs[:, 0].copy()
     label_of_edge = wall[pairs[:, 0]]
@@ -152,9 +147,10 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
 
 
 def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
-    """Finds fixed sources so far from the moving ones that the field is to come to rest on the way, and the shares of the way.
+    """Finds distant fixed sources, and the shares of the way to them at which the field comes to rest.
 
-    The way begins at the middle of the moving sources. Few directions are enough, each with its mirror images.
+    The way begins at the middle of the moving sources. Few directions, with their mirror images,
+    are enough.
     """
     centre = surface[moving].mean(axis=0)
     rings = np.array(RINGS)[:, None] * np.linalg.norm(surface[moving] - centre, axis=1).max()
@@ -170,13 +166,14 @@ def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images:
 def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray) -> bool:
     """Checks whether a flat side of the surface's hull holds points that are not on the surface.
 
-    `surface` (b, d) has the images in symmetry planes; `is_free` (n,) says which of the `points` (n, d) are not on it.
+    `surface` (b, d) has the images in symmetry planes; `is_free` (n,) marks the `points` (n, d)
+    that are not on the surface.
     """
     try:
         hull = ConvexHull(surface)
     except QhullError:
         return False
-    size = _measure(surface[hull.simplices])
+    size = np.linalg.norm(outward(surface[hull.simplices]), axis=1)
     plane = np.unique(np.round(hull.equations, 6), axis=0, return_inverse=True)[1].ravel()
     area = np.bincount(plane, size)
     largest = np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]
@@ -190,10 +187,7 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
 
 
 def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held: np.ndarray) -> bool:
-    """Checks whether boundary faces have corners that are not held (n,).
-
-    The two sides of a cut do not count: they coincide.
-    """
+    """Checks whether boundary faces have corners that are not held (n,). Coincident faces, the sides of a cut, do not count."""
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
     distance = np.full(len(middles), np.inf)

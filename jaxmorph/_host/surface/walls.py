@@ -1,4 +1,4 @@
-"""Walls of a surface: by the faces between its nodes where these are known, else by chains of nearest neighbours."""
+"""Walls of a surface: by the faces between its nodes, or by chains of nearest neighbours if no faces are known."""
 
 from collections.abc import Mapping
 
@@ -8,21 +8,22 @@ from scipy.spatial import KDTree
 from ..cells.pairs import parts_of
 from ..package.rounding import SAME, distinct, nearest_of
 from ..sources.farthest import farthest
+from .simplices import normals
 
 SHARP = np.cos(np.deg2rad(45))
-"""Cosine of the turn from which on two faces that close in on the mesh between them belong to different walls."""
+"""Cosine of the angle at a concave corner from which on its two faces belong to different walls."""
 
 REACH = 1.5
 """Distance within which nodes are neighbours, relative to that of the eighth nearest node (second nearest in 2-D)."""
 
 CURVED = 4
-"""The most nodes on a curve, relative to its extent over the distance of the nearest node; on a surface there are far more."""
+"""Most nodes of a curve, relative to its extent over the distance of the nearest node; a surface has far more."""
 
 SAMPLE = 16
-"""Nodes of a curve that vote on which part is the next one."""
+"""Nodes of a curve that vote for the next part."""
 
 AROUND = 512
-"""Nearest nodes among which a vote is sought, before all nodes are searched."""
+"""Nearest nodes among which a node finds its vote; if votes fail, all nodes are searched."""
 
 
 def walls(
@@ -31,17 +32,18 @@ def walls(
     faces: Mapping[str, np.ndarray] | None = None,
     in_planes: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Numbers the walls, and returns the number (b,) for each surface node; the first `moving` nodes move.
+    """Numbers the walls, and returns the wall (b,) of every surface node; the first `moving` nodes move.
 
-    Nodes that move and nodes that are fixed are on different walls, though they may touch. `faces` are rows of `points`,
-    each seen counter-clockwise from outside of the mesh. With them a wall goes on from a face to its neighbours, but not
-    round a corner of less than 135 degrees that holds the mesh. So floor and side of a box are two walls, both sides of an
-    airfoil one.
+    Moving and fixed nodes are on different walls, even where they touch. `faces` are rows of
+    `points`, counterclockwise as seen from outside of the mesh. With faces, a wall continues from a
+    face to its neighbours, but not round a corner of less than 135 degrees with the mesh inside. So
+    floor and side of a box are two walls, and both sides of an airfoil are one wall.
 
-    Without faces two nodes are of one wall when a chain of nearest neighbours (2 in 2-D, 8 in 3-D) leads from one to the
-    other. In 3-D structured meshes such chains may stay within one section of a wing; a wall of sections, or of lines, is put
-    together from them. Walls closer to each other than their own nodes then count as one. Nodes of symmetry planes are on no wall
-    of their own: those that `in_planes` (b,) marks are on the wall of the nearest other node.
+    Without faces, two nodes are on one wall if a chain of nearest neighbours (2 in 2-D, 8 in 3-D)
+    joins them. In structured 3-D meshes a chain may stay within one section of a wing. So parts
+    that are curves are joined to the parts beside them. Walls that are closer to each other than
+    their own nodes then become one wall. Nodes of symmetry planes, marked by `in_planes` (b,), take
+    the wall of the nearest other node.
     """
     label = np.full(len(points), -1)
     groups = [_in_order(np.asarray(group)) for _, group in sorted((faces or {}).items()) if len(group)]
@@ -59,26 +61,26 @@ def walls(
 
 
 def _in_order(faces: np.ndarray) -> np.ndarray:
-    """Sorts faces (k, c) by their nodes, each begun at its lowest: the walls of nodes do not depend on how faces came."""
-    if faces.shape[1] > 2:  # an edge begun at its other end would be seen from inside
+    """Sorts faces (k, c) by their nodes, lowest node first, so that walls do not depend on the order of the faces."""
+    if faces.shape[1] > 2:  # a turned edge would be seen from inside
         turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
         faces = np.take_along_axis(faces, turn % faces.shape[1], axis=1)
     return faces[np.lexsort(faces.T[::-1])]
 
 
 def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Turns the faces of a whole boundary round if they enclose a negative area or volume: cells numbered clockwise."""
+    """Reverses all faces of a closed boundary if they enclose a negative area or volume: the cells are numbered clockwise."""
     origin, enclosed = points.mean(axis=0), 0.0
     for corners in faces.values():
-        enclosed += np.einsum("kd,kd->", *_outward(points[corners] - origin))
+        x = points[corners] - origin
+        enclosed += np.einsum("kd,kd->", outward(x), x.mean(axis=1))
     return {kind: corners[:, ::-1] for kind, corners in faces.items()} if enclosed < 0 else dict(faces)
 
 
 def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.ndarray:
-    """Finds the wall of each node (b,) by its faces, -1 without any."""
-    normal, middle = (
-        np.concatenate(parts) for parts in zip(*(_outward(points[group]) for group in groups), strict=True)
-    )
+    """Finds the wall of every node (b,) by its faces; -1 for a node without faces."""
+    normal = np.concatenate([outward(points[group]) for group in groups])
+    middle = np.concatenate([points[group].mean(axis=1) for group in groups])
     first, second, agree = _beside(groups)
     unit = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
     closing = np.einsum("kd,kd->k", unit[first], middle[second] - middle[first]) < 0
@@ -87,28 +89,28 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
     joined = (fixed[first] == fixed[second]) & ~sharp
     part = parts_of(first[joined], second[joined], len(fixed))
     label, starts = np.full(len(points), -1), np.cumsum([0, *map(len, groups)])
-    for alike in (False, True):  # of a node's faces those of its own kind name it last
+    # A moving node at the rim may have moving and fixed faces; its moving faces must name its wall,
+    # and a fixed node's fixed faces. So these faces write last.
+    for of_own_kind in (False, True):
         for group, start in zip(groups, starts, strict=False):
             face = slice(start, start + len(group))
             for column in group.T:
-                named = ((column >= moving) == fixed[face]) == alike
-                label[column[named]] = part[face][named]
+                rows = ((column >= moving) == fixed[face]) == of_own_kind
+                label[column[rows]] = part[face][rows]
     return label
 
 
-def _outward(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Computes normals and middles of faces (k, corners, d); a normal's length is the face's area."""
+def outward(corners: np.ndarray) -> np.ndarray:
+    """Computes outward normals (k, d) of faces (k, corners, d), as long as the face's area, or length in 2-D."""
     if corners.shape[1] == 2:
-        along = corners[:, 1] - corners[:, 0]
-        return np.stack([along[:, 1], -along[:, 0]], axis=1), corners.mean(axis=1)
-    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
-    return normal, corners.mean(axis=1)
+        return normals(corners)
+    return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds pairs of faces that share an edge (a node in 2-D), and tells whether they run through it in opposite senses.
+    """Finds pairs of faces that share an edge (a node in 2-D), and marks pairs with opposite senses along the edge.
 
-    Faces of a consistent surface do. They are numbered through all groups.
+    Faces of a consistent surface have opposite senses. Faces are numbered through all groups.
     """
     edges, owners, start = [], [], 0
     for group in groups:
@@ -146,10 +148,11 @@ def _by_chains(points: np.ndarray) -> np.ndarray:
 
 
 def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs each part that is a curve with the next part of the same wall, on either side of it.
+    """Pairs every part that is a curve with the next part of its wall, on both sides.
 
-    A wall is a surface, so a curve of nodes goes on to a part beside it. That part lies beside the plane of a section, or
-    beside a straight line. Most nodes of a sample of the curve must find the same part there.
+    A wall is a surface, so that a curve of nodes has a part beside it: beside the plane of a
+    section, or beside a straight line. Most nodes of a sample of the curve must find one part
+    there.
     """
     tree, pairs = KDTree(points), []
     for curve in range(label.max() + 1):
@@ -167,7 +170,7 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
 
 
 def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
-    """Pairs the curve with the part that most of its sample find nearest on either side, among the nodes `around` each."""
+    """Pairs a curve with the nearest part, by the vote of its sample, on both sides; `around` lists nodes to search."""
     curve = label[members[0]]
     offsets = points[around] - sample[:, None]
     distance = np.where(label[around] == curve, np.inf, np.linalg.norm(offsets, axis=2))
@@ -184,10 +187,10 @@ def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: n
     return pairs
 
 
-def _across(curve: np.ndarray, apart: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Finds the direction across a curve: the normal of its plane, or towards the nearest other node if it is straight."""
+def _across(curve: np.ndarray, offsets: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Finds the direction across a curve: the normal of its plane; for a straight curve, towards the nearest other node."""
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
     if size[1] > 0.01 * size[0]:
         return axes[-1]
     sample, node = np.argwhere(distance <= (1 + SAME) * distance.min())[0]
-    return apart[sample, node] / distance[sample, node]
+    return offsets[sample, node] / distance[sample, node]

@@ -3,79 +3,36 @@
 import abc
 from collections.abc import Mapping
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from ..._host.cells.topology import CORNERS
 from ..._host.linear import systems as linear
 from ..._host.package.rounding import nearest_of
-from ..._kernels.callback import host_call
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax, norm
-from ..base import AbstractField, AbstractMethod, Surface
+from ..base import AbstractField, AbstractMethod
 from ..blocks import fold_rows
+from ..surface import Surface
+from .solve import CellIds, NodeFactors, NodeIds, product, solve
 
 CELLS = 4096
 """Cells whose entries are computed together."""
 
 
-class CellIds(eqx.Module):
-    """Ids of k cells of one type.
-
-    - `corners`: of each cell.
-    - `entry`: the number of each of its pairs of corners in the list of pairs.
-    - `flipped`: for each of them, see below.
-
-    An entry is `flipped` where the pair's first corner is the entry's second node. It is the number of pairs where the two
-    corners are one node.
-    """
-
-    corners: Int[Array, "k c"]
-    entry: Int[Array, "k p"]
-    flipped: Bool[Array, "k p"]
-
-
-class NodeIds(eqx.Module):
-    """Ids of a mesh's n nodes for a solve.
-
-    - `cells`: by type.
-    - `pairs` (e, 2): nodes that share an entry of the matrix, the smaller id first.
-    - `frame` (d, d): axes in its columns, of which each symmetry plane has one as its normal.
-    - `free` (n, d): unknowns, by node and axis of the frame.
-    - `wall` (n,): the moving node nearest to each.
-    - `rows`, `nodes` (r,): rows of the surface that are nodes of the mesh, and which.
-    """
-
-    cells: dict[str, CellIds]
-    pairs: Int[Array, "e 2"]
-    frame: Float[Array, "d d"]
-    free: Bool[Array, "n d"]
-    wall: Int[Array, " n"]
-    rows: Int[Array, " r"]
-    nodes: Int[Array, " r"]
-
-
-class NodeFactors(eqx.Module):
-    """The matrix, as `jaxmorph._host.linear.systems.solve` takes it, and the nodes' places in the frame."""
-
-    values: Float[Array, "e ..."]
-    diagonal: Float[Array, "n ..."]
-    masses: Float[Array, " q"]
-    places: Float[Array, "n d"]
-
-
 class AbstractCellMethod(AbstractMethod):
-    """Solves a linear system for the displacements of all inner nodes, made of one small matrix for each cell.
+    """Solves a linear system for all inner nodes, made of one small matrix for each cell.
 
-    The matrix is symmetric, and its rows add to zero: a translation is reproduced. Nodes at one place are one node. Nodes on
-    a symmetry plane slide in it. Nodes in no cell, or in cells that no moving or fixed node belongs to, rest.
+    The matrix is symmetric, and its rows add to zero, so a translation is reproduced. Nodes at one
+    place are one node. Nodes on a symmetry plane slide in it. Nodes in no cell rest, and so do
+    cells without a connection to a moving or fixed node.
 
-    The solve runs on the host, within traced code. In 2-D it factors the matrix; a large 3-D one takes conjugate gradients
-    with a multigrid cycle. Where these do not converge, up to 60,000 unknowns are factored; with more of them `prepare` raises.
-    The factors of the last two systems are kept. The transpose costs as much as the solve.
+    The solve runs on the host, within traced code. In 2-D it factors the matrix. In 3-D a large
+    system takes conjugate gradients with a multigrid cycle. If they do not converge, up to 60,000
+    unknowns are factored; with more unknowns `prepare` raises. The factors of the last two systems
+    stay in memory. The transpose costs as much as the solve.
     """
 
     @abc.abstractmethod
@@ -86,9 +43,9 @@ class AbstractCellMethod(AbstractMethod):
     def entries(
         self, kind: str, corners: Float[Array, "c d"], distance: Float[Array, " c"]
     ) -> Float[Array, "p"] | Float[Array, "p d d"]:
-        """Computes a cell's entries of the matrix: numbers, or blocks of rows of the first corner. Traced.
+        """Computes a cell's entries: numbers, or blocks of rows of the first corner. Traced.
 
-        `distance` is that of each corner from the nearest moving node.
+        `distance` is the distance of each corner from the nearest moving node.
         """
 
     def masses(self, ids: NodeIds, places: Float[Array, "n d"]) -> Float[Array, " q"]:
@@ -123,14 +80,20 @@ class AbstractCellMethod(AbstractMethod):
         beyond = np.flatnonzero(surface.nodes >= n)  # images: the surface alone has them
         last = np.zeros(len(points) - n, dtype=np.int64)
         last[surface.nodes[beyond] - n] = n + beyond
-        pairs, wall, rows, nodes = (each.astype(np.int32) for each in (pairs, wall, rows, nodes))
+        pairs, wall, rows, nodes = (ids.astype(np.int32) for ids in (pairs, wall, rows, nodes))
         node_ids = NodeIds(of_kind, *as_jax((pairs, frame, free, wall, rows, nodes)))
         return node_ids, np.concatenate([volume, last]).astype(np.int32)
 
     def _numbered(
         self, corners: Mapping[str, np.ndarray], n: int
     ) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
-        """Numbers the pairs of nodes (e, 2), and finds each cell's entries (k, p) and which of them are flipped."""
+        """Numbers the pairs of nodes (e, 2), and finds each cell's entries (k, p).
+
+        The third array marks the flipped entries.
+        """
+        # A pair of nodes is one integer, smaller id times n plus larger id. Sorted and without
+        # copies they are the list of pairs, so a search finds each cell's entries. Corners at one
+        # place get the number beyond the list.
         both = {kind: np.array(self.pairs(kind)).T for kind in corners}
         first = {kind: corners[kind][:, i] for kind, (i, _) in both.items()}
         second = {kind: corners[kind][:, j] for kind, (_, j) in both.items()}
@@ -169,7 +132,7 @@ class AbstractCellMethod(AbstractMethod):
             return total.at[entry].add(jax.vmap(entries)(corners, flipped))
 
         one = jax.eval_shape(
-            entries, *(jax.ShapeDtypeStruct(each.shape[1:], each.dtype) for each in (cells.corners, cells.flipped))
+            entries, *(jax.ShapeDtypeStruct(rows.shape[1:], rows.dtype) for rows in (cells.corners, cells.flipped))
         )
         none = jnp.zeros((len(ids.pairs), *one.shape[1:]), one.dtype)
         return fold_rows(add, none, (cells.corners, cells.entry, cells.flipped), CELLS)
@@ -177,14 +140,14 @@ class AbstractCellMethod(AbstractMethod):
     def field(self, ids: NodeIds, factors: NodeFactors, surface, u):
         frame = ids.frame.astype(u.dtype)
         turned = jnp.matmul(u, frame, precision="highest")
-        given = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
-        moved = given + _solve(ids, factors, -_product(ids, factors, given))
+        boundary = jnp.zeros(factors.places.shape, u.dtype).at[ids.nodes].set(turned[ids.rows])
+        moved = boundary + solve(ids, factors, -product(ids, factors, boundary))
         return NodeField(jnp.concatenate([jnp.matmul(moved, frame.T, precision="highest"), u]))
 
     def check(self, ids: NodeIds, factors: NodeFactors, u):
         if not _is_solved(self, ids, factors, u):
             raise ValueError(
-                f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are not solved for: its stiffness is not finite or "
+                f"the {int(ids.free.sum())} unknowns of {type(self).__name__} are not solved for. Its stiffness is not finite or "
                 "not positive (cells without volume, a stiffness that differs too much between cells), or conjugate gradients "
                 "did not converge. Try a smaller exponent, or a method that does not solve on cells, such as the default."
             )
@@ -198,7 +161,7 @@ def _is_solved(
 
 
 class NodeField(AbstractField):
-    """Displacements of the nodes, then of the surface's rows; a point's id is its place among them."""
+    """Displacements of nodes, then of the surface's rows; a point's id is its row among them."""
 
     values: Float[Array, "k d"]
 
@@ -211,12 +174,12 @@ class NodeField(AbstractField):
 
 
 def _of_kind(corners, entry, flipped) -> CellIds:
-    corners, entry = (np.asarray(each).astype(np.int32) for each in (corners, entry))
+    corners, entry = (np.asarray(ids).astype(np.int32) for ids in (corners, entry))
     return CellIds(*as_jax((corners, entry, flipped)))
 
 
 def _frame(normals: np.ndarray) -> np.ndarray:
-    """Completes the normals of planes, each parallel or at right angles to the others, to axes in the columns of a matrix."""
+    """Completes the normals of planes to axes, the columns of a matrix."""
     d = normals.shape[1]
     axes: list[np.ndarray] = []
     for direction in (*normals, *np.eye(d)):
@@ -224,50 +187,6 @@ def _frame(normals: np.ndarray) -> np.ndarray:
         if np.linalg.norm(rest) > 0.3 and len(axes) < d:
             axes.append(rest / np.linalg.norm(rest))
     return np.stack(axes, axis=1)
-
-
-def _product(ids: NodeIds, factors: NodeFactors, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Multiplies by the matrix."""
-    once = symmetric_product(ids.pairs, factors.values, factors.diagonal, x)
-    if not len(factors.masses):
-        return once
-    return symmetric_product(ids.pairs, factors.values, factors.diagonal, once / factors.masses[:, None])
-
-
-def symmetric_product(pairs, values, diagonal, x: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Multiplies by a symmetric matrix of numbers or blocks, one a pair of nodes and one a node. Traced."""
-    i, j = pairs.T
-
-    def times(a, b):
-        return a[:, None] * b if a.ndim == 1 else jnp.einsum("eab,eb->ea", a, b, precision="highest")
-
-    turned = values if values.ndim == 1 else jnp.swapaxes(values, 1, 2)
-    there = jax.ops.segment_sum(times(values, x[j]), i, len(x)) + jax.ops.segment_sum(times(turned, x[i]), j, len(x))
-    return times(diagonal, x) + there
-
-
-def _solve(ids: NodeIds, factors: NodeFactors, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves for the free unknowns, on the host; its derivatives are products and solves of the same kind."""
-    free = ids.free
-
-    def product(x):
-        return jnp.where(free, _product(ids, factors, jnp.where(free, x, 0)), x)
-
-    return solved_on_host(product, ids.pairs, factors, free, jnp.where(free, right, 0))
-
-
-def solved_on_host(product, pairs, factors: NodeFactors, free, right: Float[Array, "n d"]) -> Float[Array, "n d"]:
-    """Solves a symmetric system whose product with x is given, by `jaxmorph._host.linear.systems.solve`. Traced."""
-    leaves = (pairs, factors.values, factors.diagonal, factors.masses, free)
-
-    def on_host(*system):
-        return linear.solve(*system, multigrid=factors.places.shape[1] > 0)
-
-    def solve(_, right):
-        shape = jax.ShapeDtypeStruct(right.shape, right.dtype)
-        return host_call(on_host, shape, *jax.lax.stop_gradient(leaves), right)
-
-    return jax.lax.custom_linear_solve(product, right, solve, symmetric=True)
 
 
 def all_pairs(kind: str) -> tuple[tuple[int, int], ...]:

@@ -1,4 +1,7 @@
-"""Linear elasticity: the mesh as a solid whose small cells are stiff (Tezduyar et al. 1992; Stein, Tezduyar and Benney 2003)."""
+"""Linear elasticity: the mesh as a solid whose small cells are stiff.
+
+Tezduyar et al. 1992; Stein, Tezduyar and Benney 2003.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,17 +19,21 @@ class LinearElasticity(AbstractCellMethod):
 
     A quad is the mean of the two ways to cut it into triangles.
 
-    Small cells are stiff, as Johnson and Tezduyar proposed (Computer Methods in Applied Mechanics and Engineering 119, 1994).
+    Small cells are stiff, as Johnson and Tezduyar proposed (Computer Methods in Applied Mechanics
+    and Engineering 119, 1994).
 
-    It needs the mesh's cells. Symmetry planes are planes in which nodes slide freely. Translations, and small rotations, are
-    reproduced; a large rotation of everything is not, for the equation is linear.
+    It needs the mesh's cells. Symmetry planes are planes in which nodes slide freely. Translations,
+    and small rotations, are reproduced; a large rotation of everything is not, for the equation is
+    linear.
 
     **Arguments:**
 
-    - `stiffening`: a cell's modulus of elasticity: `ByVolume(exponent)` or `ByDistance(exponent)`. Default `ByVolume(1)`.
+    - `stiffening`: a cell's modulus of elasticity: `ByVolume(exponent)` or `ByDistance(exponent)`.
+      Default `ByVolume(1)`.
     - `poisson`: Poisson's ratio, between -1 and 0.5. Default 0.3.
 
-    **Raises:** `ValueError` for another ratio. `prepare` raises it for points without cells, and for cells without volume.
+    **Raises:** `ValueError` for another ratio. `prepare` raises it for points without cells, and
+    for cells without volume.
     """
 
     stiffening: AbstractStiffness = eqx.field(default_factory=ByVolume)

@@ -1,4 +1,4 @@
-"""Laplace's equation for each component, and the biharmonic one (Helenbrook 2003)."""
+"""Laplace's equation and the biharmonic equation (Helenbrook 2003) for each component."""
 
 import equinox as eqx
 import jax
@@ -13,15 +13,17 @@ from .stiffness import AbstractStiffness, ByDistance, gradients, stiffness
 class Laplacian(AbstractCellMethod):
     """Smooths each component of the displacement by Laplace's equation, of linear finite elements.
 
-    Löhner and Yang made the diffusivity depend on the distance from the body (Communications in Numerical Methods in
-    Engineering 12, 1996). It needs the mesh's cells. Components do not know of each other: a rotation shears the cells.
+    Löhner and Yang made the diffusivity depend on the distance from the body (Communications in
+    Numerical Methods in Engineering 12, 1996). It needs the mesh's cells. Components do not know of
+    each other: a rotation shears the cells.
 
     **Arguments:**
 
-    - `diffusivity`: of a cell: `ByDistance(exponent)` or `ByVolume(exponent)`. Default `ByDistance(2)`, which OpenFOAM calls
-      `quadratic inverseDistance`.
+    - `diffusivity`: of a cell: `ByDistance(exponent)` or `ByVolume(exponent)`. Default
+      `ByDistance(2)`, which OpenFOAM calls `quadratic inverseDistance`.
 
-    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without volume.
+    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without
+    volume.
     """
 
     diffusivity: AbstractStiffness = eqx.field(default_factory=lambda: ByDistance(2.0))
@@ -39,12 +41,15 @@ class Laplacian(AbstractCellMethod):
 
 
 class Biharmonic(AbstractCellMethod):
-    """Smooths each component by the biharmonic equation, in its mixed form with linear finite elements (Helenbrook 2003).
+    """Smooths each component by the biharmonic equation (Helenbrook 2003).
 
-    The displacement's derivative across the surface is zero: first cells keep their height, and follow the wall's
-    translation, not its rotation. It needs the mesh's cells.
+    The equation is in its mixed form, with linear finite elements.
 
-    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without volume.
+    The displacement's derivative across the surface is zero: first cells keep their height, and
+    follow the wall's translation, not its rotation. It needs the mesh's cells.
+
+    **Raises:** `prepare` raises a `ValueError` for points without cells, and for cells without
+    volume.
     """
 
     def pairs(self, kind):

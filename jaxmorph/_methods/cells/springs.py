@@ -1,4 +1,4 @@
-"""Springs along the edges (Batina 1990), and against closing angles (Farhat, Degand, Koobus and Lesoinne 1998)."""
+"""Springs along the edges (Batina 1990), and against closing angles (Farhat et al. 1998)."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from .cells import AbstractCellMethod, all_pairs
 
 
 class SpringAnalogy(AbstractCellMethod):
-    """Holds each edge by a spring that acts alike in all directions (Batina 1990).
+    """Holds each edge by a spring that acts in all directions (Batina 1990).
 
     It needs the mesh's cells, of which it takes the edges alone.
 
@@ -30,23 +30,24 @@ class SpringAnalogy(AbstractCellMethod):
     def entries(self, kind, corners, distance):
         i, j = np.array(self.pairs(kind)).T
         squared = jnp.sum((corners[j] - corners[i]) ** 2, axis=1)
-        apart = squared > 0
-        stiff = jnp.where(apart, squared, 1) ** (-self.exponent.astype(corners.dtype) / 2)
-        return -jnp.where(apart, stiff, jnp.inf)
+        has_length = squared > 0
+        stiff = jnp.where(has_length, squared, 1) ** (-self.exponent.astype(corners.dtype) / 2)
+        return -jnp.where(has_length, stiff, jnp.inf)
 
 
 class TorsionalSprings(AbstractCellMethod):
-    """Holds each edge by a spring, and each angle by one that grows infinitely stiff as it closes.
+    """Holds each edge by a spring, and each angle by a spring that grows stiff as it closes.
 
-    It needs the mesh's cells. In 2-D it is the method of Farhat et al. (1998): springs against changes of the angles of each
-    triangle; a quad has the triangles at its four corners. In 3-D it is its semi-torsional kin (Zeng and Ethier 2005). An
-    edge of a tetrahedron is as stiff as 1 / sin^2 of the angle between the two faces that do not hold it. Other cells have
-    the tetrahedra at their corners.
+    It needs the mesh's cells. In 2-D it is the method of Farhat et al. (1998): springs against
+    changes of the angles of each triangle. A quad has the triangles at its four corners. In 3-D it
+    is the semi-torsional method (Zeng and Ethier 2005). An edge of a tetrahedron is as stiff as 1 /
+    sin^2 of the angle between the two faces that do not hold it. Other cells have the tetrahedra at
+    their corners.
 
     **Arguments:**
 
-    - `lineal`: stiffness of the springs along edges, times 1 / length^2: so scaling the mesh changes nothing. Farhat et al.
-      have 1 / length. Default 0.1.
+    - `lineal`: stiffness of the springs along edges, times 1 / length^2, so that scaling the mesh
+      changes nothing. Farhat et al. have 1 / length. Default 0.1.
 
     **Raises:** `prepare` raises a `ValueError` for points without cells.
     """
@@ -96,10 +97,13 @@ def _triangle(corners: Float[Array, "3 2"], lineal: Float[Array, ""]) -> dict[tu
 
 
 def _tetrahedron(corners: Float[Array, "4 3"], lineal: Float[Array, ""]) -> dict[tuple[int, int], Float[Array, ""]]:
-    """Computes the stiffness of a tetrahedron's six edges: lineal, and by the angle of the two faces that face each."""
+    """Computes the stiffness of a tetrahedron's six edges.
+
+    The stiffness has a lineal part, and a part by the angle between the faces opposite to the ends.
+    """
     parts = {}
     for i, j in all_pairs("tetra"):
-        k, m = (each for each in range(4) if each not in (i, j))
+        k, m = (corner for corner in range(4) if corner not in (i, j))
         edge = corners[m] - corners[k]  # the two faces opposite to edge ij share the other edge
         normal_i = jnp.cross(edge, corners[i] - corners[k])
         normal_j = jnp.cross(edge, corners[j] - corners[k])

@@ -19,7 +19,11 @@ class AbstractStiffness(Module):
 
     @abc.abstractmethod
     def __call__(self, volume: Float[Array, ""], distance: Float[Array, ""]) -> Float[Array, ""]:
-        """Computes it from the cell's volume (area in 2-D), and its corners' mean distance from the moving nodes. Traced."""
+        """Computes the stiffness of one cell. Traced.
+
+        `volume` is the cell's (area in 2-D), `distance` its corners' mean distance from the moving
+        nodes.
+        """
 
 
 class ByVolume(AbstractStiffness):
@@ -29,7 +33,7 @@ class ByVolume(AbstractStiffness):
 
     **Arguments:**
 
-    - `exponent`: default 1. With 0 all cells are alike.
+    - `exponent`: default 1. With 0 all cells are equally stiff.
     """
 
     exponent: Float[Array, ""] = eqx.field(converter=number("exponent"), default_factory=lambda: np.asarray(1.0))
@@ -39,9 +43,12 @@ class ByVolume(AbstractStiffness):
 
 
 class ByDistance(AbstractStiffness):
-    """Makes a cell as stiff as 1 / distance^exponent, with the distance of its corners, in the mean, from the nearest moving node.
+    """Makes a cell as stiff as 1 / distance^exponent.
 
-    A quad has a stiffness at each corner, with the mean distance of this one and its two neighbours.
+    The distance is that of its corners from the nearest moving node, in the mean.
+
+    A quad has a stiffness at each corner, with the mean distance of the corner and its two
+    neighbours.
 
     OpenFOAM calls it `inverseDistance`, with the exponent 2 `quadratic inverseDistance`.
 
@@ -61,10 +68,10 @@ SLIVER = 1e-6
 
 
 def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q c d"], Float[Array, " q"]]:
-    """Computes the shape functions' gradients at the points of a cell's quadrature, and the volume at each point. Traced.
+    """Computes the shape functions' gradients and the volumes at the quadrature points. Traced.
 
-    A point whose Jacobian is small beside the cell's largest fades out: a triangle at a straight corner, or between two corners
-    that are one.
+    A point whose Jacobian is small beside the cell's largest Jacobian fades out. It belongs to a
+    triangle at a straight corner, or between two corners at one place.
     """
     reference, weights = (jnp.asarray(table, corners.dtype) for table in quadrature(kind))
     jacobian = jnp.einsum("qca,cb->qab", reference, corners, precision="highest")  # d place / d reference, transposed
@@ -79,18 +86,21 @@ def gradients(kind: str, corners: Float[Array, "c d"]) -> tuple[Float[Array, "q 
 def stiffness(
     of_cell: AbstractStiffness, kind: str, volume: Float[Array, " q"], distance: Float[Array, " c"]
 ) -> Float[Array, " q"]:
-    """Computes the stiffness at the points of a cell's quadrature from the corners' distances from the moving nodes. Traced.
+    """Computes the stiffness at the points of a cell's quadrature. Traced.
 
-    A point takes the mean of the corners whose shape functions vary there. Where all of them move, nothing depends on it.
+    `distance` is that of the corners from the moving nodes.
+
+    A point takes the mean of the corners whose shape functions vary there. Where all corners move,
+    nothing depends on the stiffness.
     """
     share = np.any(quadrature(kind)[0] != 0, axis=2).astype(float)
     share = jnp.asarray(share / share.sum(axis=1, keepdims=True), distance.dtype)
-    apart = jnp.matmul(share, distance, precision="highest")
-    return jax.vmap(lambda apart: of_cell(volume.sum(), apart))(jnp.where(apart > 0, apart, 1))
+    mean = jnp.matmul(share, distance, precision="highest")
+    return jax.vmap(lambda mean: of_cell(volume.sum(), mean))(jnp.where(mean > 0, mean, 1))
 
 
 def _inverse(matrix: Float[Array, "q d d"]) -> tuple[Float[Array, "q d d"], Float[Array, " q"], Float[Array, " q"]]:
-    """Inverts in closed form; returns determinants too, and the nonzero divisors in their place."""
+    """Inverts matrices in closed form; returns determinants, and divisors that are not zero."""
     rows = [matrix[:, k] for k in range(matrix.shape[1])]
     if len(rows) == 2:
         (a, b), (c, d) = (row.T for row in rows)

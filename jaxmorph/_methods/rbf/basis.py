@@ -1,28 +1,31 @@
-"""Radial bases. Each takes the squared distance, so that no root has to be differentiated at a source."""
+"""Radial bases: the abstract class, and functions without a support."""
 
 import abc
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._kernels.log import half_x_log_x
 from ..._kernels.module import Module
+from ..._kernels.values import root
 from ..numbers import length
 
 
 class AbstractBasis(Module):
-    """A radial function phi, called with the squared distance r2 (any shape, the mesh's units squared).
+    """A radial function phi of the squared distance r2 (any shape, the mesh's units squared).
 
-    A basis of your own needs `__call__` alone. Two class attributes say when the interpolation is well posed and how it
-    scales; their defaults suit every positive definite function with a radius:
+    A basis of your own needs `__call__` alone. Two class attributes say when the interpolation is
+    well posed and how it scales; their defaults suit every positive definite function with a
+    radius:
 
-    - `min_degree`: the lowest degree of the polynomial with which the interpolation matrix is regular (None: no polynomial
-      needed). For a conditionally positive definite function of order k it is k - 1.
-    - `scale_free`: True if phi of a scaled distance differs from a multiple of phi by a polynomial of `min_degree`. Distances
-      are then taken in units of the sources' extent, which conditions the matrix.
+    - `min_degree`: the lowest degree of the polynomial with which the interpolation matrix is
+      regular (None: no polynomial needed). For a conditionally positive definite function of order
+      k it is k - 1.
+    - `scale_free`: True if phi of a scaled distance differs from a multiple of phi by a polynomial
+      of `min_degree`. Distances are then taken in units of the sources' extent, which conditions
+      the matrix.
     """
 
     min_degree: ClassVar[int | None] = None
@@ -34,7 +37,10 @@ class AbstractBasis(Module):
 
 
 class ThinPlateSpline(AbstractBasis):
-    """Evaluates phi(r) = r^2 log r (Duchon 1977): global, without a parameter; needs a linear polynomial."""
+    """Evaluates phi(r) = r^2 log r (Duchon 1977).
+
+    It is global, has no parameter, and needs a linear polynomial.
+    """
 
     min_degree: ClassVar[int | None] = 1
     scale_free: ClassVar[bool] = True
@@ -43,20 +49,30 @@ class ThinPlateSpline(AbstractBasis):
         return half_x_log_x(r2)
 
 
-class WendlandC2(AbstractBasis):
-    """Evaluates phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R, and 0 beyond (Wendland 1995).
+class LinearSpline(AbstractBasis):
+    """Evaluates phi(r) = r, with a cone at each source (Duchon 1977).
 
-    **Arguments:**
-
-    - `support_radius`: R in the mesh's units. A larger one gives a smoother motion, and a worse condition.
-
-    **Raises:** `ValueError` for a radius that is not positive and finite.
+    It has no parameter, and needs a constant polynomial.
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
+    min_degree: ClassVar[int | None] = 0
+    scale_free: ClassVar[bool] = True
 
     def __call__(self, r2):
-        return _wendland_c2(r2, self.support_radius.astype(r2.dtype))
+        return root(r2)
+
+
+class CubicSpline(AbstractBasis):
+    """Evaluates phi(r) = r^3, the smoothest interpolation in 3-D (Duchon 1977).
+
+    It has no parameter, and needs a linear polynomial.
+    """
+
+    min_degree: ClassVar[int | None] = 1
+    scale_free: ClassVar[bool] = True
+
+    def __call__(self, r2):
+        return r2 * root(r2)
 
 
 class Gaussian(AbstractBasis):
@@ -64,7 +80,7 @@ class Gaussian(AbstractBasis):
 
     **Arguments:**
 
-    - `radius`: R in the mesh's units. A wide one makes the matrix ill-conditioned.
+    - `radius`: R in the mesh's units. A wide function makes the matrix ill-conditioned.
 
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """
@@ -80,7 +96,7 @@ class Multiquadric(AbstractBasis):
 
     **Arguments:**
 
-    - `radius`: R in the mesh's units. A wide one makes the matrix ill-conditioned.
+    - `radius`: R in the mesh's units. A wide function makes the matrix ill-conditioned.
 
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """
@@ -92,23 +108,25 @@ class Multiquadric(AbstractBasis):
         return jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
 
 
-def relative_radius(r2, support_radius):
-    """Computes r / R, but never less than round-off: its derivative would be infinite at 0."""
-    return jnp.sqrt(r2 * (1 / support_radius**2) + float(jnp.finfo(r2.dtype).eps) ** 2)
+class InverseMultiquadric(AbstractBasis):
+    """Evaluates phi(r) = 1 / sqrt(1 + r^2 / R^2); positive definite.
+
+    R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
+    """
+
+    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
+
+    def __call__(self, r2):
+        return 1 / jnp.sqrt(1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))
 
 
-@jax.custom_jvp
-def _wendland_c2(r2, support_radius):
-    xi = relative_radius(r2, support_radius)
-    inner = 1 - xi
-    return jnp.where(xi >= 1, 0, (inner * inner) * (inner * inner) * (4 * xi + 1))
+class InverseQuadratic(AbstractBasis):
+    """Evaluates phi(r) = 1 / (1 + r^2 / R^2); positive definite.
 
+    R is `radius`, a length in the mesh's units (de Boer, van der Schoot and Bijl 2007).
+    """
 
-@_wendland_c2.defjvp
-def _wendland_c2_jvp(primals, tangents):
-    # d phi / d r2 = -10 (1 - xi)^3 / R^2 is regular at r = 0, where the chain rule through the root is not
-    r2, support_radius = primals
-    r2_dot, radius_dot = tangents
-    xi = relative_radius(r2, support_radius)
-    slope = jnp.where(xi >= 1, 0, -10 * (1 - xi) ** 3 / support_radius**2)
-    return _wendland_c2(r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)
+    radius: Float[Array, ""] = eqx.field(converter=length("radius"))
+
+    def __call__(self, r2):
+        return 1 / (1 + r2 * (1 / self.radius.astype(r2.dtype) ** 2))

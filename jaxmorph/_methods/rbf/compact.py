@@ -13,30 +13,32 @@ from ..._host.sources.hierarchy import overlaps, padded
 from ..._host.sources.reduction import drop_close, roundoff
 from ..._kernels.compile import compiled
 from ..._kernels.values import as_jax
-from ..base import Control, Surface
-from ..cells.cells import NodeFactors, solved_on_host, symmetric_product
+from ..base import Control
+from ..cells.solve import NodeFactors, solved_on_host, symmetric_product
 from ..numbers import length_or_none
 from ..placing import AbstractPlacing
 from ..searched import SLACK, Searched, squared_distance
 from ..sparse import InterpolatedField, Reach
-from .basis import WendlandC2
-from .rbf import NOTICEABLE, NOTICEABLE_SINGLE, USELESS, warn_of_close
+from ..surface import Surface
+from .compact_bases import WendlandC2
+from .conditioning import USELESS, is_noticeable, warn_of_close
 
 NEIGHBOURS = 200
 """Nodes that the automatic radius reaches from half of the moving nodes."""
 
 INSIDE = 1 - 1e-6
-"""Share of a squared radius at which a function is taken to end, where functions are counted: it is 1e-24 there."""
+"""Share of a squared radius at which a function counts as zero: its value there is 1e-24."""
 
 
 class CompactIds(eqx.Module):
     """Ids of the surface's b rows.
 
     - `stands` (b,): the row that has the function of all rows at its place.
-    - `speaks` (b,): whether a row's displacement counts at its place: where one moves, fixed ones do not.
-    - `pairs` (e, 2): rows with functions that are within the search's distance of each other.
+    - `speaks` (b,): whether a row's displacement counts. A fixed row at the place of a moving row
+      does not.
+    - `pairs` (e, 2): rows with functions, within the search's distance of each other.
     - `radius`: the functions' radius.
-    - `searched`: where the search was made.
+    - `searched`: the coordinates of the search.
     """
 
     stands: Int[Array, " b"]
@@ -52,7 +54,10 @@ class CompactIds(eqx.Module):
 
 
 class CompactFactors(eqx.Module):
-    """The radius, the matrix, rows with functions (b,), and whether all nodes within the radius were surely found."""
+    """The radius, the matrix, and marks of rows with functions (b,).
+
+    `is_certain` is True where all nodes within the radius were surely found.
+    """
 
     radius: Float[Array, ""]
     matrix: NodeFactors
@@ -60,31 +65,37 @@ class CompactFactors(eqx.Module):
     is_certain: Bool[Array, ""]
 
     def near(self, x: Float[Array, " d"], surface: Float[Array, "b d"]) -> Bool[Array, " b"]:
-        """Marks the functions that reach a point. A point at the end of the reach does not count."""
+        """Marks the functions that reach a point; at the very end of the reach they do not."""
         return self.has_function & (squared_distance(x[None], surface) < INSIDE * self.radius**2)
 
 
 class CompactRBF(AbstractPlacing):
-    """Interpolates with a Wendland C2 function at every node of the surface, all of one radius: a sparse system.
+    """Interpolates with a Wendland C2 function at every surface node: a sparse system.
 
-    It is exact at the nodes, and zero beyond the radius from all of them. It has no polynomial: alone, not even a translation
-    is reproduced; it may be a correction too. Cells fold where the motion is a good part of the radius, so take a radius of
-    several times the largest displacement. Memory is that of the pairs of nodes within it.
+    All functions have one radius.
 
-    Nodes at one place have one function. One place is a distance of 1.5e-8 (3.5e-4 in float32) times the radius or the extent of
-    the surface, whichever is less: the matrix does not tell such nodes apart. The function takes the mean of their displacements,
-    of the moving ones alone where fixed nodes are among them. Each node still goes where `u` sends it. The field is one-valued, so
-    it does not follow the two sides of a crack that opens. `LinearElasticity`, which sees cells, does.
+    The field is exact at the nodes, and zero beyond the radius from all nodes. It has no
+    polynomial, so alone it does not even reproduce a translation. It may be a correction too. Cells
+    fold where the motion is a good part of the radius, so take a radius of several times the
+    largest displacement. Memory is that of the pairs of nodes within the radius.
+
+    Nodes at one place have one function. One place is a distance of 1.5e-8 (3.5e-4 in float32)
+    times the radius or the extent of the surface, whichever is less. In the matrix such nodes are
+    equal. The function takes the mean of their displacements, of moving nodes alone where fixed
+    nodes are among them. Each node still goes where `u` sends it. The field is one-valued, so it
+    does not follow the two sides of a crack that opens. `LinearElasticity`, which sees cells, does.
 
     **Arguments:**
 
-    - `radius`: in the mesh's units. Default: half of the moving nodes reach 200 nodes of the surface, or all of it.
+    - `radius`: in the mesh's units. Default: half of the moving nodes reach 200 nodes of the
+      surface, or all of it.
 
-    **Raises:** `ValueError` for a radius that is not positive and finite. `prepare` raises it if rounding changes displacements
-    by more than 1 %, because the radius is too wide, and warns from 1e-6 on (1e-3 in float32). It also warns of nodes that are
-    nearer to each other than 1/1000 of the distance to the next ones: what such a pair differs by comes out a thousandfold.
-    `refit` raises it where nodes have come within the radius that were not when the plan was made. In traced code the answer
-    there is NaN.
+    **Raises:** `ValueError` for a radius that is not positive and finite. `prepare` raises it if
+    rounding changes displacements by more than 1 %, because the radius is too wide, and warns from
+    1e-6 on (1e-3 in float32). It also warns of pairs of nodes that are nearer to each other than
+    1/1000 of the distance to the next nodes: the difference of a pair comes out a thousandfold.
+    `refit` raises it where nodes have come within the radius since the plan was made. Traced code
+    answers NaN there.
     """
 
     radius: Float[Array, ""] | None = eqx.field(converter=length_or_none("radius"), default=None)
@@ -93,8 +104,8 @@ class CompactRBF(AbstractPlacing):
         nodes, dtype = surface.points.astype(float), dtypes.canonicalize_dtype(surface.points.dtype)
         if self.radius is None:
             count = min(NEIGHBOURS, len(nodes))
-            apart = np.asarray(KDTree(nodes).query(nodes[: surface.moving], k=count)[0]).reshape(surface.moving, -1)
-            radius = float(np.median(apart[:, -1]))
+            reach = np.asarray(KDTree(nodes).query(nodes[: surface.moving], k=count)[0]).reshape(surface.moving, -1)
+            radius = float(np.median(reach[:, -1]))
         else:
             radius = float(self.radius)
         # there 1 - phi is a few units of rounding
@@ -144,21 +155,21 @@ class CompactRBF(AbstractPlacing):
         return ids.weighted(jnp.where(lost, jnp.nan, weights))
 
     def field(self, ids: CompactIds, factors: CompactFactors, surface, u):
-        given = jnp.where(ids.has_function[:, None], _given(ids, u), 0)
+        right = jnp.where(ids.has_function[:, None], _at_places(ids, u), 0)
         free = jnp.broadcast_to(ids.has_function[:, None], u.shape)
         product = _product(ids, factors)
         return InterpolatedField(
-            self, factors, surface, solved_on_host(product, ids.pairs, factors.matrix, free, given)
+            self, factors, surface, solved_on_host(product, ids.pairs, factors.matrix, free, right)
         )
 
     def check(self, ids: CompactIds, factors: CompactFactors, u):
         error, dtype = float(_missed(self, ids, factors, u)), factors.matrix.values.dtype
         nodes = np.asarray(ids.searched.surface, dtype=float)[np.asarray(ids.has_function)]
-        if error > (NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE) or not error <= USELESS:
-            how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
+        if is_noticeable(error, dtype):
+            fault = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
             message = (
                 f"the matrix of CompactRBF, of {len(nodes)} nodes and radius {float(factors.radius):.3g}, is "
-                f"{how if np.isfinite(error) else 'not positive, or no solve converged'}. Try a smaller radius."
+                f"{fault if np.isfinite(error) else 'not positive, or no solve converged'}. Try a smaller radius."
             )
             if not error <= USELESS:
                 raise ValueError(message)
@@ -167,12 +178,12 @@ class CompactRBF(AbstractPlacing):
 
 
 def _standing(nodes: Float[np.ndarray, "b d"], closest: float) -> Int[np.ndarray, " b"]:
-    """Finds for each row the one that has the function of all within a distance: itself, if it comes first."""
+    """Finds the row that has the function for each row: the first within a distance."""
     owners = drop_close(nodes, np.arange(len(nodes)), closest)
     return owners[np.asarray(KDTree(nodes[owners]).query(nodes)[1])]
 
 
-def _given(ids: CompactIds, u: Float[Array, "b d"]) -> Float[Array, "b d"]:
+def _at_places(ids: CompactIds, u: Float[Array, "b d"]) -> Float[Array, "b d"]:
     """Computes the mean displacement of the rows that speak at each row's place."""
     count = jax.ops.segment_sum(ids.speaks.astype(u.dtype), ids.stands, len(u))
     total = jax.ops.segment_sum(jnp.where(ids.speaks[:, None], u, 0), ids.stands, len(u))
@@ -189,5 +200,5 @@ def _product(ids: CompactIds, factors: CompactFactors):
 def _missed(method: CompactRBF, ids: CompactIds, factors: CompactFactors, u: Float[Array, "b d"]) -> Float[Array, ""]:
     """Computes what the field misses of displacements at its nodes, relative to their size."""
     reached = _product(ids, factors)(method.field(ids, factors, u, u).u)
-    missed = jnp.where(ids.has_function[:, None], _given(ids, u) - reached, 0)
+    missed = jnp.where(ids.has_function[:, None], _at_places(ids, u) - reached, 0)
     return jnp.abs(missed).max() / jnp.abs(u).max()

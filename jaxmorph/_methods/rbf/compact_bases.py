@@ -1,6 +1,7 @@
-"""Compact bases beside `WendlandC2`: of Wendland (1995), and compact thin plate splines of Wu (1995).
+"""Bases of compact support: those of Wendland (1995), and compact thin plate splines of Wu (1995).
 
-De Boer, van der Schoot and Bijl (Computers and Structures 85, 2007) compared them, with the global ones, on moving meshes.
+De Boer, van der Schoot and Bijl (Computers and Structures 85, 2007) compared them, with the global
+ones, on moving meshes.
 """
 
 import abc
@@ -12,13 +13,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numbers import length
-from .basis import AbstractBasis, relative_radius
+from .basis import AbstractBasis
 
 
 class AbstractCompactBasis(AbstractBasis):
-    """A function of xi = r / R that is zero from xi = 1 on, given with its slope, so that both are right at a source.
+    """A function of xi = r / R that is zero from xi = 1 on.
 
-    The radius R is in the mesh's units. All are positive definite, in 2-D and 3-D: no polynomial is needed.
+    It is given with its slope, so that both are right at a source.
+
+    The radius R is in the mesh's units. All are positive definite, in 2-D and 3-D: no polynomial is
+    needed.
     """
 
     support_radius: eqx.AbstractVar[Float[Array, ""]]
@@ -37,18 +41,25 @@ class AbstractCompactBasis(AbstractBasis):
         return _compact(type(self), r2, self.support_radius.astype(r2.dtype))
 
 
+def _relative(r2, support_radius):
+    """Computes r / R, but never less than round-off: its derivative would be infinite at 0."""
+    return jnp.sqrt(r2 * (1 / support_radius**2) + float(jnp.finfo(r2.dtype).eps) ** 2)
+
+
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _compact(kind, r2, support_radius):
-    xi = relative_radius(r2, support_radius)
-    return jnp.where(xi < 1, kind.value(jnp.minimum(xi, 1)), 0)
+    xi = _relative(r2, support_radius)
+    return jnp.where(xi >= 1, 0, kind.value(jnp.minimum(xi, 1)))
 
 
 @_compact.defjvp
 def _compact_jvp(kind, primals, tangents):
+    # d phi / d r2 = phi'(xi) / (2 xi R^2) is regular at r = 0, where the chain rule through the
+    # root is not
     r2, support_radius = primals
     r2_dot, radius_dot = tangents
-    xi = relative_radius(r2, support_radius)
-    slope = jnp.where(xi < 1, kind.slope(jnp.minimum(xi, 1)), 0) / support_radius**2
+    xi = _relative(r2, support_radius)
+    slope = jnp.where(xi >= 1, 0, kind.slope(jnp.minimum(xi, 1))) / support_radius**2
     return _compact(kind, r2, support_radius), slope * (r2_dot - 2 * r2 / support_radius * radius_dot)
 
 
@@ -67,6 +78,29 @@ class WendlandC0(AbstractCompactBasis):
     @staticmethod
     def slope(xi):
         return -(1 - xi) / xi
+
+
+class WendlandC2(AbstractCompactBasis):
+    """Evaluates phi(r) = (1 - r/R)^4 (4 r/R + 1) for r < R, and 0 beyond (Wendland 1995).
+
+    **Arguments:**
+
+    - `support_radius`: R in the mesh's units. A larger radius gives a smoother motion, and a worse
+      condition.
+
+    **Raises:** `ValueError` for a radius that is not positive and finite.
+    """
+
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
+
+    @staticmethod
+    def value(xi):
+        inner = 1 - xi
+        return (inner * inner) * (inner * inner) * (4 * xi + 1)
+
+    @staticmethod
+    def slope(xi):
+        return -10 * (1 - xi) ** 3
 
 
 class WendlandC4(AbstractCompactBasis):
@@ -106,7 +140,8 @@ class WendlandC6(AbstractCompactBasis):
 class CompactC0(AbstractCompactBasis):
     """Evaluates phi = (1 - xi)^5, de Boer's CTPS C0: continuous alone.
 
-    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
+    der Schoot and Bijl 2007).
     """
 
     support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
@@ -121,9 +156,12 @@ class CompactC0(AbstractCompactBasis):
 
 
 class CompactC1(AbstractCompactBasis):
-    """Evaluates de Boer's CTPS C1, phi = 1 + 80/3 xi^2 - 40 xi^3 + 15 xi^4 - 8/3 xi^5 + 20 xi^2 log xi.
+    """Evaluates de Boer's CTPS C1.
 
-    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    phi = 1 + 80/3 xi^2 - 40 xi^3 + 15 xi^4 - 8/3 xi^5 + 20 xi^2 log xi.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
+    der Schoot and Bijl 2007).
     """
 
     support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
@@ -138,9 +176,12 @@ class CompactC1(AbstractCompactBasis):
 
 
 class CompactC2a(AbstractCompactBasis):
-    """Evaluates de Boer's CTPS C2a, phi = 1 - 30 xi^2 - 10 xi^3 + 45 xi^4 - 6 xi^5 - 60 xi^3 log xi.
+    """Evaluates de Boer's CTPS C2a.
 
-    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    phi = 1 - 30 xi^2 - 10 xi^3 + 45 xi^4 - 6 xi^5 - 60 xi^3 log xi.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
+    der Schoot and Bijl 2007).
     """
 
     support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
@@ -155,9 +196,12 @@ class CompactC2a(AbstractCompactBasis):
 
 
 class CompactC2b(AbstractCompactBasis):
-    """Evaluates de Boer's CTPS C2b, phi = 1 - 20 xi^2 + 80 xi^3 - 45 xi^4 - 16 xi^5 + 60 xi^4 log xi.
+    """Evaluates de Boer's CTPS C2b.
 
-    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van der Schoot and Bijl 2007).
+    phi = 1 - 20 xi^2 + 80 xi^3 - 45 xi^4 - 16 xi^5 + 60 xi^4 log xi.
+
+    xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
+    der Schoot and Bijl 2007).
     """
 
     support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))

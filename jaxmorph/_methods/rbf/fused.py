@@ -1,6 +1,8 @@
-"""The kernel sum as one operation, which a GPU has a kernel for: linear in its weights, its transpose is one of its own kind.
+"""The kernel sum as one operation, with a kernel for the GPU.
 
-What derivatives with respect to places and constants need beyond it is computed block by block.
+It is linear in its weights, and its transpose is an operation of the same kind.
+
+Derivatives with respect to places and constants need more. It is computed block by block.
 """
 
 from typing import Any
@@ -21,7 +23,7 @@ from .basis import AbstractBasis
 from .system import block_size, squared_distances
 
 MOST_FUSED = 48
-"""Columns of weights beyond which a product of matrices is faster, although it has the functions written to memory."""
+"""Columns of weights beyond which a product of matrices is faster."""
 
 
 class Radial(eqx.Module):
@@ -95,11 +97,13 @@ _lowered_in_kernel = mlir.lower_fun(_in_kernel, multiple_results=False)
 
 def _lowered_for_cuda(context, *arguments, structure):
     """Gives loops to a program that is exported: JAX promises no stable kernels."""
-    # `lowering_parameters` is a private name. Without it the export itself says that it takes no kernel.
+    # `lowering_parameters` is a private name. Without it the export itself says that it takes no
+    # kernel.
     parameters = getattr(context.module_context, "lowering_parameters", None)
     if getattr(parameters, "for_export", False):
         return _lowered_by_blocks(context, *arguments, structure=structure)
-    # Pallas is experimental, and the kernel reads JAX's own expressions: whatever another version has changed, loops remain
+    # Pallas is experimental, and the kernel reads JAX's own expressions: whatever another version
+    # has changed, loops remain
     try:
         return _lowered_in_kernel(context, *arguments, structure=structure)
     except Exception as error:

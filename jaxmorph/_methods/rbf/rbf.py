@@ -1,7 +1,8 @@
-"""Radial basis function interpolation from a reduced set of sources (sections 2.1 and 2.2 of the paper, eqs. 1 to 4).
+"""Interpolation by radial basis functions from reduced sources (eqs. 1 to 4 of the paper).
 
-The classic method on all nodes of the surface is that of de Boer, van der Schoot and Bijl (Computers and Structures 85, 2007).
-Rendall and Allen (Journal of Computational Physics 228, 2009) reduced its sources.
+The classic method on all nodes of the surface is that of de Boer, van der Schoot and Bijl
+(Computers and Structures 85, 2007). Rendall and Allen (Journal of Computational Physics 228, 2009)
+reduced its sources.
 """
 
 import dataclasses
@@ -11,81 +12,61 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
-import scipy.spatial
-from jax.lax.linalg import triangular_solve
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Int
 
 from ..._host.linear.ordering import far_to_near
 from ..._host.package.arguments import between, checked, shown
-from ..._host.package.errors import place_of, warn
+from ..._host.package.errors import warn
 from ..._host.package.rounding import roundoff
 from ..._host.sources.graded import Graded
 from ..._host.sources.reduction import AbstractReduction, AllPoints, KDTree, drop_close
-from ..._host.surface.neighbours import nearly_coincident
-from ..._kernels.compile import compiled
 from ..._kernels.values import largest
-from ..base import AbstractField, AbstractMethod, Control, Surface, check_kind
-from ..blocks import map_rows
+from ..base import AbstractMethod, Control, check_kind
+from ..surface import Surface
 from .basis import AbstractBasis, ThinPlateSpline
-from .fused import Radial, fused, is_fused
-from .solvers import (
-    LIMIT,
-    PROMISING,
-    ROUNDINGS,
-    TRIAL,
-    Cardinals,
-    ConjugateGradients,
-    Direct,
-    Iterative,
-    OrderedIds,
-    local_weights,
-    precondition,
-)
-from .system import block_size, in_rows, kernel_sum, polynomial, squared_distances, symmetric_kernel_sum
+from .conditioning import USELESS, fault_of_iterations, is_noticeable, nearest_two, rounding, warn_of_close_sources
+from .expansion import Expansion, RBFFactors
+from .iterations import ROUNDINGS, Cardinals, OrderedIds, local_weights
+from .solvers import Direct, Iterative
 
 MANY = 8192
 """Sources beyond which the system is solved by iterations."""
-
-SUSPICIOUS = 0.1
-"""Rounding of the residual after a few steps, over what makes a field NaN, from which on `prepare` takes all steps."""
-
-USELESS, NOTICEABLE, NOTICEABLE_SINGLE = 1e-2, 1e-6, 1e-3
-"""Changes of displacements by rounding, relative to them, that are an error, and that are warned of (solved in float32)."""
-
-
-NEAR = 1e-3
-"""Distance of two sources, relative to those around them, below which a difference of their displacements is told."""
 
 
 class RBF(AbstractMethod):
     """Interpolates by radial basis functions: c(x) = p(x) + sum_j beta_j phi(|x - x_j|), eq. (1).
 
-    A source x_j is a node of the surface that carries a function: a control point, or centre, of the field. Moving and fixed
-    nodes are reduced to sources apart. With `AllPoints()` for both reductions it is the classic method, exact on the surface.
-    With fewer sources the surface follows approximately, and fixed nodes that are no sources move too;
-    `SurfaceReconstruction` adds what is missing.
+    A source x_j is a node of the surface that carries a function: a control point, or centre, of
+    the field. Moving and fixed nodes are reduced to sources separately. With `AllPoints()` for both
+    reductions it is the classic method, exact on the surface. With fewer sources the surface
+    follows approximately, and fixed nodes that are no sources move too; `SurfaceReconstruction`
+    adds what is missing.
 
     **Arguments:**
 
     - `basis`: the function phi. Default `ThinPlateSpline()`, which has no parameter.
-    - `reduction`, `fixed_reduction`: choose the sources among the moving and among the fixed nodes. Defaults `KDTree(64)` and
-      `Graded()`. More sources follow the surface closer, and cost more.
-    - `degree`: degree of the polynomial p: None (no polynomial), 0, or 1, which reproduces rigid and affine motions. Default 1.
-    - `ridge`: added to the matrix at each source, in units of phi at the sources' extent (of phi itself for a basis with a
-      radius). The field then smooths noise and misses the sources. Default 0.
-    - `solver`: `Direct()` factors the dense system once per plan, `Iterative()` solves for each displacement without the
-      matrix. Default None: `Iterative()` for more than 8,192 sources.
+    - `reduction`, `fixed_reduction`: choose the sources among the moving and among the fixed nodes.
+      Defaults `KDTree(64)` and `Graded()`. More sources follow the surface more closely, and cost
+      more.
+    - `degree`: degree of the polynomial p: None (no polynomial), 0, or 1, which reproduces rigid
+      and affine motions. Default 1.
+    - `ridge`: added to the matrix at each source, in units of phi at the sources' extent (of phi
+      itself for a basis with a radius). The field then smooths noise and misses the sources.
+      Default 0.
+    - `solver`: `Direct()` factors the dense system once per plan, `Iterative()` solves for each
+      displacement without the matrix. Default None: `Iterative()` for more than 8,192 sources.
 
-    **Raises:** `ValueError` for another degree or a negative ridge. `prepare` raises it where the sources cannot determine
-    the polynomial (all in one plane). It also does so if rounding changes displacements by more than 1 %, because the radius
-    is wide or sources nearly coincide. It warns from 1e-6 on (1e-3 without x64).
+    **Raises:** `ValueError` for another degree or a negative ridge. `prepare` raises it where the
+    sources cannot determine the polynomial (all in one plane). It also does so if rounding changes
+    displacements by more than 1 %, because the radius is wide or sources nearly coincide. It warns
+    from 1e-6 on (1e-3 without x64).
 
-    The system (eq. 3) is solved in float64 if JAX's x64 mode is on. The effect of rounding on the dense solve is measured.
-    A smooth motion is interpolated, and so is what the result misses at the sources. The largest value of this second field,
-    at the sources and between them, is the error. A condition number would not do, and scaling the mesh changes it. Its
-    reciprocal is 1e-15 for a sound Wendland C2 function of the size of an airfoil's mesh (error 3e-7), and also for a useless
-    Gaussian (error 0.1).
+    The system (eq. 3) is solved in float64 if JAX's x64 mode is on. The effect of rounding on the
+    dense solve is measured. A smooth motion is interpolated, and so is what the result misses at
+    the sources. The largest value of this second field, at the sources and between them, is the
+    error. A condition number would not do, and scaling the mesh changes it. Its reciprocal is 1e-15
+    for a sound Wendland C2 function of the size of an airfoil's mesh (error 3e-7), and also for a
+    useless Gaussian (error 0.1).
     """
 
     basis: AbstractBasis = eqx.field(default_factory=ThinPlateSpline)
@@ -112,7 +93,9 @@ class RBF(AbstractMethod):
     @classmethod
     @checked
     def classic(cls, basis: AbstractBasis | None = None, *, degree: int | None = 1) -> "RBF":
-        """Returns the classic method: every surface node is a source, so the surface is exact (de Boer et al. 2007).
+        """Returns the classic method: every surface node is a source (de Boer et al. 2007).
+
+        The surface is then exact.
 
         It takes one dense solve of as many unknowns as there are surface nodes.
 
@@ -145,14 +128,17 @@ class RBF(AbstractMethod):
         return OrderedIds(jnp.asarray(sources[order]), jnp.asarray(earlier)), None
 
     def chosen(self, surface: Surface) -> np.ndarray:
-        """Chooses the surface's rows that are sources, on the host. Raises `ValueError` if they do not determine the polynomial."""
+        """Chooses the surface's rows that are sources, on the host.
+
+        It raises `ValueError` if they do not determine the polynomial.
+        """
         sources = surface.reduced(self.reduction, self.fixed_reduction)
         sources = drop_close(surface.points, sources, roundoff(surface.points))
         self._check_spread(surface.points[sources])
         return sources.astype(np.int32)
 
     def iterative(self, count: int) -> Iterative | None:
-        """Returns the iterative solver for a number of sources, or None where the system is factored."""
+        """Returns the iterative solver for `count` sources; None where the system is factored."""
         if self.solver is None:
             return Iterative() if count > MANY else None
         return self.solver if isinstance(self.solver, Iterative) else None
@@ -188,324 +174,71 @@ class RBF(AbstractMethod):
         elif not self.ridge:
             centre, scale = jax.lax.stop_gradient((centre, scale))
         sources = (points - centre[None]) * scale
+        expansion = self.expansion
         if not isinstance(ids, OrderedIds):
-            return RBFFactors(sources, centre, scale, *self._factored(sources, scale))
-        method, places, stretch = jax.lax.stop_gradient((self, sources, scale))  # any preconditioner gives one solution
+            return RBFFactors(sources, centre, scale, *expansion.factored(sources, scale))
+        # any preconditioner gives one solution, so it has no derivative
+        constant, places, stretch = jax.lax.stop_gradient((expansion, sources, scale))
         first = len(sources) - len(ids.earlier)
-        weights = local_weights(lambda r2: method._matrix(r2, stretch), places, ids.earlier, self.degree, self._sign)
-        tolerance = (method.iterative(len(sources)) or Iterative()).tolerance.astype(weights.dtype)
+        weights = local_weights(
+            lambda r2: constant.kernel(r2, stretch), places, ids.earlier, self.degree, constant.sign
+        )
+        solver = self.iterative(len(sources)) or Iterative()
+        tolerance = jax.lax.stop_gradient(solver.tolerance).astype(weights.dtype)
         floor = ROUNDINGS * float(jnp.finfo(weights.dtype).eps)
         rows = Cardinals(ids.earlier, weights, jnp.maximum(tolerance, floor))
-        return RBFFactors(sources, centre, scale, *method._factored(places[:first], stretch), rows)
-
-    def _factored(self, sources, scale):
-        """Factors the dense system of some sources; returns the factors, and the rows in the order of the pivots."""
-        tail = polynomial(sources, self.degree)
-        # One reduction, not a sum of d terms: XLA's CPU backend (jaxlib 0.10.2) merges those wrongly with the transposition
-        # that LAPACK asks for, and the jitted gradient with respect to one coordinate of the sources is wrong or NaN.
-        distances = jnp.sum((sources[:, None] - sources[None]) ** 2, axis=-1)
-        kernel = self._matrix(distances, scale)
-        corner = jnp.zeros((tail.shape[1],) * 2, kernel.dtype)
-        matrix = jnp.block([[kernel, tail], [tail.T, corner]])  # eq. (3)
-        lu, _, order = jax.lax.linalg.lu(matrix)
-        return lu, order
+        return RBFFactors(sources, centre, scale, *constant.factored(places[:first], stretch), rows)
 
     @property
-    def _sign(self) -> int:
-        """Returns the side of the definite part: phi is negative definite where its order is one."""
-        return -1 if self.basis.min_degree == 0 else 1
+    def expansion(self) -> Expansion:
+        """The functions and the polynomial, without sources."""
+        return Expansion(self.basis, self.degree, self.ridge)
 
-    @property
-    def _at_sources(self) -> float:
-        """Returns what the ridge adds to phi at each source."""
-        return self._sign * self.ridge
-
-    def _matrix(self, r2, scale):
-        """Computes the kernel's square matrix, ridge included."""
-        kernel = self._phi(r2, scale)
-        return kernel + self._at_sources * jnp.eye(len(kernel), dtype=kernel.dtype) if self.ridge else kernel
-
-    def _phi(self, r2, scale):
-        return Radial(self.basis, scale)(r2)
-
-    def check(self, ids, factors: "RBFFactors", u):
-        dtype = factors.lu.dtype
-        values = np.asarray(u, dtype)[self.control(ids).sources]
+    def check(self, ids, factors: RBFFactors, u):
+        values = np.asarray(u, factors.lu.dtype)[self.control(ids).sources]
         if factors.cardinals is not None:
-            return _check_convergence(self, factors, factors.cardinals, values)
-        error = _rounding(self, factors, values) / np.abs(u).max()
-        noticeable = NOTICEABLE if jnp.finfo(dtype).bits == 64 else NOTICEABLE_SINGLE
-        if error <= noticeable:
-            if not self.ridge:
-                _warn_of_close_sources(type(self).__name__, factors, values)
+            fault = fault_of_iterations(self.expansion, factors, values)
+            if fault:
+                raise ValueError(self._unusable(factors, fault))
             return
-        useless = not error <= USELESS  # NaN too
-        how = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
-        message = _unusable(self, factors, how if np.isfinite(error) else "singular")
-        if useless:
+        error = rounding(self.expansion, factors, values) / np.abs(u).max()
+        if not is_noticeable(error, factors.lu.dtype):
+            if not self.ridge:
+                warn_of_close_sources(type(self).__name__, factors, values)
+            return
+        fault = f"ill-conditioned: rounding changes the displacements by {error:.1g} of their size"
+        message = self._unusable(factors, fault if np.isfinite(error) else "singular")
+        if not error <= USELESS:  # NaN too
             raise ValueError(message)
         warn(message)
 
-    def field(self, ids, factors: "RBFFactors", surface, u):
-        return self.through(factors, u[_rows(ids)].astype(factors.lu.dtype), u.dtype)
+    def field(self, ids, factors: RBFFactors, surface, u):
+        return self.expansion.field(factors, u[_rows(ids)].astype(factors.lu.dtype), u.dtype)
 
-    def through(self, factors: "RBFFactors", values: Float[Array, "s k"], dtype) -> "RBFField":
-        """Makes the field with given values at the sources, in a given precision. Traced."""
-        terms = polynomial(factors.sources[:1], self.degree).shape[1]
-        rhs = jnp.concatenate([values, jnp.zeros((terms, values.shape[1]), values.dtype)])
-        if factors.cardinals is None:
-            weights = factors.solve(rhs).astype(dtype)
-        else:
-            weights = self._iterated(factors, factors.cardinals, rhs).astype(dtype)
-        beta, alpha = weights.T[:, : len(factors.sources)], weights.T[:, len(factors.sources) :]
-        sources, centre, scale = (leaf.astype(dtype) for leaf in (factors.sources, factors.centre, factors.scale))
-        return RBFField(self, sources, centre, scale, beta, alpha)
-
-    def _iterated(self, factors: "RBFFactors", cardinals: Cardinals, rhs: Float[Array, "t k"]) -> Float[Array, "t k"]:
-        """Solves the system without its matrix. Its derivatives are products and solves of the same kind."""
-        count, tail = len(factors.sources), polynomial(factors.sources, self.degree)
-
-        def product(x):
-            beta, alpha = x[:count], x[count:]
-            top = self._times_kernel(factors, beta) + jnp.matmul(tail, alpha, precision="highest")
-            return jnp.concatenate([top, jnp.matmul(tail.T, beta, precision="highest")])
-
-        method, kept, rows = jax.lax.stop_gradient((self, factors, cardinals))
-        iterations = method._iterations(kept, rows)
-        return jax.lax.custom_linear_solve(product, rhs, lambda _, rhs: iterations.solve(rhs), symmetric=True)
-
-    def _iterations(self, factors: "RBFFactors", cardinals: Cardinals) -> ConjugateGradients:
-        first = len(factors.sources) - len(cardinals.earlier)
-
-        def inverse_of_first(values):
-            padded = jnp.pad(values, ((0, len(factors.lu) - first), (0, 0)))
-            return factors.solve(padded)[:first]
-
-        return ConjugateGradients(
-            lambda beta: self._times_kernel_quickly(factors, beta),
-            lambda residual: precondition(cardinals, inverse_of_first, residual),
-            polynomial(factors.sources, self.degree),
-            cardinals.tolerance,
+    def _unusable(self, factors: RBFFactors, fault: str) -> str:
+        """Describes what is wrong with a system, where, and what of the method to change."""
+        sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
+        *hints, last = self._hints(factors.cardinals is not None, single=sources.dtype != np.float64)
+        return (
+            f"the interpolation matrix of {len(sources)} sources is {fault}{nearest_two(sources)}. "
+            f"Try {', '.join(hints)}, or {last}."
         )
 
-    def _times_kernel(self, factors: "RBFFactors", beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Multiplies by the matrix of functions at the sources, block by block. To be differentiated."""
-        sources, phi = factors.sources, Radial(self.basis, factors.scale)
-
-        def of_block(points):
-            return kernel_sum(phi, sources, beta.T, in_rows(points, jnp.ones((), points.dtype))).T
-
-        if is_fused(phi, sources.dtype):
-            product = fused(phi, sources, beta, sources)
+    def _hints(self, iterates: bool, single: bool) -> list[str]:
+        """Lists what to change where the system is unusable: only what this method has."""
+        lengths = [field.name for field in dataclasses.fields(self.basis) if "radius" in field.name]
+        hints = [*(f"a smaller `{name}` of the basis" for name in lengths), "a `ridge` of RBF such as 1e-6"]
+        if all(hasattr(reduction, "separation") for reduction in (self.reduction, self.fixed_reduction)):
+            hints += ["fewer sources", "a larger `separation` in both reductions"]
         else:
-            product = map_rows(jax.checkpoint(of_block), sources, block_size(len(sources)))
-        return product + self._at_sources * beta if self.ridge else product
-
-    def _times_kernel_quickly(self, factors: "RBFFactors", beta: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Computes what `_times_kernel` does in half the time on a CPU: each function of two sources once."""
-
-        def block_by_block(factors, beta):
-            return self._times_kernel(factors, beta)
-
-        def of_pairs(factors, beta):
-            product = symmetric_kernel_sum(lambda r2: self._phi(r2, factors.scale), factors.sources, beta.T).T
-            return product + self._at_sources * beta if self.ridge else product
-
-        return jax.lax.platform_dependent(factors, beta, cpu=of_pairs, default=block_by_block)
-
-    def rows(self, factors: "RBFFactors", points: Float[Array, "k d"]) -> Float[Array, "k t"]:
-        """Computes rows at any points: times the weights of functions and polynomial they give the field. Traced."""
-        scaled = (points - factors.centre[None]) * factors.scale
-        kernel = self._phi(squared_distances(scaled, factors.sources), factors.scale)
-        return jnp.concatenate([kernel, polynomial(scaled, self.degree)], axis=1)
-
-
-def _rounding(rbf: RBF, factors: "RBFFactors", values: np.ndarray) -> float:
-    """Measures, on the host, how much rounding changes the interpolation of `values` (s, d), at and between the sources.
-
-    It takes one step of iterative refinement: the field of what the first field misses at the sources. Infinite without a solution.
-    """
-    lu, order, sources, scale = map(np.asarray, (factors.lu, factors.order, factors.sources, factors.scale))
-    count, block = len(values), min(1024, len(values))
-    if not np.diagonal(lu).all():
-        return np.inf
-
-    def weights(values):
-        rhs = np.concatenate([values, np.zeros((len(lu) - count, values.shape[1]), lu.dtype)])
-        half = scipy.linalg.solve_triangular(lu, rhs[order], lower=True, unit_diagonal=True, check_finite=False)
-        return scipy.linalg.solve_triangular(lu, half, check_finite=False)
-
-    def field(weights, points):
-        result = np.empty((len(points), weights.shape[1]), lu.dtype)
-        for start in np.minimum(np.arange(0, len(points), block), len(points) - block):
-            part = points[start : start + block]
-            result[start : start + block] = np.asarray(_system_rows(rbf, sources, scale, part)) @ weights
-        return result
-
-    with np.errstate(all="ignore"):
-        first = weights(values)
-        missed = values - field(first, sources)
-        if rbf.ridge:
-            missed = missed - rbf._at_sources * first[:count]
-        between = [(sources + np.roll(sources, shift, axis=0)) / 2 for shift in (1, 1 + count // 2)]
-        moved = field(weights(missed), np.concatenate([sources, *between]))
-        return float(np.abs(np.concatenate([missed, moved])).max())
-
-
-@compiled
-def _system_rows(rbf: RBF, sources, scale, points):
-    """Computes rows of the system (eq. 3) at any points, all in scaled coordinates."""
-    kernel = rbf._phi(squared_distances(points, sources), scale)
-    return jnp.concatenate([kernel, polynomial(points, rbf.degree)], axis=1)
-
-
-def _check_convergence(rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, values: np.ndarray) -> None:
-    """Raises `ValueError` if some steps do not promise that conjugate gradients converge."""
-    left, count, rounding = map(float, _left_after_trial(rbf, factors, cardinals, jnp.asarray(values)))
-    steps = count * np.log(float(cardinals.tolerance)) / np.log(max(left, 1e-300)) if left < 1 else np.inf
-    how = "too ill-conditioned for Iterative()"
-    if not steps <= LIMIT:
-        raise ValueError(_unusable(rbf, factors, f"{how}: an error of {left:.1g} is left after {count:.0f} steps"))
-    # in single precision rounding sets a floor that a few steps do not show
-    single = cardinals.weights.dtype != np.float64
-    if (single or not rounding <= SUSPICIOUS) and not _is_solved(rbf, factors, jnp.asarray(values)):
-        why = " in single precision" if single else ": rounding keeps the field from its sources"
-        raise ValueError(_unusable(rbf, factors, how + why))
-
-
-@compiled
-def _left_after_trial(
-    rbf: RBF, factors: "RBFFactors", cardinals: Cardinals, values: Float[Array, "s k"]
-) -> tuple[Float[Array, ""], Int[Array, ""], Float[Array, ""]]:
-    """Takes some steps of conjugate gradients, and counts them.
-
-    Returns also which share of the error they leave, in the norm of the basis. The third number is what rounding has made of
-    the residual, over what makes a field NaN.
-    """
-    iterations = rbf._iterations(factors, cardinals)
-    trial = dataclasses.replace(iterations, tolerance=jnp.asarray(PROMISING, values.dtype))
-    size, start = jnp.abs(values).max(), iterations.without_polynomial(values)
-    now = trial.improve(start, size, TRIAL)
-    left = jnp.sqrt(jnp.abs(now.left / jnp.where(now.energy == 0, 1, now.energy)).max())
-    is_polynomial = jnp.abs(now.residual).max() <= cardinals.tolerance * size
-    rounding = iterations.rounding(now, start) / (iterations.allowed * jnp.where(size == 0, 1, size))
-    return jnp.where(is_polynomial, 0, left), now.count, rounding
-
-
-@compiled
-def _is_solved(rbf: RBF, factors: "RBFFactors", values: Float[Array, "s k"]) -> Bool[Array, ""]:
-    return jnp.isfinite(rbf.through(factors, values, values.dtype).beta).all()
-
-
-def _unusable(rbf: RBF, factors: "RBFFactors", how: str) -> str:
-    """Describes what is wrong with a system, where, and what of the method to change."""
-    sources = np.asarray(factors.sources / factors.scale + factors.centre[None])
-    *hints, last = _hints(rbf, factors.cardinals is not None, single=sources.dtype != np.float64)
-    return (
-        f"the interpolation matrix of {len(sources)} sources is {how}{_nearest_two(sources)}. "
-        f"Try {', '.join(hints)}, or {last}."
-    )
-
-
-def _hints(rbf: RBF, iterates: bool, single: bool) -> list[str]:
-    """Lists what to change where a method's system is unusable: only what this method has."""
-    lengths = [field.name for field in dataclasses.fields(rbf.basis) if "radius" in field.name]
-    hints = [*(f"a smaller `{name}` of the basis" for name in lengths), "a `ridge` of RBF such as 1e-6"]
-    if all(hasattr(reduction, "separation") for reduction in (rbf.reduction, rbf.fixed_reduction)):
-        hints += ["fewer sources", "a larger `separation` in both reductions"]
-    else:
-        hints += ["fewer sources by a `reduction` and a `fixed_reduction` such as jm.KDTree(64)"]
-    if rbf.basis.min_degree != 1 or rbf._below_min_degree:
-        hints += ["another `degree` of the polynomial"]
-    if iterates and not single:
-        hints += ["a larger `tolerance` of Iterative"]
-    return [*hints, "x64 mode of JAX"] if single else hints
+            hints += ["fewer sources by a `reduction` and a `fixed_reduction` such as jm.KDTree(64)"]
+        if self.basis.min_degree != 1 or self._below_min_degree:
+            hints += ["another `degree` of the polynomial"]
+        if iterates and not single:
+            hints += ["a larger `tolerance` of Iterative"]
+        return [*hints, "x64 mode of JAX"] if single else hints
 
 
 def _rows(ids: Any) -> Any:
     """Returns the surface's rows that are sources."""
     return ids.sources if isinstance(ids, OrderedIds) else ids
-
-
-def _nearest_two(sources: np.ndarray) -> str:
-    if len(sources) < 2:
-        return ""
-    distance, nearest = map(np.asarray, scipy.spatial.KDTree(sources).query(sources, k=2))
-    first = distance[:, 1].argmin()
-    pair = " and ".join(str(tuple(float(f"{x:.6g}") for x in sources[i])) for i in (first, nearest[first, 1]))
-    return f"; the nearest two sources, {pair}, are {distance[first, 1]:.3g} apart"
-
-
-class RBFFactors(eqx.Module):
-    """Sources in coordinates of order one, and the factored system (eq. 3) of t = s + p equations.
-
-    `order` are the rows as the pivots have them. With `cardinals`, the factored system is that of the first sources alone.
-    """
-
-    sources: Float[Array, "s d"]
-    centre: Float[Array, " d"]
-    scale: Float[Array, ""]
-    lu: Float[Array, "t t"]
-    order: Int[Array, " t"]
-    cardinals: Cardinals | None = None
-
-    def solve(self, values: Float[Array, "t k"]) -> Float[Array, "t k"]:
-        """Solves the factored system."""
-        half = triangular_solve(self.lu, values[self.order], left_side=True, lower=True, unit_diagonal=True)
-        return triangular_solve(self.lu, half, left_side=True, lower=False)
-
-
-class RBFField(AbstractField):
-    """Evaluates eq. (4) at one point."""
-
-    rbf: RBF
-    sources: Float[Array, "s d"]
-    centre: Float[Array, " d"]
-    scale: Float[Array, ""]
-    beta: Float[Array, "k s"]
-    alpha: Float[Array, "k p"]
-
-    def __call__(self, x, ids):
-        x = (x - self.centre) * self.scale
-        phi = self._phi(squared_distances(self.sources, x[None])[:, 0])
-        terms = polynomial(x[None], self.rbf.degree)[0]
-        return jnp.matmul(self.beta, phi, precision="highest") + jnp.matmul(self.alpha, terms, precision="highest")
-
-    @property
-    def block_size(self) -> int | None:
-        return None if is_fused(self._phi, self.sources.dtype) else block_size(len(self.sources))
-
-    @property
-    def _phi(self) -> Radial:
-        return Radial(self.rbf.basis, self.scale)
-
-    def evaluate(self, points, ids):
-        """Sums the functions, and adds the polynomial."""
-        if self.block_size is None:
-            x = (points - self.centre[None]) * self.scale
-            terms = polynomial(x, self.rbf.degree)[:, :, None] * self.alpha.T[None]
-            return fused(self._phi, self.sources, self.beta.T, x) + terms.sum(axis=1)
-        x = in_rows(points - self.centre[None], self.scale)
-        terms = polynomial(x.T, self.rbf.degree).T
-        tail = sum((self.alpha[:, k, None] * term[None] for k, term in enumerate(terms)), start=jnp.zeros_like(x))
-        return (kernel_sum(self._phi, self.sources, self.beta, x) + tail).T
-
-
-def _warn_of_close_sources(method: str, factors: "RBFFactors", values: Float[np.ndarray, "s k"]) -> None:
-    """Warns of sources that nearly coincide for the size of what moves."""
-    places, scale, centre = map(np.asarray, (factors.sources, factors.scale, factors.centre))
-    body = places[values.any(axis=1)]
-    extent = float(np.linalg.norm(np.ptp(body, axis=0))) if len(body) else 0.0
-    warn_of_close(places / scale + centre, extent / float(scale), method)
-
-
-def warn_of_close(nodes: Float[np.ndarray, "s d"], radius: float, method: str) -> None:
-    """Warns of nodes that nearly coincide: an interpolation carries their difference over the distance to the next nodes."""
-    first, second = nearly_coincident(nodes, radius, NEAR)
-    if len(first):
-        distance = np.linalg.norm(nodes[first[0]] - nodes[second[0]])
-        warn(
-            f"{len(first)} surface nodes nearly coincide with others, the nearest two {distance:.3g} apart near "
-            f"({place_of(nodes[first[0]])}). Where such nodes move differently, {method} moves nodes around them by "
-            f"{1 / NEAR:.0f} times the difference, or more. Merge them, or check the motion by jm.inspect.",
-        )

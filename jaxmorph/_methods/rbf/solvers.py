@@ -1,44 +1,17 @@
-"""Solvers of the interpolation system (eq. 3): dense, or by conjugate gradients for tens of thousands of sources."""
-
-import dataclasses
-from collections.abc import Callable
+"""Solvers of the interpolation system (eq. 3): dense, or by conjugate gradients."""
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ..._host.package.arguments import whole
 from ..._kernels.module import Module
 from ..numbers import number
-from .system import polynomial, squared_distances
-
-LIMIT = 150
-"""Most products of a solve. A sound matrix takes 10 to 20."""
-
-ROUNDS = 3
-"""Solves for what rounding leaves of the residual."""
-
-STALLED = 0.5
-"""Share of the residual that another solve must take away: where less goes, the rest is rounding of the product itself."""
-
-TRIAL, PROMISING = 6, 1e-2
-"""Products after which a plan's preparation judges the convergence, and the error, relative, at which it does so earlier."""
 
 DENSE, SHARE = (1000, 6000), 6
-"""Fewest and most sources that are solved densely by default, and the part of all between: one of so many."""
+"""Least and greatest number of sources that are solved densely by default.
 
-MISSED, NOTICEABLE = 1e3, 1e-3
-"""A field that misses its sources by more than so many tolerances, or so much of the displacement, is NaN."""
-
-ROUNDINGS = 100
-"""Units of rounding below which no tolerance goes: what single precision can reach."""
-
-
-GIVE = 1e-10
-"""Leaves a polynomial undetermined where neighbours lie in one plane: the corner of a small system, relative to its kernel."""
-
-Product = Callable[[Float[Array, "s k"]], Float[Array, "s k"]]
+Between them it is one source of every `SHARE`.
+"""
 
 
 class AbstractSolver(Module):
@@ -48,33 +21,39 @@ class AbstractSolver(Module):
 class Direct(AbstractSolver):
     """Factors the dense system once per plan.
 
-    It takes 8 s^2 bytes and a time proportional to s^3 for s sources: 0.5 GB for 8,000. Each displacement then costs
-    little.
+    It takes 8 s^2 bytes and a time proportional to s^3 for s sources: 0.5 GB for 8,000. Each
+    displacement then costs little.
     """
 
 
 class Iterative(AbstractSolver):
-    """Solves by conjugate gradients, without the matrix: memory grows with s, time with s^2 for s sources.
+    """Solves by conjugate gradients without the matrix.
 
-    Each displacement takes 10 to 20 products with the kernel, and so does each gradient. The preconditioner is a sparse
-    factor of the inverse (Faul, Goodsell and Powell, IMA Journal of Numerical Analysis 25, 2005). Sources are ordered from
-    far apart to close (Schaefer, Katzfuss and Owhadi, SIAM Journal on Scientific Computing 43, 2021). Each carries the
-    function that is 1 at its place and 0 at the nearest of those before it. The first sources are solved densely.
+    For s sources the memory grows with s, the time with s^2.
 
-    The system is symmetric, so derivatives take the same solve. Sources and neighbours are found at `prepare` and kept by
-    `refit`. Where no solve converges, `prepare` raises. A field that all the same misses its sources by a thousand tolerances,
-    or by a thousandth of the displacement where that is less, is NaN.
+    A displacement takes 10 to 20 products with the kernel, and so does a gradient. The
+    preconditioner is a sparse factor of the inverse (Faul, Goodsell and Powell, IMA Journal of
+    Numerical Analysis 25, 2005). Sources are ordered from far apart to close (Schaefer, Katzfuss
+    and Owhadi, SIAM Journal on Scientific Computing 43, 2021). A source carries the function that
+    is 1 at its place and 0 at the nearest sources before it. The first sources are solved densely.
+
+    The system is symmetric, so derivatives take the same solve. `prepare` finds sources and
+    neighbours, and `refit` does not change them. Where no solve converges, `prepare` raises. A
+    field is NaN if it misses its sources by a thousand tolerances, or by a thousandth of the
+    displacement where that is less.
 
     **Arguments:**
 
-    - `tolerance`: the distance by which the field misses its sources when a solve ends, relative to the largest displacement;
-      also the error in the norm of the basis. Default 1e-10; 1.2e-5 at least in single precision.
-    - `neighbours`: sources in each function's small system. More of them take fewer products, and more time and memory
-      to prepare. Default 100.
-    - `dense`: the number of first sources that are solved densely. Default None: a sixth of them, but 1,000 at least and 6,000
-      at most.
+    - `tolerance`: the distance by which the field misses its sources when a solve ends, relative to
+      the largest displacement; also the error in the norm of the basis. Default 1e-10; 1.2e-5 at
+      least in single precision.
+    - `neighbours`: sources in each function's small system. More of them take fewer products, and
+      more time and memory to prepare. Default 100.
+    - `dense`: the number of first sources that are solved densely. Default None: a sixth of all
+      sources, but 1,000 at least and 6,000 at most.
 
-    **Raises:** `ValueError` for a tolerance that is not between 0 and 1, and for fewer than 8 neighbours or dense sources.
+    **Raises:** `ValueError` for a tolerance that is not between 0 and 1, and for fewer than 8
+    neighbours or dense sources.
     """
 
     tolerance: Float[Array, ""] = eqx.field(converter=number("tolerance", 0, 1), default=1e-10)
@@ -90,182 +69,3 @@ class Iterative(AbstractSolver):
         """Returns how many of `count` sources are solved densely."""
         fewest, most = DENSE
         return min(count, min(max(fewest, count // SHARE), most) if self.dense is None else self.dense)
-
-
-class OrderedIds(eqx.Module):
-    """Sources from far apart to close, and for all but the first ones the places of neighbours before them, own place first."""
-
-    sources: Int[Array, " s"]
-    earlier: Int[Array, "r q"]
-
-
-class Cardinals(eqx.Module):
-    """Functions that are 1 at one source and 0 at the nearest ones before it: their neighbours and coefficients.
-
-    The last r of the sources have one each.
-    """
-
-    earlier: Int[Array, "r q"]
-    weights: Float[Array, "r q"]
-    tolerance: Float[Array, ""]
-
-
-def local_weights(
-    phi: Callable, sources: Float[Array, "s d"], earlier: Int[Array, "r q"], degree: int | None, sign: int
-) -> Float[Array, "r q"]:
-    """Computes the coefficients of the functions. Traced; `sign` is that of `phi` as a definite function."""
-    count = earlier.shape[1]
-
-    def of_one(ids):
-        is_there = jnp.arange(count) * (ids != ids[0]) > 0
-        is_there = is_there.at[0].set(True)
-        places = sources[ids] - sources[ids[0]][None]
-        extent = jnp.abs(places).max()
-        tail = polynomial(places / jnp.where(extent > 0, extent, 1), degree) * is_there[:, None]
-        kernel = phi(squared_distances(places, places))
-        size = jnp.abs(kernel).max()
-        kernel = jnp.where(is_there[:, None] & is_there[None], kernel / size, sign * jnp.eye(count, dtype=size.dtype))
-        corner = -sign * GIVE * jnp.eye(tail.shape[1], dtype=size.dtype)
-        matrix = jnp.block([[kernel, tail], [tail.T, corner]])
-        solved = jnp.linalg.solve(matrix, jnp.eye(len(matrix), 1, dtype=size.dtype))[:count, 0]
-        return jnp.where(is_there, solved, 0) / size
-
-    if not len(earlier):
-        return jnp.zeros(earlier.shape, sources.dtype)
-    # one by one: a batch of factorisations in a loop has come to a standstill in XLA's threads on the CPU
-    return jax.lax.map(of_one, earlier)
-
-
-def precondition(rows: Cardinals, solve_first: Callable, residual: Float[Array, "s k"]) -> Float[Array, "s k"]:
-    """Applies the approximate inverse: sum_l w_l (w_l . r) / w_ll, and the inverse for the first sources."""
-    first = len(residual) - len(rows.earlier)
-    columns = rows.earlier.T, rows.weights.T
-
-    def gather(total, column):
-        ids, weights = column
-        return total + weights[:, None] * residual[ids], None
-
-    def scatter(total, column):
-        ids, weights = column
-        return total.at[ids].add(weights[:, None] * values), None
-
-    values = jax.lax.scan(gather, jnp.zeros_like(residual[first:]), columns)[0] / rows.weights[:, :1]
-    start = jnp.zeros_like(residual).at[:first].set(solve_first(residual[:first]))
-    return jax.lax.scan(scatter, start, columns)[0]
-
-
-class Progress(eqx.Module):
-    """The state of conjugate gradients for k columns: solution, residual, direction, and sums over the sources."""
-
-    beta: Float[Array, "s k"]
-    residual: Float[Array, "s k"]
-    direction: Float[Array, "s k"]
-    left: Float[Array, " k"]
-    energy: Float[Array, " k"]
-    count: Int[Array, ""]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ConjugateGradients:
-    """Solves K beta + T alpha = v, T' beta = g, on weights that the polynomial does not see.
-
-    `product` multiplies by K, `inverse` by the preconditioner; `tail` is T.
-    """
-
-    product: Product
-    inverse: Product
-    tail: Float[Array, "s p"]
-    tolerance: Float[Array, ""]
-
-    def coefficients(self, values: Float[Array, "s k"]) -> Float[Array, "p k"]:
-        """Fits the polynomial to values at the sources, in least squares."""
-        return self._moments(_times(self.tail.T, values))
-
-    def _moments(self, moments):
-        if not self.tail.shape[1]:
-            return moments
-        lower = jnp.linalg.cholesky(_times(self.tail.T, self.tail))
-        return jax.scipy.linalg.cho_solve((lower, True), moments)
-
-    def without_polynomial(self, values: Float[Array, "s k"]) -> Float[Array, "s k"]:
-        """Subtracts the polynomial that fits best."""
-        return values - _times(self.tail, self.coefficients(values))
-
-    def begin(self, residual: Float[Array, "s k"], energy: Float[Array, " k"]) -> Progress:
-        direction = self.without_polynomial(self.inverse(residual))
-        left = jnp.sum(residual * direction, axis=0)
-        return Progress(jnp.zeros_like(residual), residual, direction, left, energy, jnp.zeros((), int))
-
-    def step(self, now: Progress) -> Progress:
-        product = self.product(now.direction)
-        share = _ratio(now.left, jnp.sum(now.direction * product, axis=0))[None]
-        residual = self.without_polynomial(now.residual - share * product)
-        inverse = self.without_polynomial(self.inverse(residual))
-        left = jnp.sum(residual * inverse, axis=0)
-        direction = inverse + _ratio(left, now.left)[None] * now.direction
-        energy = now.energy + share[0] * now.left
-        return Progress(now.beta + share * now.direction, residual, direction, left, energy, now.count + 1)
-
-    def is_far(self, now: Progress, size: Float[Array, ""]) -> Array:
-        """Checks whether the residual, or the error in the basis's norm, exceeds the tolerance.
-
-        NaN does not exceed it.
-        """
-        beyond = jnp.abs(now.left) > self.tolerance**2 * jnp.abs(now.energy)
-        return (jnp.abs(now.residual).max() > self.tolerance * size) | beyond.any()
-
-    def improve(
-        self, residual: Float[Array, "s k"], size: Float[Array, ""], most: int, energy: Float[Array, " k"] | None = None
-    ) -> Progress:
-        """Takes at most `most` steps from zero. `energy` is that of solutions so far, beside which the error is judged."""
-        energy = jnp.zeros_like(residual[0]) if energy is None else energy
-
-        def is_unfinished(now):
-            return (now.count < most) & ((now.count == 0) | self.is_far(now, size))
-
-        return jax.lax.while_loop(is_unfinished, self.step, self.begin(residual, energy))
-
-    def solve(self, right: Float[Array, "t k"]) -> Float[Array, "t k"]:
-        """Solves for the weights of functions and polynomial; NaN where it does not converge."""
-        count = len(self.tail)
-        values, given = right[:count], right[count:]
-        beta = _times(self.tail, self._moments(given))
-        rest = jax.lax.cond((given != 0).any(), lambda: values - self.product(beta), lambda: values)
-        size = jnp.abs(rest).max()
-
-        def missed(rest):
-            return jnp.abs(self.without_polynomial(rest)).max()
-
-        def is_unfinished(state):
-            _, rest, _, rounds, before = state
-            now = missed(rest)
-            return (rounds < ROUNDS) & (now > self.tolerance * size) & (now < STALLED * before)
-
-        def once_more(state):
-            beta, rest, energy, rounds, _ = state
-            more = self.improve(self.without_polynomial(rest), size, LIMIT, energy)
-            beta = beta + more.beta
-            return beta, values - self.product(beta), more.energy, rounds + 1, missed(rest)
-
-        start = beta, rest, jnp.zeros_like(beta[0]), 0, jnp.full_like(size, jnp.inf)
-        beta, rest, *_ = jax.lax.while_loop(is_unfinished, once_more, start)
-        solved = jnp.concatenate([beta, self.coefficients(rest)])
-        return jnp.where(missed(rest) <= self.allowed * size, solved, jnp.nan)
-
-    @property
-    def allowed(self) -> Float[Array, ""]:
-        """Share of the displacement by which a field may miss its sources without being NaN."""
-        return jnp.minimum(MISSED * self.tolerance, jnp.maximum(self.tolerance, NOTICEABLE))
-
-    def rounding(self, now: Progress, residual: Float[Array, "s k"]) -> Float[Array, ""]:
-        """Measures what rounding has made of the residual of steps that began at `residual`: by another product."""
-        again = self.without_polynomial(residual - self.product(now.beta))
-        return jnp.abs(again - now.residual).max()
-
-
-def _ratio(a, b):
-    return jnp.where(b == 0, 0, a / jnp.where(b == 0, 1, b))
-
-
-def _times(a: Float[Array, "m k"], b: Float[Array, "k n"]) -> Float[Array, "m n"]:
-    return jnp.matmul(a, b, precision="highest")

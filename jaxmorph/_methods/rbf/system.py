@@ -1,4 +1,4 @@
-"""The parts of the interpolation system (eq. 3): distances, polynomial, and the product with the kernel."""
+"""Parts of the interpolation system (eq. 3): distances, polynomial, kernel sums."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from ..._kernels.product import few_rows_times, few_rows_times_transposed
 from ..base import BLOCK
 
 KERNEL_BLOCK = 2**17
-"""Elements of the kernel that a block of points makes: 1 MiB in float64, which stays in a core's own cache."""
+"""Elements of the kernel in a block of points: 1 MiB in float64, for a core's own cache."""
 
 SQUARE = 256
 """Sources along each side of a block of the symmetric product: 512 KiB in float64."""
@@ -24,7 +24,7 @@ def polynomial(points: Float[Array, "k d"], degree: int | None) -> Float[Array, 
 
 
 def squared_distances(a: Float[Array, "k d"], b: Float[Array, "s d"]) -> Float[Array, "k s"]:
-    """Computes squared distances by direct differences: the expanded form loses the small ones of a boundary layer."""
+    """Computes squared distances by differences."""
     return sum((a[:, None, k] - b[None, :, k]) ** 2 for k in range(a.shape[1]))  # pyright: ignore[reportReturnType]
 
 
@@ -36,8 +36,9 @@ def block_size(count: int) -> int:
 def in_rows(points: Float[Array, "c d"], scale: Float[Array, ""]) -> Float[Array, "d c"]:
     """Scales points, and lays each coordinate in a row of its own, for `kernel_sum`.
 
-    A product of matrices does it. The compiler does not merge it into the loop along the points, as it would a transposition.
-    The barrier keeps it from making the transposed product of it, which it does in programs for several devices.
+    A product of matrices does it. The compiler does not merge it into the loop along the points, as
+    it would a transposition. The barrier keeps it from making the transposed product of it, which
+    it does in programs for several devices.
     """
     matrix = scale * jnp.eye(points.shape[1], dtype=points.dtype)
     return jax.lax.optimization_barrier(jnp.matmul(matrix, points.T, precision="highest"))
@@ -48,8 +49,9 @@ def kernel_sum(
 ) -> Float[Array, "k c"]:
     """Sums weighted functions at points that `in_rows` laid out; `phi` takes squared distances.
 
-    It computes distances and kernel in one loop along the points, then a product with the weights. The compiler makes vector
-    instructions of the loop only if each coordinate lies in a row of its own.
+    It computes distances and kernel in one loop along the points, then a product with the weights.
+    The compiler makes vector instructions of the loop only if each coordinate lies in a row of its
+    own.
     """
     return few_rows_times(weights, phi(squared_distances(sources, points.T)))
 
@@ -57,7 +59,10 @@ def kernel_sum(
 def symmetric_kernel_sum(
     phi: Callable, sources: Float[Array, "s d"], weights: Float[Array, "k s"]
 ) -> Float[Array, "k s"]:
-    """Sums weighted functions at the sources themselves: each block of the kernel is made once, for it and its mirror image."""
+    """Sums weighted functions at the sources themselves.
+
+    Each block of the kernel is made once, and serves for its mirror image too.
+    """
     count, columns, dimension = len(sources), len(weights), sources.shape[1]
     side = min(SQUARE, count)
     blocks = -(-count // side)
@@ -74,6 +79,6 @@ def symmetric_kernel_sum(
         back = jnp.where(i == j, 0, few_rows_times_transposed(split[:, j], kernel))
         return total.at[:, j].add(there).at[:, i].add(back), None
 
-    pairs = tuple(jnp.asarray(each, jnp.int32) for each in np.triu_indices(blocks))
+    pairs = tuple(jnp.asarray(ids, jnp.int32) for ids in np.triu_indices(blocks))
     total, _ = jax.lax.scan(step, jnp.zeros_like(split), pairs)
     return total.reshape(columns, -1)[:, :count]

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxmorph import Mesh, io, shapes
+from jaxmorph import Mesh, boundary_faces, io, shapes
 
 from ._control import BoxPart, box_part
 from ._options import Options
@@ -81,7 +81,7 @@ def box_parts(
         raise ValueError(f"there is no box {unknown[0]} in the mesh file; {there}.")
     nodes, points = mesh.patch(*moving), np.asarray(mesh.points, float)
     length = options.number("REF_LENGTH", options.text("REF_LENGTH", "1.0"))
-    faces = [ids for name in moving for ids in shapes.wall_faces(mesh, name)] if boxed else []
+    faces = [ids for name in moving for ids in boundary_faces(mesh, name).values()] if boxed else []
     parts, taken = [], np.zeros(len(nodes), bool)
     for box in reversed(boxes):  # of a node in two boxes SU2 has the last one move it
         members = [k for k in boxed if listed[k].box == box.name]

@@ -1,10 +1,10 @@
-"""The tree of nodes in a CGNS file, in HDF5 or in ADF."""
+"""The tree of a CGNS, MED or Exodus file, in HDF5, in ADF or in classic netCDF."""
 
 try:
     import h5py
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 except ImportError as error:
-    raise ImportError("CGNS and MED files need h5py: pip install 'jaxmorph[io]'") from error
+    raise ImportError("CGNS, MED and Exodus files need h5py: pip install 'jaxmorph[io]'") from error
 
 import contextlib
 import pathlib
@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Iterator
 from typing import Any
 
+from .. import _netcdf
 from . import adf
 
 WHAT = "a CGNS file in HDF5 or ADF"
@@ -29,6 +30,9 @@ def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterat
         if adf.is_adf(path):
             with path.open("r+b" if writes else "rb") as file:
                 yield adf.tree(path, file)
+        elif _netcdf.is_classic(path):
+            with path.open("r+b" if writes else "rb") as file:
+                yield _netcdf.tree(file)
         else:
             with h5py.File(path, "r+" if writes else "r") as file:
                 _refuse_foreign_data(path, file)

@@ -1,0 +1,163 @@
+"""What `inspect` finds, in numbers and in sentences."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from .._plan.judge import ends
+from .collisions import Crossings
+from .torn import remedies
+
+STEEP = 0.5
+"""Slope of a displacement along the wall above which a fitted field strains cells more."""
+
+NARROW = 0.2
+"""Share of a gap, left after a motion, below which one step folds cells in it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Inspection:
+    """Findings of `inspect`; lengths are in the mesh's units.
+
+    - `offset`: the largest displacement that the correction has to carry (eq. 5; 0 for a method
+      without one).
+    - `offset_node`: the node with that offset.
+    - `offset_ratio`: the largest ratio of a node's offset to the distance of its nearest mesh node.
+    - `contradictions`: pairs (k, 2) of neighbouring surface nodes that are torn apart, the worst
+      first.
+    - `near`: where the worst pair lies (d,).
+    - `overshoot`: the largest motion of a node off the surface over the largest motion of the
+      surface.
+    - `overshoot_behind`: the overshoot behind a thin body's part that rests while its other side
+      moves (below an airfoil with a bump on its upper side).
+    - `slope`: how steeply the displacement changes along the wall, per length and without its
+      affine part. It is exceeded on 2 % of the edges.
+    - `is_fitted`: whether the coarse field is a `FittedRBF`, as in `prepare`'s default.
+    - `crossings`: where moved walls cross another boundary or themselves; None where `inspect` was
+      given no mesh.
+    - `put_back`: moving nodes (k,) that do not go where `u` sends them, the worst first. Their
+      plane, surface or pair changes the motion by more than a hundredth of the largest motion.
+    - `put_back_by`: the largest change.
+    - `ended`: sliding nodes (k,) that come to the end of their surface.
+    - `ended_at`: where `ended` nodes are after the motion (k, d).
+    - `gap_left`: the smallest share of a gap between walls that is left. It is 1 or more if no gap
+      becomes smaller; None without a mesh, and with only one wall.
+    - `gap_node`: the node at the smallest share.
+    - `largest`: the largest displacement of a moving node.
+    - `reach`: how far from the surface a field of compact support reaches, `CompactRBF`; infinity
+      for other methods.
+    - `torn`: the patches of the worst pair's two nodes, "" for no patch; empty without a mesh or a
+      pair.
+    - `rests` (k,): whether one node of a pair is fixed while the other node moves.
+    - `missed`: what an interpolation from the moving sources misses of the displacement in 3-D,
+      relative to the largest displacement.
+    - `leaves`: leaves of a `KDTree` whose sources miss less than a third of the displacement. None
+      if the plan's sources do already, or if no number does.
+    - `touches` (k,): whether the boundaries of a pair's two nodes have faces in common at the pair.
+      Without a mesh: `rests`.
+    """
+
+    offset: float
+    offset_node: int
+    offset_ratio: float
+    contradictions: np.ndarray
+    near: np.ndarray
+    overshoot: float
+    overshoot_behind: float
+    slope: float
+    is_fitted: bool
+    crossings: Crossings | None = None
+    put_back: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
+    put_back_by: float = 0.0
+    ended: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=int))
+    ended_at: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
+    gap_left: float | None = None
+    gap_node: int | None = None
+    largest: float = 0.0
+    reach: float = math.inf
+    torn: tuple[str, ...] = ()
+    rests: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
+    touches: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
+    missed: float = 0.0
+    leaves: int | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence for each thing that no method moves well."""
+        crossings = (str(self.crossings),) if self.crossings else ()
+        return (*self._contradicting, *crossings, *self._kept, *filter(None, [ends(self.ended, self.ended_at)]))
+
+    @property
+    def _kept(self) -> tuple[str, ...]:
+        if not len(self.put_back):
+            return ()
+        return (
+            f"{len(self.put_back)} moving nodes do not go where `u` sends them, the worst is node {self.put_back[0]}, by "
+            f"{self.put_back_by:.3g}: they stay on their plane or surface, and pairs take the mean. Give a motion that does.",
+        )
+
+    @property
+    def _contradicting(self) -> tuple[str, ...]:
+        if not len(self.contradictions):
+            return ()
+        first, second = self.contradictions[0]
+        place = ", ".join(f"{x:.4g}" for x in self.near)
+        both = " and ".join(repr(name) if name else "no patch" for name in self.torn)
+        return (
+            f"{len(self.contradictions)} pairs of neighbouring surface nodes are torn apart by more than their distance, the worst "
+            f"nodes {first} and {second}{f' of {both}' if both else ''} near ({place}). {remedies(self.rests, self.touches)}",
+        )
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """One sentence for another method, or for more steps, that may do better."""
+        return (*self._narrow, *self._short, *self._unresolved, *self._steep)
+
+    @property
+    def _unresolved(self) -> tuple[str, ...]:
+        if self.leaves is None:
+            return ()
+        return (
+            f"the sources do not resolve the displacement: between them {100 * self.missed:.0f} % of it is missed. Take "
+            f"SurfaceReconstruction(FittedRBF(RBF(reduction=KDTree({self.leaves}, extremes=True)))).",
+        )
+
+    @property
+    def _short(self) -> tuple[str, ...]:
+        if self.reach >= self.largest:
+            return ()
+        return (
+            f"the field ends {self.reach:.2g} from the surface, which moves by {self.largest:.2g}: cells fold between. Take a "
+            "radius of several times the motion, `jm.CompactRBF(radius)`, or a method without one.",
+        )
+
+    @property
+    def _narrow(self) -> tuple[str, ...]:
+        if self.gap_left is None or self.gap_left >= NARROW:
+            return ()
+        return (
+            f"{100 * self.gap_left:.2g} % of the gap between node {self.gap_node} and another wall is left. Go there in several "
+            "steps, each of which leaves half of it or more: `march(plan, path, rebuild=True)`.",
+        )
+
+    @property
+    def _steep(self) -> tuple[str, ...]:
+        if not self.is_fitted or self.slope <= STEEP:
+            return ()
+        return (
+            f"the displacement changes by {self.slope:.2g} per length along the wall. The fitted field keeps grid lines close to "
+            "their angle to the wall, and may cost a quarter of the smallest Jacobian ratio where that is above 0.5. "
+            "SurfaceReconstruction(RBF(reduction=KDTree(64, extremes=True))) does without; `choose` tries both.",
+        )
+
+    def renumbered(self, ids: np.ndarray) -> "Inspection":
+        """Renumbers the inspection for a larger mesh, in which node k is node `ids[k]`."""
+        ids = np.asarray(ids)
+        node, pairs = int(ids[self.offset_node]), ids[self.contradictions]
+        renumbered = {"put_back": ids[self.put_back], "ended": ids[self.ended]}
+        return dataclasses.replace(self, offset_node=node, contradictions=pairs, **renumbered)
+
+    def __str__(self) -> str:
+        """Lists what no method moves well, then what another method may do better."""
+        return "\n".join((*self.warnings, *self.advice)) or "nothing to warn of."

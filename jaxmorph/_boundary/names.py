@@ -1,0 +1,141 @@
+"""What a caller names, checked: points, node ids, patches, planes and slides."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Int
+
+from .._host.package.arguments import real_array, rows_of, shown
+from .._host.package.errors import MeshError
+from .._mesh.mesh import Mesh
+from .outer_faces import outer_faces
+from .slide import Slide
+from .symmetry import Plane, planes_through
+
+USE = 'prepare(mesh, "airfoil", "farfield") with a Mesh, or prepare(points, moving_ids, fixed_ids)'
+
+SMALL = 1e4
+"""Smallest extent of a mesh, relative to the length whose cube is the smallest normal number."""
+
+
+def checked_points(points: Any) -> np.ndarray:
+    """Returns coordinates (n, d) as a NumPy array of float32 or float64. Raises `ValueError` for other values."""
+    if isinstance(points, str | bytes) or points is None:
+        raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
+    array = real_array("points", points, (None, 2), (None, 3))
+    if array.dtype not in (np.float32, np.float64):
+        array = array.astype(np.float64)
+    check_finite(array)
+    dtype = jax.dtypes.canonicalize_dtype(array.dtype)  # the precision of the plan
+    size = np.abs(array).max(axis=1, initial=0)
+    far = np.flatnonzero(size > np.finfo(dtype).max ** (1 / 3))
+    if len(far):
+        raise MeshError(
+            f"{len(far)} of {len(array)} points are too far out for {dtype}, first node {{node}} at {size[far[0]]:.3g}: "
+            "volumes overflow. Choose a larger unit of length.",
+            far,
+        )
+    extent = float(np.ptp(array, axis=0).max(initial=0)) if len(array) else 0.0
+    if 0 < extent < SMALL * float(np.finfo(dtype).tiny) ** (1 / 3):
+        raise ValueError(
+            f"all {len(array)} points lie within {extent:.3g}, too near each other for {dtype}: volumes underflow. "
+            "Choose a smaller unit of length."
+        )
+    return array
+
+
+def check_finite(points: np.ndarray) -> None:
+    """Raises `MeshError` for points (n, d) that are not finite."""
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        raise MeshError(
+            f"{(~finite).sum()} of {len(points)} points are not finite, first node {{node}}.", np.flatnonzero(~finite)
+        )
+
+
+def names_in(values: Any) -> tuple[str, ...] | None:
+    """Lists the names of patches, if `values` is one name or several; None for other values."""
+    if isinstance(values, str):
+        return (values,)
+    is_list = isinstance(values, list | tuple | set | frozenset)
+    return tuple(values) if is_list and values and all(isinstance(name, str) for name in values) else None
+
+
+def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Int[np.ndarray, " k"]:
+    """Lists the nodes of named patches, or the node ids themselves."""
+    names = names_in(values)
+    if names is None:
+        return node_ids(values, name, n)
+    if mesh is None:
+        raise ValueError(
+            f"`{name}` names patches ({', '.join(map(repr, names))}), but points alone have no patches: pass the mesh, "
+            f"prepare(mesh, ...), or node ids, mesh.patch({names[0]!r})."
+        )
+    return mesh.patch(*names).astype(np.int64)
+
+
+def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
+    """Returns node ids as an array. Raises `ValueError` unless `values` are ids of a mesh of `n` points."""
+    if values is None or isinstance(values, Mesh | Plane):
+        raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
+    return rows_of(name, values, n)
+
+
+def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Plane, ...]:
+    """Lists planes, and the planes of patches of a mesh, without repetition."""
+    several = [symmetry] if isinstance(symmetry, Plane | str) else symmetry
+    if not isinstance(several, Sequence | set | frozenset):
+        raise ValueError(f"`symmetry` must be a Plane or several, not {shown(symmetry)}.")
+    planes: list[Plane] = []
+    for entry in several:
+        if isinstance(entry, Plane):
+            of_entry = (entry,)
+        elif isinstance(entry, str) and mesh is not None:
+            of_entry = planes_of(mesh, entry)
+        else:
+            raise ValueError(
+                f"`symmetry` holds {entry!r}, which is no plane: pass jm.Plane(normal=(0, 1), origin=(0, 0)), "
+                "jm.Plane.through(points, nodes), or the name of a patch of the mesh."
+            )
+        planes += [new for new in of_entry if not any(new.equals(plane, points) for plane in planes)]
+    return tuple(planes)
+
+
+def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
+    """Finds the planes in which a patch lies. Raises `ValueError`, with the worst node, if there are none."""
+    points, nodes = np.asarray(mesh.points), mesh.patch(name)
+
+    def faces() -> Iterator[np.ndarray]:
+        outer = outer_faces(mesh)
+        corners = mesh.cells if outer is None else outer.corners  # the cells of a surface mesh are faces
+        yield from map(np.asarray, corners.values())
+
+    return planes_through(points, nodes, faces())
+
+
+def slides(sliding: Any) -> tuple[Slide, ...]:
+    """Lists slides; a name becomes a slide along the patch's own faces. Raises `ValueError` for other values."""
+    if isinstance(sliding, type):
+        raise ValueError(f"`sliding` is the class {sliding.__name__}: call it, sliding=jm.Slide('shroud').")
+    several = [sliding] if isinstance(sliding, Slide | str) else sliding
+    if not isinstance(several, Sequence | set | frozenset):
+        raise ValueError(f"`sliding` must be a Slide or several, jm.Slide('shroud'), not {several!r}.")
+    several = [Slide(slide) if isinstance(slide, str) else slide for slide in several if slide is not None]
+    if not all(isinstance(slide, Slide) for slide in several):
+        raise ValueError(
+            f"`sliding` must be slides such as jm.Slide('shroud', jm.Revolution((1, 0, 0))), not {sliding!r}."
+        )
+    return tuple(several)
+
+
+def check_named_once(sliding: Any, **lists: Any) -> None:
+    """Raises `ValueError` for a patch that is in `sliding` and in another list."""
+    for slide in slides(sliding):
+        for name, values in lists.items():
+            both = set(names_in(slide.patch) or ()) & set(names_in(values) or ())
+            if both:
+                raise ValueError(
+                    f"the patch {min(both)!r} is named in `sliding` and in `{name}`: it would not slide. Remove it from one list."
+                )

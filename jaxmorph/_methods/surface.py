@@ -1,0 +1,163 @@
+"""The surface of a mesh as methods see it on the host."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from .._host.package.rounding import SAME, nearest_of
+from .._host.sources.reduction import AbstractReduction, drop_close, drop_near
+from .._host.surface.skin import chords
+from .._host.surface.walls import walls
+
+T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """The cells of a mesh of n points, and the planes in which nodes slide.
+
+    - `corners`: node ids (k, corners) by type, the cells of highest dimension alone.
+    - `normals` (p, d): unit normals of the symmetry planes, parallel or at right angles to each
+      other.
+    - `on_plane` (n, p): whether a node lies on a plane.
+    """
+
+    corners: Mapping[str, np.ndarray]
+    normals: np.ndarray
+    on_plane: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Surface:
+    """The moving and fixed nodes as `AbstractMethod.connect` sees them, on the host.
+
+    A row of the surface is one of its b nodes.
+
+    - `points` (b, d): coordinates. The first `moving` rows move, all further rows are fixed.
+    - `nodes` (b,): for each row its id among the points of `connect`, -1 for a row that is not
+      among them.
+    - `moving`: the number of moving rows.
+    - `images` (b,): for each row the row of which it is the mirror image, or itself.
+    - `matched`: rows whose displacement vanishes: a coarse field's sources, as its correction sees
+      them.
+    - `faces`: the boundary faces between rows, (k, corners) by type (`line` in 2-D), or None
+      without cells.
+    - `is_open`: whether boundary faces of the mesh are neither moving, fixed nor on a symmetry
+      plane, or None without cells.
+    - `cells`: the mesh's cells and symmetry planes, or None where they are not known: points alone,
+      or a part of a mesh.
+    - `in_planes` (b,): the rows that lie in a symmetry plane and are neither moving nor fixed, or
+      None without any.
+    - `near`: points (k,) near a wall, and the row (k,) of the nearest node, where a method has
+      found them. They make searches fast.
+    - `values`: what was made `once`, by key.
+    """
+
+    points: np.ndarray
+    nodes: np.ndarray
+    moving: int
+    images: np.ndarray
+    matched: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    faces: Mapping[str, np.ndarray] | None = None
+    is_open: bool | None = None
+    cells: Cells | None = None
+    in_planes: np.ndarray | None = None
+    near: tuple[np.ndarray, np.ndarray] | None = None
+    values: dict[Any, Any] = dataclasses.field(default_factory=dict, repr=False)
+
+    @property
+    def walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Finds each row's wall (b,), two ends of each wall (w, 2), and its mean chord (w,)."""
+        return self.once("walls", self._walls)
+
+    def _walls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        wall = walls(self.points, self.moving, self.faces, self.in_planes)
+        return wall, *chords(self.points, wall, self.faces)
+
+    def once(self, key: Any, make: Callable[[], T]) -> T:
+        """Makes a value that depends on the surface alone, once.
+
+        All surfaces that are `altered` from this surface share it.
+
+        `key` names the value, with all that it depends on beside the surface.
+        """
+        if key not in self.values:
+            self.values[key] = make()
+        return self.values[key]
+
+    def altered(self, **fields: Any) -> "Surface":
+        """Returns the surface with other `nodes` or `matched` rows; it shares all made `once`."""
+        return dataclasses.replace(self, **fields)
+
+    def reduced(self, moving: AbstractReduction, fixed: AbstractReduction) -> np.ndarray:
+        """Chooses sources among the moving nodes, then among the fixed ones, with mirror images.
+
+        No two of them are too close.
+        """
+        first, closest = self._chosen(moving, np.arange(self.moving), self.points[self.moving :])
+        rows = np.arange(self.moving, len(self.points))
+        second, closest_fixed = self._chosen(fixed, rows, self.points[first])
+        return np.concatenate([first, drop_near(self.points, second, first, min(closest, closest_fixed))])
+
+    def _chosen(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, float]:
+        """Chooses rows by a reduction, with images; returns also how close two of them may come.
+
+        A source too close to its own image gives way to the nearest node that is not too close, one
+        on the plane if there is any. Two sources that are not too close are farther from each
+        other's images: all nodes lie on one side of a plane.
+        """
+        originals = rows[self.images[rows] == rows]
+        closest = reduction.closest(self.points[originals])
+        chosen = originals[reduction.beside(self.points[originals], others)]
+        far = self._on_far_walls(reduction, originals, others)
+        chosen = drop_close(self.points, np.append(chosen, far), closest) if len(far) else chosen
+        images = np.flatnonzero(self.images != np.arange(len(self.points)))
+        to_image = np.full(len(self.points), np.inf)
+        lengths = np.linalg.norm(np.subtract(*self.points[[images, self.images[images]]]), axis=1)
+        np.minimum.at(to_image, self.images[images], lengths)
+        is_near = to_image <= closest * (1 + SAME)
+        near, free = chosen[is_near[chosen]], originals[~is_near[originals]]
+        if near.size:
+            moved = nearest_of(self.points[near], self.points[free], free) if free.size else near[:0]
+            chosen = drop_close(self.points, np.concatenate([moved, chosen[~is_near[chosen]]]), closest)
+        return rows[np.isin(self.images[rows], chosen)], closest
+
+    def _on_far_walls(self, reduction: AbstractReduction, rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Chooses rows of each wall that is farther from the `others` (s, d) than it is long.
+
+        The reduction then chooses as if there were no others.
+
+        It chooses none where they would be too many, and where the walls are unknown without faces.
+        """
+        chosen = [rows[:0]]
+        if not reduction.most_on_far_walls or self.faces is None or not len(rows):
+            return chosen[0]
+        wall, distance = self.walls[0][rows], KDTree(others).query(self.points[rows])[0]
+        for label in np.unique(wall):
+            members = np.flatnonzero(wall == label)
+            corners = self.points[rows[members]]
+            if distance[members].min() > (1 + SAME) * np.linalg.norm(np.ptp(corners, axis=0)) > 0:
+                chosen.append(rows[members[reduction(corners)]])
+        return np.concatenate(chosen) if sum(map(len, chosen)) <= reduction.most_on_far_walls else chosen[0]
+
+    def among(self, points: np.ndarray) -> tuple["Surface", np.ndarray]:
+        """Returns the surface with all of its rows among the points.
+
+        Mirror images, which are not, are added at the end.
+        """
+        absent = np.flatnonzero(self.nodes < 0)
+        if not absent.size:
+            return self, points
+        nodes = self.nodes.copy()
+        nodes[absent] = len(points) + np.arange(len(absent))
+        return self.altered(nodes=nodes), np.concatenate([points, self.points[absent]])
+
+    def rows(self, n: int) -> np.ndarray:
+        """Finds the surface's row of each of n points; b for a point off the surface."""
+        rows = np.full(n, len(self.points), dtype=np.int32)
+        present = np.flatnonzero(self.nodes >= 0)
+        rows[self.nodes[present]] = present
+        return rows

@@ -1,0 +1,183 @@
+"""Exodus files of Cubit and MOOSE, in netCDF-4 or classic netCDF: a copy with other coordinates, all else untouched."""
+
+import dataclasses
+import pathlib
+import urllib.parse
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxmorph import Mesh
+from jaxmorph._host.cells.topology import DIMENSION
+from jaxmorph._mesh.exchange import PREFIX
+
+from ._format import Arrays, FilePoints, Source, own_source, stamp_of, unchanged_source
+from ._meshio import meshio, to_mesh
+from .cgns.tree import copy, opened
+
+NAME = "Exodus"
+WHAT = "an Exodus file"
+_EDGES = {n: [[i, (i + 1) % n] for i in range(n)] for n in (3, 4)}
+_SHELLS = {n: [list(range(n)), list(range(n)), *_EDGES[n]] for n in (3, 4)}
+TYPES = {
+    ("TRI", 3): ("triangle", _EDGES[3]),
+    ("QUA", 4): ("quad", _EDGES[4]),
+    ("SHE", 3): ("triangle", _SHELLS[3]),
+    ("SHE", 4): ("quad", _SHELLS[4]),
+    ("TET", 4): ("tetra", [[0, 1, 3], [1, 2, 3], [0, 2, 3], [0, 1, 2]]),
+    ("PYR", 5): ("pyramid", [[0, 1, 4], [1, 2, 4], [2, 3, 4], [0, 3, 4], [0, 1, 2, 3]]),
+    ("WED", 6): ("wedge", [[0, 1, 4, 3], [1, 2, 5, 4], [0, 2, 5, 3], [0, 1, 2], [3, 4, 5]]),
+    ("HEX", 8): (
+        "hexahedron",
+        [[0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [0, 3, 7, 4], [0, 1, 2, 3], [4, 5, 6, 7]],
+    ),
+} | {(name, 2): ("line", [[0, 1]] * 2) for name in ("BAR", "BEA", "TRU", "EDG", "ROD", "SHE")}
+TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
+"""Our types by the first letters and the number of nodes of Exodus's, and the corners of each of its sides."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Block:
+    """Elements of one type between `corners`, called `name`, and the corners of each of their sides."""
+
+    name: str
+    kind: str
+    corners: np.ndarray
+    sides: list[list[int]]
+
+
+def read(path: pathlib.Path) -> Mesh:
+    """Reads points, cells and patches: side sets, node sets, and blocks of elements of lower dimension than the mesh.
+
+    Those of one name are one patch. One without a name is called by its kind and number.
+    """
+    path.open("rb").close()
+    with opened(path, what=WHAT) as file:
+        points = np.stack([column.astype(float) for column in _columns(file)], axis=1)
+        _check_count(file, "num_nodes", len(points))
+        blocks = list(_blocks(path, file, points.shape[1]))
+        _check_count(file, "num_elem", sum(len(block.corners) for block in blocks))
+        flags: dict[str, Any] = {}
+        for name, nodes in _sets(file, blocks):
+            if len(nodes) and not 0 <= nodes.min() <= nodes.max() < len(points):
+                raise ValueError(f"{name} has nodes {nodes.min() + 1} to {nodes.max() + 1} of {len(points)}")
+            flag = flags.setdefault(PREFIX + urllib.parse.quote(name), np.zeros(len(points), np.uint8))
+            flag[nodes] = 1
+    content = FilePoints(points, stamp_of(path))
+    mesh = meshio.Mesh(points, [(block.kind, block.corners) for block in blocks], point_data=flags)
+    return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
+
+
+def check(path: pathlib.Path, mesh: Mesh) -> None:
+    """Raises `ValueError` for a mesh that was not read from an Exodus file, or when that file has changed."""
+    unchanged_source(path, mesh, NAME)
+
+
+def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
+    """Writes a copy of the file that the mesh was read from."""
+    source = own_source(path, mesh, NAME)
+    copy(source.path, path, WHAT)
+    points = source.content.in_file(np.asarray(mesh.points))
+    if np.array_equal(points, source.content.points):
+        return
+    with opened(path, writes=True, what=WHAT) as file:
+        if "coord" in file:
+            file["coord"][...] = points.T
+            return
+        for axis, values in enumerate(points.T):
+            if not np.array_equal(values, source.content.points[:, axis]):
+                file[f"coord{'xyz'[axis]}"][...] = values
+
+
+def _columns(file: Mapping[str, Any]) -> list[np.ndarray]:
+    """Reads the coordinates of each direction: arrays of their own, or the rows of one."""
+    names = [name for name in ("coordx", "coordy", "coordz") if name in file]
+    columns = list(file["coord"][()]) if "coord" in file else [file[name][()] for name in names]
+    _check_count(file, "num_dim", len(columns))
+    return columns
+
+
+def _check_count(file: Mapping[str, Any], name: str, count: int) -> None:
+    """Raises `ValueError` where a dimension of the file is not the number of things that were found."""
+    if file[name].shape != (count,):
+        raise ValueError(f"{name} is {file[name].shape[0]}, and {count} are found")
+
+
+def _blocks(path: pathlib.Path, file: Mapping[str, Any], dimension: int) -> Iterator[_Block]:
+    """Yields the blocks of elements. A block that the file has no array of is empty."""
+    numbers, names = _names(file, "eb", file["num_el_blk"].shape[0])
+    if len(numbers) > len(names):
+        raise ValueError(f"{len(numbers)} numbers of blocks, {len(names)} expected")
+    for at, name in enumerate(names, start=1):
+        array = _array(file, "connect", at, "eb")
+        if array is None:
+            continue
+        kind, corners = _text(array.attrs["elem_type"]), array[()].astype(np.int64) - 1
+        width = corners.shape[1] if corners.ndim == 2 else 0
+        if (kind.upper()[:3], width) not in TYPES:
+            size = f" with {width} nodes" if width else ""
+            raise ValueError(f"{path}: elements of type {kind[:40]}{size}; linear ones are read (HEX8, WEDGE6, ...).")
+        ours, sides = TYPES[kind.upper()[:3], width]
+        # triangles of a mesh in space have sides as shells have, quads have not
+        is_shell = ours == "triangle" and dimension == 3
+        yield _Block(name or f"block_{_number(numbers, at)}", ours, corners, _SHELLS[3] if is_shell else sides)
+
+
+def _sets(file: Mapping[str, Any], blocks: list[_Block]) -> Iterator[tuple[str, np.ndarray]]:
+    """Yields the name and the nodes of what patches are made of."""
+    levels = [DIMENSION.get(block.kind, 0) for block in blocks]
+    for block, level in zip(blocks, levels, strict=True):
+        if level < max(levels):
+            yield block.name, np.unique(block.corners)
+    for what, dimension, array in (("ss", "num_side_sets", "elem_ss"), ("ns", "num_node_sets", "node_ns")):
+        numbers, names = _names(file, what, file[dimension].shape[0] if dimension in file else 0)
+        for at, name in enumerate(names, start=1):
+            members = _array(file, array, at, what)
+            rows = np.zeros(0, np.int64) if members is None else members[()].astype(np.int64) - 1
+            if what == "ss" and len(rows):
+                rows = _nodes(blocks, rows, file[f"side_ss{at}"][()].astype(np.int64) - 1)
+            yield name or f"{'sides' if what == 'ss' else 'nodes'}_{_number(numbers, at)}", rows
+
+
+def _array(file: Mapping[str, Any], name: str, at: int, what: str) -> Any:
+    """Finds the array of a block or set, None for one that is empty: its status is 0, where the file says it."""
+    array, status = file.get(f"{name}{at}"), file.get(f"{what}_status")
+    if array is None and status is not None and status[()][at - 1]:
+        raise ValueError(f"there is no {name}{at}")
+    return array
+
+
+def _names(file: Mapping[str, Any], what: str, count: int) -> tuple[np.ndarray, list[str]]:
+    """Reads the numbers and the names of blocks or sets, of which there are `count`."""
+    numbers = file[f"{what}_prop1"][()] if f"{what}_prop1" in file else np.zeros(0, int)
+    names = [_text(row) for row in file[f"{what}_names"][()]] if f"{what}_names" in file else [""] * count
+    if len(names) != count:
+        raise ValueError(f"{len(names)} names in {what}_names, {count} expected")
+    return numbers, names
+
+
+def _number(numbers: np.ndarray, at: int) -> int:
+    return int(numbers[at - 1]) if at <= len(numbers) else at
+
+
+def _nodes(blocks: list[_Block], cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Finds the nodes of sides of cells, which are counted through all blocks."""
+    starts = np.cumsum([0, *(len(block.corners) for block in blocks)])
+    if cells.shape != sides.shape or cells.min() < 0 or cells.max() >= starts[-1]:
+        raise ValueError(f"a set of sides of elements {cells.min() + 1} to {cells.max() + 1} of {starts[-1]}")
+    found = []
+    for block, start in zip(blocks, starts, strict=False):
+        inside = (cells >= start) & (cells < start + len(block.corners))
+        for side in np.unique(sides[inside]):
+            if not 0 <= side < len(block.sides):
+                raise ValueError(f"side {side + 1} of a {block.kind} in a set of sides")
+            found.append(block.corners[cells[inside & (sides == side)] - start][:, block.sides[side]].ravel())
+    return np.unique(np.concatenate(found))
+
+
+def _text(value: Any) -> str:
+    """Reads text from bytes, or from an array of characters that ends with zeros."""
+    if isinstance(value, str):
+        return value
+    return np.asarray(value).tobytes().split(b"\0")[0].decode(errors="replace").strip()

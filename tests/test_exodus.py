@@ -1,0 +1,129 @@
+"""Exodus files in all forms of netCDF: VTK's reader, which has Exodus's own library, is the judge."""
+
+import exodus
+import h5py
+import numpy as np
+import pytest
+from exodus import CELLS, FORMS, of_vtk, solid
+from foam import mixed
+from meshes import bricks
+from plot3d import box
+from plot3d import write as write_plot3d
+
+import jaxmorph as jm
+from jaxmorph import io
+
+
+def rows(places):
+    """Places without their order."""
+    return sorted(set(map(tuple, places.tolist())))
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("is_joined", [False, True])
+def test_blocks_and_sets_are_those_of_vtk(tmp_path, form, is_joined):
+    solid(tmp_path / "a.e", form=form, is_joined=is_joined)
+    mesh = io.read(tmp_path / "a.e")
+    for kind, corners in CELLS.items():
+        np.testing.assert_array_equal(mesh.cells[kind], corners)
+    seen = of_vtk(tmp_path / "a.e")
+    patches = {
+        name: places for (what, name), (places, _) in seen.items() if what != "blocks" or name in ("skin", "tip")
+    }
+    assert set(mesh.patches) == {*patches, "none"}
+    for name, places in patches.items():
+        assert rows(mesh.points[mesh.patch(name)]) == rows(places), name
+    assert len(mesh.patches["none"]) == 0
+    assert int(jm.quality(mesh).inverted) == 0
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(("real", "is_joined"), [("f8", True), ("f4", False)])
+def test_coordinates_alone_change(tmp_path, form, real, is_joined):
+    solid(tmp_path / "a.exo", form=form, real=real, is_joined=is_joined)
+    mesh = io.read(tmp_path / "a.exo")
+    io.write(tmp_path / "same.g", mesh)
+    old = (tmp_path / "a.exo").read_bytes()
+    assert (tmp_path / "same.g").read_bytes() == old
+    moved = mesh.points * np.array([np.pi, 1, 1])
+    io.write(tmp_path / "b.g", mesh.moved(moved))
+    new = (tmp_path / "b.g").read_bytes()
+    assert len(new) == len(old)
+    changed = np.flatnonzero(np.frombuffer(new, np.uint8) != np.frombuffer(old, np.uint8))
+    assert np.ptp(changed) < len(moved) * int(real[1])  # of x alone
+    seen, before = of_vtk(tmp_path / "b.g"), of_vtk(tmp_path / "a.exo")
+    assert seen.keys() == before.keys()
+    for name, (places, corners) in seen.items():
+        then, same = before[name]
+        np.testing.assert_array_equal(corners, same)
+        np.testing.assert_array_equal(places[:, 1:], then[:, 1:])
+    np.testing.assert_array_equal(io.read(tmp_path / "b.g").points, moved.astype(real))
+    for name in ("all hexahedron", "all tetra"):
+        places, corners = seen["blocks", name]
+        np.testing.assert_array_equal(corners, mesh.cells[name[4:]].ravel())
+        np.testing.assert_array_equal(places, moved[corners].astype(real))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_two_dimensions(tmp_path, form):
+    """Beams at the boundary are a patch, and so are sides; sets of one name, or of none."""
+    points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0]], float)
+    blocks = [("q", "quad", [[0, 1, 2, 3]]), ("", "triangle", [[1, 4, 2]]), ("wall", "line", [[0, 1]])]
+    sets = [("wall", [1], [0]), ("", [1, 0], [1, 3])]
+    types = exodus.TYPES | {"quad": "QUAD"}
+    exodus.write(tmp_path / "a.e", points, blocks, sets, [("", [3])], form=form, types=types)
+    mesh = io.read(tmp_path / "a.e")
+    assert {name: nodes.tolist() for name, nodes in mesh.patches.items()} == {
+        "wall": [0, 1, 4],
+        "sides_20": [0, 2, 3, 4],
+        "nodes_10": [3],
+    }
+    io.write(tmp_path / "b.e", mesh.moved(points * 3))
+    np.testing.assert_array_equal(io.read(tmp_path / "b.e").points, points * 3)
+    exodus.write(
+        tmp_path / "c.e", np.pad(points, [(0, 0), (0, 1)], constant_values=7), blocks[:2], form=form, types=types
+    )
+    mesh = io.read(tmp_path / "c.e")
+    np.testing.assert_array_equal(mesh.points, points)
+    np.testing.assert_array_equal(mesh.in_file_order(points * 2)[:, 2], 7)
+
+
+def test_one_ending_two_formats(tmp_path):
+    """`.g` is Exodus's and PLOT3D's: the first bytes of the file decide, for writing the file that the mesh came from."""
+    solid(tmp_path / "a.g")
+    write_plot3d(tmp_path / "b.g", box(3, 2, 4), "plain", "<")
+    for name, format_name in (("a", "Exodus"), ("b", "PLOT3D")):
+        mesh = io.read(tmp_path / f"{name}.g")
+        assert mesh.source.format == format_name
+        io.write(tmp_path / f"{name}2.g", mesh.moved(mesh.points * 2))
+        np.testing.assert_array_equal(io.read(tmp_path / f"{name}2.g").points, mesh.points * 2)
+
+
+def test_what_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="only a mesh that was read from a Exodus file"):
+        io.write(tmp_path / "a.e", bricks(2))
+    (tmp_path / "a.e").write_bytes(b"no file of this kind")
+    with pytest.raises(ValueError, match=r"a\.e: not an Exodus file"):
+        io.read(tmp_path / "a.e")
+    points = mixed()[0]
+    for form in FORMS:
+        exodus.write(tmp_path / "b.e", points, [("", "tetra", [np.arange(10)])], form=form)
+        with pytest.raises(ValueError, match=r"b\.e: elements of type TETRA4 with 10 nodes; linear ones are read"):
+            io.read(tmp_path / "b.e")
+        solid(tmp_path / "c.e", form=form)
+        data = (tmp_path / "c.e").read_bytes()
+        (tmp_path / "c.e").write_bytes(data[: len(data) // 2])
+        with pytest.raises(ValueError, match=r"c\.e: not an Exodus file, or a damaged one"):
+            io.read(tmp_path / "c.e")
+        for sets in ([("s", [4], [0])], [("s", [0], [6])]):
+            exodus.write(tmp_path / "d.e", points, [("", "hexahedron", CELLS["hexahedron"])], sets, form=form)
+            with pytest.raises(ValueError, match=r"side"):
+                io.read(tmp_path / "d.e")
+        exodus.write(tmp_path / "d.e", points, [("", "tetra", [[0, 1, 2, 12]])], form=form)
+        with pytest.raises(ValueError, match=r"d\.e"):
+            io.read(tmp_path / "d.e")
+    solid(tmp_path / "e.e", form="netcdf4")
+    with h5py.File(tmp_path / "e.e", "r+") as file:
+        file["other"] = h5py.ExternalLink("c.e", "/coordx")
+    with pytest.raises(ValueError, match=r"is a link to c\.e"):
+        io.read(tmp_path / "e.e")
