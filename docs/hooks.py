@@ -1,7 +1,7 @@
 """Adds to the pages what the project keeps elsewhere: its documents, its notebooks, the help of its commands, equations.
 
 - README.md, CONTRIBUTING.md, CHANGELOG.md and benchmarks/README.md are pages as they stand.
-- Each notebook is a page with its pictures, as it ran.
+- Each notebook is a page with its pictures, as it ran. The first page ends with a small picture of each.
 - `python docs/hooks.py` writes `pages/commands.md`: what `jaxmorph --help` and the help of each command print.
 - A link of a page to a file of the project leads to the page made from that file. The same link works on a code host.
 - A fenced block `math` becomes MathML, which browsers draw without a script.
@@ -9,6 +9,8 @@
 A link to a file that is not there stops the build.
 """
 
+import base64
+import io
 import os
 import pathlib
 import posixpath
@@ -21,6 +23,7 @@ from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 from nbconvert import MarkdownExporter
+from PIL import Image
 
 ROOT = pathlib.Path(__file__).parents[1]
 DOCUMENTS = {
@@ -46,11 +49,14 @@ def on_config(config):
 
 def on_files(files, config):
     """Adds the generated pages, the pictures, and the table behind the championship."""
+    notebooks = sorted((ROOT / "notebooks").glob("*.ipynb"))
     for file in sorted(file for file in (ROOT / "docs").iterdir() if file.suffix in (".png", ".gif", ".webp", ".csv")):
         files.append(File.generated(config, file.name, abs_src_path=str(file)))
     for document, page in DOCUMENTS.items():
-        files.append(File.generated(config, page, content=linked((ROOT / document).read_text(), document, page)))
-    for file in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        text = linked((ROOT / document).read_text(), document, page)
+        files.append(File.generated(config, page, content=text + gallery(notebooks) if page == "index.md" else text))
+    for file in notebooks:
+        files.append(File.generated(config, f"gallery/{file.stem}.jpg", content=thumbnail(file)))
         for name, content in notebook(file).items():
             files.append(File.generated(config, f"notebooks/{name}", content=content))
     return files
@@ -96,6 +102,34 @@ def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
     body = f"{title}\n\n*`notebooks/{file.name}`, as it ran.*\n{text}"
     body = re.sub(r"!\[(?:png|jpeg|gif)\]", "![Output of the cell above]", body)
     return {f"{file.stem}.md": body} | outputs["outputs"]
+
+
+def gallery(files: list[pathlib.Path]) -> str:
+    """Returns a section with a small picture of each notebook above its title, all leading to its page."""
+    cards = []
+    for file in files:
+        title = nbformat.read(file, as_version=4).cells[0].source.split("\n", 1)[0].lstrip("# ")
+        picture = f'<img src="gallery/{file.stem}.jpg" alt="A picture of the notebook: {title}" loading="lazy">'
+        cards.append(f"<div markdown>\n[{picture}<br>{title}](notebooks/{file.stem}.md)\n</div>")
+    return "\n\n## Notebooks\n\n" + "\n".join(['<div class="gallery" markdown>', *cards, "</div>"]) + "\n"
+
+
+def thumbnail(file: pathlib.Path) -> bytes:
+    """Returns the picture of a notebook that holds most, 400 pixels wide and of at most 40 kB, as JPEG."""
+    outputs = (each for cell in nbformat.read(file, as_version=4).cells for each in cell.get("outputs", []))
+    pictures = [text for each in outputs for kind, text in each.get("data", {}).items() if kind.startswith("image/")]
+    if not pictures:
+        raise PluginError(f"{file.name} has no picture: run it, and save it with its outputs.")
+    with Image.open(io.BytesIO(base64.b64decode(max(pictures, key=len)))) as picture:
+        small = picture.convert("RGB").resize(
+            (400, round(400 * picture.height / picture.width)), Image.Resampling.LANCZOS
+        )
+    for quality in (85, 70, 50, 30):
+        content = io.BytesIO()
+        small.save(content, "JPEG", quality=quality, optimize=True)
+        if content.tell() < 40_000:
+            break
+    return content.getvalue()
 
 
 def commands() -> str:

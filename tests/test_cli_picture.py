@@ -10,10 +10,11 @@ matplotlib.use("Agg")
 import numpy as np
 import pytest
 from meshes import bricks, write_ring
+from meshes import ring as ring_mesh
 from PIL import Image
 
 import jaxmorph as jm
-from jaxmorph import io
+from jaxmorph import io, plot
 from jaxmorph.cli import main
 
 
@@ -42,8 +43,8 @@ def test_in_2d_before_and_after_side_by_side(here, capsys):
     assert ring("--rotate", "20", "--picture", "ring.png", "--save-job", "job.toml") == 0
     assert "picture  ring.png\n" in capsys.readouterr().out
     picture = np.asarray(Image.open("ring.png").convert("RGB")).astype(int)
-    assert picture.shape == (1140, 1920, 3)
-    halves = picture[:900, :960], picture[:900, 960:]
+    height, width, _ = picture.shape
+    halves = picture[: int(0.8 * height), : width // 2], picture[: int(0.8 * height), width // 2 :]
     body = [196, 202, 211]
     hollow = [(half == body).all(axis=2).sum() for half in halves]
     assert min(hollow) > 20_000  # the wall's inside
@@ -63,6 +64,22 @@ def test_in_3d_a_page_or_a_picture(here):
     blue = (picture[..., 2] - picture[..., 0] > 60).sum()
     orange = (picture[..., 0] - picture[..., 2] > 60).sum()
     assert min(blue, orange) > 10_000
+
+
+@pytest.mark.parametrize("lift", [0.0, 0.1])
+def test_a_mesh_one_cell_wide_is_drawn_in_2d(tmp_path, lift):
+    """Unless it moves out of its plane. Its numbers are those of the 2-D mesh that it was made of."""
+    flat = ring_mesh()
+    n, moved = len(flat.points), np.array(flat.points)
+    moved[flat.patch("wall")] += [0.1, 0.05]
+    slab = np.concatenate([np.insert(flat.points, 1, y, axis=1) for y in (0, 0.2)])
+    after = np.concatenate([np.insert(moved, 1, y + lift * (moved[:, 0] > 0), axis=1) for y in (0, 0.2)])
+    cells = np.concatenate([flat.cells["quad"] + n, flat.cells["quad"]], axis=1)
+    mesh = jm.Mesh(slab, {"hexahedron": cells}, {"wall": np.append(flat.patch("wall"), flat.patch("wall") + n)})
+    plot.picture(tmp_path / "slab.png", mesh, after, moving=mesh.patch("wall"))
+    plot.picture(tmp_path / "flat.png", flat, moved, moving=flat.patch("wall"))
+    pictures = [np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("slab", "flat")]
+    assert np.array_equal(*pictures) == (lift == 0)
 
 
 def test_a_bad_mesh_is_drawn_though_not_written(here, capsys):

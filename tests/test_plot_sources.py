@@ -145,8 +145,9 @@ def test_errors_on_the_surface_are_those_of_scipy():
     np.testing.assert_array_equal(mean.get_ydata(), found.mean[np.argsort(found.sources)])
     assert [text.get_text() for text in axis.get_legend().get_texts()] == ["k-d tree, largest", "k-d tree, mean"]
     axis.figure.canvas.draw()
-    ticks = {label.get_text() for label in axis.get_xticklabels()}
-    assert ticks == {str(number) for number in found.sources}
+    ticks = [int(label.get_text()) for label in axis.get_xticklabels()]
+    assert len(ticks) >= 2
+    assert all(tick in [factor * 10**power for power in range(4) for factor in (1, 2, 5)] for tick in ticks)
     (bottom, top), ticks = axis.get_ylim(), axis.get_yticks()
     assert ((ticks >= bottom) & (ticks <= top)).sum() >= 2
 

@@ -11,6 +11,7 @@ from jaxmorph import plot  # before matplotlib: it says what to install
 
 # isort: split
 import matplotlib
+import pyvista
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -74,7 +75,9 @@ def cut(path: pathlib.Path, mesh: jm.Mesh, outcomes: Sequence["Outcome"], motion
             titles = outcome.study.name, f"smallest V/V0 of all cells {float(report.min_volume_ratio):.2f}"
             camera = _across(mesh, outcome.points)
             for axis, shown, (limits, _), title in zip(column, values, kinds, titles, strict=True):
-                plotter = plot.cut(mesh, outcome.points, plane=plane, values=shown, limits=limits, bar=False)
+                window = pyvista.Plotter(off_screen=True)  # one that is given shows all that is cut
+                drawn = {"values": shown, "limits": limits, "bar": False, "plotter": window}
+                plotter = plot.cut(mesh, outcome.points, plane=plane, **drawn)
                 _show(axis, plotter, camera, HALF_CUT, title)
         for row, (limits, label) in zip(axes, kinds, strict=True):
             _bar(figure, row, limits, label)

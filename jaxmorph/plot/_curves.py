@@ -13,9 +13,9 @@ from jaxmorph._plan.prepare import boundary_of, plan_of
 from jaxmorph._quality.report import MEASURES
 from jaxmorph.shapes import History
 
-from ._plane import Axes, given_or_new
+from ._cells import Axes, given_or_new
 from ._sources import of_plan, radial_basis_functions
-from ._style import BLUE, DARK, GREEN, GREY, ORANGE
+from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE
 
 
 @checked
@@ -141,14 +141,14 @@ def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | Non
         order, style = np.argsort(each.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
         ax.loglog(each.sources[order], each.largest[order], "-", label=f"{name}, largest", **style)
         ax.loglog(each.sources[order], each.mean[order], "--", label=f"{name}, mean", fillstyle="none", **style)
-    ticks = _apart(np.concatenate([each.sources for each in errors.values()]))
+    ticks = _round_numbers(np.concatenate([each.sources for each in errors.values()]))
     ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
     ax.set_xticks([], minor=True)
     low, high = np.log10(ax.get_ylim())
     ax.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))  # whole decades: a tick at each
     ax.set_xlabel("sources")
     ax.set_ylabel("error on the surface /\nlargest displacement")
-    ax.grid(color="#dddddd")
+    ax.grid(color=RULE)
     ax.set_axisbelow(True)
     ax.legend()
     return ax
@@ -167,16 +167,17 @@ def _iterations(history: History, ax: Axes | None) -> Axes:
         else:  # of several the one nearest to its bound
             ax.plot(steps, column.min(axis=1), ".-", label=f"smallest of {name}")
     ax.set_xlabel("iteration")
-    ax.grid(color="#dddddd")
+    ax.locator_params("x", integer=True)
+    ax.grid(color=RULE)
     ax.set_axisbelow(True)
     ax.legend()
     return ax
 
 
-def _apart(numbers: Int[np.ndarray, " k"]) -> list[int]:
-    """Returns numbers of sources far enough apart on a logarithmic scale that their labels do not touch, the smallest first."""
-    kept: list[int] = []
-    for number in np.unique(numbers).tolist():
-        if not kept or number >= 1.2 * kept[-1]:
-            kept.append(number)
-    return kept
+def _round_numbers(numbers: Int[np.ndarray, " k"]) -> list[int]:
+    """Returns 1, 2 and 5 times powers of ten among numbers; one more at each end where there are fewer than two."""
+    rounded = np.array([factor * 10**power for power in range(10) for factor in (1, 2, 5)])
+    first, last = np.searchsorted(rounded, numbers.min()), np.searchsorted(rounded, numbers.max(), side="right")
+    if last - first < 2:
+        first, last = max(first - 1, 0), last + 1
+    return rounded[first:last].tolist()

@@ -13,8 +13,8 @@ from jaxtyping import Float, UInt8
 from jaxmorph._host.package.arguments import checked, finite_array, whole
 from jaxmorph._host.package.files import complete, output_path
 
-from ._plane import Axes, plt
-from ._space import WINDOW, box, kept, set_view, view_of, whole_view
+from ._cells import Axes, plt
+from ._view import content, fitted_window, margins, set_view, view_of, whole_view
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -93,17 +93,22 @@ def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
         return first.get_xlim(), first.get_ylim()
     if not hasattr(first, "screenshot"):
         raise ValueError(f"`draw` should return the axes or the plotter that it drew on, not {type(first).__name__}.")
-    view, windows = view_of(first), (WINDOW, first.window_size)
-    if not any(np.allclose(view, whole_view(box(first), window, kept=kept(first))) for window in windows):
-        return view, first.camera.parallel_projection  # `draw` placed the camera
+    view, window = view_of(first), first.window_size
+    viewer, fitted = view[:3] - view[3:6], fitted_window(first, content(first), view[:3] - view[3:6])
+    if not any(
+        np.allclose(view, whole_view(content(first), size, viewer, margins(first))) for size in (fitted, window)
+    ):
+        return view, first.camera.parallel_projection, window  # `draw` placed the camera
     away = np.stack([points - frames[0] for points in frames])
     farthest = {*away.max(axis=1).argmax(axis=0).tolist(), *away.min(axis=1).argmin(axis=0).tolist()} - {0}
-    shown = [mesh.points for mesh in first.meshes]
+    shown = [content(first)]
     for k in farthest:
         other = draw(frames[k])
-        shown += [mesh.points for mesh in other.meshes]
+        shown.append(content(other))
         other.close()
-    return whole_view(np.concatenate(shown), first.window_size, kept=kept(first)), True
+    every = np.concatenate(shown)
+    window = fitted_window(first, every, viewer) if tuple(window) == fitted else window
+    return whole_view(every, window, viewer, margins(first)), True, window
 
 
 def _picture(drawn: Any, view: Any) -> Picture:
@@ -114,7 +119,8 @@ def _picture(drawn: Any, view: Any) -> Picture:
         pixels = np.asarray(drawn.figure.canvas.buffer_rgba())[..., :3].copy()  # pyright: ignore[reportAttributeAccessIssue]
         plt.close(drawn.get_figure(root=True))
         return pixels
-    set_view(drawn, *view)
+    *camera, drawn.window_size = view
+    set_view(drawn, *camera)
     pixels = np.asarray(drawn.screenshot(return_img=True))[..., :3].copy()
     drawn.close()
     return pixels

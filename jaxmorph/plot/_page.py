@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float, UInt32
 
 import jaxmorph as jm
-from jaxmorph._host.cells.topology import CORNERS, VTK
 from jaxmorph._host.package.arguments import checked
 from jaxmorph._host.package.files import complete, output_path
 
-from ._plane import plt
-from ._space import outside, view_axes
+from ._cells import plt
+from ._space import corners_of, outside
 from ._style import COLOURS, DARK, DISPLACEMENT, Limits, Values, colour_scale
+from ._view import view_axes
 
 SLIDER = """
 const panel = document.createElement("form");
@@ -123,17 +123,19 @@ class _Surface:
 
     @staticmethod
     def outside_of(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> "_Surface":
-        faces = outside(mesh, points, values, patch).cast_to_unstructured_grid()
+        faces = outside(mesh, points, values, patch)
         ids = np.asarray(faces.point_data["node"])
         before, after = (np.asarray(each, dtype=float)[ids] for each in (mesh.points, points))
         middle = (after.min(axis=0) + after.max(axis=0)) / 2
         triangles, edges, owners = [], [], []
-        for name, split in (("triangle", [[0, 1, 2]]), ("quad", [[0, 1, 2], [0, 2, 3]])):
-            kind = VTK[name]
-            corners = faces.cells_dict.get(kind, np.zeros((0, CORNERS[name]), int))
-            triangles.append(corners[:, split].reshape(-1, 3))
+        labels, starts = corners_of(faces)
+        for size in np.unique(np.diff(starts)).tolist():
+            rows = np.flatnonzero(np.diff(starts) == size)
+            corners = labels[starts[rows, None] + np.arange(size)]
+            fan = np.array([[0, k, k + 1] for k in range(1, size - 1)])
+            triangles.append(corners[:, fan].reshape(-1, 3))
             edges.append(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2))
-            owners.append(np.repeat(np.flatnonzero(faces.celltypes == kind), len(split)))
+            owners.append(np.repeat(rows, size - 2))
         return _Surface(
             (before - middle).astype(np.float32),
             (after - middle).astype(np.float32),

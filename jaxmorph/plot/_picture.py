@@ -30,6 +30,8 @@ def picture(
 ) -> None:
     """Writes a picture of a mesh before and after: in 2-D the skewness near the moving nodes, in 3-D their surface.
 
+    A mesh in 3-D that is one cell wide, and moves in its plane, is drawn as one in 2-D.
+
     **Arguments:**
 
     - `path`: a .png; in 3-D also .html, a page to turn and deform the surface.
@@ -43,6 +45,11 @@ def picture(
     finite(points)
     d, moving = before.points.shape[1], rows_of("moving", moving, len(before.points))
     path = output_path(path, *((".png",) if d == 2 else (".png", ".html")))
+    flat = None if d == 2 or path.suffix.lower() != ".png" else _in_plane(before, np.asarray(points))
+    if flat is not None:
+        d, reports = 2, None
+        before, points, nodes = flat
+        moving = np.flatnonzero(np.isin(nodes, moving))
     if d == 2:
         content = _in_2d(before, np.asarray(points), moving, reports or _reports(before, points))
     else:
@@ -74,16 +81,15 @@ def _in_2d(before: jm.Mesh, points: Float[np.ndarray, "n 2"], moving: np.ndarray
     states = np.asarray(before.points), points
     window = _window(np.concatenate([state[moving] for state in states]))
     width, height = (side[1] - side[0] for side in window)
-    figure = Figure(figsize=(12.8, 1.6 + 6 * min(height / width, 1.5)), dpi=150, layout="constrained")
-    axes = figure.subplots(1, 2)
+    figure = Figure(figsize=(8, 1.5 + 3.6 * min(height / width, 1.5)), dpi=200, layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
     largest = max(float(report.max_skewness) for report in reports)
     for axis, state, report, title in zip(axes, states, reports, ("undeformed", "deformed"), strict=True):
         colours: dict[str, Any] = {"values": report.skewness, "limits": (0, largest or 1)}
         mesh(before, state, **colours, window=window, bar=False, ax=axis)
-        axis.set_title(f"{title}: largest skewness {float(report.max_skewness):.3g}", fontsize=15)
-    figure.colorbar(axes[0].collections[0], ax=axes, location="bottom", aspect=50, pad=0.02).set_label(
-        "skewness", fontsize=13
-    )
+        axis.set_title(f"{title}: largest skewness {float(report.max_skewness):.3g}")
+        axis.label_outer()
+    figure.colorbar(axes[0].collections[0], ax=axes, location="bottom", aspect=50, label="skewness")
     file = io.BytesIO()
     figure.savefig(file, format="png")
     return file.getvalue()
@@ -94,3 +100,41 @@ def _window(points: Float[np.ndarray, "k 2"]) -> Window:
     room = ROOM * (high - low).max()
     (left, bottom), (right, top) = (low - room).tolist(), (high + room).tolist()
     return (left, right), (bottom, top)
+
+
+def _in_plane(before: jm.Mesh, points: Float[np.ndarray, "n 3"]) -> tuple[jm.Mesh, np.ndarray, np.ndarray] | None:
+    """Returns a 3-D mesh one cell wide, which moves in its plane, as the 2-D mesh of one of its sides; None for another mesh.
+
+    With it come the moved points in 2-D, and the ids of the nodes on this side.
+    """
+    base = np.asarray(before.points)
+    low, size = base.min(axis=0), np.ptp(base, axis=0)
+    near = 1e-6 * size.max()
+    thin = [
+        axis
+        for axis in np.argsort(size, kind="stable").tolist()
+        if _is_layer(base[:, axis] - low[axis], size[axis], near)
+    ]
+    if not thin or np.abs(points - base)[:, thin[0]].max() > near:
+        return None
+    side = base[:, thin[0]] < low[thin[0]] + near
+    faces = {kind: ids[side[ids].all(axis=1)] for kind, ids in jm.boundary_faces(before).items()}
+    nodes = np.unique(np.concatenate([ids.ravel() for ids in faces.values()]))
+    flat = np.delete(base, thin[0], axis=1)
+    cells = {kind: _counterclockwise(flat, ids) for kind, ids in faces.items() if len(ids)}
+    number = np.zeros(len(base), int)
+    number[nodes] = np.arange(len(nodes))
+    return (
+        jm.Mesh(flat[nodes], {kind: number[ids] for kind, ids in cells.items()}),
+        np.delete(points, thin[0], axis=1)[nodes],
+        nodes,
+    )
+
+
+def _is_layer(height: np.ndarray, size: float, near: float) -> bool:
+    return bool(size > near and ((height < near) | (height > size - near)).all())
+
+
+def _counterclockwise(points: Float[np.ndarray, "n 2"], ids: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "k c"]:
+    (a, b), (c, d) = ((points[ids[:, k]] - points[ids[:, 0]]).T for k in (1, 2))
+    return np.where((a * d - b * c < 0)[:, None], ids[:, ::-1], ids)

@@ -10,9 +10,10 @@ from jaxtyping import Float
 import jaxmorph as jm
 
 from .._host.package.arguments import checked
-from ._plane import Axes, Window, flat, given_or_new, show
-from ._space import add_legend, aim, new_plotter, pyvista
-from ._style import BLUE, DARK, GREEN, GREY, ORANGE, finite
+from ._cells import Axes, Window, given_or_new, show
+from ._plane import ROOM, flat, whole
+from ._style import BLUE, GREEN, GREY, ORANGE, finite
+from ._view import add_legend, aim, new_plotter, pyvista
 
 
 @checked
@@ -42,7 +43,11 @@ def sources(
     `reduction` and for a plan with one.
     """
     picture = _picture(surface, reduction, fixed, dimension=2)
-    ax = given_or_new(ax)
+    drawn = np.concatenate([picture.nodes, picture.boxes.reshape(-1, 2)])
+    if window is None:
+        room = ROOM / 10 * np.ptp(drawn, axis=0).max()
+        window = whole(np.concatenate([drawn - room, drawn + room]))
+    ax = show(given_or_new(ax, window, above=0.35), window)
     if picture.leaves:
         outline = picture.boxes[:, [0, 1, 1, 0, 0], 0], picture.boxes[:, [0, 0, 1, 1, 0], 1]
         ax.plot(*(side.T for side in outline), color=GREEN, linewidth=1.2)
@@ -52,12 +57,8 @@ def sources(
     if search_points and picture.leaves:
         style = {"color": BLUE, "markersize": 7, "markeredgewidth": 1.5, "zorder": 4}
         ax.plot(*picture.searched.T, "+", label=f"{len(picture.searched)} search points", **style)
-    ax.margins(0.05, 0.1)
-    if window is None:
-        ax.set_aspect("equal")
-    else:
-        show(ax, window)
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.02), ncols=4 if len(ax.figure.axes) == 1 else 3, frameon=False)
+    tight: dict[str, Any] = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 1.0, "frameon": False}
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4 if len(ax.figure.axes) == 1 else 3, **tight)
     return ax
 
 
@@ -70,7 +71,7 @@ def sources_3d(
     search_points: bool = False,
     plotter: Any = None,
 ) -> Any:
-    """Draws the sources of a surface in 3-D: nodes as dark points, sources as orange spheres, each box by its twelve edges.
+    """Draws the sources of a surface in 3-D: nodes as grey points, sources as orange spheres, each box by its twelve edges.
 
     **Arguments:**
 
@@ -83,16 +84,16 @@ def sources_3d(
     """
     picture = _picture(surface, reduction, fixed, dimension=3)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    legend = [[f"{len(picture.nodes)} nodes", DARK], [f"{len(picture.sources)} sources", ORANGE]]
+    legend = [(f"{len(picture.nodes)} nodes", GREY), (f"{len(picture.sources)} sources", ORANGE)]
     balls = {"render_points_as_spheres": True, "lighting": False}
-    plotter.add_points(picture.nodes, color=DARK, point_size=4, **balls)
-    plotter.add_points(picture.sources, color=ORANGE, point_size=14, **balls)
+    plotter.add_points(picture.nodes, color=GREY, point_size=5, **balls)
+    plotter.add_points(picture.sources, color=ORANGE, point_size=22, **balls)
     if picture.leaves:
-        plotter.add_mesh(_wires(picture.boxes), color=GREEN, line_width=2.5, lighting=False)
-        legend.append([f"{picture.leaves} leaves", GREEN])
+        plotter.add_mesh(_wires(picture.boxes), color=GREEN, line_width=1.5, lighting=False)
+        legend.append((f"{picture.leaves} leaves", GREEN))
         if search_points:
-            plotter.add_points(picture.searched, color=BLUE, point_size=8, **balls)
-            legend.append([f"{len(picture.searched)} search points", BLUE])
+            plotter.add_points(picture.searched, color=BLUE, point_size=12, **balls)
+            legend.append((f"{len(picture.searched)} search points", BLUE))
     add_legend(plotter, legend)
     if new:
         aim(plotter)

@@ -1,6 +1,5 @@
 """Pictures in 3-D, with pyvista, off screen."""
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,26 +7,31 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxmorph as jm
-from jaxmorph._host.cells.pieces import owners
 from jaxmorph._host.cells.topology import VTK
 from jaxmorph._host.package.arguments import checked
 
-from ._style import BLUE, DARK, GREY, ORANGE, Limits, Values, cell_values, colour_scale, finite
+from ._cells import plt
+from ._plane import ROOM
+from ._style import (
+    BLUE,
+    DARK,
+    GREY,
+    ORANGE,
+    STILL,
+    Limits,
+    Values,
+    beyond,
+    bodies,
+    cell_values,
+    colour_scale,
+    finite,
+    usual_limits,
+    whole_of,
+)
+from ._view import VIEWER, add_bar, add_legend, aim, new_plotter, pyvista, view_axes
 
-VIEWER = -1.0, -2.5, 1.8
-"""The direction towards the viewer: x to the right, y away, z up."""
-
-MARGIN = 1.15
-"""Height and width of a picture, relative to the height and width of its content."""
-
-BAR = 0.16
-"""Share of the width, at the right, that is kept for a colour bar."""
-
-SEEN_THROUGH = 0.55
-"""Opacity of surfaces that are drawn over each other."""
-
-WINDOW = 1600, 900
-"""Pixels of a picture."""
+LIT = {"ambient": 0.4, "diffuse": 0.7}
+LINES = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.6, "line_width": 0.5}
 
 
 @checked
@@ -63,7 +67,7 @@ def surface(
 def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None) -> Any:
     """Draws the undeformed outside of a 3-D mesh, or of a patch, in orange, and the deformed one in blue (figure 7a of the paper).
 
-    Both are translucent, so that each is seen through the other.
+    Both are translucent, so that each is seen through the other. Faces that hardly move are grey, and drawn once.
 
     **Arguments:**
 
@@ -73,17 +77,23 @@ def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | No
 
     **Raises:** `ValueError` as `surface` does.
     """
-    before, after = outside(mesh, None, None, patch), outside(mesh, points, None, patch)
+    before, after = (outside(mesh, state, None, patch) for state in (None, points))
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    light = {"ambient": 0.4, "diffuse": 0.7, "show_edges": True, "edge_opacity": 0.5, "line_width": 0.5}
-    plotter.add_mesh(before, color=ORANGE, opacity=SEEN_THROUGH, label="undeformed", edge_color=DARK, **light)
-    plotter.add_mesh(after, color=BLUE, opacity=SEEN_THROUGH, label="deformed", edge_color=DARK, **light)
-    plotter.disable_anti_aliasing()  # with samples for each pixel, VTK draws nothing of what it peels
+    moved = np.linalg.norm(after.points - before.points, axis=1)
+    is_still = np.ones(after.n_cells, bool)
+    is_still[after.extract_points(moved > STILL * moved.max())["vtkOriginalCellIds"]] = False
     plotter.enable_depth_peeling(number_of_peels=8)
-    plotter.enable_anti_aliasing("ssaa")
-    add_legend(plotter, [["undeformed", ORANGE], ["deformed", BLUE]])
+    parts = (
+        (after.extract_cells(is_still), GREY, 1.0, "in place"),
+        (before.extract_cells(~is_still), ORANGE, 0.35, "undeformed"),
+        (after.extract_cells(~is_still), BLUE, 0.65, "deformed"),
+    )
+    parts = [part for part in parts if part[0].n_cells]
+    for faces, colour, opacity, _ in parts:
+        plotter.add_mesh(faces, color=colour, opacity=opacity, **LIT, **LINES | {"show_edges": colour != ORANGE})
+    add_legend(plotter, [(name, colour) for _, colour, _, name in parts])
     if new:
-        aim(plotter)
+        aim(plotter, _viewer(after))
     return plotter
 
 
@@ -99,47 +109,116 @@ def cut(
     bar: bool = True,
     plotter: Any = None,
 ) -> Any:
-    """Draws the cells of a 3-D mesh where a plane cuts them, seen along its normal.
+    """Draws the cells of a 3-D mesh where a plane cuts them, seen along its normal; polyhedra whole, walls in a stronger line.
 
     **Arguments:**
 
-    - `plane`: a `Plane`.
-    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: those of `surface`.
+    - `plane`: a `Plane`. Where it meets a body the picture is of the body and some room round it, else of all that is cut.
+    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: those of `surface`. A plotter that is given shows all.
 
     **Returns:** the plotter, or a new one, off screen.
 
     **Raises:** `ValueError` as `surface` does.
     """
-    normal, origin = (np.asarray(vector, dtype=float).tolist() for vector in (plane.normal, plane.origin))
-    section = _grid(mesh, points, values).slice(normal=normal, origin=origin)
-    drawn = _draw(section, limits, label, bar, plotter, lighting=False)
+    normal, origin = (np.asarray(vector, dtype=float) for vector in (plane.normal, plane.origin))
+    viewer = normal * (-1 if np.dot(normal, VIEWER) < 0 else 1)
+    grid = _grid(mesh, points, values)
+    grid.cell_data["whole"] = whole_of(mesh)
+    body = np.asarray(grid.points)[bodies(np.asarray(mesh.points), mesh.patches)]
+    away = (body - origin) @ normal
+    is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
+    near = body[np.abs(away) <= np.quantile(np.abs(away), 0.1)] if is_met else None
+    section, walls = (
+        _cropped(part.slice(normal=normal.tolist(), origin=origin.tolist()), near, view_axes(viewer)[1:])
+        for part in (grid, outside(mesh, points, None, None))
+    )
+    drawn = _draw(section, limits, label, bar, plotter, lighting=False, show_edges=False)
+    before = (
+        1e-3 * section.length * view_axes(viewer)[0]
+    )  # lines in front of the cells, which would cover a part of them
+    for lines, width in ((_outlines(section), 1), (walls, 3.5)):
+        if lines.n_cells:
+            drawn.add_mesh(lines.translate(before), color=DARK, line_width=width, lighting=False)
     if plotter is None:
-        aim(drawn, np.array(normal) * (-1 if np.dot(normal, VIEWER) < 0 else 1))
+        aim(drawn, viewer)
     return drawn
+
+
+def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) -> Any:
+    """Crops a section to a body and some room round it; without a body it stays whole."""
+    if body is None:
+        return section
+    room = ROOM * max(np.ptp(body @ axis) for axis in axes)
+    for axis in (*axes, *(-axis for axis in axes)):
+        section = section.clip(normal=axis, origin=axis * ((body @ axis).max() + room))
+    return section
+
+
+def _outlines(section: Any) -> Any:
+    """Returns the edges of the cells of a section for pyvista, but those that a cell has twice: between two pieces of it."""
+    labels, starts = corners_of(section)
+    after = np.roll(labels, -1)
+    after[starts[1:] - 1] = labels[starts[:-1]]
+    owner = np.repeat(section.cell_data["whole"], np.diff(starts))
+    pairs = np.column_stack([np.minimum(labels, after), np.maximum(labels, after), owner])
+    edges, counts = np.unique(pairs, axis=0, return_counts=True)
+    edges = np.unique(edges[counts == 1, :2], axis=0)
+    return pyvista().PolyData(section.points, lines=np.insert(edges, 0, 2, axis=1).ravel())
+
+
+def corners_of(faces: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the corners of pyvista's faces in a row, and where each face begins (one more at the end)."""
+    cells = faces.cast_to_unstructured_grid().GetCells()
+    labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
+    return labels, starts
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
     """Returns the outer faces, or the faces of a patch, for pyvista; `node` is the id of each point.
 
-    VTK's own filter does it: pyvista has called it by several names. `ValueError` where there are none.
+    Faces of polyhedra are whole. `ValueError` where there are none.
     """
-    from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
-
     on_patch = None if patch is None else mesh.patch(patch)
-    boundary = vtkGeometryFilter()
-    boundary.SetInputData(_grid(mesh, points, values))
-    boundary.PassThroughPointIdsOn()
-    boundary.Update()
-    faces = pyvista().wrap(boundary.GetOutput())
-    faces.point_data["node"] = np.asarray(
-        faces.point_data["vtkOriginalPointIds"]
-    )  # a name that the next filter takes again
+    grid = _grid(mesh, points, values)
+    faces = _skin(grid) if mesh.polyhedra is None else _polygons(mesh, grid)
     if on_patch is not None:
-        chosen = np.isin(faces.point_data["node"], on_patch)
-        faces = faces.extract_points(chosen, adjacent_cells=False)
+        faces = faces.extract_points(np.isin(faces.point_data["node"], on_patch), adjacent_cells=False)
     if faces.n_cells == 0:
         owner = "the mesh" if patch is None else f"patch {patch!r}"
         raise ValueError(f"there is nothing to draw: no face of the outside has all its nodes in {owner}.")
+    return faces
+
+
+def _skin(grid: Any) -> Any:
+    """Returns the outer faces by VTK's own filter: pyvista has called it by several names."""
+    from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
+
+    boundary = vtkGeometryFilter()
+    boundary.SetInputData(grid)
+    boundary.PassThroughPointIdsOn()
+    boundary.Update()
+    faces = pyvista().wrap(boundary.GetOutput())
+    # a name that the next filter takes again
+    faces.point_data["node"] = np.asarray(faces.point_data["vtkOriginalPointIds"])
+    return faces
+
+
+def _polygons(mesh: jm.Mesh, grid: Any) -> Any:
+    """Returns the outer faces of polyhedra as the file has them, each with the mean value of its cell's pieces."""
+    assert mesh.polyhedra is not None
+    whole = mesh.polyhedra.faces
+    outer = np.flatnonzero(np.append(whole.neighbour, np.full(len(whole.owner) - len(whole.neighbour), -1)) < 0)
+    nodes, corners = np.unique(np.concatenate([whole.nodes(k, k + 1) for k in outer.tolist()]), return_inverse=True)
+    sizes = whole.sizes[outer]
+    faces = pyvista().PolyData(
+        np.asarray(grid.points)[nodes], np.insert(corners.ravel(), np.cumsum(sizes) - sizes, sizes)
+    )
+    faces.point_data["node"] = nodes
+    if "values" in grid.cell_data:
+        cells = np.asarray(mesh.cell_ids)
+        faces.cell_data["values"] = (np.bincount(cells, grid.cell_data["values"]) / np.bincount(cells))[
+            whole.owner[outer]
+        ]
     return faces
 
 
@@ -151,12 +230,20 @@ def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     pieces = {VTK[kind]: np.asarray(ids) for kind, ids in mesh.linear.cells.items()}
     grid = pyvista().UnstructuredGrid(pieces, points)
     if values is not None:
-        rows = owners(mesh.cells)
-        grid.cell_data["values"] = cell_values(mesh, values)[np.concatenate([rows[kind] for kind in sorted(rows)])]
+        grid.cell_data["values"] = cell_values(mesh, values)
     return grid
 
 
-def _draw(part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *, lighting: bool = True) -> Any:
+def _draw(
+    part: Any,
+    limits: Any,
+    label: str | None,
+    bar: bool,
+    plotter: Any,
+    *,
+    lighting: bool = True,
+    show_edges: bool = True,
+) -> Any:
     """Draws faces, with colours and a bar where they have values."""
     if part.n_cells == 0:
         raise ValueError("there is nothing to draw: the plane cuts no cell.")
@@ -165,94 +252,38 @@ def _draw(part: Any, limits: Any, label: str | None, bar: bool, plotter: Any, *,
         raise ValueError(f"there are no `values` that are {label!r}.")
     colours, limits = colour_scale(limits)
     new, plotter = plotter is None, new_plotter() if plotter is None else plotter
-    coloured = {"scalars": "values", "cmap": colours, "clim": limits} if has_values else {"color": GREY}
-    is_lit = lighting and not has_values  # light would change the colours, and the bar not
-    light = {"ambient": 0.4, "diffuse": 0.7} if is_lit else {"lighting": False}
-    edges = {"show_edges": True, "edge_color": DARK, "edge_opacity": 0.7, "line_width": 0.5}
-    plotter.add_mesh(part, show_scalar_bar=False, **edges, **light, **coloured)
+    style: dict[str, Any] = {"color": GREY}
+    ends: list[tuple[str, str]] = []
+    if has_values:
+        values, sizes = part.cell_data["values"], part.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
+        limits = limits or usual_limits(values, sizes)
+        below, above = beyond(values, limits)
+        ends = [("below", "<")] * below + [("above", ">")] * above
+        style = {"scalars": "values", "cmap": colours, "clim": limits}
+        style |= {f"{side}_color": plt.get_cmap(colours)(float(side == "above")) for side, _ in ends}
+    light = LIT if lighting and not has_values else {"lighting": False}  # it would change the colours, and the bar not
+    plotter.add_mesh(part, show_scalar_bar=False, **LINES | {"show_edges": show_edges}, **light, **style)
     if has_values and bar:
-        size = {"height": 0.6, "width": 0.05, "position_x": 0.88, "position_y": 0.2}
-        font = {"font_family": "arial", "title_font_size": 30, "label_font_size": 26, "fmt": "%.3g", "color": DARK}
-        plotter.add_scalar_bar(f"{label or ''}\n", vertical=True, **font, **size)
+        add_bar(plotter, label or "", {f"{side}_label": sign for side, sign in ends})
     if new:
-        aim(plotter)
+        aim(plotter, _viewer(part))
     return plotter
 
 
-def new_plotter() -> Any:
-    with pyvista().vtk_verbosity("off"):  # it complains where there is no display, and draws all the same
-        plotter = pyvista().Plotter(off_screen=True, window_size=WINDOW)
-    plotter.set_background("white")
-    plotter.enable_anti_aliasing("msaa", multi_samples=8)
-    return plotter
-
-
-def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER) -> None:
-    """Turns the camera to all that was drawn, beside the colour bar."""
-    set_view(plotter, whole_view(box(plotter), plotter.window_size, viewer, kept(plotter)))
-
-
-def kept(plotter: Any) -> float:
-    """Returns the share of a picture's width that its colour bar takes."""
-    return BAR if len(plotter.scalar_bars) else 0.0
-
-
-def box(plotter: Any) -> Float[np.ndarray, "8 3"]:
-    """Returns the corners of the box round all that was drawn."""
-    return np.array(list(itertools.product(*np.reshape(plotter.bounds, (3, 2)))))
-
-
-def whole_view(
-    points: Float[np.ndarray, "k 3"],
-    window: Sequence[int],
-    viewer: Sequence[float] | np.ndarray = VIEWER,
-    kept: float = 0,
-) -> Float[np.ndarray, " 10"]:
-    """Places a camera: its position, what it looks at, upwards, half the height that it sees.
-
-    It has no perspective. All points are in a window of this width and height, left of a share `kept` of the width.
-    """
-    axes = np.stack(view_axes(viewer))
-    seen = points @ axes.T
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    middle, (depth, width, height) = (low + high) / 2 @ axes, high - low
-    distance = 2 * (depth + width + height)
-    aspect = window[0] / window[1]
-    scale = MARGIN / 2 * max(height, width / (1 - kept) / aspect)
-    middle = middle + kept * scale * aspect * axes[1]
-    return np.array([*(middle + distance * axes[0]), *middle, *axes[2], scale])
-
-
-def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
-    """Returns the view (10,) of the plotter's camera as it is now."""
-    return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
-
-
-def set_view(plotter: Any, view: Float[np.ndarray, " 10"], is_parallel: bool = True) -> None:
-    plotter.camera_position = [tuple(vector) for vector in view[:9].reshape(3, 3).tolist()]
-    plotter.camera.parallel_projection, plotter.camera.parallel_scale = is_parallel, float(view[9])
-    plotter.renderer.reset_camera_clipping_range()
-
-
-def view_axes(viewer: Sequence[float] | np.ndarray = VIEWER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns unit vectors towards the viewer, to the right, and upwards in the picture: z, or y for one who looks along z."""
-    towards = np.array(viewer) / np.linalg.norm(viewer)
-    across = np.cross((0, 0, 1) if abs(towards[2]) < 0.99 else (0, 1, 0), towards)
-    across /= np.linalg.norm(across)
-    return towards, across, np.cross(towards, across)
-
-
-def add_legend(plotter: Any, entries: list[list[str]]) -> None:
-    """Writes names, each in its colour, in the upper right corner."""
-    for k, (name, colour) in enumerate(entries):
-        place = {"position": (0.8, 0.94 - 0.05 * k), "viewport": True, "name": f"legend {k}"}
-        plotter.add_text(name, font_size=16, color=colour, **place)
-
-
-def pyvista() -> Any:
-    """Imports the package; the `ImportError` names what to install."""
-    try:
-        import pyvista
-    except ImportError as error:
-        raise ImportError("pictures in 3-D need pyvista: pip install 'jaxmorph[plot]'") from error
-    return pyvista
+def _viewer(part: Any) -> np.ndarray:
+    """Chooses the direction towards the viewer: not into a surface that is open at one side, as a half wing at its root is."""
+    only_rim = dict.fromkeys(("feature_edges", "manifold_edges", "non_manifold_edges"), False)
+    viewer, rim = np.array(VIEWER), np.asarray(part.extract_feature_edges(**only_rim).points, dtype=float)
+    if not len(rim):
+        return viewer
+    outward = rim.mean(axis=0) - part.points.mean(axis=0)
+    _, (size, _, thin), axes = np.linalg.svd(rim - rim.mean(axis=0), full_matrices=False)
+    normal = axes[2] * np.sign(axes[2] @ outward)
+    if thin > 1e-3 * size or outward @ normal < 0.05 * np.ptp(part.points @ normal) or viewer @ normal <= 0:
+        return viewer
+    mirrored = viewer - 2 * (viewer @ normal) * normal
+    faces = _skin(part).compute_normals(point_normals=False, consistent_normals=False)
+    areas = faces.compute_cell_sizes(length=False, volume=False).cell_data["Area"]
+    directions = [mirrored + np.array([0, 0, lift]) for lift in (0, VIEWER[2], 3 * VIEWER[2])]
+    shown = [areas @ np.abs(faces.cell_data["Normals"] @ (way / np.linalg.norm(way))) for way in directions]
+    return directions[int(np.argmax(np.array(shown) > 0.85 * max(shown)))]

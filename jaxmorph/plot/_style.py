@@ -1,12 +1,14 @@
-"""Colours, limits and file names that all pictures share."""
+"""Colours, sizes, fonts and limits that all pictures share."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Real
+from jaxtyping import Float, Real
 
 import jaxmorph as jm
+
+from .._host.cells.pieces import owners
 
 Limits = tuple[float | int, float | int]
 Values = Real[Any, " k"] | Sequence[float | int]
@@ -14,11 +16,23 @@ Values = Real[Any, " k"] | Sequence[float | int]
 DARK, GREY, BLUE, ORANGE, GREEN = "#1b1b1b", "#9a9a9a", "#0072b2", "#d55e00", "#009e73"
 """Colours of Okabe and Ito, told apart by colour-blind readers."""
 
+LIGHT, BODY, RULE = "#f7cfae", "#c4cad3", "#dddddd"
+"""A light orange for what was, the fill of what is not mesh, the lines of a diagram."""
+
 COLOURS = "YlOrBr"
 """For qualities: light where a cell is good, so that its outline is seen; ordered by lightness alone."""
 
 DISPLACEMENT = "YlGnBu"
 """For lengths of displacements: of another hue, ordered by lightness too."""
+
+WIDTH, TALLEST = 5.0, 5.0
+"""Width and largest height of a new figure in inches: text of 10 points is read at a column's 3.5 inches too."""
+
+OUTLIERS, FAR = 0.01, 0.3
+"""Values of this share of what is seen are beyond an end of the colours, where they would stretch them by more than that."""
+
+STILL = 0.01
+"""What moves by less than this share of the largest displacement counts as still in a picture."""
 
 
 def finite(points: Any) -> np.ndarray:
@@ -29,8 +43,16 @@ def finite(points: Any) -> np.ndarray:
     return array
 
 
+def whole_of(mesh: jm.Mesh) -> np.ndarray:
+    """Returns the cell that each cell of `mesh.linear` is, or is a piece of."""
+    if not mesh.is_curved:
+        return np.asarray(mesh.cell_ids)
+    rows = owners(mesh.cells)
+    return np.concatenate([rows[kind] for kind in sorted(rows)])
+
+
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
-    """Returns one value for each cell of a mesh; the value of a whole polyhedron, or polygon, is that of all its pieces.
+    """Returns one value for each cell of `mesh.linear`; the value of a whole polyhedron, polygon or curved cell is that of its pieces.
 
     Raises `ValueError` for another number of values than of cells, and of whole cells.
     """
@@ -43,7 +65,7 @@ def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
         known = f"{whole} cells, in {cells} pieces"
     if np.shape(values) != (cells,):
         raise ValueError(f"`values` has shape {np.shape(values)}; this mesh has {known}.")
-    return np.asarray(values)
+    return np.asarray(values)[whole_of(mesh)] if mesh.is_curved else np.asarray(values)
 
 
 def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Limits | None]:
@@ -57,3 +79,39 @@ def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Li
         raise ValueError(f"`limits` are the values at the light and at the dark end of the colours, not {limits}.")
     light, dark = map(float, limits)
     return (colours, (light, dark)) if light < dark else (f"{colours}_r", (dark, light))
+
+
+def usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]) -> Limits:
+    """Returns the least and the largest value, without outliers: values of 1 % of the area that would pale all others."""
+    chosen = np.isfinite(values)
+    values, sizes = values[chosen].astype(float), np.abs(sizes[chosen])
+    if not len(values):
+        return 0.0, 1.0
+    order = np.argsort(values, kind="stable")
+    share = np.cumsum(sizes[order]) / max(float(sizes.sum()), np.finfo(float).tiny)
+    ends = np.searchsorted(share, (OUTLIERS, 1 - OUTLIERS)).clip(0, len(values) - 1)
+    low, high = values[order][ends].tolist()
+    near = FAR * (high - low)  # what is little farther away is no outlier
+    low, high = (
+        float(extreme) if abs(extreme - end) <= near else end
+        for extreme, end in ((values.min(), low), (values.max(), high))
+    )
+    return low, high if high > low else low + max(abs(low), 1) * 1e-6
+
+
+def beyond(values: Real[np.ndarray, " k"], limits: Limits) -> tuple[bool, bool]:
+    """Tells whether there are values below and above the limits."""
+    chosen = values[np.isfinite(values)]
+    return bool((chosen < limits[0]).any()), bool((chosen > limits[1]).any())
+
+
+def bodies(points: Float[np.ndarray, "n d"], patches: Any) -> np.ndarray:
+    """Lists the nodes of bodies: patches with a node inside the box round all points, which touch at most two sides of the box."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    near = 1e-6 * (high - low)
+    found = [np.zeros(0, int)]
+    for nodes in map(np.asarray, patches.values()):
+        sides = np.concatenate([points[nodes] <= low + near, points[nodes] >= high - near], axis=1)
+        if len(nodes) and sides.any(axis=0).sum() <= 2 and not sides.any(axis=1).all():
+            found.append(nodes)
+    return np.unique(np.concatenate(found))

@@ -1,0 +1,90 @@
+"""Makes docs/moving.gif: a wing that bends, its mesh cut open, beside an airfoil that turns.
+
+    python docs/moving.py [docs/moving.gif]
+
+It needs `pip install 'jaxmorph[plot,cases]'` and takes a minute.
+"""
+
+import pathlib
+import sys
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import jaxmorph as jm
+from jaxmorph import cases, plot, shapes
+
+FRAMES, BENDING, ANGLE = 14, 0.3, 15
+"""Pictures in a period, rise of the wing's tip in semi-spans, rotation of the airfoil in degrees."""
+
+SIZE, PIXELS = (8.0, 3.3), 100
+"""Width and height in inches, pixels an inch."""
+
+LARGEST = 900_000
+"""Bytes of the picture at most."""
+
+
+def wing():
+    """Makes the function that draws the bent wing and the cells in a plane across its span, as pixels."""
+    mesh = cases.agard445(points=6_500)
+    plan = jm.prepare(mesh, "wing", "farfield", symmetry="symmetry")
+    moved = np.asarray(jm.deform(plan, cases.agard445_mode(mesh.points[plan.moving], 1, BENDING)))
+
+    def draw(phase):
+        points = mesh.points + phase * (moved - mesh.points)  # `deform` is linear
+        change = np.abs(jm.quality(mesh, points).volume_ratio - 1)
+        plane = jm.Plane((0, 1, 0), (0, 0.45, 0))
+        plotter = plot.cut(mesh, points, plane=plane, values=change, limits=(0, 0.2), bar=False)
+        plot.surface(mesh, points, patch="wing", plotter=plotter)
+        plotter.window_size = 1000, 900
+        plotter.camera_position = [(-0.98, -2.2, 2.05), (0.62, 0.4, 0.05), (0, 0, 1)]
+        plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, 0.44
+        pixels = plotter.screenshot(return_img=True)
+        plotter.close()
+        return pixels
+
+    return draw
+
+
+def airfoil():
+    """Makes the function that draws the turned airfoil, cells coloured by skewness, on axes."""
+    mesh = cases.naca0015(points=6_000)
+    plan = jm.prepare(mesh, "airfoil", "farfield")
+    wall = mesh.points[plan.moving]
+
+    def draw(phase, ax):
+        u = shapes.rotate(wall, -np.deg2rad(ANGLE * phase), about=(0.25, 0)) - wall
+        points = jm.deform(plan, u)
+        colours = {"values": jm.quality(mesh, points).skewness, "limits": (0, 0.3), "bar": False}
+        plot.mesh(mesh, points, **colours, window=((-0.3, 1.3), (-0.6, 0.6)), ax=ax)
+
+    return draw
+
+
+def main(path):
+    jax.config.update("jax_enable_x64", True)
+    draw_wing, draw_airfoil = wing(), airfoil()
+
+    def draw(phase):
+        _figure, (left, right) = plt.subplots(
+            1, 2, figsize=SIZE, dpi=PIXELS, layout="constrained", width_ratios=(0.9, 1)
+        )
+        left.imshow(draw_wing(phase.item()))
+        left.set_axis_off()
+        left.set_title("wing: change of the cells' volume", fontsize=10)
+        right.set_title("airfoil: skewness of the cells", fontsize=10)
+        draw_airfoil(phase.item(), right)
+        right.set(xlabel="x / chord", ylabel="y / chord")
+        return right
+
+    phases = np.sin(2 * np.pi * np.arange(FRAMES) / FRAMES)
+    plot.animate(path, draw, phases[:, None, None], rate=8)
+    size = path.stat().st_size
+    print(f"{path}: {size:,} bytes")
+    if size > LARGEST:
+        raise SystemExit(f"more than {LARGEST:,} bytes: take fewer FRAMES or PIXELS.")
+
+
+if __name__ == "__main__":
+    main(pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else pathlib.Path(__file__).with_name("moving.gif")))

@@ -1,0 +1,143 @@
+"""The cells of a 2-D mesh as they are drawn: fills, lines between them, walls."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+import jaxmorph as jm
+
+from ._style import TALLEST, WIDTH, finite, whole_of
+
+try:
+    import matplotlib.pyplot as plt
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.collections import LineCollection as LineCollection
+    from matplotlib.collections import PolyCollection
+    from matplotlib.font_manager import findfont as findfont
+    from matplotlib.patches import Patch as Patch
+    from matplotlib.textpath import TextPath as TextPath
+except ImportError as error:
+    raise ImportError("jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'") from error
+
+Window = tuple[tuple[float, float], tuple[float, float]]
+
+THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
+"""Widths in typographic points: a line between cells takes a sixth of its cell, so that layers do not turn black; a wall."""
+
+NARROW = 0.8
+"""Cells narrower than this, in typographic points, show their colour and no line."""
+
+FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """Holds the cells of a 2-D mesh in the order of `mesh.linear.cells`: four corners each, repeated in triangles and lines.
+
+    `whole` is the cell of the file that each one is, or is a piece of.
+    """
+
+    points: Float[np.ndarray, "n 2"]
+    ids: Int[np.ndarray, "k 4"]
+    whole: Int[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, mesh: jm.Mesh, points: Any) -> "Cells":
+        if mesh.points.shape[1] != 2:
+            raise ValueError(
+                f"this is for 2-D meshes, not {mesh}; see `plot.surface`, `plot.cut` and `plot.before_after_3d`."
+            )
+        if not sum(map(len, mesh.cells.values())):
+            raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
+        points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
+        ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.linear.cells.items()]
+        return cls(points, np.concatenate(ids), whole_of(mesh))
+
+    @property
+    def corners(self) -> Float[np.ndarray, "k 4 2"]:
+        return self.points[self.ids]
+
+    @property
+    def areas(self) -> Float[np.ndarray, " k"]:
+        (a, b), (c, d) = ((self.corners[:, k + 2] - self.corners[:, k]).T for k in (0, 1))
+        return np.abs(a * d - b * c) / 2
+
+    def inside(self, window: Window) -> Int[np.ndarray, " s"]:
+        """Lists the cells that may be seen."""
+        return seen_in(self.corners, window)
+
+    def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lists the edges (e, 2) of some cells, how often each comes, and the width (e,) of its narrowest cell.
+
+        Edges between two pieces of one polygon are left out.
+        """
+        ids = self.ids[cells]
+        pairs = np.sort(np.stack([ids, np.roll(ids, -1, axis=1)], axis=2), axis=2)
+        lengths = np.linalg.norm(np.diff(self.points[pairs], axis=2)[:, :, 0], axis=2).max(axis=1)
+        width = self.areas[cells] / np.maximum(lengths, np.finfo(float).tiny)
+        real = pairs[..., 0] != pairs[..., 1]
+        edges, which, counts = np.unique(pairs[real], axis=0, return_inverse=True, return_counts=True)
+        which, owner = which.ravel(), np.repeat(self.whole[cells], 4)[real.ravel()]
+        narrowest, first, last = (
+            np.full(len(edges), np.inf),
+            np.full(len(edges), len(self.whole)),
+            np.full(len(edges), -1),
+        )
+        np.minimum.at(narrowest, which, np.repeat(width, 4)[real.ravel()])
+        np.minimum.at(first, which, owner)
+        np.maximum.at(last, which, owner)
+        shown = (counts == 1) | (first < last) | (narrowest == 0)
+        return edges[shown], counts[shown], narrowest[shown]
+
+
+def seen_in(corners: Float[np.ndarray, "k c 2"], window: Window) -> Int[np.ndarray, " s"]:
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    (left, right), (bottom, top) = window
+    return np.flatnonzero((high >= (left, bottom)).all(axis=1) & (low <= (right, top)).all(axis=1))
+
+
+def fill(ax: Axes, corners: Float[np.ndarray, "k 4 2"], **style: Any) -> PolyCollection:
+    faces = PolyCollection(list(corners), linewidths=0.3, edgecolors="face", rasterized=True, **style)
+    ax.add_collection(faces, autolim=False)
+    return faces
+
+
+def draw_lines(
+    ax: Axes, cells: Cells, seen: Int[np.ndarray, " s"], window: Window, colour: str, least: float | int = 0
+) -> None:
+    """Draws the lines between cells, thinner where cells are thin, and none where they are narrower than `least`."""
+    edges, _, narrowest = cells.edges(seen)
+    to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
+    chosen = narrowest * to_points >= least
+    widths = np.clip(narrowest[chosen] * to_points / 6, THINNEST, THICKEST)
+    lines = LineCollection(list(cells.points[edges[chosen]]), colors=colour, linewidths=widths, rasterized=True)
+    ax.add_collection(lines, autolim=False)
+
+
+def draw_walls(ax: Axes, cells: Cells, colour: str) -> None:
+    """Draws the edges with a cell on one side: an odd number of times among all, since a cell of type line has it twice."""
+    edges, counts, _ = cells.edges(np.arange(len(cells.ids)))
+    lines = list(cells.points[edges[counts % 2 == 1]])
+    ax.add_collection(LineCollection(lines, colors=colour, linewidths=WALL, capstyle="round"), autolim=False)
+
+
+def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = False, above: float = 0.1) -> Axes:
+    """Returns the axes given, or those of a new figure of the shape of its window, with `above` inches for what stands on top."""
+    if ax is not None:
+        return ax
+    if window is None:
+        return plt.subplots(figsize=(WIDTH, 0.7 * WIDTH), layout="constrained")[1]
+    width, height = (side[1] - side[0] for side in window)
+    beside, below = 0.75 + 0.9 * bar, 0.55 + above  # inches for labels, in which the mesh has no part
+    scale = min((WIDTH - beside) / width, (TALLEST - below) / height)
+    size = scale * width + beside, max(scale * height + below, 1.5)
+    return plt.subplots(figsize=size, layout="constrained")[1]
+
+
+def show(ax: Axes, window: Window) -> Axes:
+    """Shows a window of the plane, and names its axes unless they have names."""
+    ax.set(xlim=window[0], ylim=window[1], aspect="equal")
+    ax.set(xlabel=ax.get_xlabel() or "x", ylabel=ax.get_ylabel() or "y")
+    return ax

@@ -1,0 +1,185 @@
+"""Windows, cameras, bars, legends, axes and scales of pictures in 3-D."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ._cells import TextPath, findfont
+from ._style import DARK
+
+VIEWER = -1.0, -2.5, 1.8
+"""The direction towards the viewer: x to the right, y away, z up; mirrored where it would look into an open surface."""
+
+WINDOW = 1200, 900
+"""Width of a picture in pixels, and its largest height."""
+
+TEXT = 30
+"""Height of letters in pixels."""
+
+EDGE, BELOW, LEGEND, BAR = 0.025, 0.12, 0.06, 0.25
+"""Margins, relative to the width: at each side, below for axes and scale, above for a legend, right for a colour bar."""
+
+
+def add_bar(plotter: Any, label: str, beyond: dict[str, str]) -> None:
+    size = {"height": 0.6, "width": 0.05, "position_x": 0.85, "position_y": 0.2}
+    bar = plotter.add_scalar_bar(f"{label}\n", vertical=True, n_labels=5, fmt="%.3g", color=DARK, **size, **beyond)
+    bar.SetUnconstrainedFontSize(True)
+    bar.SetTextPad(8)
+    for text in (bar.GetTitleTextProperty(), bar.GetLabelTextProperty(), bar.GetAnnotationTextProperty()):
+        text.SetFontSize(TEXT)
+        _in_font(text)
+
+
+def _in_font(text: Any) -> None:
+    """Sets text in the font of the pictures in 2-D."""
+    text.SetFontFamily(4)  # VTK's number for a font from a file
+    text.SetFontFile(findfont("DejaVu Sans"))
+    text.SetBold(False)
+    text.SetItalic(False)
+    text.SetShadow(False)
+
+
+def new_plotter() -> Any:
+    with pyvista().vtk_verbosity("off"):  # it complains where there is no display, and draws all the same
+        plotter = pyvista().Plotter(off_screen=True, window_size=WINDOW)
+    plotter.set_background("white")
+    plotter.enable_anti_aliasing("ssaa")  # with samples for each pixel, VTK draws nothing of what it peels
+    _add_axes(plotter)
+    return plotter
+
+
+def _add_axes(plotter: Any) -> None:
+    """Draws the directions of x, y and z, and a bar of a round length: both follow the camera. In perspective no bar."""
+    from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
+
+    axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
+    captions = [getattr(axes, f"Get{name}AxisCaptionActor2D")() for name in "XYZ"]
+    for caption in captions:
+        caption.GetTextActor().SetTextScaleModeToNone()
+    scale = vtkAxisActor2D()
+    scale.SetNumberOfLabels(2)
+    scale.AdjustLabelsOff()
+    scale.LabelVisibilityOff()
+    scale.GetProperty().SetColor(pyvista().Color(DARK).float_rgb)
+    scale.GetProperty().SetLineWidth(3)
+    scale.UseFontSizeFromPropertyOn()
+    scale.GetTitleTextProperty().SetColor(pyvista().Color(DARK).float_rgb)
+    texts = [scale.GetTitleTextProperty(), *(caption.GetCaptionTextProperty() for caption in captions)]
+    for text in texts:
+        _in_font(text)
+    plotter.renderer.AddViewProp(scale)
+
+    def fit(*_: Any) -> None:
+        width, height = plotter.window_size
+        seen = 2 * plotter.camera.parallel_scale * width / height
+        length = _round_length(0.2 * seen)
+        ends = (scale.GetPositionCoordinate(), 0.97 - length / seen), (scale.GetPosition2Coordinate(), 0.97)
+        for coordinate, x in ends:
+            coordinate.SetCoordinateSystemToNormalizedViewport()
+            coordinate.SetValue(x, 0.075 * width / height)
+        scale.SetTitle(f"{length:g}")
+        scale.SetVisibility(bool(plotter.camera.parallel_projection))
+        plotter.renderer.axes_widget.SetViewport(-0.04, -0.05 * width / height, 0.16, 0.15 * width / height)
+        for text in texts:
+            text.SetFontSize(round(TEXT * width / WINDOW[0]))
+
+    plotter.renderer.AddObserver("StartEvent", fit)
+
+
+def _round_length(largest: float) -> float:
+    """Returns the largest of 1, 2 and 5 times a power of ten that is not above a length."""
+    power = 10 ** np.floor(np.log10(largest))
+    return float(power * max(factor for factor in (1, 2, 5) if factor * power <= largest * (1 + 1e-9)))
+
+
+def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER, shown: np.ndarray | None = None) -> None:
+    """Turns the camera to points, by default all that was drawn, and gives the window their shape."""
+    shown = content(plotter) if shown is None else shown
+    plotter.window_size = fitted_window(plotter, shown, viewer)
+    set_view(plotter, whole_view(shown, plotter.window_size, viewer, margins(plotter)))
+
+
+def fitted_window(
+    plotter: Any, points: Float[np.ndarray, "k 3"], viewer: Sequence[float] | np.ndarray
+) -> tuple[int, int]:
+    """Chooses width and height in pixels of a picture of points, so that little is white."""
+    (width, height), (left, right, below, above) = (
+        np.ptp(points @ np.stack(view_axes(viewer)[1:]).T, axis=0),
+        margins(plotter),
+    )
+    tall = (1 - left - right) * height / max(width, 1e-9 * height) + below + above
+    return WINDOW[0], round(float(np.clip(tall * WINDOW[0], WINDOW[1] / 2, WINDOW[1])))
+
+
+def content(plotter: Any) -> Float[np.ndarray, "k 3"]:
+    """Returns the points of all that was drawn."""
+    return np.concatenate([np.asarray(mesh.points, dtype=float) for mesh in plotter.meshes])
+
+
+def margins(plotter: Any) -> tuple[float, float, float, float]:
+    """Returns what is left free at the left and right, below and above, relative to the width."""
+    has_legend = any(name.startswith("legend") for name in plotter.actors)
+    return EDGE, BAR if len(plotter.scalar_bars) else EDGE, BELOW, LEGEND if has_legend else EDGE
+
+
+def whole_view(
+    points: Float[np.ndarray, "k 3"],
+    window: Sequence[int],
+    viewer: Sequence[float] | np.ndarray = VIEWER,
+    free: tuple[float, float, float, float] = (EDGE, EDGE, BELOW, EDGE),
+) -> Float[np.ndarray, " 10"]:
+    """Places a camera: its position, what it looks at, upwards, half the height that it sees.
+
+    It has no perspective. All points are in a window of this width and height, within the margins that are left free.
+    """
+    axes, tall = np.stack(view_axes(viewer)), window[1] / window[0]
+    seen, (left, right, below, above) = points @ axes.T, free
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    depth, width, height = high - low
+    scale = max(width / (1 - left - right), height / (tall - below - above))  # length across the window
+    beside = np.array([0, (right - left) / 2, (above - below) / 2]) * scale
+    middle = ((low + high) / 2 + beside) @ axes
+    distance = 2 * (depth + width + height)
+    return np.array([*(middle + distance * axes[0]), *middle, *axes[2], scale * tall / 2])
+
+
+def view_of(plotter: Any) -> Float[np.ndarray, " 10"]:
+    """Returns the view (10,) of the plotter's camera as it is now."""
+    return np.array([*np.ravel(list(plotter.camera_position)), plotter.camera.parallel_scale])
+
+
+def set_view(plotter: Any, view: Float[np.ndarray, " 10"], is_parallel: bool = True) -> None:
+    plotter.camera_position = [tuple(vector) for vector in view[:9].reshape(3, 3).tolist()]
+    plotter.camera.parallel_projection, plotter.camera.parallel_scale = is_parallel, float(view[9])
+    plotter.renderer.reset_camera_clipping_range()
+
+
+def view_axes(viewer: Sequence[float] | np.ndarray = VIEWER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns unit vectors towards the viewer, to the right, and upwards in the picture: z, or y for one who looks along z."""
+    towards = np.array(viewer) / np.linalg.norm(viewer)
+    across = np.cross((0, 0, 1) if abs(towards[2]) < 0.99 else (0, 1, 0), towards)
+    across /= np.linalg.norm(across)
+    return towards, across, np.cross(towards, across)
+
+
+def add_legend(plotter: Any, entries: Sequence[tuple[str, str]]) -> None:
+    """Writes names, each in its colour, in a row above the picture."""
+    place = EDGE
+    for k, (name, colour) in enumerate(entries):
+        text = plotter.add_text(name, color=colour, viewport=True, name=f"legend {k}", position=(place, 0.0))
+        text.prop.SetFontSize(TEXT)
+        text.prop.SetVerticalJustificationToTop()
+        text.SetPosition(place, 0.985)
+        _in_font(text.prop)
+        place += (TextPath((0, 0), name, size=TEXT).get_extents().width + TEXT) / WINDOW[0]
+
+
+def pyvista() -> Any:
+    """Imports the package; the `ImportError` names what to install."""
+    try:
+        import pyvista
+    except ImportError as error:
+        raise ImportError("pictures in 3-D need pyvista: pip install 'jaxmorph[plot]'") from error
+    return pyvista
