@@ -52,7 +52,7 @@ def whole_of(mesh: jm.Mesh) -> np.ndarray:
 
 
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
-    """Returns one value for each cell of `mesh.linear`; the value of a whole polyhedron, polygon or curved cell is that of its pieces.
+    """Returns one value for each cell of `mesh.linear`: pieces have that of their polyhedron, polygon or curved cell.
 
     Raises `ValueError` for another number of values than of cells, and of whole cells.
     """
