@@ -29,8 +29,10 @@ def read(path: pathlib.Path) -> Mesh:
         data = path.read_bytes()
         version = re.search(rb'<VTKFile[^>]*\sversion="(\d+)\.(\d+)"', data[:4096])
         number = 10 * int(version[1]) + int(version[2]) if version else 1
-        is_known = version is None or number < 20
-        mesh = load(path, ".vtu", meshio.vtu.read if is_known else functools.partial(_read_newer, data, version.span()))
+        reader = meshio.vtu.read
+        if version is not None and number >= 20:
+            reader = functools.partial(_read_newer, data, version.end())
+        mesh = load(path, ".vtu", reader)
         if number < 22:
             for block in mesh.cells:
                 block.data = swapped_edges(block.type, block.data)
@@ -41,11 +43,11 @@ def read(path: pathlib.Path) -> Mesh:
     return to_mesh(path, mesh, Source(path, NAME, mesh))
 
 
-def _read_newer(data: bytes, head: tuple[int, int], _: str) -> Any:
+def _read_newer(data: bytes, head: int, _: str) -> Any:
     """Reads a file of a version that meshio does not know: 2.3, which differs for us in the order of hexahedra alone."""
     with tempfile.TemporaryDirectory() as folder:
         older = pathlib.Path(folder) / "older.vtu"
-        older.write_bytes(re.sub(rb'(\sversion=")[\d.]+"', rb'\g<1>1.0"', data[: head[1]]) + data[head[1] :])
+        older.write_bytes(re.sub(rb'(\sversion=")[\d.]+"', rb'\g<1>1.0"', data[:head]) + data[head:])
         return meshio.vtu.read(str(older))
 
 

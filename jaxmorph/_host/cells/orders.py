@@ -56,7 +56,7 @@ class NodeOrder:
 
 def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder | None) -> Any:
     """Brings nodes (k, nodes) of cells from one order to another; None stands for the canonical order."""
-    if SHAPES[kind] == kind or origin is target:
+    if SHAPES.get(kind, kind) == kind or origin is target:
         return ids
     ids = ids if origin is None else ids[:, origin.places(kind)]
     return ids if target is None else ids[:, np.argsort(target.places(kind))]
