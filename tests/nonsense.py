@@ -405,6 +405,7 @@ UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.p
 
 SENSE = {
     "x": "nan infinite",
+    **each("jm.curve.moving jm.curve.fixed", "beyond"),  # nodes of the elevated mesh
     **each("jm.Graded.share jm.Greedy.motions", "beyond wide short"),
     **each("jm.march.path jm.replay.path", "nan infinite"),
     **each("jm.deform.u jm.pullback.u jm.velocity.u", "nan infinite"),
