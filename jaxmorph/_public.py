@@ -27,6 +27,8 @@ from ._host.sources.reduction import Centre as Centre
 from ._host.sources.reduction import Corners as Corners
 from ._host.sources.reduction import GaussPoints as GaussPoints
 from ._host.sources.reduction import KDTree as KDTree
+from ._improve.curve import curve as curve
+from ._mesh.elevate import elevate as elevate
 from ._mesh.mesh import Mesh as Mesh
 from ._methods.base import AbstractField as AbstractField
 from ._methods.base import AbstractMethod as AbstractMethod
@@ -89,6 +91,9 @@ from ._plan.steps import replay as replay
 from ._quality.distortion import distortion as distortion
 from ._quality.face_quality import face_quality as face_quality
 from ._quality.face_report import FaceQuality as FaceQuality
+from ._quality.proof.margin import proven_margin as proven_margin
+from ._quality.proof.proof import proof as proof
+from ._quality.proof.report import Proof as Proof
 from ._quality.quality import inverted as inverted
 from ._quality.quality import quality as quality
 from ._quality.report import QualityReport as QualityReport

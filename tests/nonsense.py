@@ -28,7 +28,7 @@ def each(names: str, value: Any) -> dict[str, Any]:
 
 BUILT = words("""
 io.Box jm.BoundaryQuality jm.Choice jm.Control jm.Estimate jm.FaceQuality jm.FreeFaces jm.Improvement jm.Inspection
-jm.LargestStep jm.MeshError jm.Plan jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf
+jm.LargestStep jm.MeshError jm.Plan jm.Proof jm.QualityReport jm.SmoothQuality jm.Steps jm.Surface jm.SurfaceHalf
 jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.QualityRows shapes.Stations
 """)
 """Classes whose constructors the library alone calls."""
@@ -36,8 +36,8 @@ jm.WallQuality plot.SurfaceErrors shapes.Fit shapes.QualityRows shapes.Stations
 CONTRACT = words("""
 __call__ altered among anchors apply at beside boxes carry carry_place check check_surface chosen closest connect control
 coordinates dense_count entries equals evaluate field fit fixed_reduction given guarded height holds init iterative
-lattice local masses matched neutral of_surface offset once pairs place raise_if_inverted raise_if_singular reach
-reduced reduction renumbered rows RBF.through sensitivities slope sources step value walls weights with_faces
+lattice local masses matched neutral of_surface offset once pairs place raise_if_inverted raise_if_singular raise_if_unproven
+reach reduced reduction renumbered rows RBF.through sensitivities slope sources step type_of value walls weights with_faces
 """)
 """Methods that the driver calls, or that take no argument, or an array that `at` takes as well."""
 
@@ -103,6 +103,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "jm.FaceQuality": Lazy(lambda: jm.face_quality(BRICKS, PLACES)),
     "jm.Mesh": lambda: MESH,
     "jm.Plan": plan,
+    "jm.Proof": Lazy(lambda: jm.proof(MESH)),
     "jm.QualityReport": report,
     "jm.SurfaceHalf": Lazy(lambda: jm.prepare_surface(MESH, "wall", "far", method=jm.InverseDistance())),
     "shapes.FreeForm": lambda: BOX,
@@ -132,6 +133,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "shapes": {"points": X, "faces": LOOP, "loop": np.arange(4), "wall": np.arange(4)},
     "plot": {"path": FOLDER / "a.png", "patch": "floor", "reduction": jm.AllPoints()},
     "io": {"path": FOLDER / "a.vtu"},
+    "jm.curve": {"mesh": Lazy(lambda: jm.elevate(MESH, 2)), "surface": np.asarray(MESH.points)[WALL]},
     "jm.Mesh": {"cells": {"quad": np.asarray(MESH.cells["quad"])}, "patches": {"a": [0, 1]}},
     "jm.Mesh.from_meshio": {"mesh": Lazy(MESH.to_meshio)},
     "jm.Mesh.from_pyvista": {"grid": Lazy(MESH.to_pyvista)},
@@ -254,6 +256,7 @@ EXTRA: dict[str, dict[str, Any]] = {
     **{"dimensions": {"less": 1, "beyond": 4}, "kind": {"other": "cube"}, "mode": {"less": 0, "beyond": 9}},
     **{"place": {"below": 0.0, "beyond": 1.0}, "margin": {"negative": -1.0, "infinite": np.inf}},
     "camber": {"infinite": np.inf},
+    "depth": {"less": -1},
     **each("mesh moved before", {"plan": plan, "empty": Lazy(lambda: jm.Mesh(np.zeros((0, 2))))}),
     **each("jm.prepare.mesh jm.prepare_in_chunks.mesh jm.prepare_surface.mesh", {"far": POINTS + 1e300}),
     **each("ridge inner shapes.Smoother.length shapes.Smoother.on.length", {"negative": -1.0, "infinite": np.inf}),
@@ -402,11 +405,13 @@ UNCHECKED |= words("jm.Periodic.about jm.Periodic.axis jm.Periodic.rotation jm.p
 
 SENSE = {
     "x": "nan infinite",
+    **each("jm.curve.moving jm.curve.fixed", "beyond"),  # nodes of the elevated mesh
     **each("jm.Graded.share jm.Greedy.motions", "beyond wide short"),
     **each("jm.march.path jm.replay.path", "nan infinite"),
     **each("jm.deform.u jm.pullback.u jm.velocity.u", "nan infinite"),
     **each("u_dot cotangent jm.distortion.points jm.inverted.points jm.quality.points", "nan infinite"),
     **each("jm.face_quality.points jm.refit.points jm.smooth_quality.points", "nan infinite"),
+    **each("jm.proof.points jm.proven_margin.points", "nan infinite"),
     **each("jm.wall_quality.points jm.soft_maximum.values plot.values", "nan infinite number axis"),
     **each("jm.save.path jm.soft_maximum.axis jm.choose.leaves", "ending less list"),
     "jm.KDTree.with_sources.points": "short",
@@ -428,7 +433,7 @@ SENSE = {
     "shapes.names.parameters": "none number list array",
     "shapes.scale.factors": "number",
     "cases.agard445_mode.points": "nan infinite",
-    **each("jm.QualityReport.worst.k jm.FaceQuality.worst.k", "beyond"),
+    **each("jm.QualityReport.worst.k jm.FaceQuality.worst.k jm.Proof.worst.k", "beyond"),
     **each("io.check_output.mesh io.periodic.mesh io.symmetry.mesh io.read_displacement.mesh io.write.mesh", "empty"),
     "continuity": "less",
     **each("io.boxes.mesh io.with_boxes.mesh", "empty"),

@@ -85,3 +85,42 @@ def jacobian(function, x, step):
 
     columns = [column(place) for place in range(x.size)]
     return jax.tree.map(lambda *parts: np.stack(parts, axis=-1).reshape(*parts[0].shape, *x.shape), *columns)
+
+
+def jacobians_inside(shape: str, order: int, lattice: np.ndarray, nodes: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """det J (k, s) of curved cells with nodes (k, nodes, d) at places (s, d) in the reference cell, by monomials and LAPACK.
+
+    Those of a pyramid are r^i s^j t^k (1 - t)^max(i, j) on the cube that is collapsed: no place may be at the apex.
+    """
+    d = lattice.shape[1]
+    every = np.array(np.meshgrid(*[range(order + 1)] * d, indexing="ij")).reshape(d, -1).T
+    degrees = {
+        "triangle": every.sum(axis=1),
+        "tetra": every.sum(axis=1),
+        "wedge": np.maximum(every[:, :2].sum(axis=1), every[:, -1]),
+        "pyramid": every[:, :2].max(axis=1) + every[:, -1],
+    }
+    powers = every[degrees.get(shape, every.max(axis=1)) <= order]
+    fall = powers[:, :2].max(axis=1) if shape == "pyramid" else np.zeros(len(powers), int)
+
+    def values(x, axis=None):
+        """Monomials (s, m) at places, or their slopes."""
+        factors = [x[:, i, None] ** powers[:, i] for i in range(d)] + [(1 - x[:, -1, None]) ** fall]
+        if axis is None:
+            return np.prod(factors, axis=0)
+        others = np.prod([f for i, f in enumerate(factors) if i != axis], axis=0)
+        slope = others * powers[:, axis] * x[:, axis, None] ** np.maximum(powers[:, axis] - 1, 0)
+        if axis == d - 1:
+            slope -= np.prod(factors[:-1], axis=0) * fall * (1 - x[:, -1, None]) ** np.maximum(fall - 1, 0)
+        return slope
+
+    def cube(x):
+        return (
+            x if shape != "pyramid" else np.column_stack([x[:, :2] / np.where(x[:, 2:] < 1, 1 - x[:, 2:], 1), x[:, 2]])
+        )
+
+    slopes = np.stack([values(cube(places), axis) for axis in range(d)], axis=2)
+    functions = np.linalg.inv(values(cube(lattice / order)))
+    slopes = np.einsum("smj,mn->jsn", slopes, functions)
+    determinants = np.linalg.det(np.moveaxis(np.tensordot(nodes, slopes, (1, 2)), (0, 1, 2, 3), (0, 2, 3, 1)))
+    return determinants / (1 - places[:, 2]) ** 2 if shape == "pyramid" else determinants

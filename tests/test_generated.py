@@ -6,7 +6,7 @@ from oracles import boundary_edges, polydata, shoelace
 from scipy.spatial import cKDTree
 
 from jaxmorph import cases
-from jaxmorph._host.cells.topology import boundary_faces
+from jaxmorph._host.cells.pieces import boundary_faces
 
 FLAT = {
     "sharp_o_grid": lambda: cases.sharp_o_grid(around=96, layers=40),

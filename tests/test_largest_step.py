@@ -9,7 +9,7 @@ import pytest
 from meshes import bricks, write_ring
 
 import jaxmorph as jm
-from jaxmorph._advice.largest_step import first_roots
+from jaxmorph._advice.first_roots import first_roots
 
 
 def ring(tmp_path):

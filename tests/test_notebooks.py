@@ -24,6 +24,7 @@ SMALL = {
     "10_flap.ipynb": {"size": 0.008, "deflections": 4},
     "11_wing_openmdao.ipynb": {"points": 6500, "steps": 8},
     "12_blade_passage.ipynb": {"gap": 0.02, "angles": (10, 20)},
+    "13_curved.ipynb": {"points": 500},
 }
 """Parameters for the tests, put in place of those that the cell tagged `parameters` sets."""
 
@@ -269,6 +270,18 @@ def check_blade_passage(said):
     assert slope == pytest.approx(difference, rel=1e-4)
 
 
+def check_curved(said):
+    """All cells are proven, straight and moved, at the end and on the way; the derivative is the difference."""
+    cells, proven = map(int, re.search(r"(\d+) cells: (\d+) proven valid, 0 invalid, 0 unknown", said).groups())
+    assert cells == proven > 300
+    rows = re.findall(r"(\d+) of (\d+) cells proven at the end, (\d+) on the way; least margin ([0-9.]+)", said)
+    assert len(rows) == 3
+    assert all(int(count) == cells for row in rows for count in row[:3])
+    assert min(float(margin) for *_, margin in rows) > 0.1
+    slope, difference = map(float, re.search(r"together (\S+), by a difference (\S+)", said).groups())
+    assert slope == pytest.approx(difference, rel=1e-3)
+
+
 CHECKS = {
     "00_first_steps.ipynb": check_first_steps,
     "01_airfoil.ipynb": check_airfoil,
@@ -283,6 +296,7 @@ CHECKS = {
     "10_flap.ipynb": check_flap,
     "11_wing_openmdao.ipynb": check_wing_openmdao,
     "12_blade_passage.ipynb": check_blade_passage,
+    "13_curved.ipynb": check_curved,
 }
 
 

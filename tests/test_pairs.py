@@ -7,7 +7,8 @@ import pytest
 
 from jaxmorph import cases
 from jaxmorph._host.cells import pairs
-from jaxmorph._host.cells.topology import CORNERS, EDGES, FACES, FRAMES, boundary_faces
+from jaxmorph._host.cells.pieces import boundary_faces
+from jaxmorph._host.cells.topology import CORNERS, EDGES, FACES, FRAMES
 from jaxmorph._quality.distortion import IDEAL
 
 RNG = np.random.default_rng(7)

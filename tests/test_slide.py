@@ -14,7 +14,7 @@ import jaxmorph as jm
 from jaxmorph import cases
 from jaxmorph._boundary.slide import walls_of_patch
 from jaxmorph._boundary.tracks import tracks_of
-from jaxmorph._host.cells.topology import boundary_faces
+from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._kernels.compile import UNTUNED
 
 TPS = full(jm.ThinPlateSpline(), 1)

@@ -5,7 +5,7 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import cases
-from jaxmorph._host.cells.topology import boundary_faces
+from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._host.surface.walls import seen_from_outside, walls
 
 

@@ -4,7 +4,6 @@ It is exact, for the mesh moves linearly.
 """
 
 import dataclasses
-import itertools
 from typing import Any
 
 import jax
@@ -20,6 +19,8 @@ from .._plan.plan import Plan
 from .._quality import measures
 from .._quality.quality import places, standards_of
 from .._quality.vector import corners
+from .first_roots import first_roots
+from .proven_step import proven_share
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,11 +44,14 @@ def largest_step(
     *,
     min_jacobian_ratio: float = 0.0,
     max_step: float = 1.0,
+    proven: bool = False,
 ) -> LargestStep:
     """Finds the largest step along a direction that keeps every Jacobian ratio above a bound.
 
     Corner Jacobians are polynomials in the step, of degree 2 in 2-D and 3 in 3-D, whose first roots
-    are found. A line search shortens its step by it before the flow is solved.
+    are found. A line search shortens its step by it before the flow is solved. With `proven` the
+    Bernstein coefficients of det J take the corners' place, as in `proof`: whole cells keep the
+    bound, at each instant up to the step.
 
     **Arguments:**
 
@@ -57,12 +61,14 @@ def largest_step(
     - `mesh`: whose `points` are the plan's.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`; 0 is where cells invert.
     - `max_step`: above 0; no step beyond it is looked at.
+    - `proven`: judge whole cells too, default False. Their bound is relative to the least det J that is proven of the
+      undeformed cell.
 
     **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already.
 
     **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step`
     is not above 0. Also for a plan that is not linear: its nodes leave the straight lines on which
-    roots are sought.
+    roots are sought. With `proven`, also for a mesh with undeformed cells that are not proven valid.
     """
     if not plan.is_linear:
         raise ValueError(
@@ -77,6 +83,10 @@ def largest_step(
     start = np.asarray(places(mesh, deform(plan, u)))
     end = np.asarray(deform(plan, jnp.asarray(u) + max_step * jnp.asarray(direction)))
     share, cell = Corners(mesh, plan.points.dtype, min_jacobian_ratio).share(start, end)
+    if proven:  # never beyond what the corners allow, so that round-off is that of the step itself
+        start, way = start.astype(float), end.astype(float) - start
+        part, ends_it = proven_share(mesh, start, start + share * way, min_jacobian_ratio)
+        share, cell = (share * part, ends_it) if part < 1 else (share, cell)
     return LargestStep(share * max_step, cell)
 
 
@@ -143,37 +153,3 @@ def corner_jacobians(kind: str, points: Any, ids: Any) -> Any:
     """Computes the Jacobians (s, k) at corners of cells of one type, by NumPy or JAX."""
     relative, _ = measures.relative_corners(corners(points, ids))
     return measures.jacobians(kind, relative)[0]
-
-
-def first_roots(coefficients: Float[np.ndarray, "4 k"]) -> Float[np.ndarray, " k"]:
-    """Finds where each cubic first falls below zero in 0 to 1; infinity where it does not.
-
-    The lowest coefficient comes first.
-    """
-    roots = np.full(coefficients.shape[1], np.inf)
-    roots[coefficients[0] < 0] = 0
-    c0, c1, c2, c3 = coefficients
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # places of the extremes, by the form of the quadratic's roots that does not cancel
-        half = c2 + np.copysign(np.sqrt(np.maximum(c2**2 - 3 * c1 * c3, 0)), c2)
-        extremes = np.stack([-half / (3 * c3), -c1 / half])
-    extremes = np.where((extremes > 0) & (extremes < 1), extremes, 1)
-    stops = np.concatenate([np.zeros((1, len(c0))), np.sort(extremes, axis=0), np.ones((1, len(c0)))])
-    for before, after in itertools.pairwise(stops):
-        falls = np.isinf(roots) & (_value(coefficients, after) < 0)
-        if falls.any():
-            roots[falls] = _bisect(coefficients[:, falls], before[falls], after[falls])
-    return roots
-
-
-def _value(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:
-    c0, c1, c2, c3 = coefficients
-    return c0 + t * (c1 + t * (c2 + t * c3))
-
-
-def _bisect(coefficients: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        is_below = _value(coefficients, middle) < 0
-        low, high = np.where(is_below, low, middle), np.where(is_below, middle, high)
-    return low

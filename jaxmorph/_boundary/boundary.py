@@ -76,7 +76,7 @@ class Boundary:
             is_listed |= plane.holds(self.points)
         is_open = has_free_faces(self.points, outer.corners, is_listed)
         is_listed[np.asarray(free, dtype=int)] = True
-        cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.cells, self.points.shape[1]).items()}
+        cells = {kind: np.asarray(corners) for kind, corners in solid(mesh.linear.cells, self.points.shape[1]).items()}
         left = free_faces(mesh, outer, is_listed)
         return dataclasses.replace(self, faces=outer.corners, left=left, is_open=is_open, cells=cells)
 

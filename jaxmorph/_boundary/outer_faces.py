@@ -8,6 +8,7 @@ import numpy as np
 
 from .._host.cells import topology
 from .._host.cells.pairs import is_among
+from .._host.cells.pieces import boundary_sides, linear_cells, owners
 from .._host.package.arguments import checked
 from .._host.surface.walls import seen_from_outside
 from .._mesh.mesh import Mesh
@@ -19,7 +20,7 @@ class OuterFaces:
     """The boundary faces (edges in 2-D) of the cells that fill the mesh, seen from outside.
 
     - `corners`: node ids (k, corners) by type.
-    - `ids`: numbers (k,) of the file's faces; triangles of one face have one number.
+    - `ids`: numbers (k,) of the file's faces; pieces of one face have one number.
     """
 
     corners: dict[str, np.ndarray]
@@ -44,7 +45,8 @@ def boundary_faces(mesh: Mesh, *patches: str) -> dict[str, np.ndarray]:
     """Lists the boundary faces (edges in 2-D) of a mesh, or of some patches, as arrays of node ids.
 
     A face belongs to the patches if all of its nodes do. Nodes are in counterclockwise order, seen
-    from outside of the mesh. Faces of polyhedra with more than four corners are cut into triangles.
+    from outside of the mesh. Faces of polyhedra with more than four corners are cut into triangles,
+    faces of curved cells into pieces between their nodes.
 
     **Arguments:**
 
@@ -75,10 +77,10 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
         return None
     if mesh.polyhedra is not None and points.shape[1] == 3:
         return _of_polyhedra(mesh.polyhedra, points, mesh.between)
-    faces = seen_from_outside(points, topology.boundary_faces(cells, len(points)))
+    sides = boundary_sides(cells, len(points))
     if mesh.between is not None:
-        faces = {kind: corners[~is_among(corners, mesh.between)] for kind, corners in faces.items()}
-    return OuterFaces.numbered(faces)
+        sides = {kind: each[~is_among(each, mesh.between)] for kind, each in sides.items()}
+    return OuterFaces(seen_from_outside(points, linear_cells(sides)), owners(sides))
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:

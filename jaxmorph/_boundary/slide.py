@@ -208,7 +208,7 @@ def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> list
         rows = np.unique(elements[part == number]) if part.max() else np.arange(len(nodes))
         corners, ids = np.searchsorted(rows, elements[part == number]).astype(np.int32), nodes[rows]
         flat = _flat(ids, points, corners) if part.max() else None
-        walls.append((flat or Faceted(ids, points[ids], corners, _around(corners, len(ids))), ids))
+        walls.append((flat or Faceted(ids, points[ids], corners, faces_around(corners, len(ids))), ids))
     return walls
 
 
@@ -234,7 +234,7 @@ def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "
     return parts_of(beside.row[joined], beside.col[joined], len(elements))
 
 
-def _around(elements: np.ndarray, count: int) -> np.ndarray:
+def faces_around(elements: np.ndarray, count: int) -> np.ndarray:
     """Lists the faces (count, w) at every vertex and at its neighbours; the last face fills up a row."""
     ids = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)), shape=(count, len(elements)))

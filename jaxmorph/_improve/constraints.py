@@ -12,7 +12,8 @@ from .._boundary.boundary import walls_of
 from .._boundary.pairing import Pairing
 from .._boundary.tracks import Track, check_repeated, tracks_of
 from .._boundary.walls import Flat
-from .._host.cells.topology import boundary_faces, solid
+from .._host.cells.pieces import boundary_faces
+from .._host.cells.topology import solid
 from .._host.linear.hessians import Pattern, pattern
 from .._kernels.compile import compiled
 from .._kernels.values import as_jax
@@ -102,13 +103,13 @@ def _energy(cells: dict[str, Array], reference: Float[Array, "n d"], free: Bool[
 
 
 def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
-    return {kind: np.asarray(ids) for kind, ids in solid(mesh.cells, mesh.points.shape[1]).items()}
+    return {kind: np.asarray(ids) for kind, ids in solid(mesh.linear.cells, mesh.points.shape[1]).items()}
 
 
 def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:
     """Lists the nodes of patches and outer faces, without patches and faces that lie in one of the `ways`."""
     sides = [np.asarray(nodes)[None] for nodes in mesh.patches.values()]
-    sides += boundary_faces(_cells(mesh), len(mesh.points)).values()
+    sides += boundary_faces(solid(mesh.cells, mesh.points.shape[1]), len(mesh.points)).values()
     for nodes in ways:
         is_led = np.isin(np.arange(len(mesh.points)), nodes)
         sides = [ids[~is_led[ids].all(axis=1)] for ids in sides]

@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._host.cells.topology import CORNERS, DIMENSION, VTK, boundary_faces, filling
+from .._host.cells.orders import MESHIO, VTK_ORDER, reordered
+from .._host.cells.pieces import boundary_faces
+from .._host.cells.topology import CORNERS, DIMENSION, KNOWN, NODES, SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC, filling
 from .._host.package.arguments import shown
 
 PREFIX = "patch:"
@@ -19,6 +21,12 @@ MARKERS = ("patch", "patch_id", "patchid", "marker", "boundary", "boundary_id", 
 
 BOUNDING = "gmsh:bounding_entities"
 """meshio's name of a set of cells that is no physical group."""
+
+LAGRANGE = {
+    **{"VTK_LAGRANGE_CURVE": "line", "VTK_LAGRANGE_TRIANGLE": "triangle", "VTK_LAGRANGE_QUADRILATERAL": "quad"},
+    **{"VTK_LAGRANGE_TETRAHEDRON": "tetra", "VTK_LAGRANGE_HEXAHEDRON": "hexahedron", "VTK_LAGRANGE_WEDGE": "wedge"},
+}
+"""meshio's names of VTK's cells of any order, of which the number of nodes tells the order."""
 
 Arrays = Mapping[str, Any]
 
@@ -53,28 +61,67 @@ def of_meshio(mesh: Any) -> Grid:
         hasattr(mesh, name) for name in ("points", "cells", "point_data", "cell_data", "cell_sets", "field_data")
     ):
         raise ValueError(f"`mesh` must be a meshio.Mesh, not {shown(mesh)}. Call Mesh.from_meshio(meshio.read(path)).")
-    _refuse_unknown(block.type for block in mesh.cells if len(block.data))
-    blocks = [(block.type, np.asarray(block.data)) for block in mesh.cells]
+    blocks = [kind_of_block(block.type, np.asarray(block.data)) for block in mesh.cells]
+    _refuse_unknown(kind for kind, ids in blocks if len(ids))
     return Grid(np.asarray(mesh.points), blocks, mesh.point_data, mesh.cell_data, mesh.cell_sets, mesh.field_data)
 
 
 def of_pyvista(grid: Any) -> Grid:
     """Reads points, cells and arrays of a grid of PyVista. Raises `ValueError` for cell types that are not supported."""
     numbers = np.asarray(grid.celltypes)
-    kinds = {number: kind for kind, number in VTK.items()} | {1: "vertex"}
+    kinds = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()} | {1: "vertex"}
+    shapes = {number: shape for shape, number in VTK_LAGRANGE.items()}
     pyvista = imported("pyvista", "plot")
-    _refuse_unknown(kinds.get(n) or pyvista.CellType(n).name.lower() for n in np.unique(numbers).tolist() if n)
-    blocks = [(kinds[number], np.asarray(corners)) for number, corners in grid.cells_dict.items()]
-    masks = [numbers == number for number in grid.cells_dict]
+    _refuse_unknown(
+        kinds.get(n) or pyvista.CellType(n).name.lower() for n in np.unique(numbers).tolist() if n and n not in shapes
+    )
+    starts, ids = offsets_of(grid), np.asarray(grid.cell_connectivity)
+    sizes = np.diff(starts)
+    blocks, masks = [], []
+    for number, size in np.unique(np.stack([numbers, sizes], axis=1)[numbers > 0], axis=0).tolist():
+        masks.append((numbers == number) & (sizes == size))
+        shape = shapes.get(number, "")
+        kind = kinds[number] if not shape else shape if size == CORNERS[shape] else f"{shape}{size}"
+        _refuse_unknown([kind])
+        if kind in NODES and NODES[kind] != size:
+            raise ValueError(f"cells of type {kind} have {size} nodes, not {NODES[kind]}.")
+        nodes = ids[starts[:-1][masks[-1]][:, None] + np.arange(size)]
+        blocks.append((kind, reordered(kind, nodes, VTK_ORDER, None) if kind in NODES else nodes))
     cell_data = {name: [np.asarray(values)[mask] for mask in masks] for name, values in grid.cell_data.items()}
     return Grid(np.asarray(grid.points), blocks, dict(grid.point_data), cell_data)
 
 
+def offsets_of(grid: Any) -> np.ndarray:
+    """Returns where the nodes of each cell begin in the connectivity of a grid of PyVista, old or new, and where all end."""
+    return np.asarray(grid.cell_offsets if hasattr(grid, "cell_offsets") else grid.offset)
+
+
+def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
+    """Names the type of a block of meshio as it is named here, and brings its nodes into the canonical order."""
+    shape, order = LAGRANGE.get(kind), MESHIO
+    if shape is not None and len(ids):
+        size = ids.shape[1]
+        kind, order = (f"{shape}{size}" if size != CORNERS[shape] else shape), VTK_ORDER
+    if kind in NODES and len(ids) and ids.shape[1:] != (NODES[kind],):
+        raise ValueError(f"cells of type {kind} have {ids.shape[-1]} nodes, not {NODES[kind]}.")
+    return kind, reordered(kind, ids, order, None) if kind in NODES and len(ids) else ids
+
+
+def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
+    """Names a type of cells as meshio does, and brings their nodes into the order that meshio's readers and writers expect.
+
+    Cells of order 3 and more are VTK's of any order, where it has them.
+    """
+    ids, shape = np.asarray(ids), SHAPES[kind]
+    if kind == shape or kind in VTK_QUADRATIC or shape not in VTK_LAGRANGE:
+        return kind, reordered(kind, ids, None, MESHIO)
+    return next(name for name, each in LAGRANGE.items() if each == shape), reordered(kind, ids, None, VTK_ORDER)
+
+
 def _refuse_unknown(kinds) -> None:
-    unknown = dict.fromkeys(kind for kind in kinds if kind not in CORNERS and kind != "vertex")
+    unknown = dict.fromkeys(kind for kind in kinds if kind not in NODES and kind != "vertex")
     if unknown:
-        known = ", ".join(CORNERS)
-        raise ValueError(f"cells of type {', '.join(unknown)} are not supported. Supported types are {known}.")
+        raise ValueError(f"cells of type {', '.join(unknown)} are not supported; {KNOWN}.")
 
 
 def imported(name: str, extra: str) -> Any:

@@ -1,12 +1,14 @@
 """Meshes of meshio and PyVista made of a `Mesh`: its origin with other points, or a new mesh."""
 
 import urllib.parse
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from .._host.cells.topology import VTK
-from .exchange import PREFIX, Arrays, Parts, imported
+from .._host.cells.orders import VTK_ORDER, reordered
+from .._host.cells.topology import SHAPES, VTK, VTK_LAGRANGE, VTK_QUADRATIC
+from .exchange import PREFIX, Arrays, Parts, block_of, imported, kind_of_block, offsets_of
 
 
 def to_meshio(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Arrays | None) -> Any:
@@ -15,12 +17,13 @@ def to_meshio(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: Ar
     old = _origin(source, meshio.Mesh)
     points = _points(mesh, None if old is None else old.points)
     if old is None:
-        new = meshio.Mesh(points, [(kind, np.asarray(corners)) for kind, corners in mesh.cells.items()])
+        new = meshio.Mesh(points, [block_of(kind, corners) for kind, corners in mesh.cells.items()])
     else:
         sets = {name: dict(getattr(old, name)) for name in ("point_sets", "cell_sets", "field_data")}
         new = meshio.Mesh(points, old.cells, dict(old.point_data), dict(old.cell_data), **sets)
     new.point_data.update(point_arrays)
-    kinds = np.repeat([block.type for block in new.cells], [len(block.data) for block in new.cells])
+    names = [kind_of_block(block.type, np.asarray(block.data))[0] for block in new.cells]
+    kinds = np.repeat(names, [len(block.data) for block in new.cells])
     ends = np.cumsum([len(block.data) for block in new.cells])[:-1]
     new.cell_data.update({name: np.split(values, ends) for name, values in _dealt(mesh, cell_arrays, kinds).items()})
     return new
@@ -32,17 +35,32 @@ def to_pyvista(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: A
     old = _origin(source, pyvista.UnstructuredGrid)
     points = _points(mesh, None if old is None else np.asarray(old.points))
     if old is None:
-        new = pyvista.UnstructuredGrid({VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
+        new = unstructured_grid(pyvista, mesh.cells, points)
     else:
         new = old.copy()
         new.points = points
-    names = {number: kind for kind, number in VTK.items()}
-    kinds = np.array([names.get(number, "") for number in np.asarray(new.celltypes).tolist()], dtype="<U10")
+    names = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()}
+    shapes = {number: shape for shape, number in VTK_LAGRANGE.items()}
+    both = zip(np.asarray(new.celltypes).tolist(), np.diff(offsets_of(new)).tolist(), strict=True)
+    kinds = np.array([f"{shapes[n]}{size}" if n in shapes else names.get(n, "") for n, size in both], dtype="<U13")
     for name, values in point_arrays.items():
         new.point_data[name] = values
     for name, values in _dealt(mesh, cell_arrays, kinds).items():
         new.cell_data[name] = values
     return new
+
+
+def unstructured_grid(pyvista: Any, cells: Mapping[str, Any], points: np.ndarray) -> Any:
+    """Makes a grid of PyVista; raises `ValueError` for pyramids of high order that VTK does not have."""
+    numbers, rows = [np.zeros(0, np.uint8)], [np.zeros(0, np.int64)]
+    for kind, ids in cells.items():
+        number = (VTK | VTK_QUADRATIC).get(kind, VTK_LAGRANGE.get(SHAPES[kind]))
+        if number is None:
+            raise ValueError(f"VTK has no cells of type {kind}; of pyramids it has those with 5 and 13 nodes.")
+        nodes = reordered(kind, np.asarray(ids), None, VTK_ORDER)
+        rows.append(np.column_stack([np.full(len(nodes), nodes.shape[1]), nodes]).ravel())
+        numbers.append(np.full(len(nodes), number, np.uint8))
+    return pyvista.UnstructuredGrid(np.concatenate(rows), np.concatenate(numbers), points)
 
 
 def _origin(source: Any, kind: type) -> Any:

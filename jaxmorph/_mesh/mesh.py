@@ -9,9 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Integer, Real
 
-from .._host.cells.topology import CORNERS, canonical_type
+from .._host.cells.pieces import linear_cells
+from .._host.cells.topology import NODES, SHAPES, canonical_type
 from .._host.package.arguments import check, checked, shown
 from .._kernels.module import Module
+from .._kernels.values import is_known
 from . import exchange, export
 from .patches import patch_names
 from .polyhedra import Polyhedra
@@ -25,10 +27,15 @@ class Mesh(Module):
     - `points`: coordinates (n, d) with d = 2 or 3, in the units of the file.
     - `cells`: corner ids (k, corners) by type, numbered as VTK numbers them. Types are `triangle`,
       `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron`; `tri`, `tet`, `prism` and `hex` are
-      other names. Types are kept in alphabetical order, so that arrays per cell have one order,
+      other names. Cells of order 2 to 4 have the name and the number of nodes, `triangle6` or
+      `hexahedron64`; see below. Types are kept in alphabetical order, so that arrays per cell have one order,
       also under `jit`. Default: none.
     - `patches`: node ids by name, without repetition. Default: none.
     - `source`: the file's content, for `jaxmorph.io.write`. Default: none.
+
+    Nodes of a cell of order p are points like any others. They stand on its edges, faces and inside
+    at equal steps of 1 / p. A cell lists its corners first. Then come the inner nodes of its edges,
+    of its faces, and of the cell. `jaxmorph.io.read` brings the nodes of all formats into this order.
 
     **Raises:** `ValueError` for an unknown cell type, for corner or patch ids outside of `points`,
     and for wrong shapes.
@@ -58,8 +65,8 @@ class Mesh(Module):
             raise ValueError(f"`points` has shape {self.points.shape}; expected (n, 2) or (n, 3).")
         n = self.points.shape[0]
         for kind, corners in self.cells.items():
-            if corners.ndim != 2 or corners.shape[1] != CORNERS[kind]:
-                raise ValueError(f"cells of type {kind!r} have shape {corners.shape}; expected (k, {CORNERS[kind]}).")
+            if corners.ndim != 2 or corners.shape[1] != NODES[kind]:
+                raise ValueError(f"cells of type {kind!r} have shape {corners.shape}; expected (k, {NODES[kind]}).")
         for name, ids in (self.cells | self.patches).items():
             if ids.size and (ids.min() < 0 or ids.max() >= n):
                 bad = int(ids.max()) if ids.max() >= n else int(ids.min())
@@ -150,6 +157,19 @@ class Mesh(Module):
             counts["polygon" if self.points.shape[1] == 2 else "polyhedron"] = len(self.polyhedra.cut)
         return {kind: count for kind, count in counts.items() if count}
 
+    @property
+    def is_curved(self) -> bool:
+        """Whether some cells are of order 2 or more."""
+        return any(kind != SHAPES[kind] for kind in self.cells)
+
+    @property
+    def linear(self) -> "Mesh":
+        """This mesh with linear cells: a cell of order p is cut into pieces between all of its nodes; else the mesh itself."""
+        if not self.is_curved:
+            return self
+        cells = linear_cells(self.cells, np.concatenate if is_known(*self.cells.values()) else jnp.concatenate)
+        return self._with("cells", {kind: cells[kind] for kind in sorted(cells)})
+
     @checked
     def moved(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> "Mesh":
         """Makes a mesh with coordinates `points` (n, d), and the cells and patches of this mesh.
@@ -159,10 +179,14 @@ class Mesh(Module):
         places = _floats(points)
         if tuple(places.shape) != tuple(self.points.shape):
             raise ValueError(f"`points` has shape {tuple(places.shape)}; this mesh has {tuple(self.points.shape)}.")
-        moved = object.__new__(Mesh)
+        return self._with("points", places)
+
+    def _with(self, name: str, value: Any) -> "Mesh":
+        """Makes a mesh that differs in one field, without checks."""
+        other = object.__new__(Mesh)
         for field in dataclasses.fields(self):
-            object.__setattr__(moved, field.name, places if field.name == "points" else getattr(self, field.name))
-        return moved
+            object.__setattr__(other, field.name, value if field.name == name else getattr(self, field.name))
+        return other
 
     @staticmethod
     def from_meshio(mesh: Any) -> "Mesh":

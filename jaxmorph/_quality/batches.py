@@ -1,5 +1,6 @@
 """Measures of many cells, some at a time."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -16,13 +17,16 @@ CACHED = 1 << 12
 """Cells that NumPy measures together: what it computes on the way stays in the processor's cache."""
 
 
-def in_blocks(xp: Any, function: Callable, *rows: Any) -> Any:
+def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) -> Any:
     """Applies `function`, which computes with NumPy or `jax.numpy`, to some cells at a time: memory is that of one block.
 
     The last axis of each of `rows` runs over cells, and so does that of what `function` returns. Reverse mode computes
-    each block anew.
+    each block anew. A block has `size` cells. By default it has `CACHED` for NumPy and `BLOCK` for JAX, fewer of
+    cells with many values.
     """
-    k, block = jax.tree.leaves(rows)[0].shape[-1], CACHED if xp is np else BLOCK
+    leaves = jax.tree.leaves(rows)
+    width = max(math.prod(leaf.shape[:-1]) for leaf in leaves)  # many values a cell, fewer cells
+    k, block = leaves[0].shape[-1], size or max((CACHED if xp is np else BLOCK) * 9 // max(width, 9), 64)
     if k <= block:
         return function(*rows)
 

@@ -13,10 +13,12 @@ import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from .._host.cells.pieces import linear_cells, owners
 from .._host.cells.topology import DIMENSION, FRAMES, solid
 from .._host.package.arguments import between, checked
 from .._kernels.values import is_known
@@ -144,6 +146,7 @@ def distortion(
 
     The distortion is 0 for a cell like its target, and finite on inverted cells. There it is large,
     as (1 / softness)^2 in 2-D, with a derivative that turns cells round again. Traced in `points`.
+    A curved cell has the mean of its linear pieces, see `Mesh.linear`.
 
     **Arguments:**
 
@@ -162,8 +165,8 @@ def distortion(
     `points` differs from that of `mesh.points`.
     """
     d = mesh.points.shape[1]
-    kinds = solid(mesh.cells, d)
-    if not kinds:
+    cells = solid(mesh.cells, d)
+    if not cells:
         raise ValueError(f"the mesh has no cells that fill {d}-D space; their distortion is not defined.")
     if is_known(size_weight):
         between("size_weight", size_weight, 0, 1, "[]")
@@ -172,7 +175,11 @@ def distortion(
     current = places(mesh, points)
     reference = jnp.asarray(mesh.points, current.dtype)
     parts = []
-    for kind, ids in kinds.items():
+    for kind, ids in linear_cells(cells, jnp.concatenate).items():
         goal = target(kind, corners(reference, ids), ideal)
         parts.append(energy_of_cells(kind, corners(current, ids), goal, softness, size_weight))
-    return jnp.concatenate(parts)
+    if not mesh.is_curved:
+        return jnp.concatenate(parts)
+    owner = np.concatenate(list(owners(cells).values()))
+    count = np.bincount(owner)
+    return jax.ops.segment_sum(jnp.concatenate(parts), owner, len(count)) / count

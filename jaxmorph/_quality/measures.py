@@ -13,9 +13,12 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 
+import numpy as np
 from jaxtyping import Float
 
-from .._host.cells.topology import DIMENSION, EDGES, FACES, FRAMES
+from .._host.cells.lagrange import PLACES
+from .._host.cells.shape_functions import derivatives_at_nodes, jacobian_samples
+from .._host.cells.topology import CORNERS, DIMENSION, EDGES, FACES, FRAMES, HIGH_ORDER, SHAPES
 from .._kernels.values import Either, constant, largest, namespace, smallest
 from .vector import Scalar, Vector, angle, cross, determinant, divide, dot, mean, norm, stack, total
 
@@ -78,7 +81,7 @@ def area_vector(corners: Sequence[Vector]) -> Vector:
 
 
 def _area(kind: str, x: Sequence[Vector]) -> Vector:
-    return area_vector(list(x))
+    return area_vector(list(x[: CORNERS[SHAPES[kind]]]))
 
 
 def _normal(kind: str, x: Sequence[Vector]) -> Vector:
@@ -95,8 +98,11 @@ def volume(kind: str, x: Sequence[Vector]) -> Scalar:
     """Computes the signed volume, the signed area in 2-D, the area of a surface in 3-D, the length of a line.
 
     Faces of four corners are bilinear: their flux is that of the mean of the corners, and the volume that of the
-    trilinear (isoparametric) cell.
+    trilinear (isoparametric) cell. Of a cell of high order it is the integral of its Jacobian.
     """
+    if kind in HIGH_ORDER:
+        values, weights = jacobians(kind, x)[0], jacobian_samples(kind)[1]
+        return namespace(values).tensordot(weights.astype(values.dtype), values, axes=1)
     if kind == "line":
         return norm(x[1] - x[0])
     if DIMENSION[kind] == 2:
@@ -111,7 +117,12 @@ def volume(kind: str, x: Sequence[Vector]) -> Scalar:
 
 
 def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
-    """Computes the edges that leave each corner, each (s, k); for a hexahedron also the principal axes at its centre."""
+    """Computes the edges that leave each corner, each (s, k); for a hexahedron also the principal axes at its centre.
+
+    Of a cell of high order they are the tangents, the columns of its Jacobian matrix, on a lattice and at Gauss points.
+    """
+    if kind in HIGH_ORDER:
+        return _tangents(jacobian_samples(kind)[0], x)
     corner, *ends = pick(x, FRAMES[kind])
     edges = [end - corner for end in ends]
     if kind == "hexahedron":
@@ -127,7 +138,7 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Flo
     """
     edges = frames(kind, x)
     lengths = [norm(edge) for edge in edges]
-    if kind == "line":
+    if DIMENSION[kind] == 1:
         return lengths[0], namespace(lengths[0]).ones_like(lengths[0])
     if DIMENSION[kind] == 2:
         return dot(cross(*edges), stack([_normal(kind, x)])), lengths[0] + lengths[1]
@@ -135,11 +146,29 @@ def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Flo
     return determinant(edges), a * b + b * c + c * a
 
 
+def _tangents(derivatives: np.ndarray, x: Sequence[Vector]) -> list[Vector]:
+    """Computes the derivatives of the place by each reference coordinate, each (s, k)."""
+    nodes, xp = stack(x).components, namespace(x[0][0])
+    tables = np.moveaxis(derivatives, 2, 0).astype(nodes[0].dtype)
+    return [Vector([xp.matmul(table, component) for component in nodes]) for table in tables]
+
+
+def linear_cells_at_nodes(kind: str, x: Sequence[Vector]) -> tuple[str, list[Vector]]:
+    """Computes what a linear cell would be with the tangents at each node of a cell of high order: s k cells, node by node."""
+    tangents = _tangents(derivatives_at_nodes(kind), x)
+    origin, corners = tangents[0] * 0, []
+    for place in PLACES[SHAPES[kind]]:
+        parts = [tangent for tangent, at in zip(tangents, place, strict=True) if at]
+        corner = functools.reduce(Vector.__add__, parts, origin)
+        corners.append(Vector([component.reshape(-1) for component in corner.components]))
+    return SHAPES[kind], corners
+
+
 def openings(kind: str, x: Sequence[Vector]) -> Float[Either, "s k"]:
     """Computes the largest Jacobians that the corners could have, by the lengths of their edges; 0 for a simplex."""
     lengths = [constant(norm(edge)) for edge in frames(kind, x)]
     product = functools.reduce(namespace(lengths[0]).multiply, lengths)
-    return product * (len(FRAMES[kind]) > 1 and kind != "triangle")
+    return product * (kind in HIGH_ORDER or (len(FRAMES[kind]) > 1 and kind != "triangle"))
 
 
 def _append(a: Vector, row: Vector) -> Vector:
@@ -154,8 +183,12 @@ def skewness(kind: str, x: Sequence[Vector], maximum: Largest = largest) -> Scal
     It is the `maximum` of several terms, which may be a smooth stand-in. Quad and hexahedron: Verdict's `skew`, the
     largest |cos| of the angles between the principal axes (Taylor and Flanagan, SAND87-0525). The others: Verdict's
     `equiangle_skew`, the largest deviation of an angle of a face from the equiangular one, over the largest there can
-    be. For a tetrahedron the angles between faces count too.
+    be. For a tetrahedron the angles between faces count too. For a cell of high order it is the largest of the linear
+    cells with its tangents at its nodes.
     """
+    if kind in HIGH_ORDER:
+        shape, cells = linear_cells_at_nodes(kind, x)
+        return maximum(skewness(shape, cells, maximum).reshape(len(x), -1))
     xp = namespace(x[0][0])
     if kind == "line":
         return xp.zeros_like(x[0][0])
@@ -184,8 +217,12 @@ def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
 
     Triangle: longest edge / (2 sqrt 3 inradius). Quad: longest edge times perimeter / (4 area). Tetrahedron: longest
     edge / (2 sqrt 6 inradius). Hexahedron: longest over shortest principal axis, Verdict's `max_edge_ratio`. Wedge and
-    pyramid: longest over shortest edge, Verdict's `edge_ratio`.
+    pyramid: longest over shortest edge, Verdict's `edge_ratio`. For a cell of high order it is the largest of the linear cells
+    with its tangents at its nodes.
     """
+    if kind in HIGH_ORDER:
+        shape, cells = linear_cells_at_nodes(kind, x)
+        return largest(aspect_ratio(shape, cells).reshape(len(x), -1))
     xp = namespace(x[0][0])
     if kind == "line":
         return xp.ones_like(x[0][0])

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from jaxtyping import Bool, Float, Shaped
 
-from .._host.cells.topology import DIMENSION, FACES
+from .._host.cells.topology import CORNERS, DIMENSION, FACES, SHAPES
 from .._kernels.values import Either, largest, namespace
 from . import measures
 from .batches import in_blocks
@@ -30,6 +30,7 @@ def non_orthogonality(
     differences do not lose digits.
     """
     xp = namespace(points)
+    cells = {kind: ids[: CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}  # of a curved cell the corners
     placed = [in_blocks(xp, functools.partial(_centres, kind, points), ids) for kind, ids in cells.items()]
     origins, centres = (Vector(list(xp.concatenate(parts, axis=1))) for parts in zip(*placed, strict=True))
     angles, first, used = [], 0, 0
@@ -48,7 +49,7 @@ def non_orthogonality(
 def _centres(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> tuple[Either, Either]:
     """Computes the first corner, and the centre relative to it, (d, k) each."""
     xp, x = namespace(points), corners(points, ids.T)
-    return xp.stack(x[0].components), xp.stack(centre_of_mass(kind, measures.relative_corners(x)[0]).components)
+    return xp.stack(x[0].components), xp.stack(centre_of_mass(SHAPES[kind], measures.relative_corners(x)[0]).components)
 
 
 def _angles(
@@ -59,7 +60,7 @@ def _angles(
     other = namespace(points).where(behind < 0, here, behind)
     here = here[None]
     between = (_at(origins, other) - _at(origins, here)) + (_at(centres, other) - _at(centres, here))
-    areas = measures.face_areas(kind, measures.scaled(relative, size)) * sign[None]
+    areas = measures.face_areas(SHAPES[kind], measures.scaled(relative, size)) * sign[None]
     degrees = measures.non_orthogonality(areas, between * (1 / size)[None], DIMENSION[kind] < len(areas))
     return maximum(degrees, behind >= 0)
 

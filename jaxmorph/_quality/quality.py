@@ -98,15 +98,17 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
     return _flagged(kinds, cells, current, jax.tree.map(jnp.asarray, standards))
 
 
-def places(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None) -> Float[Array, "n d"]:
-    """Returns the points at which cells are judged: `points`, or where the mesh has them."""
+def places(
+    mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None, name: str = "points"
+) -> Float[Array, "n d"]:
+    """Returns the points at which cells are judged: `points`, or where the mesh has them; `name` is the argument's."""
     if not isinstance(mesh, Mesh):
         raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
     if not sum(len(corners) for corners in mesh.cells.values()):
         raise ValueError("the mesh has no cells; its quality is not defined.")
     current = array(mesh.points if points is None else points)
     if current.shape != tuple(mesh.points.shape):
-        raise ValueError(f"`points` has shape {current.shape}; this mesh has {tuple(mesh.points.shape)}.")
+        raise ValueError(f"`{name}` has shape {current.shape}; this mesh has {tuple(mesh.points.shape)}.")
     return current if jnp.issubdtype(current.dtype, jnp.floating) else current.astype(float)
 
 
@@ -130,6 +132,14 @@ def link(cells: dict[str, Any], signs: bool) -> Links:
     cells = {kind: np.asarray(corners) for kind, corners in cells.items()}
     neighbour, flipped = neighbours(cells)
     return Links(neighbour, *(handedness(cells, neighbour, flipped) if signs else (None, None)))
+
+
+def own_signs(mesh: Mesh) -> dict[str, np.ndarray]:
+    """Finds on the host the sign that each cell's volume should have, by the numbering of the cells alone."""
+    cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
+    points = np.asarray(mesh.points, dtype=float)
+    volumes = {kind: in_blocks(np, functools.partial(_volume, kind, points), ids.T) for kind, ids in cells.items()}
+    return _enclosed_signs(volumes, link(cells, signs=True), points.shape[1])
 
 
 class Standard(NamedTuple):

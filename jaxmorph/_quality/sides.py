@@ -81,6 +81,8 @@ class Sides:
         Raises `ValueError` where cells do not fill the mesh's dimension, and for a mesh without
         cells.
         """
+        if mesh.is_curved:
+            raise ValueError("OpenFOAM's measures are for linear cells; `quality` measures curved cells.")
         highest = max((DIMENSION[kind] for kind, ids in mesh.cells.items() if len(ids)), default=None)
         if highest is None:
             raise ValueError("the mesh has no cells; its quality is not defined.")

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Real
 
+from .._host.cells.topology import SHAPES
 from .._host.package.arguments import between, checked
 from .._kernels.compile import compiled
 from .._kernels.module import Module
@@ -108,11 +109,16 @@ def _shapes(
     relative, size = measures.relative_corners(corners(points, ids.T))
     shape = measures.scaled(relative, size)
     skewness = measures.skewness(kind, shape, functools.partial(soft_maximum, sharpness=sharpness, axis=0))
-    aspect = _aspect_ratio(kind, shape, standard, sharpness, softness)
-    return skewness, aspect, _jacobian_ratio(kind, relative, standard, sharpness)
+    ratio = _jacobian_ratio(kind, relative, standard, sharpness)
+    if kind == SHAPES[kind]:
+        return skewness, _aspect_ratio(kind, shape, standard.sign, sharpness, softness), ratio
+    linear, shape = measures.linear_cells_at_nodes(kind, shape)
+    aspect = _aspect_ratio(linear, shape, jnp.tile(standard.sign, len(relative)), sharpness, softness)
+    aspect = jnp.exp(soft_maximum(jnp.log(aspect).reshape(len(relative), -1), sharpness, axis=0))
+    return skewness, aspect, ratio
 
 
-def _aspect_ratio(kind: str, x: list[Vector], standard: Standard, sharpness, softness) -> Float[Array, " k"]:
+def _aspect_ratio(kind: str, x: list[Vector], sign: Array, sharpness, softness) -> Float[Array, " k"]:
     if kind == "line":
         return jnp.ones_like(x[0][0])
     edges, under = measures.aspect_terms(kind, x)
@@ -123,7 +129,7 @@ def _aspect_ratio(kind: str, x: list[Vector], standard: Standard, sharpness, sof
     else:
         size, sides = under
         none = sides <= 0
-        inverse = jnp.where(none, 0, standard.sign * size / jnp.where(none, 1, jnp.exp(longest) * sides))
+        inverse = jnp.where(none, 0, sign * size / jnp.where(none, 1, jnp.exp(longest) * sides))
     return 1 / positive_part(inverse, softness)
 
 

@@ -76,6 +76,8 @@ def wall_quality(
     Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call,
     from cells and coordinates that may not be traced: close over the mesh.
 
+    Of curved cells all nodes count: the first grid line of a node ends at the next node of its cell.
+
     **Arguments:**
 
     - `mesh`: the undeformed mesh with its cells.
@@ -97,7 +99,7 @@ def wall_quality(
     names = (wall,) if isinstance(wall, str) else wall
     has_names = np.ndim(names) == 1 and len(names) > 0 and all(isinstance(name, str) for name in names)
     ids = mesh.patch(*names) if has_names else rows_of("wall", wall, len(mesh.points))
-    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
+    cells = {kind: np.asarray(corners) for kind, corners in mesh.linear.cells.items()}
     lines = first_lines(cells, np.asarray(mesh.points), ids)
     with jax.ensure_compile_time_eval():
         reference = jnp.asarray(mesh.points, dtype=current.dtype)

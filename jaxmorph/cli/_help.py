@@ -210,6 +210,7 @@ and ratios are then relative to FILE.
 examples:
   jaxmorph quality airfoil.su2
   jaxmorph quality airfoil.su2 pitched.su2 --max-non-orthogonality 70
+  jaxmorph quality wing.su2 --proof
 
 exit status: 0; 1 when FILE2 inverts cells, FILE alone has inverted ones, or a
 gate fails; 2 for bad input"""

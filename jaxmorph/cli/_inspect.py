@@ -10,7 +10,7 @@ from jaxmorph import Mesh, _demo, io
 from ._judged import Judged
 from ._output import Output, title
 from ._requests import Demo, Info, Quality
-from ._summary import Summary
+from ._summary import Summary, count
 from ._tables import faults, gate_facts, gate_table, table
 from ._told import mesh_of
 
@@ -28,13 +28,20 @@ def quality(request: Quality, out: Output) -> int:
         before, after = None, Summary.from_judged(judged, limits)
         if moved is not None:
             _check_same(request, mesh, moved)
-            before, after = after, Summary.from_judged(Judged(mesh, moved.points, judged), limits)
-    tables = [table(before, after), gate_table(before, after)]
+            judged = Judged(mesh, moved.points, judged)
+            before, after = after, Summary.from_judged(judged, limits)
+        proof = judged.proof if request.proof else None
+    tables = [table(before, after), gate_table(before, after), "" if proof is None else str(proof)]
     out.say("\n\n".join(filter(None, tables)), gates=gate_facts(before, after))
     if before is not None:
         out.say(before=before.facts)
     out.say(after=after.facts)
     bad = faults(before, after)
+    if proof is not None:
+        out.say(proof={name: getattr(proof, name) for name in ("valid", "invalid", "unknown", "min_margin", "depth")})
+        if proof.invalid:
+            verb = "folds" if proof.invalid == 1 else "fold"
+            bad.append(f"{proof.invalid} of {count(proof.count, 'cell')} {verb} inside.")
     for sentence in bad:
         out.complain(sentence)
     return 1 if bad else 0

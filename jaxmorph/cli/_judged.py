@@ -56,6 +56,11 @@ class Judged:
     def by_faces(self) -> bool:
         return self.mesh.polyhedra is not None or getattr(self.mesh.source, "format", "") == "OpenFOAM"
 
+    @functools.cached_property
+    def proof(self) -> jm.Proof:
+        """The bounds on det J inside the cells."""
+        return jm.proof(self.mesh, None if self.before is None else self.points)
+
     @property
     def report(self) -> Report:
         """The report that judges."""
@@ -124,10 +129,16 @@ class Judged:
                 f"{len(self.mesh.polyhedra.cut)} of {len(self.counted)} cells are {kind}, of which {key.replace('_', ' ')} "
                 "is not defined. --max-face-skewness, --max-face-aspect-ratio and --max-non-orthogonality measure them whole."
             )
-        of_mesh = np.asarray(getattr(self.corners, key))
+        of_mesh = self._proven_margin if key == "proven_margin" else np.asarray(getattr(self.corners, key))
         in_file = np.empty_like(of_mesh)
         in_file[self.mesh.cell_ids] = of_mesh
         return in_file[self.counted]
+
+    @property
+    def _proven_margin(self) -> np.ndarray:
+        """The margins of all cells, below 0 where a cell is not proven."""
+        margin = self.proof.margin
+        return np.where(self.proof.is_valid, margin, np.minimum(margin, -np.finfo(float).tiny))
 
     def write(self, path: Path) -> None:
         """Writes the mesh on its points, with the cells' quality where the format holds arrays."""

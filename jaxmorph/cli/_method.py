@@ -129,7 +129,7 @@ class Patches:
     def half(self, choice: NamedMethod) -> jm.SurfaceHalf:
         """Prepares the surface of a mesh in parts, which `mesh` is. Raises as `chunks` does."""
         with self._explaining():
-            lists = self._boundary(choice, OuterFaces.numbered(self.mesh.cells))
+            lists = self._boundary(choice, OuterFaces.numbered(self.mesh.linear.cells))
             return half_of(lists, choice.method, io.global_nodes(self.mesh))
 
     def plan(self, choice: NamedMethod) -> jm.Plan:

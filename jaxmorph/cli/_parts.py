@@ -13,6 +13,9 @@ SEVERAL: dict[str, Any] = {"metavar": "NAME", "nargs": "+", "default": ()}
 PRESETS = {"checkmesh": {"max_face_aspect_ratio": 1000.0, "max_non_orthogonality": 70.0, "max_face_skewness": 4.0}}
 """Limits of OpenFOAM's checkMesh."""
 
+PROVEN = "min_proven_margin"
+"""The limit that `--proven` sets, to 0."""
+
 NAMES = [entry.name for entry in METHODS]
 
 
@@ -73,6 +76,7 @@ class Gates:
     max_face_skewness: float | None = _limit("largest skewness of a face, as checkMesh's")
     max_face_aspect_ratio: float | None = _limit("largest aspect ratio from areas of faces, as checkMesh's")
     min_jacobian_ratio: float | None = _limit("smallest corner Jacobian over its initial value")
+    proven: bool = switch("every cell is proven to fold nowhere inside, by bounds on det J, not at its corners alone")
     preset: str | None = flag(
         "limits of OpenFOAM's checkMesh, by its own measures: aspect ratio 1000, 70 degrees, skewness 4",
         choices=tuple(PRESETS),
@@ -86,7 +90,9 @@ class Gates:
     @property
     def limits(self) -> dict[str, float]:
         """Limits by the names of their flags: the preset's limits, replaced by limits of flags."""
-        flags = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "preset"}
+        fields = dataclasses.fields(self)
+        flags = {each.name: getattr(self, each.name) for each in fields if each.name not in ("preset", "proven")}
+        flags[PROVEN] = 0.0 if self.proven else None
         limits = PRESETS.get(self.preset or "", {}) | {
             name: limit for name, limit in flags.items() if limit is not None
         }

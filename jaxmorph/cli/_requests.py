@@ -205,6 +205,7 @@ class Quality:
 
     file: Path = positional(MESH, "FILE", type=Path)
     moved: Path | None = positional("the same mesh, deformed", "FILE2", nargs="?", type=Path)
+    proof: bool = switch("prove that cells fold nowhere inside, or show where they do")
     zone: int | None = flag("of SU2 files with several zones the zone IZONE= N", metavar="N", type=int)
     gates: Gates = part(Gates)
     speech: Speech = part(Speech)

@@ -7,6 +7,7 @@ import numpy as np
 
 from ._judged import RATIOS
 from ._parser import flag_of
+from ._parts import PROVEN
 from ._summary import Summary, count, label
 
 LISTED = 20
@@ -92,7 +93,7 @@ def faults(before: Summary | None, after: Summary) -> list[str]:
     for k, gate in enumerate(after.gates):
         if gate.beyond:
             are = "cell is" if gate.beyond == 1 else "cells are"
-            limit = f"{flag_of(gate.flag)} {gate.limit:g}"
+            limit = "--proven" if gate.flag == PROVEN else f"{flag_of(gate.flag)} {gate.limit:g}"
             start = 0 if before is None else before.gates[k].beyond
             old = f" ({start} before the motion)" if start else ""
             sentences.append(

@@ -35,7 +35,9 @@ def faces_of(comm: Any, mesh: Mesh | None, nodes: np.ndarray, is_shared: np.ndar
     if mesh is None:
         return None
     # a ghost cell counts in the first piece that has it; a face that two pieces then have lies between them
-    cells = _filtered(comm, solid(mesh.cells, mesh.points.shape[1]), nodes, is_shared, lambda is_first, _: is_first)
+    cells = _filtered(
+        comm, solid(mesh.linear.cells, mesh.points.shape[1]), nodes, is_shared, lambda is_first, _: is_first
+    )
     return {
         kind: nodes[corners]
         for kind, corners in _filtered(

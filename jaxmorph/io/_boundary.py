@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxmorph import Mesh
-from jaxmorph._host.cells.topology import boundary_faces
+from jaxmorph._host.cells.pieces import boundary_sides
 
 
 def patch_faces(mesh: Mesh) -> dict[str, dict[str, np.ndarray]]:
@@ -15,7 +15,7 @@ def patch_faces(mesh: Mesh) -> dict[str, dict[str, np.ndarray]]:
     patches = sorted(mesh.patches.items(), key=lambda item: len(item[1]))
     n = mesh.points.shape[0]
     named = np.unique(np.concatenate([np.zeros(0, np.int64), *(np.asarray(nodes) for _, nodes in patches)]))
-    left = boundary_faces({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, named)
+    left = boundary_sides({kind: np.asarray(ids) for kind, ids in mesh.cells.items()}, n, named)
     result: dict[str, dict[str, np.ndarray]] = {}
     for name, nodes in patches:
         inside, held = np.zeros(n, bool), np.zeros(n, bool)

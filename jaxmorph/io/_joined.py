@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxmorph import Mesh
 from jaxmorph._host.cells.pairs import columns_of, is_single, sorted_columns
+from jaxmorph._host.cells.topology import DIMENSION
 
 from ._structured import open_faces, shared_nodes
 
@@ -56,7 +57,7 @@ def join(zones: Zones) -> tuple[Mesh, Joined]:
     cells: dict[str, list[np.ndarray]] = {}
     for kind, corners in zones.cells:
         cells.setdefault(kind, []).append(node[corners])
-    is_flat = set(cells) <= {"triangle", "quad"} and (points.shape[1] == 2 or bool(np.ptp(points[:, 2]) == 0))
+    is_flat = max(DIMENSION[kind] for kind in cells) == 2 and (points.shape[1] == 2 or bool(np.ptp(points[:, 2]) == 0))
     at = points[original][:, : 2 if is_flat else 3]
     whole = {kind: np.concatenate(parts) for kind, parts in cells.items()}
     return Mesh(np.ascontiguousarray(at), whole, patches), Joined(node, points, is_flat)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxmorph._host.cells.topology import CORNERS, VTK
+from jaxmorph._host.cells.orders import swapped_edges
+from jaxmorph._host.cells.topology import NODES, VTK, VTK_QUADRATIC
 
 from ._meshio import load, meshio
 from .text.digits import parse
@@ -22,6 +23,8 @@ TYPES = {
 }
 """VTK's names of types. It writes its own type of ids as `vtktypeint64`, and reads `vtkIdType` as four bytes."""
 
+CELLS_OF_ANY_ORDER = ("curve", "triangle", "quadrilateral", "tetrahedron", "hexahedron", "wedge")
+
 COMPONENTS = {
     "VECTORS": 3,
     "NORMALS": 3,
@@ -31,24 +34,17 @@ COMPONENTS = {
     "PEDIGREE_IDS": 1,
     "EDGE_FLAGS": 1,
 }
-OTHERS = {
-    7: "polygon",
-    8: "pixel",
-    11: "voxel",
-    22: "triangle6",
-    23: "quad8",
-    24: "tetra10",
-    25: "hexahedron20",
-    42: "polyhedron",
-}
-KINDS = {1: "vertex"} | {number: kind for kind, number in VTK.items()}
+OTHERS = {7: "polygon", 8: "pixel", 11: "voxel", 42: "polyhedron"}
+LAGRANGE = {number: f"VTK_LAGRANGE_{name.upper()}" for number, name in enumerate(CELLS_OF_ANY_ORDER, start=68)}
+KINDS = {1: "vertex"} | {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()} | LAGRANGE
 """Types of cells that a mesh may have, by VTK's number."""
 
 ORDER = {"wedge": [0, 2, 1, 3, 5, 4]}
 """Order in which meshio takes the nodes of a cell from VTK's files, where it is another one."""
 
 HEAD = re.compile(
-    rb"# vtk DataFile Version \d\.\d\s*\n[^\n]*\n\s*(ASCII|BINARY)\s+DATASET\s+(\w+)[^\n]*\n", re.IGNORECASE
+    rb"# vtk DataFile Version (?P<version>\d\.\d)\s*\n[^\n]*\n\s*(ASCII|BINARY)\s+DATASET\s+(\w+)[^\n]*\n",
+    re.IGNORECASE,
 )
 
 
@@ -61,15 +57,19 @@ def read(path: pathlib.Path) -> meshio.Mesh:
     head = HEAD.match(data)
     if head is None:
         raise ValueError(f"{path}: not a .vtk file; `# vtk DataFile Version` and three lines more are expected first.")
-    if head[2].upper() != b"UNSTRUCTURED_GRID":
+    if head[3].upper() != b"UNSTRUCTURED_GRID":
         return load(path, ".vtk", meshio.vtk.read)
-    scanner = _Scanner(data, head.end(), head[1].upper() == b"ASCII")
+    scanner = _Scanner(data, head.end(), head[2].upper() == b"ASCII")
     try:
-        return _grid(scanner)
+        grid = _grid(scanner)
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         place = f"in the section that begins with {scanner.section!r}" if scanner.section else "before any section"
         detail = f"{error.args[0]!r} is not known" if isinstance(error, KeyError) else str(error)
         raise ValueError(f"{path}: a damaged .vtk file, or one cut short, {place} ({detail[:200]}).") from error
+    if head["version"] < b"5.1":
+        for block in grid.cells:
+            block.data = swapped_edges(block.type, block.data)
+    return grid
 
 
 @dataclasses.dataclass
@@ -214,14 +214,15 @@ def _cells(scanner: _Scanner, count: int, size: int) -> _Cells:
     return _Cells(count - 1, offsets, scanner.array(size, 1, words[1]).astype(np.int64))
 
 
-def _begins(cells: _Cells, types: np.ndarray) -> np.ndarray:
-    """Finds where the nodes of each cell begin: their number follows from the type, and what the file says must agree."""
+def _begins(cells: _Cells, types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Finds where the nodes of each cell begin, and their number: it follows from the type, and what the file says must agree."""
     strange = sorted({*types.tolist()} - {*KINDS})
     if strange:
         told = ", ".join(f"{OTHERS.get(number, 'others')} (type {number})" for number in strange)
         raise ValueError(f"cells that are not supported: {told}. They would be lost")
     known = np.array(sorted(KINDS))
-    sizes = np.array([CORNERS.get(KINDS[number], 1) for number in known])[np.searchsorted(known, types)]
+    sizes = np.array([NODES.get(KINDS[number], 1) for number in known])[np.searchsorted(known, types)]
+    _measure_lagrange(cells, types, sizes)
     ends = np.append(0, np.cumsum(sizes))
     if cells.offsets is None:
         ends += np.arange(len(ends))
@@ -233,16 +234,35 @@ def _begins(cells: _Cells, types: np.ndarray) -> np.ndarray:
         agree, begins = cells.nodes[ends[:-1]] == sizes, ends[:-1] + 1
     if not agree.all():
         raise ValueError(f"cell {agree.argmin()} has not as many nodes as its type")
-    return begins
+    return begins, sizes
+
+
+def _measure_lagrange(cells: _Cells, types: np.ndarray, sizes: np.ndarray) -> None:
+    """Takes the number of nodes of cells of any order, in `sizes`, from the file."""
+    rows = np.flatnonzero(np.isin(types, list(LAGRANGE)))
+    if cells.offsets is not None and len(cells.offsets) == len(types) + 1:
+        sizes[rows] = np.diff(cells.offsets)[rows]
+    elif cells.offsets is None:
+        begins = np.cumsum(np.append(0, sizes + 1))
+        beyond = 0  # nodes of the cells before that `begins` does not count
+        for row in rows.tolist():
+            begin = int(begins[row]) + beyond
+            if begin >= len(cells.nodes):
+                raise ValueError(f"the file ends before cell {row}")
+            beyond += int(cells.nodes[begin]) - int(sizes[row])
+            sizes[row] = cells.nodes[begin]
+    if len(rows) and sizes[rows].min() < 1:
+        raise ValueError(f"a cell of {sizes[rows].min()} nodes")
 
 
 def _blocks(cells: _Cells, types: np.ndarray, n: int) -> tuple[list, np.ndarray]:
     """Makes blocks of cells of one type that follow each other, and the first cells of all blocks but the first."""
-    begins, ends = _begins(cells, types), np.flatnonzero(np.diff(types)) + 1
+    begins, sizes = _begins(cells, types)
+    ends = np.flatnonzero((np.diff(types) != 0) | (np.diff(sizes) != 0)) + 1
     blocks = []
     for rows in np.split(np.arange(len(types)), ends) if len(types) else []:
         kind = KINDS[int(types[rows[0]])]
-        corners = cells.nodes[begins[rows][:, None] + np.arange(CORNERS.get(kind, 1))]
+        corners = cells.nodes[begins[rows][:, None] + np.arange(int(sizes[rows[0]]))]
         if corners.min() < 0 or corners.max() >= n:
             raise ValueError(f"nodes {corners.min()} to {corners.max()} in cells, of {n} points")
         blocks.append((kind, corners[:, ORDER.get(kind, slice(None))]))

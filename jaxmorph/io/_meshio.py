@@ -6,14 +6,37 @@ except ImportError as error:
     raise ImportError("this file format needs meshio: pip install 'jaxmorph[io]'") from error
 
 import contextlib
+import dataclasses
 import io
 import pathlib
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxmorph import Mesh
+
+for _kind in ("pyramid13", "wedge15"):  # types that meshio reads and writes, and whose dimension it lacks
+    meshio._mesh.topological_dimension.setdefault(_kind, 3)
+
+
+class Block(NamedTuple):
+    """Holds cells of one type, as meshio's blocks do."""
+
+    type: str
+    data: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Blocks:
+    """Holds a mesh as meshio does, of any type of cells: meshio's own class refuses those of high order that it does not know."""
+
+    points: np.ndarray
+    cells: list[Block]
+    point_data: dict[str, Any] = dataclasses.field(default_factory=dict)
+    cell_data: dict[str, Any] = dataclasses.field(default_factory=dict)
+    cell_sets: dict[str, Any] = dataclasses.field(default_factory=dict)
+    field_data: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.Mesh:

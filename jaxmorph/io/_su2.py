@@ -105,6 +105,9 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
     """Raises `ValueError` for patches of a new file that boundary faces cannot express, or whose name is no tag of a marker."""
     if source_of(mesh, NAME) is not None:
         return
+    curved = [kind for kind in mesh.cells if kind not in VTK]
+    if curved:
+        raise ValueError(f"{path}: SU2's files hold linear cells, not {', '.join(curved)}; write .msh or .vtu.")
     for name in mesh.patches:
         if name != name.strip() or not name or any(mark in name for mark in "%=\r\n"):
             raise ValueError(

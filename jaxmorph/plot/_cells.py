@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 import jaxmorph as jm
 
-from ._style import TALLEST, WIDTH, finite
+from ._style import TALLEST, WIDTH, finite, whole_of
 
 try:
     import matplotlib.pyplot as plt
@@ -34,7 +34,7 @@ FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """Holds the cells of a 2-D mesh in the order of `mesh.cells`: four corners each, repeated in triangles and lines.
+    """Holds the cells of a 2-D mesh in the order of `mesh.linear.cells`: four corners each, repeated in triangles and lines.
 
     `whole` is the cell of the file that each one is, or is a piece of.
     """
@@ -52,8 +52,8 @@ class Cells:
         if not sum(map(len, mesh.cells.values())):
             raise ValueError(f"there is nothing to draw: {mesh} has no cells.")
         points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-        ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.cells.items()]
-        return cls(points, np.concatenate(ids), np.asarray(mesh.cell_ids))
+        ids = [np.asarray(cells)[:, FOUR_CORNERS[kind]] for kind, cells in mesh.linear.cells.items()]
+        return cls(points, np.concatenate(ids), whole_of(mesh))
 
     @property
     def corners(self) -> Float[np.ndarray, "k 4 2"]:

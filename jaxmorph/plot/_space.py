@@ -26,6 +26,7 @@ from ._style import (
     colour_scale,
     finite,
     usual_limits,
+    whole_of,
 )
 from ._view import VIEWER, add_bar, add_legend, aim, new_plotter, pyvista, view_axes
 
@@ -122,7 +123,7 @@ def cut(
     normal, origin = (np.asarray(vector, dtype=float) for vector in (plane.normal, plane.origin))
     viewer = normal * (-1 if np.dot(normal, VIEWER) < 0 else 1)
     grid = _grid(mesh, points, values)
-    grid.cell_data["whole"] = np.asarray(mesh.cell_ids)
+    grid.cell_data["whole"] = whole_of(mesh)
     body = np.asarray(grid.points)[bodies(np.asarray(mesh.points), mesh.patches)]
     away = (body - origin) @ normal
     is_met = plotter is None and len(body) and away.min() <= 0 <= away.max()
@@ -226,7 +227,8 @@ def _grid(mesh: jm.Mesh, points: Any, values: Any) -> Any:
     if mesh.points.shape[1] != 3:
         raise ValueError(f"this is for 3-D meshes, not {mesh}; see `plot.mesh` and `plot.before_after`.")
     points = finite(mesh.points if points is None else mesh.moved(np.asarray(points)).points)
-    grid = pyvista().UnstructuredGrid({VTK[kind]: np.asarray(ids) for kind, ids in mesh.cells.items()}, points)
+    pieces = {VTK[kind]: np.asarray(ids) for kind, ids in mesh.linear.cells.items()}
+    grid = pyvista().UnstructuredGrid(pieces, points)
     if values is not None:
         grid.cell_data["values"] = cell_values(mesh, values)
     return grid

@@ -8,6 +8,8 @@ from jaxtyping import Float, Real
 
 import jaxmorph as jm
 
+from .._host.cells.pieces import owners
+
 Limits = tuple[float | int, float | int]
 Values = Real[Any, " k"] | Sequence[float | int]
 
@@ -41,8 +43,16 @@ def finite(points: Any) -> np.ndarray:
     return array
 
 
+def whole_of(mesh: jm.Mesh) -> np.ndarray:
+    """Returns the cell that each cell of `mesh.linear` is, or is a piece of."""
+    if not mesh.is_curved:
+        return np.asarray(mesh.cell_ids)
+    rows = owners(mesh.cells)
+    return np.concatenate([rows[kind] for kind in sorted(rows)])
+
+
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
-    """Returns one value for each cell of a mesh; the value of a whole polyhedron, or polygon, is that of all its pieces.
+    """Returns one value for each cell of `mesh.linear`: pieces have that of their polyhedron, polygon or curved cell.
 
     Raises `ValueError` for another number of values than of cells, and of whole cells.
     """
@@ -55,7 +65,7 @@ def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
         known = f"{whole} cells, in {cells} pieces"
     if np.shape(values) != (cells,):
         raise ValueError(f"`values` has shape {np.shape(values)}; this mesh has {known}.")
-    return np.asarray(values)
+    return np.asarray(values)[whole_of(mesh)] if mesh.is_curved else np.asarray(values)
 
 
 def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Limits | None]:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import sparse
 
-from .._host.cells.topology import boundary_faces
+from .._host.cells.pieces import boundary_faces
 from .._host.linear.solves import Factors
 from .._host.package.arguments import between, checked, rows_of
 from .._kernels.callback import host_call

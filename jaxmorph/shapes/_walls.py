@@ -66,7 +66,7 @@ def wall_normals(mesh: Mesh, *patches: str) -> Float[np.ndarray, "m d"]:
     **Raises:** `ValueError` for patches without faces on the boundary of the mesh's cells.
     """
     nodes, points = mesh.patch(*patches), np.asarray(mesh.points, float)
-    cells = {kind: np.asarray(corners) for kind, corners in mesh.cells.items()}
+    cells = {kind: np.asarray(corners) for kind, corners in mesh.linear.cells.items()}
     wall = first_lines(cells, points, nodes)
     area = wall.sign[:, None] * areas(points[wall.faces])
     counted = np.ones(wall.faces.shape, bool)

@@ -5,15 +5,41 @@ from typing import Any
 
 import numpy as np
 
-from .pairs import columns_of, is_single, sorted_columns, unpaired
+from .pairs import columns_of, is_single, sorted_columns
 
 CORNERS = {"line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 """Number of corners by type; names are meshio's."""
 
+HIGH_ORDER = (
+    *("line3", "line4", "line5", "triangle6", "triangle10", "triangle15", "quad8", "quad9", "quad16", "quad25"),
+    *("tetra10", "tetra20", "tetra35", "pyramid13", "pyramid14", "pyramid30", "pyramid55"),
+    *("wedge15", "wedge18", "wedge40", "wedge75", "hexahedron20", "hexahedron27", "hexahedron64", "hexahedron125"),
+)
+"""Types of cells of order 2 to 4, by meshio's names: the type of the linear cell, and the number of nodes."""
+
+SHAPES = {kind: kind for kind in CORNERS} | {kind: kind.rstrip("0123456789") for kind in HIGH_ORDER}
+"""The type of the linear cell with the corners of each type."""
+
+NODES = CORNERS | {kind: int(kind.removeprefix(SHAPES[kind])) for kind in HIGH_ORDER}
+"""The number of nodes of each type."""
+
 VTK = {"line": 3, "triangle": 5, "quad": 9, "tetra": 10, "hexahedron": 12, "wedge": 13, "pyramid": 14}
 """Numbers of the types in VTK and SU2."""
 
+VTK_QUADRATIC = {
+    **{"line3": 21, "line4": 35, "triangle6": 22, "quad8": 23, "quad9": 28, "tetra10": 24, "pyramid13": 27},
+    **{"wedge15": 26, "wedge18": 32, "hexahedron20": 25, "hexahedron27": 29},
+}
+"""VTK's number of each type of order 2, and of lines of order 3. Pyramids with more nodes VTK does not have."""
+
+VTK_LAGRANGE = {"line": 68, "triangle": 69, "quad": 70, "tetra": 71, "hexahedron": 72, "wedge": 73}
+"""VTK's number of cells of any order, which their number of nodes tells."""
+
 DIMENSION = {"line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wedge": 3, "hexahedron": 3}
+DIMENSION |= {kind: DIMENSION[SHAPES[kind]] for kind in HIGH_ORDER}
+
+KNOWN = f"known are {', '.join(CORNERS)}, and of order 2 to 4 {', '.join(HIGH_ORDER)}"
+"""What a message says of the types there are."""
 
 _ALIASES = {"tri": "triangle", "tet": "tetra", "tetrahedron": "tetra", "prism": "wedge", "hex": "hexahedron"}
 
@@ -21,8 +47,8 @@ _ALIASES = {"tri": "triangle", "tet": "tetra", "tetrahedron": "tetra", "prism": 
 def canonical_type(name: str) -> str:
     """Returns meshio's name of a cell type. Raises `ValueError` for an unknown type."""
     name = _ALIASES.get(name, name)
-    if name not in CORNERS:
-        raise ValueError(f"unknown cell type {name!r}; known types are {', '.join(CORNERS)}.")
+    if name not in NODES:
+        raise ValueError(f"unknown cell type {name!r}; {KNOWN}.")
     return name
 
 
@@ -41,7 +67,8 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
-"""Faces by type (edges of a 2-D cell), counterclockwise as seen from outside."""
+FACES |= {kind: FACES[SHAPES[kind]] for kind in HIGH_ORDER}
+"""Corners of the faces by type (edges of a 2-D cell), counterclockwise as seen from outside."""
 
 EDGES: dict[str, tuple[tuple[int, int], ...]] = {
     "line": ((0, 1),),
@@ -82,37 +109,3 @@ def solid(cells: Mapping[str, Any], dimension: int) -> dict[str, Any]:
 def repeated_cells(corners: np.ndarray) -> np.ndarray:
     """Finds the rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
     return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))
-
-
-def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """Finds the faces that belong to one cell only (edges of 2-D cells), by type.
-
-    **Arguments:**
-
-    - `cells`: corner ids (k, corners) by type.
-    - `n`: number of nodes of the mesh.
-    - `among`: node ids. With them, only faces with all nodes among them are returned.
-
-    **Returns:** node ids (f, corners) by type, counterclockwise as seen from outside.
-    """
-    is_candidate = None
-    if among is not None:
-        is_candidate = np.zeros(n, bool)
-        is_candidate[among] = True
-    sides: dict[int, list[list[np.ndarray]]] = {}
-    for kind, corners in cells.items():
-        nodes = columns_of(corners)
-        for side in FACES.get(kind, ()):
-            columns = [nodes[corner] for corner in side]
-            if is_candidate is not None:
-                # The two copies of an inner face pass or fail together: no face becomes single
-                # here.
-                passes = np.logical_and.reduce([is_candidate[column] for column in columns])
-                columns = [column[passes] for column in columns]
-            sides.setdefault(len(side), []).append(columns)
-    outer = {}
-    for size, parts in sorted(sides.items()):
-        columns = [np.concatenate(column) for column in zip(*unpaired(parts, n), strict=True)]
-        single = is_single(sorted_columns(columns, size))
-        outer[SIDE_TYPES[size]] = np.stack([column[single] for column in columns], axis=1).astype(np.int64)
-    return outer

@@ -8,7 +8,7 @@ import numpy as np
 
 import jaxmorph as jm
 from jaxmorph import Mesh
-from jaxmorph._host.cells.topology import boundary_faces
+from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 

@@ -8,13 +8,31 @@ from typing import Any
 import numpy as np
 
 from jaxmorph._host.cells import topology
+from jaxmorph._host.cells.orders import CGNS_ORDER, reordered
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._structured import block_cells, block_ids, block_sides
 from .polyhedra import Block, Ragged, polyhedra
 
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
-CORNERS = {number: topology.CORNERS.get(kind, 1) for number, kind in TYPES.items()}
+TYPES |= {
+    **{
+        4: "line3",
+        6: "triangle6",
+        8: "quad8",
+        9: "quad9",
+        11: "tetra10",
+        13: "pyramid14",
+        15: "wedge15",
+        16: "wedge18",
+    },
+    **{18: "hexahedron20", 19: "hexahedron27", 21: "pyramid13", 24: "line4", 26: "triangle10", 28: "quad16"},
+    **{30: "tetra20", 33: "pyramid30", 36: "wedge40", 39: "hexahedron64", 40: "line5", 42: "triangle15"},
+    **{44: "quad25", 47: "tetra35", 50: "pyramid55", 53: "wedge75", 56: "hexahedron125"},
+}
+PARTIAL = {25, 27, 29, 31, 32, 34, 35, 37, 38, 41, 43, 45, 46, 48, 49, 51, 52, 54, 55}
+"""Elements of order 3 and 4 that lack nodes inside of the cell, or inside of faces too."""
+NODES = {number: topology.NODES.get(kind, 1) for number, kind in TYPES.items()}
 MIXED, NGON, NFACE = 20, 22, 23
 DIMENSION = {number: topology.DIMENSION.get(kind, 0) for number, kind in TYPES.items()}
 NORMAL = {"IFaceCenter": 0, "JFaceCenter": 1, "KFaceCenter": 2}
@@ -138,6 +156,7 @@ class Zone:
                 continue
             for begin, number, corners in self._section(name, kind, connectivity, start):
                 self._check(name, corners)
+                corners = reordered(TYPES[number], corners, CGNS_ORDER, None)
                 elements[begin] = corners - 1 + self.first
                 blocks.append(Block(TYPES[number], elements[begin]))
         if not volumes or not polygons:
@@ -152,21 +171,29 @@ class Zone:
         if vertices.size and (vertices.min() < 1 or vertices.max() > self.count):
             raise self.error(f"section {name} names vertices beyond 1 to {self.count}")
 
+    def _known(self, name: str, number: int) -> None:
+        if number in NODES:
+            return
+        what = f"section {name} has elements of type {number}"
+        if number in PARTIAL:
+            raise self.error(
+                f"{what}, of order 3 or 4 without all inner nodes; of these orders complete elements are read"
+            )
+        raise self.error(f"{what}; linear elements, elements of order 2 to 4 and polyhedra are read")
+
     def _section(self, name: str, kind: int, values: np.ndarray, start: int):
         """Yields elements of one type after another: number of the first, type, vertices."""
         if kind != MIXED:
-            if kind not in CORNERS:
-                raise self.error(
-                    f"section {name} has elements of type {kind}; linear elements and polyhedra are read, not curved ones"
-                )
-            yield start, kind, values.reshape(-1, CORNERS[kind])
+            self._known(name, kind)
+            if len(values) % NODES[kind]:
+                raise self.error(f"section {name} has {len(values)} vertices for elements of {NODES[kind]} each")
+            yield start, kind, values.reshape(-1, NODES[kind])
             return
         at = 0
         while at < len(values):
             number = int(values[at])
-            if number not in CORNERS:
-                raise self.error(f"section {name} has elements of type {number} among MIXED ones")
-            width = 1 + CORNERS[number]
+            self._known(name, number)
+            width = 1 + NODES[number]
             rows = values[at : at + (len(values) - at) // width * width].reshape(-1, width)
             other = np.flatnonzero(rows[:, 0] != number)
             count = int(other[0]) if other.size else len(rows)

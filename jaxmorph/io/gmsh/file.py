@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from jaxmorph import Mesh
+from jaxmorph._host.cells.orders import GMSH, MESHIO, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 
 from .._boundary import patch_faces
 from .._format import Arrays, Source, source_of
-from .._meshio import meshio, to_mesh
+from .._meshio import Block, Blocks, meshio, to_mesh
 from ..text.sections import Section, replace_numbers
-from .parts import Elements, elements, entities, nodes
+from .parts import TYPES, Elements, elements, entities, nodes
 from .sections import Form, Stream, form_of, physical_names, runs, sections
 
 NAME = "gmsh"
@@ -92,7 +93,7 @@ def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
     return numbered
 
 
-def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int], str]) -> meshio.Mesh:
+def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int], str]) -> Blocks:
     """Makes a mesh with a set of cells for each physical group."""
     sets: dict[str, Any] = {}
     for k, block in enumerate(cells):
@@ -100,7 +101,8 @@ def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int]
             name = names.get((DIMENSION.get(block.kind, 0), tag), f"physical_{tag}")
             members = sets.setdefault(name, [None] * len(cells))
             members[k] = np.arange(len(block.corners)) if rows is None else rows
-    return meshio.Mesh(points, [(block.kind, block.corners) for block in cells], cell_sets=sets)
+    blocks = [Block(block.kind, reordered(block.kind, block.corners, GMSH, MESHIO)) for block in cells]
+    return Blocks(points, blocks, cell_sets=sets)
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
@@ -111,6 +113,9 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
         if any(mark in name for mark in '"\r\n') or not name:
             message = f"{path}: {name!r} cannot be the name of a physical group: empty, or with '\"' or a line break."
             raise ValueError(message)
+    unknown = [kind for kind in mesh.cells if kind not in TYPES.values() or kind in ("pyramid30", "pyramid55")]
+    if unknown:
+        raise ValueError(f"{path}: a new file cannot have cells of type {', '.join(unknown)}, only one that was read.")
     patch_faces(mesh)
 
 
@@ -129,17 +134,22 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
 
 
 def _new(mesh: Mesh) -> meshio.Mesh:
-    blocks: list[Any] = [(kind, np.asarray(corners)) for kind, corners in mesh.cells.items()]
+    blocks: list[Any] = [_block(kind, np.asarray(nodes)) for kind, nodes in mesh.cells.items()]
     tags = [np.zeros(len(corners), np.int32) for _, corners in blocks]
     groups = {}
     for tag, (name, faces) in enumerate(patch_faces(mesh).items(), start=1):
         for kind, corners in faces.items():
             if len(corners):
                 groups[name] = np.array([tag, DIMENSION[kind]])
-                blocks.append((kind, corners))
+                blocks.append(_block(kind, corners))
                 tags.append(np.full(len(corners), tag, np.int32))
     cell_data: Any = {"gmsh:physical": tags, "gmsh:geometrical": tags}
     return meshio.Mesh(mesh.to_meshio().points, blocks, cell_data=cell_data, field_data=groups)
+
+
+def _block(kind: str, nodes: np.ndarray) -> tuple[str, np.ndarray]:
+    """Brings nodes into an order of which meshio's writer makes gmsh's."""
+    return kind, meshio.gmsh.common._gmsh_to_meshio_order(kind, reordered(kind, nodes, None, GMSH))
 
 
 def _replaced(content: _GmshContent, points: np.ndarray) -> Iterator[bytes | bytearray | memoryview]:

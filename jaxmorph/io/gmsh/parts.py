@@ -5,12 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxmorph._host.cells.topology import DIMENSION
+from jaxmorph._host.cells.topology import DIMENSION, NODES
 
 from .._meshio import meshio
 from .sections import Stream, whole
 
-TYPES, CORNERS_OF = meshio.gmsh.common._gmsh_to_meshio_type, meshio._mesh.num_nodes_per_cell
+TYPES = meshio.gmsh.common._gmsh_to_meshio_type | {118: "pyramid30", 119: "pyramid55"}
+CORNERS_OF = NODES | {"vertex": 1}
 RUN = 1 << 16
 """Rows of varying width that are looked at together."""
 
@@ -151,7 +152,10 @@ def elements(stream: Stream, groups: Groups) -> list[Elements]:
 def _kind(number: int) -> str:
     if number not in TYPES:
         raise ValueError(f"elements of type {number}")
-    return TYPES[number]
+    kind = TYPES[number]
+    if kind != "vertex" and kind not in NODES:
+        raise ValueError(f"elements of type {number}, {kind}; elements of order 1 to 4 are read")
+    return kind
 
 
 def _lines(stream: Stream) -> list[Elements]:

@@ -1,0 +1,198 @@
+"""The order in which each format lists the nodes of a cell of high order.
+
+All formats list corners first, then inner nodes of edges, of faces and of the cell. They differ in the order and the sense
+of edges and faces, and in how inner nodes go. Here is a table of edges and one of faces for each format.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from .lagrange import PLACES, lagrange_types
+from .topology import EDGES, FACES, SHAPES
+
+Sides = Mapping[str, tuple[tuple[int, ...], ...]]
+"""Corners of the edges, or of the faces, by shape."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class NodeOrder:
+    """Describes the order of a format.
+
+    - `edges`, `faces`: in the format's order, each from its first corner; shapes that are not in it go as `EDGES`, `FACES`.
+    - `inner`: lists the inner lattice of a shape and order, as the format goes through it.
+    """
+
+    edges: Sides
+    faces: Sides
+    inner: Callable[[str, int], np.ndarray]
+
+    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
+        """Lists the places (k, d) on the lattice of a cell's nodes."""
+        corners = np.array(PLACES[shape])
+        nodes = [order * corners]
+        for first, second in () if shape == "line" else self.edges.get(shape, EDGES[shape]):
+            t = np.arange(1, order)[:, None]
+            nodes.append((order - t) * corners[first] + t * corners[second])
+        if is_complete:
+            for face in self.faces.get(shape, FACES[shape]) if corners.shape[1] == 3 else ():
+                inside = self.inner({3: "triangle", 4: "quad"}[len(face)], order)
+                along = np.stack([corners[face[1]] - corners[face[0]], corners[face[-1]] - corners[face[0]]])
+                nodes.append(order * corners[face[0]] + inside @ along)
+            nodes.append(self.inner(shape, order))
+        return np.concatenate(nodes)
+
+    @functools.cache  # noqa: B019
+    def places(self, kind: str) -> np.ndarray:
+        """Finds the place (k,) in the format's list of each node of the canonical order."""
+        cell = lagrange_types()[kind]
+        listed = self.lattice(cell.shape, cell.order, is_complete=cell.is_complete)
+        place = {tuple(at): k for k, at in enumerate(listed.tolist())}
+        return np.array([place[tuple(at)] for at in cell.lattice.tolist()])
+
+
+def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder | None) -> Any:
+    """Brings nodes (k, nodes) of cells from one order to another; None stands for the canonical order."""
+    if SHAPES.get(kind, kind) == kind or origin is target:
+        return ids
+    ids = ids if origin is None else ids[:, origin.places(kind)]
+    return ids if target is None else ids[:, np.argsort(target.places(kind))]
+
+
+def _rows(shape: str, order: int) -> np.ndarray:
+    """Lists the inner lattice row by row, the first coordinate fastest."""
+    cell = lagrange_types()[shape]
+    grid = np.indices((order + 1,) * cell.dimension).reshape(cell.dimension, -1)[::-1].T
+    return grid[_is_inner(shape, order, grid)]
+
+
+def _is_inner(shape: str, order: int, at: np.ndarray) -> Any:
+    inner = (at > 0).all(axis=1)
+    if shape in ("triangle", "tetra"):
+        return inner & (at.sum(axis=1) < order)
+    if shape == "wedge":
+        return inner & (at[:, :2].sum(axis=1) < order) & (at[:, 2] < order)
+    if shape == "pyramid":
+        return inner & (at[:, :2].max(axis=1) + at[:, 2] < order)
+    return inner & (at < order).all(axis=1)
+
+
+def _as_gmsh(shape: str, order: int) -> np.ndarray:
+    """Lists the inner lattice as gmsh does: as the nodes of a cell of the order that is left."""
+    if shape == "line":
+        return _rows(shape, order)
+    if shape == "wedge":  # at each place in the triangle the ends of the line first
+        triangle, line = _as_gmsh("triangle", order), _rows("line", order)
+        line = np.concatenate([line[:1], line[1:][::-1]])
+        return np.column_stack([np.repeat(triangle, len(line), axis=0), np.tile(line, (len(triangle), 1))])
+    left = order - {"triangle": 3, "quad": 2, "tetra": 4, "hexahedron": 2, "pyramid": 3}[shape]
+    if left < 0:
+        return np.zeros((0, len(PLACES[shape][0])), np.int64)
+    return 1 + (GMSH.lattice(shape, left) if left else np.zeros((1, len(PLACES[shape][0])), np.int64))
+
+
+GMSH = NodeOrder(
+    {
+        "tetra": ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1)),
+        "pyramid": ((0, 1), (0, 3), (0, 4), (1, 2), (1, 4), (2, 3), (2, 4), (3, 4)),
+        "wedge": ((0, 1), (0, 2), (0, 3), (1, 2), (1, 4), (2, 5), (3, 4), (3, 5), (4, 5)),
+        "hexahedron": (
+            *((0, 1), (0, 3), (0, 4), (1, 2), (1, 5), (2, 3)),
+            *((2, 6), (3, 7), (4, 5), (4, 7), (5, 6), (6, 7)),
+        ),
+    },
+    {
+        "tetra": ((0, 2, 1), (0, 1, 3), (0, 3, 2), (3, 1, 2)),
+        "pyramid": ((0, 1, 4), (3, 0, 4), (1, 2, 4), (2, 3, 4), (0, 3, 2, 1)),
+        "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4)),
+        "hexahedron": ((0, 3, 2, 1), (0, 1, 5, 4), (0, 4, 7, 3), (1, 2, 6, 5), (2, 3, 7, 6), (4, 5, 6, 7)),
+    },
+    _as_gmsh,
+)
+"""gmsh's order: its manual, section "Node ordering"."""
+
+VTK_ORDER = NodeOrder(
+    {
+        "quad": ((0, 1), (1, 2), (3, 2), (0, 3)),
+        "hexahedron": (
+            *((0, 1), (1, 2), (3, 2), (0, 3), (4, 5), (5, 6)),
+            *((7, 6), (4, 7), (0, 4), (1, 5), (2, 6), (3, 7)),
+        ),
+    },
+    {
+        "tetra": ((0, 1, 3), (2, 3, 1), (0, 3, 2), (0, 2, 1)),
+        "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+        "hexahedron": ((0, 3, 7, 4), (1, 2, 6, 5), (0, 1, 5, 4), (3, 2, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7)),
+    },
+    _rows,
+)
+"""The order of VTK's quadratic and Lagrange cells, from VTK 9 on: its classes' parametric coordinates."""
+
+
+def _spirals(shape: str, order: int) -> np.ndarray:
+    """Lists the inner lattice as CGNS does: layer by layer, and round and round in each layer of a square."""
+    rows = _rows(shape, order)
+    if shape == "quad":
+        return _spiral(rows)
+    if shape in ("pyramid", "hexahedron"):
+        layers = [rows[rows[:, 2] == z] for z in range(1, order)]
+        return np.concatenate([rows[:0], *(_spiral(layer) for layer in layers)])
+    return rows
+
+
+def _spiral(square: np.ndarray) -> np.ndarray:
+    """Orders the places of a square from its border inwards, each ring from its least corner along the first coordinate."""
+    low, high = 1, square[:, :2].max(initial=0)
+    x, y = square[:, 0], square[:, 1]
+    ring = np.minimum.reduce([x - low, high - x, y - low, high - y])
+    size, x, y = high - low - 2 * ring, x - low - ring, y - low - ring
+    along = np.select([y == 0, x == size, y == size], [x, size + y, 3 * size - x], 4 * size - y)
+    return square[np.lexsort((along, ring))]
+
+
+CGNS_ORDER = NodeOrder(
+    {
+        "wedge": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)),
+        "hexahedron": (
+            *((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5)),
+            *((2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4)),
+        ),
+    },
+    {
+        "tetra": ((0, 1, 2), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
+        "pyramid": ((0, 1, 2, 3), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
+        "wedge": ((0, 1, 2), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5), (3, 4, 5)),
+        "hexahedron": ((0, 1, 2, 3), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)),
+    },
+    _spirals,
+)
+"""CGNS's order: SIDS, section "Unstructured grid element numbering conventions"."""
+
+
+def swapped_edges(kind: str, ids: np.ndarray) -> np.ndarray:
+    """Changes hexahedra of any order between VTK's order and the order that it had before version 9.
+
+    In files of an older version the inner nodes of the last two edges stand the other way round.
+    """
+    if kind != "VTK_LAGRANGE_HEXAHEDRON" or not ids.size:
+        return ids
+    inner = round(ids.shape[1] ** (1 / 3)) - 2
+    columns = np.arange(ids.shape[1])
+    last = slice(8 + 10 * inner, 8 + 12 * inner)
+    columns[last] = np.roll(columns[last], inner)
+    return ids[:, columns]
+
+
+class _Meshio(NodeOrder):
+    """Describes the order of meshio's meshes: VTK's for cells of order 2, gmsh's for cells of higher orders."""
+
+    def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
+        origin = VTK_ORDER if order == 2 and not (shape == "pyramid" and is_complete) else GMSH
+        return origin.lattice(shape, order, is_complete=is_complete)
+
+
+MESHIO = _Meshio({}, {}, _rows)
+"""The order in meshes of meshio. VTK has no pyramid with 14 nodes: that is gmsh's too."""

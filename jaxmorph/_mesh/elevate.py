@@ -1,0 +1,100 @@
+"""Meshes of high order made of linear ones."""
+
+import itertools
+
+import numpy as np
+
+from .._host.cells.lagrange import ORDERS, Lagrange, lagrange_types
+from .._host.cells.pieces import boundary_sides
+from .._host.cells.topology import CORNERS, SHAPES, solid
+from .._host.package.arguments import checked
+from .mesh import Mesh
+
+
+@checked
+def elevate(mesh: Mesh, order: int) -> Mesh:
+    """Makes a mesh of order 2 to 4 of a linear one: the same straight cells, with nodes on their edges, faces and inside.
+
+    The nodes of the linear mesh come first, as they were. New nodes of boundary faces belong to the patches that have all
+    corners of the face. `curve` then puts the wall's nodes onto a curved surface.
+
+    **Arguments:**
+
+    - `mesh`: a mesh of linear cells.
+    - `order`: 2, 3 or 4.
+
+    **Returns:** a `Mesh`. It is a new one, which no file knows.
+
+    **Raises:** `ValueError` for another order, for cells that are curved already, for a mesh without cells and for polyhedra.
+    """
+    if order not in ORDERS[1:]:
+        raise ValueError(f"`order` is {order}; meshes of order 2, 3 and 4 can be made.")
+    if mesh.is_curved or mesh.polyhedra is not None or not mesh.cells:
+        raise ValueError(f"{mesh} cannot be elevated: linear cells are needed, of the types {', '.join(CORNERS)}.")
+    targets = {kind: _type(kind, order) for kind in mesh.cells}
+    keys = {kind: _keys(np.asarray(ids), targets[kind]) for kind, ids in mesh.cells.items()}
+    # a new node is known by its corners and their weights, in ascending order: cells that share a face agree on it
+    every = np.concatenate([each.reshape(-1, each.shape[2]) for each in keys.values()])
+    nodes, number = np.unique(every, axis=0, return_inverse=True)
+    n, number = len(mesh.points), number.ravel()
+    cells, first = {}, 0
+    for kind, ids in mesh.cells.items():
+        k, new = keys[kind].shape[:2]
+        cells[targets[kind].name] = np.column_stack(
+            [np.asarray(ids), n + number[first : first + k * new].reshape(k, new)]
+        )
+        first += k * new
+    corners, weights = nodes[:, ::2], nodes[:, 1::2]
+    old = np.asarray(mesh.points)
+    added = np.einsum("nc,ncd->nd", weights / weights.sum(axis=1, keepdims=True), old[corners])
+    points = np.concatenate([old, added.astype(old.dtype)])
+    return Mesh(points, cells, _patches(mesh, cells, len(points)))
+
+
+def _type(kind: str, order: int) -> Lagrange:
+    return next(
+        cell for cell in lagrange_types().values() if (cell.shape, cell.order, cell.is_complete) == (kind, order, True)
+    )
+
+
+def _keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
+    """Lists, for each new node of each cell, corners and weights in turn: (k, new, 16), corners ascending, zeros in front."""
+    weights = _weights(cell)
+    weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
+    order = np.argsort(np.where(weights[None] > 0, ids[:, None], -1), axis=2, kind="stable")
+    weights = np.take_along_axis(np.broadcast_to(weights, (len(ids), *weights.shape)), order, axis=2)
+    corners = np.where(
+        weights > 0, np.take_along_axis(np.repeat(ids[:, None], weights.shape[1], axis=1), order, axis=2), 0
+    )
+    keys = np.zeros((*weights.shape[:2], 16), np.int64)
+    keys[:, :, 16 - 2 * weights.shape[2] :] = np.stack([corners, weights], axis=3).reshape(*weights.shape[:2], -1)
+    return keys
+
+
+def _weights(cell: Lagrange) -> np.ndarray:
+    """Lists the weights (new, corners), whole numbers, of the corners at each new node: values of the linear shape functions."""
+    at, p = cell.lattice[cell.corners :], cell.order
+    x, d = at.T, cell.dimension
+    if cell.shape in ("triangle", "tetra", "line"):
+        return np.column_stack([p - at.sum(axis=1), at])
+    if cell.shape == "wedge":
+        base = np.column_stack([p - x[0] - x[1], x[0], x[1]])
+        return np.concatenate([base * (p - x[2])[:, None], base * x[2][:, None]], axis=1)
+    if cell.shape == "pyramid":  # times (p - z): the functions of the base are bilinear in x / (p - z), y / (p - z)
+        left = p - x[2]
+        base = [(left - x[0]) * (left - x[1]), x[0] * (left - x[1]), x[0] * x[1], (left - x[0]) * x[1]]
+        return np.stack([*base, x[2] * left], axis=1)
+    factors = [(p - each, each) for each in x]
+    signs = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    signs = signs if d == 2 else [(*sign, z) for z, sign in itertools.product((0, 1), signs)]
+    return np.stack([np.prod([factors[axis][s] for axis, s in enumerate(sign)], axis=0) for sign in signs], axis=1)
+
+
+def _patches(mesh: Mesh, cells: dict[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
+    patches = {name: [np.asarray(nodes)] for name, nodes in mesh.patches.items()}
+    for kind, faces in boundary_sides(solid(cells, mesh.points.shape[1]) or cells, n).items():
+        for name, nodes in mesh.patches.items():
+            inside = np.zeros(n, bool)
+            inside[np.asarray(nodes)] = True
+            patches[name].append(faces[inside[faces[:, : CORNERS[SHAPES[kind]]]].all(axis=1)].ravel())
+    return {name: np.concatenate(parts) for name, parts in patches.items()}

@@ -1,0 +1,1 @@
+"""Bounds on det J of whole cells, by Bernstein coefficients."""

@@ -1,0 +1,167 @@
+"""Bernstein form of polynomials on products of simplices: a square is line times line, a wedge triangle times line.
+
+On a simplex with barycentric coordinates lambda, a polynomial of degree q is the sum over |alpha| = q of
+b_alpha multinomial(alpha) lambda^alpha. The terms are positive and add up to 1. So the polynomial lies between its least and
+its largest coefficient, and the coefficients at corners are its values there.
+
+A space is a tuple with (dimension, degree) of each factor. Coefficients of a product are in C order of its factors' indices.
+Scaled coefficients are b_alpha multinomial(alpha): their products are those of ordinary polynomials.
+"""
+
+import functools
+import itertools
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..._kernels.values import Either, namespace
+
+Space = tuple[tuple[int, int], ...]
+
+
+@functools.cache
+def indices(dimension: int, degree: int) -> np.ndarray:
+    """Lists the multi-indices (n, dimension + 1) of one factor, the corner of lambda_0 first."""
+    rows = itertools.product(range(degree, -1, -1), repeat=dimension + 1)
+    return np.array([row for row in rows if sum(row) == degree])
+
+
+def count(space: Space) -> int:
+    """Counts the coefficients of a space."""
+    return math.prod(len(indices(*factor)) for factor in space)
+
+
+@functools.cache
+def multinomials(space: Space) -> np.ndarray:
+    """Computes what turns coefficients into scaled ones (n,)."""
+    factors = [
+        [math.factorial(degree) // math.prod(map(math.factorial, row)) for row in indices(dimension, degree).tolist()]
+        for dimension, degree in space
+    ]
+    return functools.reduce(np.kron, factors, np.ones(1))
+
+
+@functools.cache
+def rows_of_products(first: Space, second: Space) -> np.ndarray:
+    """Lists the row in the product's space of each product of two terms: (terms of the second, terms of the first)."""
+    table = np.zeros((1, 1), dtype=np.int64)
+    for (dimension, low), (_, high) in zip(first, second, strict=True):
+        place = {tuple(row): i for i, row in enumerate(indices(dimension, low + high).tolist())}
+        sums = indices(dimension, high)[:, None] + indices(dimension, low)[None]
+        rows = np.array([[place[tuple(row)] for row in line] for line in sums.tolist()])
+        outer = table[:, None, :, None] * len(place) + rows[None, :, None, :]
+        table = outer.reshape(len(table) * len(rows), -1)
+    return table
+
+
+@functools.cache
+def corners(space: Space) -> np.ndarray:
+    """Lists the rows of the coefficients at corners, in C order of the factors' corners."""
+    rows = np.zeros(1, dtype=np.int64)
+    for factor in space:
+        own = np.argsort(-indices(*factor), axis=0, kind="stable")[0]
+        rows = (rows[:, None] * len(indices(*factor)) + own[None]).ravel()
+    return rows
+
+
+def terms(space: Space, places: np.ndarray) -> np.ndarray:
+    """Computes lambda^alpha (n, k) at places (d, k): what scaled coefficients are multiplied by."""
+    product, first = np.ones((1, places.shape[1])), 0
+    for dimension, degree in space:
+        local = places[first : first + dimension]
+        barycentric = np.concatenate([1 - local.sum(axis=0, keepdims=True), local])
+        own = (barycentric[None] ** indices(dimension, degree)[:, :, None]).prod(axis=1)
+        product, first = (product[:, None] * own[None]).reshape(-1, places.shape[1]), first + dimension
+    return product
+
+
+@functools.cache
+def children(dimension: int) -> np.ndarray:
+    """Lists the corners (2^dimension, corners, corners) of a simplex's parts, in its barycentric coordinates.
+
+    The parts have half its edges: one at each corner, and what is left inside, four tetrahedra in an octahedron.
+    """
+    unit = np.eye(dimension + 1)
+    own = [[(unit[i] + unit[j]) / 2 for j in range(dimension + 1)] for i in range(dimension + 1)]
+    if dimension == 2:
+        own.append([own[0][1], own[0][2], own[1][2]])
+    if dimension == 3:
+        diagonal = own[0][2], own[1][3]
+        around = (own[0][1], own[0][3], own[2][3], own[1][2])
+        own += [[*diagonal, a, b] for a, b in zip(around, (*around[1:], around[0]), strict=True)]
+    return np.array(own)
+
+
+@functools.cache
+def halving(dimension: int, degree: int) -> np.ndarray:
+    """Computes the matrix (2^dimension n, n) from the coefficients of one factor to those on its parts.
+
+    A coefficient on a part is the blossom at the part's corners, each as often as its index says: de Casteljau's algorithm.
+    No entry is negative, each row adds up to 1, and all are multiples of powers of 1/2.
+    """
+    matrix = np.ones((2**dimension, 1, 1))
+    for high in range(1, degree + 1):
+        rows = indices(dimension, high)
+        up = rows_of_products(((dimension, high - 1),), ((dimension, 1),))
+        which, new = (rows > 0).argmax(axis=1), np.zeros((2**dimension, len(rows), len(rows)))
+        before = np.empty(
+            len(rows), dtype=np.int64
+        )  # the row whose index is less by one at the first corner that it has
+        for corner in range(dimension + 1):
+            before[up[corner]] = np.where(which[up[corner]] == corner, np.arange(up.shape[1]), before[up[corner]])
+        for corner in range(dimension + 1):
+            share = children(dimension)[:, which, corner]
+            new[:, :, up[corner]] += share[:, :, None] * matrix[:, before]
+        matrix = new
+    return matrix.reshape(-1, matrix.shape[-1])
+
+
+def halved(space: Space, coefficients: Either) -> Either:
+    """Computes coefficients on the 2^d parts of a cell: (n, k) to (n, 2^d k), one part after another."""
+    xp, k = namespace(coefficients), coefficients.shape[-1]
+    values = coefficients.reshape(*(len(indices(*factor)) for factor in space), k)
+    for axis, factor in enumerate(space):
+        matrix = halving(*factor).astype(values.dtype)
+        values = xp.moveaxis(contracted(matrix, values, axis), 0, axis)
+    shape = [size for factor in space for size in (2 ** factor[0], len(indices(*factor)))]
+    values, axes = values.reshape(*shape, k), range(2 * len(space))
+    return values.transpose(*axes[1::2], *axes[::2], len(axes)).reshape(coefficients.shape[0], -1)
+
+
+def contracted(matrix: np.ndarray, values: Either, axis: int = 0) -> Either:
+    """Multiplies values by a matrix along an axis, which becomes the first one; in full precision on every device."""
+    if namespace(values) is np:
+        return np.tensordot(matrix, values, (1, axis))
+    return namespace(values).tensordot(matrix, values, (1, axis), precision="highest")
+
+
+def multiplied(first: Space, second: Space, a: list[Any], b: list[Any], product: Any) -> list[Any]:
+    """Multiplies polynomials whose scaled coefficients are arrays (n, k), one for each component of a vector.
+
+    `product` is bilinear: two lists of components to one list.
+    """
+    table = rows_of_products(first, second)
+    size, xp = int(table.max()) + 1, namespace(a[0])
+    if xp is not np:
+        return _multiplied_in_trace(table, size, a, b, product)
+    sums: list[Any] = []
+    for i, rows in enumerate(table):
+        parts = product(a, [component[i][None] for component in b])
+        sums = sums or [np.zeros((size, part.shape[-1]), part.dtype) for part in parts]
+        for total, part in zip(sums, parts, strict=True):
+            total[rows] += part
+    return sums
+
+
+def _multiplied_in_trace(table: np.ndarray, size: int, a: list[Any], b: list[Any], product: Any) -> list[Any]:
+    def add(sums, step):
+        rows, factor = step
+        parts = product(a, [component[None] for component in factor])
+        return [total.at[rows].add(part, unique_indices=True) for total, part in zip(sums, parts, strict=True)], None
+
+    shapes = jax.eval_shape(lambda: product(a, [component[:1] for component in b]))
+    zeros = [jnp.zeros((size, part.shape[-1]), part.dtype) for part in shapes]
+    return jax.lax.scan(add, zeros, (table, b))[0]

@@ -1,0 +1,219 @@
+"""The Bernstein form of det J: for each type of cells, tables that turn its nodes into coefficients.
+
+A cell is the image of a reference cell, a product of simplices. The columns of J are derivatives of that map, with Bernstein
+coefficients that are differences of control points. Coefficients of det J are mixed determinants of those, with positive weights.
+
+A pyramid is taken as the image of a cube whose top face shrinks to the apex: (r, s, t) to (r (1 - t), s (1 - t), t). There its
+functions are polynomials (Bergot, Cohen, Durufle, J. Sci. Comput. 42, 2010). Two columns have the factor 1 - t, which is
+divided out: what is left is det J in the reference pyramid.
+
+Sources: Johnen, Remacle, Geuzaine, Geometrical validity of curvilinear finite elements, J. Comput. Phys. 233, 2013.
+"""
+
+import dataclasses
+import functools
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..._host.cells.lagrange import Lagrange, lagrange_types
+from ..._host.linear import products
+from ..._kernels.values import Either
+from . import bernstein
+from .bernstein import Space
+
+FACTORS = {
+    "line": (1,),
+    "triangle": (2,),
+    "quad": (1, 1),
+    "tetra": (3,),
+    "pyramid": (1, 1, 1),
+    "wedge": (2, 1),
+    "hexahedron": (1, 1, 1),
+}
+"""Dimensions of the simplices whose product is the reference cell; a pyramid's cube is collapsed."""
+
+TIME = (1, 1)
+"""The factor of a straight motion: linear in time."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Form:
+    """Holds the tables of one type of cells; with a time, that of cells whose nodes move along straight lines.
+
+    - `shape`: the type of the linear cell.
+    - `spaces`: the space of each column of J; `matrices` make its scaled coefficients of the nodes.
+    - `map_space`, `control`: those of the cell's map.
+    - `space`: the space of det J.
+    - `has_time`: whether time is the first factor; the nodes are then those at the start and those at the end.
+    """
+
+    shape: str
+    spaces: tuple[Space, ...]
+    matrices: tuple[np.ndarray, ...]
+    map_space: Space
+    control: np.ndarray
+    has_time: bool = False
+
+    @functools.cached_property
+    def space(self) -> Space:
+        degrees = [[degree for _, degree in space] for space in self.spaces]
+        return tuple((m, sum(each)) for (m, _), each in zip(self.spaces[0], zip(*degrees, strict=True), strict=True))
+
+    def moving(self) -> "Form":
+        """Makes the form in space and time."""
+        spaces = tuple((TIME, *space) for space in self.spaces)
+        matrices = tuple(np.kron(np.eye(2), matrix) for matrix in self.matrices)
+        control = np.kron(np.eye(2), self.control)
+        return Form(self.shape, spaces, matrices, (TIME, *self.map_space), control, True)
+
+    def columns(self, x: list[Either]) -> list[list[Either]]:
+        """Computes scaled coefficients of the columns of J from the nodes: a list of components (nodes, k)."""
+        matrices = [matrix.astype(x[0].dtype) for matrix in self.matrices]
+        return [[bernstein.contracted(matrix, component) for component in x] for matrix in matrices]
+
+    def determinant(self, columns: list[list[Either]]) -> Float[Either, "n k"]:
+        """Computes the coefficients of det J."""
+        a, b, *rest = columns
+        first, second, *last = self.spaces
+        product = bernstein.multiplied(first, second, a, b, products.cross)
+        if rest:
+            both = tuple((m, p + q) for (m, p), (_, q) in zip(first, second, strict=True))
+            product = bernstein.multiplied(both, last[0], product, rest[0], lambda u, v: [products.dot(u, v)])
+        return product[0] / bernstein.multinomials(self.space).astype(product[0].dtype)[:, None]
+
+    def coefficients(self, x: list[Either]) -> Float[Either, "n k"]:
+        """Computes the coefficients of det J from the nodes."""
+        return self.determinant(self.columns(x))
+
+    def round_off(self, x: list[np.ndarray], columns: list[list[np.ndarray]]) -> Float[np.ndarray, " k"]:
+        """Bounds the round-off error of all coefficients of det J, and of what `halved` makes of them.
+
+        A coefficient is a mean of determinants |a| |b| |c| at most. Each column has the error of a difference of nodes, in
+        which the cell's reach counts, and each of the sums below has one ulp for each of its terms.
+        """
+        lengths = []
+        for space, column in zip(self.spaces, columns, strict=True):
+            squares = products.dot(column, column) / bernstein.multinomials(space)[:, None] ** 2
+            lengths.append(np.sqrt(squares.max(axis=0)))
+        reach = np.sqrt(len(x)) * np.max([np.abs(component).max(axis=0) for component in x], axis=0)
+        error, whole = self._growth * reach, functools.reduce(np.multiply, lengths)
+        others = [functools.reduce(np.multiply, lengths[:i] + lengths[i + 1 :]) for i in range(len(lengths))]
+        terms = len(x[0]) + sum(map(bernstein.count, self.spaces)) + 16 * len(self.space) + 16
+        return 4 * terms * np.finfo(float).eps * (whole + error * functools.reduce(np.add, others))
+
+    @functools.cached_property
+    def _growth(self) -> float:
+        """The largest sum of entries in a row of the matrices that make coefficients of the columns."""
+        each = zip(self.spaces, self.matrices, strict=True)
+        rows = [np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in each]
+        return float(max(row.max() for row in rows))
+
+    def mean(self, coefficients: Either) -> Float[Either, " k"]:
+        """Computes the mean of det J over the reference cell: the cell's volume over that of the reference cell."""
+        shares = np.full(bernstein.count(self.space), 1 / bernstein.count(self.space))
+        if self.shape == "pyramid":  # a layer at t has the share 3 (1 - t)^2
+            below, ((_, q), n) = bernstein.count(self.space[:-1]), (self.space[-1], self.space[-1][1] + 1)
+            layers = [3 * (q - i + 2) * (q - i + 1) / ((q + 3) * (q + 2) * (q + 1)) for i in range(n)]
+            shares = np.kron(np.full(below, 1 / below), layers)
+        return bernstein.contracted(shares[None].astype(coefficients.dtype), coefficients)[0]
+
+    def places(self, x: list[np.ndarray], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "k d"]:
+        """Computes where the map of k cells with nodes x takes a place among the factors, one for each cell."""
+        weights = bernstein.terms(self.map_space, at) * bernstein.multinomials(self.map_space)[:, None]
+        return np.stack([((self.control @ component) * weights).sum(axis=0) for component in x], axis=1)
+
+    def values(self, columns: list[list[np.ndarray]], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, " k"]:
+        """Evaluates det J at a place among the factors of each of k cells, as the determinant of the columns there."""
+        each = zip(self.spaces, columns, strict=True)
+        weights = [(bernstein.terms(space, at), column) for space, column in each]
+        return products.determinant([[(b * weight).sum(axis=0) for b in column] for weight, column in weights])
+
+    def inside(self, at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "f k"]:
+        """Moves places off a pyramid's apex, where det J depends on the direction, by a millionth of its height."""
+        is_last = np.arange(len(at)) == len(at) - 1
+        return np.where((self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - 1e-6), at)
+
+    def reference(self, places: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "d k"]:
+        """Computes places in the reference cell, without the time."""
+        places = places[1:] if self.has_time else places
+        if self.shape != "pyramid":
+            return places
+        return np.concatenate([places[:2] * (1 - places[2:]), places[2:]])
+
+
+@functools.cache
+def form_of(kind: str, has_time: bool = False) -> Form:
+    """Makes the form of a type of cells, by the name that `lagrange_types` has for it."""
+    if has_time:
+        return form_of(kind).moving()
+    cell = lagrange_types()[kind]
+    if not cell.is_complete:
+        name, matrix = cell.completion()
+        whole = form_of(name)
+        matrices = tuple(own @ matrix for own in whole.matrices)
+        return dataclasses.replace(whole, matrices=matrices, control=whole.control @ matrix)
+    space = tuple((m, cell.order) for m in FACTORS[cell.shape])
+    control = _control(cell, space)
+    columns = [_derivative(space, control, f, i) for f, (m, _) in enumerate(space) for i in range(m)]
+    if cell.shape == "pyramid":
+        columns = [*(_divided(*column) for column in columns[:2]), columns[2]]
+    spaces, matrices = zip(*columns, strict=True)
+    return Form(cell.shape, spaces, matrices, space, control)
+
+
+def _control(cell: Lagrange, space: Space) -> np.ndarray:
+    """Finds the matrix (n, nodes) from nodes to Bernstein coefficients of the map: control points."""
+    places = cell.reference.T.copy()
+    modes = np.eye(bernstein.count(space))
+    if cell.shape == "pyramid":
+        is_tip = places[2] == 1
+        places[:2] /= np.where(is_tip, 1, 1 - places[2])
+        modes = _pyramid_modes(cell.order)
+    values = (bernstein.terms(space, places) * bernstein.multinomials(space)[:, None]).T @ modes
+    inverse = np.linalg.inv(values)
+    exact = values.astype(np.longdouble)
+    for _ in range(2):  # what is lost by the inversion is found again in higher precision
+        inverse = inverse + (inverse @ (np.eye(len(values)) - exact @ inverse)).astype(float)
+    return modes @ inverse
+
+
+def _pyramid_modes(order: int) -> np.ndarray:
+    """Computes Bernstein coefficients (n, modes) on the cube of a pyramid's functions r^i s^j (1 - t)^max(i, j) t^k."""
+    line = ((1, order),)
+
+    def power(i: int, j: int = 0) -> np.ndarray:  # t^i (1 - t)^j, times (t + 1 - t)^(order - i - j)
+        scaled = np.zeros(order + 1)
+        rest = order - i - j
+        scaled[i : i + rest + 1] = bernstein.multinomials(((1, rest),))
+        return scaled / bernstein.multinomials(line)
+
+    modes = [
+        functools.reduce(np.kron, (power(i), power(j), power(k, max(i, j))))
+        for i in range(order + 1)
+        for j in range(order + 1)
+        for k in range(order + 1 - max(i, j))
+    ]
+    return np.array(modes).T
+
+
+def _derivative(space: Space, control: np.ndarray, factor: int, axis: int) -> tuple[Space, np.ndarray]:
+    """Computes the space of a derivative, and the matrix of its scaled coefficients."""
+    (m, degree), zeros = space[factor], [(m, 0) for m, _ in space]
+    lower = (*space[:factor], (m, degree - 1), *space[factor + 1 :])
+    step = (*zeros[:factor], (m, 1), *zeros[factor + 1 :])
+    rows = bernstein.rows_of_products(lower, step)
+    return lower, degree * bernstein.multinomials(lower)[:, None] * (control[rows[axis + 1]] - control[rows[0]])
+
+
+def _divided(space: Space, matrix: np.ndarray) -> tuple[Space, np.ndarray]:
+    """Divides a polynomial, given by scaled coefficients, by 1 - t, where t is the last factor's coordinate."""
+    *others, (m, degree) = space
+    lower = (*others, (m, degree - 1))
+    return lower, matrix[bernstein.rows_of_products(lower, (*((m, 0) for m, _ in others), (1, 1)))[0]]
+
+
+def nodes_of(points: Any, ids: Any) -> list[Any]:
+    """Gathers the nodes of cells relative to the first one: a list of components (nodes, k). `ids` are (nodes, k)."""
+    return [component[ids] - component[ids[:1]] for component in (points[:, axis] for axis in range(points.shape[1]))]

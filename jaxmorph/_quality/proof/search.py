@@ -1,0 +1,116 @@
+"""Bounds on the least det J of each cell, tightened by subdivision where they straddle zero."""
+
+import dataclasses
+import functools
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from . import bernstein
+from .bernstein import Space
+
+ROOM = 1 << 16
+"""Coefficients that are computed together: they stay in the processor's cache."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bounds:
+    """Bounds (k,) on the least value of k polynomials: none is less than `lower`, and each has the value `upper` at `at`.
+
+    - `at`: places (f, k) among the factors of the space.
+    - `lower`, `upper`: beyond round-off.
+    - `is_flat`: the least coefficient and the least value are zero to round-off: no subdivision decides the sign.
+    """
+
+    lower: Float[np.ndarray, " k"]
+    upper: Float[np.ndarray, " k"]
+    at: Float[np.ndarray, "f k"]
+    is_flat: np.ndarray
+
+
+def bounds(
+    space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Float[np.ndarray, " k"], depth: int
+) -> Bounds:
+    """Bounds polynomials by their coefficients, with parts of a 2^depth-th of the cell's edges where the sign needs them."""
+    k = coefficients.shape[1]
+    search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((_dimension(space), k)))
+    corners = [np.concatenate([np.zeros((1, m)), np.eye(m)])[:, :, None] for m, _ in space]
+    corners = [np.broadcast_to(each, (*each.shape[:2], k)) for each in corners]
+    search.look(_Parts(coefficients, np.arange(k), corners), 0)
+    lower, upper = search.lower - round_off, search.upper + round_off
+    return Bounds(lower, upper, search.at, (np.abs(search.lower) <= round_off) & (np.abs(search.upper) <= round_off))
+
+
+def _dimension(space: Space) -> int:
+    return sum(m for m, _ in space)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Parts:
+    """Parts of cells: their coefficients (n, p), the cell of each, and the corners (m + 1, m, p) of each factor."""
+
+    coefficients: Float[np.ndarray, "n p"]
+    cell: Int[np.ndarray, " p"]
+    corners: list[np.ndarray]
+
+    def __getitem__(self, rows: np.ndarray) -> "_Parts":
+        return _Parts(self.coefficients[:, rows], self.cell[rows], [each[:, :, rows] for each in self.corners])
+
+    def halved(self, space: Space) -> "_Parts":
+        """Cuts each part into 2^d, in the order of `bernstein.halved`."""
+        counts, p = [2**m for m, _ in space], len(self.cell)
+        corners = []
+        for factor, ((m, _), each) in enumerate(zip(space, self.corners, strict=True)):
+            own = np.einsum("cij,jmp->imcp", bernstein.children(m), each)
+            shape = [1] * len(space)
+            shape[factor] = counts[factor]
+            every = np.broadcast_to(own.reshape(m + 1, m, *shape, p), (m + 1, m, *counts, p))
+            corners.append(every.reshape(m + 1, m, -1))
+        return _Parts(bernstein.halved(space, self.coefficients), np.tile(self.cell, np.prod(counts)), corners)
+
+    def place(self, corner: Int[np.ndarray, " p"]) -> Float[np.ndarray, "f p"]:
+        """Finds where a corner of each part is in the cell."""
+        own = np.unravel_index(corner, [len(each) for each in self.corners])
+        rows = zip(self.corners, own, strict=True)
+        return np.concatenate([each[i, :, np.arange(len(corner))].T for each, i in rows])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Search:
+    """Holds what is known of each cell: the least coefficient of its parts, the least value found, and where."""
+
+    space: Space
+    depth: int
+    round_off: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    at: np.ndarray
+
+    def look(self, parts: _Parts, level: int) -> None:
+        """Looks at the coefficients of parts, and into those whose sign is open; a cell with a negative value needs no more."""
+        cell, least = parts.cell, parts.coefficients.min(axis=0)
+        lowest, slack = self._compare(parts), self.round_off[cell]
+        # where a corner is zero to round-off, closer bounds cannot be positive: only what may be negative is of interest
+        is_open = (least < -slack) | ((least <= slack) & (lowest > slack))
+        is_open &= ~(self.upper[cell] < -slack)
+        if level == self.depth:
+            is_open[:] = False
+        np.minimum.at(self.lower, cell[~is_open], least[~is_open])
+        rows, size = np.flatnonzero(is_open), self._size
+        for start in range(0, len(rows), size):
+            self.look(parts[rows[start : start + size]].halved(self.space), level + 1)
+
+    def _compare(self, parts: _Parts) -> Float[np.ndarray, " p"]:
+        """Compares the values at corners with the least ones found, and returns the least of each part."""
+        values = parts.coefficients[bernstein.corners(self.space)]
+        corner, least = values.argmin(axis=0), values.min(axis=0)
+        before = self.upper.copy()
+        np.minimum.at(self.upper, parts.cell, least)
+        rows = np.flatnonzero((least == self.upper[parts.cell]) & (least < before[parts.cell]))
+        self.at[:, parts.cell[rows]] = parts[rows].place(corner[rows])
+        return least
+
+    @functools.cached_property
+    def _size(self) -> int:
+        """How many parts are cut together."""
+        return max(1, ROOM // (bernstein.count(self.space) * 2 ** _dimension(self.space)))

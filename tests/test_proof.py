@@ -1,0 +1,287 @@
+"""Proof that cells fold nowhere inside: against gmsh's bounds, exact arithmetic, closed forms and samples."""
+
+import itertools
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from oracles import jacobians_inside
+
+import jaxmorph as jm
+from jaxmorph._host.cells.lagrange import lagrange_types
+from jaxmorph._quality.proof import bernstein
+from jaxmorph._quality.proof.form import form_of
+from jaxmorph._quality.proof.search import bounds
+
+SHAPES = ("triangle", "quad", "tetra", "pyramid", "wedge", "hexahedron")
+COMPLETE = {(cell.shape, cell.order): cell for cell in lagrange_types().values() if cell.is_complete}
+GMSH = {
+    "triangle": "Triangle",
+    "quad": "Quadrangle",
+    "tetra": "Tetrahedron",
+    "pyramid": "Pyramid",
+    "hexahedron": "Hexahedron",
+}
+
+
+def bounded(kind: str, nodes: np.ndarray, depth: int = 4):
+    """Bounds on det J of cells of one type, nodes (k, nodes, d); and where it is least, in the reference cell."""
+    form = form_of(kind)
+    x = [nodes[:, :, axis].T - nodes[:, 0, axis] for axis in range(nodes.shape[2])]
+    columns = form.columns(x)
+    found = bounds(form.space, form.determinant(columns), form.round_off(x, columns), depth)
+    return found, form.reference(form.inside(found.at)).T
+
+
+def cells_near_the_limit(cell, count: int, seed: int = 0) -> np.ndarray:
+    """Random cells of one type that are about to fold: nodes (count, nodes, d)."""
+    rng = np.random.default_rng(seed)
+    places, more = samples(cell.shape, 2 * cell.order + 3), 4 * count  # not every direction leads to a fold
+    noise = rng.normal(size=(more, *cell.lattice.shape)) / cell.order
+
+    def is_folded(share):
+        nodes = cell.reference + share[:, None, None] * noise
+        return jacobians_inside(cell.shape, cell.order, cell.lattice, nodes, places).min(axis=1) < 0
+
+    low, high = np.zeros(more), np.full(more, 2.0)
+    noise = noise[is_folded(high)][:count]
+    low, high = low[:count], high[:count]
+    for _ in range(12):
+        middle = (low + high) / 2
+        folded = is_folded(middle)
+        low, high = np.where(folded, low, middle), np.where(folded, middle, high)
+    return cell.reference + (high * (1 + 0.05 * rng.normal(size=count)))[:, None, None] * noise
+
+
+def samples(shape: str, count: int) -> np.ndarray:
+    """Places (s, d) inside a reference cell, on a lattice of its collapsed cube; none at an apex."""
+    line = np.linspace(0, 1, count)
+    d = 2 if shape in ("triangle", "quad") else 3
+    at = np.array(list(itertools.product(line, repeat=d)))
+    if shape in ("triangle", "wedge", "tetra"):
+        at[:, 0] *= 1 - at[:, 1]
+    if shape == "tetra":
+        at[:, :2] *= 1 - at[:, 2:]
+    if shape == "pyramid":
+        at[:, 2] *= 1 - 1e-3
+        at[:, :2] *= 1 - at[:, 2:]
+    return at
+
+
+def check_against_samples(cell, count: int, per_side: int, seed: int = 0) -> None:
+    """No valid cell has a sample that is not positive, no bound is above a sample, and a witness has the value it claims."""
+    nodes = cells_near_the_limit(cell, count, seed)
+    found, reference = bounded(cell.name, nodes)
+    is_valid, is_invalid = found.lower > 0, found.upper < 0
+    places = samples(cell.shape, per_side)
+    chunks = np.array_split(np.arange(count), max(1, count * len(places) // 200_000))
+    least = np.concatenate(
+        [jacobians_inside(cell.shape, cell.order, cell.lattice, nodes[rows], places).min(axis=1) for rows in chunks]
+    )
+    slack = 1e-9 * (1 + np.abs(least))
+    assert (least[is_valid] > -slack[is_valid]).all()
+    assert (found.lower <= least + slack).all()
+    value = [
+        jacobians_inside(cell.shape, cell.order, cell.lattice, nodes[i : i + 1], reference[i : i + 1])[0, 0]
+        for i in np.flatnonzero(found.upper < -0.01)[:20]
+    ]
+    assert (np.array(value) < 0).all()
+    assert 0.1 < is_valid.mean() < 0.9
+    assert (~is_valid & ~is_invalid).mean() < (0.05 if cell.order < 3 else 0.2)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_bounds_agree_with_samples(shape, order):
+    check_against_samples(COMPLETE[shape, order], 60, 7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_bounds_agree_with_dense_samples_near_the_limit(shape, order):
+    """10,080 cells in all, 17 samples along each direction."""
+    check_against_samples(COMPLETE[shape, order], {1: 840, 2: 420, 3: 280, 4: 140}[order], 17, seed=1)
+
+
+@pytest.mark.parametrize("shape", GMSH)
+def test_gmsh_finds_the_least_value_between_the_bounds(shape):
+    """gmsh bounds det J by its own Bernstein coefficients, in its own reference cell, with its own order of nodes."""
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        for order in (
+            (1, 2, 3) if shape != "pyramid" else (1,)
+        ):  # gmsh's det J of curved pyramids contradicts samples of them
+            cell = COMPLETE[shape, order]
+            nodes = cells_near_the_limit(cell, 40)
+            if shape == "triangle":  # gmsh turns the normal of a triangle to its corners
+                edges = nodes[:, 1:3] - nodes[:, :1]
+                nodes = nodes[np.linalg.det(edges) > 0.1]
+            theirs = least_of_gmsh(gmsh, cell, nodes)
+            found, _ = bounded(cell.name, nodes)
+            assert (found.lower <= theirs + 1e-6).all()
+            assert (found.upper >= theirs - 1e-6).all()
+            is_known = (found.lower > 0) | (found.upper < 0)
+            assert is_known.mean() > 0.8
+    finally:
+        gmsh.finalize()
+
+
+def least_of_gmsh(gmsh, cell, nodes: np.ndarray) -> np.ndarray:
+    """The least det J of cells by gmsh, in the unit of the reference cells here."""
+    kind = gmsh.model.mesh.getElementType(GMSH[cell.shape], cell.order)
+    local = np.reshape(gmsh.model.mesh.getElementProperties(kind)[4], (len(cell.lattice), -1))[:, : cell.dimension]
+    if cell.shape in ("quad", "hexahedron"):
+        local = (local + 1) / 2
+    elif cell.shape == "pyramid":
+        local = np.column_stack([(local[:, :2] + 1 - local[:, 2:]) / 2, local[:, 2]])
+    place = {tuple(at): node for node, at in enumerate(cell.lattice.tolist())}
+    order = [place[tuple(at)] for at in np.rint(local * cell.order).astype(int).tolist()]
+    gmsh.clear()
+    gmsh.model.addDiscreteEntity(cell.dimension, 1)
+    xyz = np.zeros((nodes.shape[0], nodes.shape[1], 3))
+    xyz[:, :, : cell.dimension] = nodes[:, order]
+    tags = np.arange(1, xyz.shape[0] * xyz.shape[1] + 1)
+    gmsh.model.mesh.addNodes(cell.dimension, 1, tags, xyz.ravel())
+    elements = np.arange(1, len(nodes) + 1)
+    gmsh.model.mesh.addElementsByType(1, kind, elements, tags)
+    unit = {"quad": 4, "pyramid": 4, "hexahedron": 8}.get(cell.shape, 1)
+    return unit * np.array(gmsh.model.mesh.getElementQualities(elements, "minDetJac"))
+
+
+def exact(corners: np.ndarray) -> dict[tuple[int, ...], Fraction]:
+    """det J of a trilinear hexahedron as a polynomial, in rational numbers: coefficients by exponents."""
+    units = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    maps = []
+    for axis in range(3):
+        total: dict[tuple[int, ...], Fraction] = {}
+        for corner, unit in zip(corners, units, strict=True):
+            for e in itertools.product(*[(0, 1) if not u else (1,) for u in unit]):  # 1 - r or r, multiplied out
+                sign = (-1) ** sum(p for p, u in zip(e, unit, strict=True) if not u)
+                total[e] = total.get(e, Fraction(0)) + sign * Fraction(float(corner[axis]))
+        maps.append(total)
+
+    def slope(poly, axis):
+        return {tuple(p - (i == axis) for i, p in enumerate(e)): e[axis] * c for e, c in poly.items() if e[axis]}
+
+    def times(a, b):
+        product: dict[tuple[int, ...], Fraction] = {}
+        for (e, c), (f, g) in itertools.product(a.items(), b.items()):
+            key = tuple(p + q for p, q in zip(e, f, strict=True))
+            product[key] = product.get(key, Fraction(0)) + c * g
+        return product
+
+    det: dict[tuple[int, ...], Fraction] = {}
+    for columns, sign in (
+        ((0, 1, 2), 1),
+        ((1, 2, 0), 1),
+        ((2, 0, 1), 1),
+        ((0, 2, 1), -1),
+        ((1, 0, 2), -1),
+        ((2, 1, 0), -1),
+    ):
+        term = times(times(slope(maps[0], columns[0]), slope(maps[1], columns[1])), slope(maps[2], columns[2]))
+        for e, c in term.items():
+            det[e] = det.get(e, Fraction(0)) + sign * c
+    return det
+
+
+def interval(poly, box) -> tuple[Fraction, Fraction]:
+    """The range of a polynomial on a box of non-negative numbers, in interval arithmetic: powers grow."""
+    low = sum(
+        (c * math.prod([x[c < 0] ** p for x, p in zip(box, e, strict=True)]) for e, c in poly.items()), Fraction(0)
+    )
+    high = sum(
+        (c * math.prod([x[c > 0] ** p for x, p in zip(box, e, strict=True)]) for e, c in poly.items()), Fraction(0)
+    )
+    return low, high
+
+
+def is_positive(poly, box, depth: int) -> bool | None:
+    """Decides by interval arithmetic and bisection whether a polynomial is positive on a box; None where it cannot."""
+    low, high = interval(poly, box)
+    if low > 0:
+        return True
+    if high < 0:
+        return False
+    if depth == 0:
+        return None
+    halves = [((a, (a + b) / 2), ((a + b) / 2, b)) for a, b in box]
+    found = [is_positive(poly, part, depth - 1) for part in itertools.product(*halves)]
+    return False if False in found else None if None in found else True
+
+
+def test_exact_arithmetic_agrees():
+    """Coefficients are those of rational numbers within the round-off that is claimed, and so are verdicts by intervals."""
+    cell = COMPLETE["hexahedron", 1]
+    nodes = np.concatenate(
+        [cells_near_the_limit(cell, 4), cell.reference + 0.06 * np.random.default_rng(2).normal(size=(4, 8, 3))]
+    )
+    form = form_of("hexahedron")
+    x = [nodes[:, :, axis].T - nodes[:, 0, axis] for axis in range(3)]
+    columns = form.columns(x)
+    coefficients, slack = form.determinant(columns), form.round_off(x, columns)
+    found, _ = bounded("hexahedron", nodes)
+    decided = 0
+    for k, corners in enumerate(nodes):
+        poly = exact(corners)
+        for row, index in enumerate(itertools.product(range(3), repeat=3)):  # t^i is the sum of C(j, i) / C(2, i) B_j
+            value = sum(
+                (c * math.prod(math.comb(j, p) * Fraction(1, math.comb(2, p)) for j, p in zip(index, e, strict=True)))
+                for e, c in poly.items()
+            )
+            assert abs(float(value) - coefficients[row, k]) <= slack[k]
+        truth = is_positive(poly, [(Fraction(0), Fraction(1))] * 3, 2)
+        decided += truth is not None
+        assert truth is None or truth == (found.lower[k] > 0)
+    assert decided >= 3
+
+
+@pytest.mark.parametrize("kind", [name for name, cell in lagrange_types().items() if cell.dimension > 1])
+def test_an_affine_cell_has_one_coefficient(kind):
+    """An affine map has the same det J everywhere, also of cells whose nodes inside of faces are left out."""
+    cell = lagrange_types()[kind]
+    d = cell.dimension
+    matrix = np.eye(d) + 0.3 * np.random.default_rng(0).normal(size=(d, d))
+    form = form_of(kind)
+    x = list((cell.reference @ matrix.T).T[:, :, None])
+    np.testing.assert_allclose(form.coefficients(x), np.linalg.det(matrix), rtol=1e-10)
+    moving = form_of(kind, True)
+    turned = [np.concatenate([a, 2 * a]) for a in x]  # doubled: (1 + t)^d det J
+    at = np.full((1 + d, 1), 0.2)
+    np.testing.assert_allclose(moving.values(moving.columns(turned), at), 1.2**d * np.linalg.det(matrix), rtol=1e-10)
+    np.testing.assert_allclose(form.mean(form.coefficients(x)), np.linalg.det(matrix), rtol=1e-10)
+
+
+@pytest.mark.parametrize("factor", [(1, 3), (2, 4), (3, 3)])
+def test_parts_are_the_same_polynomial(factor):
+    m, _ = factor
+    rng = np.random.default_rng(0)
+    coefficients = rng.normal(size=(bernstein.count((factor,)), 1))
+    parts = bernstein.halved((factor,), coefficients)
+    weights = rng.dirichlet(np.ones(m + 1), size=5)
+    for part, corners in zip(parts.T, bernstein.children(m), strict=True):
+        inner, outer = (bernstein.terms((factor,), at[:, 1:].T) for at in (weights, weights @ corners))
+        scale = bernstein.multinomials((factor,))
+        np.testing.assert_allclose((part * scale) @ inner, (coefficients[:, 0] * scale) @ outer, rtol=1e-12)
+    volumes = np.abs(np.linalg.det(bernstein.children(m)))
+    np.testing.assert_allclose(volumes, 0.5**m)
+
+
+def test_a_hexahedron_that_folds_between_its_corners_is_found():
+    """`quality` sees corners and the centre of a hexahedron, all of them positive."""
+    cell = COMPLETE["hexahedron", 1]
+    nodes = cells_near_the_limit(cell, 400, seed=3)
+    apart = np.arange(400)[:, None, None] * np.array([9.0, 0.0, 0.0])
+    mesh = jm.Mesh((cell.reference + apart).reshape(-1, 3), {"hexahedron": np.arange(3200).reshape(400, 8)})
+    moved = (nodes + apart).reshape(-1, 3)
+    report = jm.proof(mesh, moved)
+    hidden = np.flatnonzero(report.is_invalid & ~np.asarray(jm.quality(mesh, moved).is_inverted))
+    assert len(hidden) > 5
+    for k in hidden:
+        value = jacobians_inside("hexahedron", 1, cell.lattice, nodes[k : k + 1], report.reference[k : k + 1])[0, 0]
+        assert value < 0
+        assert report.upper[k] == pytest.approx(value, abs=1e-9)
