@@ -117,7 +117,7 @@ deform ring.su2 out.su2 --decomposed --picture p.png
   --fixed far a.* --symmetry s --sliding t --sliding u --periodic v w --free x --set first.rotate=2 y=1,2
   --method published --sources 7 --dtype float32 --steps 2 --chunk 8 --max-aspect-ratio 9 --max-non-orthogonality 70
   --max-skewness 0.9 --max-face-skewness 4 --max-face-aspect-ratio 8 --min-jacobian-ratio 0.1 --preset checkmesh
-  --allow-inverted --no-dry-run
+  --allow-inverted --no-dry-run --proven --zone 2
 """
 
 
@@ -201,10 +201,15 @@ MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0"]
 
 def test_a_job_that_cannot_be_saved_is_told_before_the_work(here, capsys):
     taken = "is a folder, which a file cannot replace: give the file another name"
-    for job, message in (("no/job.toml", "there is no folder no"), (".", taken), ("out.su2", "is the file of OUT")):
+    same = "out.su2 is the file of OUT. Write the job to another file"
+    for job, message in (
+        ("no/job.toml", "no/job.toml: there is no folder no"),
+        (".", f".: {taken}"),
+        ("out.su2", same),
+    ):
         assert main(["deform", "ring.su2", "out.su2", *MOVE, "--save-job", job]) == 2
         said = capsys.readouterr()
-        assert (said.out, said.err) == ("", f"jaxmorph deform: --save-job {job}: {message}.\n")
+        assert (said.out, said.err) == ("", f"jaxmorph deform: --save-job {message}.\n")
 
 
 def test_running_out_of_memory_is_one_line(here, capsys, monkeypatch):

@@ -149,7 +149,7 @@ def test_what_a_half_refuses(mesh):
         half.attach(points[wall[[0, 0]]], wall[[0, 0]])
     with pytest.raises(jm.MeshError, match=r"1 surface nodes lie elsewhere than in the half: id \d+, point 2, by 0.1"):
         half.attach(points[wall] + [[0, 0], [0, 0], [0, 0.1], [0, 0]], wall)
-    with pytest.raises(ValueError, match=r"expected 4 ids, one for every point"):
+    with pytest.raises(ValueError, match=r"expected an id for each of 4 points"):
         half.attach(points[wall], wall[:2])
     with pytest.raises(ValueError, match="the piece has no points"):
         half.attach(points[:0], wall[:0])

@@ -25,6 +25,8 @@ def checked_points(points: Any) -> np.ndarray:
     if isinstance(points, str | bytes) or points is None:
         raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
     array = real_array("points", points, (None, 2), (None, 3))
+    if len(array) == 0:
+        raise ValueError(f"the mesh has no points. Call {USE}.")
     if array.dtype not in (np.float32, np.float64):
         array = array.astype(np.float64)
     check_finite(array)

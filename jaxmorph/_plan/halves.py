@@ -141,7 +141,7 @@ class SurfaceHalf:
         ids = as_array("nodes", nodes)
         if ids.shape != (len(points),) or ids.dtype.kind not in "iu":
             raise ValueError(
-                f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected {len(points)} ids, one for every point."
+                f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected an id for each of {len(points)} points."
             )
         order = np.argsort(self.nodes, kind="stable")
         at = np.minimum(np.searchsorted(self.nodes[order], ids), len(order) - 1)

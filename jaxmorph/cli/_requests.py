@@ -9,10 +9,7 @@ from ._groups import WHAT_MOVES, Group, Job
 from ._parser import Fields, flag, part, positional, several, switch
 from ._parts import SEVERAL, Boundary, Gates, Method, Speech
 
-MESH = (
-    "a mesh: SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med), Exodus (.exo, .e), PLOT3D (.xyz, .p3d), "
-    "or an OpenFOAM case"
-)
+MESH = "a mesh file (.su2, .vtu, .vtk, .msh, .cgns, .med, .exo, .e, .xyz, .p3d ...) or an OpenFOAM case"
 ZONE = "of an SU2 file with several zones the zone IZONE= N alone; all others are written as they are"
 
 

@@ -201,7 +201,7 @@ class RBF(AbstractMethod):
             if fault:
                 raise ValueError(self._unusable(factors, fault))
             return
-        error = rounding(self.expansion, factors, values) / np.abs(u).max()
+        error = float(rounding(self.expansion, factors, values) / np.abs(u).max())
         if not is_noticeable(error, factors.lu.dtype):
             if not self.ridge:
                 warn_of_close_sources(type(self).__name__, factors, values)
