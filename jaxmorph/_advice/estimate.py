@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import ArrayLike, Int
 
-from .._boundary.names import checked_points, node_ids
+from .._boundary.names import node_ids
 from .._host.cells.topology import FACES
 from .._host.package.arguments import checked, whole
 from .._mesh.mesh import Mesh
@@ -72,7 +72,7 @@ def estimate(
 
     **Raises:** `ValueError` for ids that are no nodes, and for chunks of less than one node.
     """
-    n = len(checked_points(mesh.points))
+    n = len(mesh.points)
     moving, fixed = node_ids(moving, "moving", n), node_ids(fixed, "fixed", n)
     if chunk is not None:
         whole("chunk", chunk)

@@ -25,8 +25,6 @@ def checked_points(points: Any) -> np.ndarray:
     if isinstance(points, str | bytes) or points is None:
         raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
     array = real_array("points", points, (None, 2), (None, 3))
-    if len(array) == 0:
-        raise ValueError(f"the mesh has no points. Call {USE}.")
     if array.dtype not in (np.float32, np.float64):
         array = array.astype(np.float64)
     check_finite(array)
@@ -82,6 +80,8 @@ def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
     """Returns node ids as an array. Raises `ValueError` unless `values` are ids of a mesh of `n` points."""
     if values is None or isinstance(values, Mesh | Plane):
         raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
+    if n == 0:
+        raise ValueError(f"the mesh has no points. Call {USE}.")
     return rows_of(name, values, n)
 
 
