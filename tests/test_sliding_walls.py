@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from jaxmorph._boundary.facets import Faceted
 from jaxmorph._boundary.holes import filled, rim
-from jaxmorph._boundary.slide import _around
+from jaxmorph._boundary.slide import faces_around
 from jaxmorph._boundary.tracks import Track
 from jaxmorph._boundary.walls import Flat, Round
 
@@ -72,7 +72,7 @@ def faceted(d):
         s, t = lattice(np.linspace(0, 1, 3), np.linspace(0, 2, 4)).T
         vertices, quads = np.stack([s, t, np.sin(2 * t) + s**2], axis=1), blocks(np.arange(12).reshape(3, 4))
         faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    return Faceted(np.arange(len(vertices)), vertices, faces, _around(faces, len(vertices)))
+    return Faceted(np.arange(len(vertices)), vertices, faces, faces_around(faces, len(vertices)))
 
 
 @pytest.mark.parametrize("d", [2, pytest.param(3, marks=pytest.mark.slow)])
