@@ -124,6 +124,7 @@ def test_errors_name_nodes_of_the_mesh(here, capsys):
     assert re.search(r"the worst is node 150 at \(7, 3\)", capsys.readouterr().err)
 
 
+@pytest.mark.slow
 def test_warnings_name_nodes_of_the_mesh(here, capsys):
     """Two neighbours of the wall torn apart, where chunks number the far field's nodes otherwise than the mesh does."""
     mesh = write_ring(here / "ring.su2")

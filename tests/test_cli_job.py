@@ -330,7 +330,6 @@ sys.meta_path.insert(0, Finder())
 """
 IN_A_CALLBACK = """
 import gc, jaxmorph.io
-read = jaxmorph.io.read
 def reading(file):
     def callback(*_):
         gc.callbacks.remove(callback)
@@ -340,7 +339,7 @@ def reading(file):
     gc.collect()
     while True:
         pass
-jaxmorph.io.read = reading
+jaxmorph.io.read_zones = reading
 """
 
 

@@ -38,6 +38,7 @@ def modes(out: str, *flags: str) -> int:
     return main(["modes", "ring.su2", out, *SURFACE, "--mode", *flags])
 
 
+@pytest.mark.slow
 def test_each_file_is_what_deform_writes(here, capsys):
     amplitudes = ["-0.05", "0.02", "0", "0.03", "-0.01"]
     assert modes("sweep.su2", "bump.csv", "random.npz", "--amplitude", *amplitudes) == 0

@@ -181,6 +181,7 @@ def test_planes_that_face_each_other_as_dafoam_gives_them(grids):
     dot_is_equal(mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_turning", [True, None])
 def test_the_method_is_idwarps_or_the_default(grids, is_turning):
     """`useRotations` asks for IDWarp's; without it the mesh moves as `prepare` moves it."""

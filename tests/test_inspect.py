@@ -66,6 +66,7 @@ def test_a_wall_sliding_along_a_held_boundary_is(mesh):
     assert "`sliding`" in found.warnings[0]
 
 
+@pytest.mark.slow
 def test_sliding_is_advised_only_where_a_fixed_boundary_touches_the_moving_one():
     """A cylinder made wavy has no boundary beside it, a shaft in its bearing has one that does not touch it."""
     mesh = ring(96, 0.5 * 1.15 ** np.arange(20))

@@ -58,6 +58,7 @@ def test_a_plan_that_is_not_linear_is_refused_and_judged_step_by_step(tmp_path):
         assert bool(search.holds(jnp.array(step))) == (int(jm.quality(mesh, jm.deform(plan, step * u)).inverted) == 0)
 
 
+@pytest.mark.slow
 def test_nodes_that_slide_along_a_curve_are_refused_too(tmp_path):
     mesh = write_ring(tmp_path / "ring.su2")
     plan = jm.prepare(mesh, "wall", sliding="far")

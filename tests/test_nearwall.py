@@ -87,6 +87,7 @@ def test_the_defect_and_the_cure(section, points, extremes, motion):
     assert ratios[1] > 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [SMALL, pytest.param(WHOLE, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("leaves", [1, pytest.param(8, marks=pytest.mark.nightly)])
 def test_the_convex_airfoil_does_not_get_worse(leaves, points):

@@ -121,7 +121,9 @@ def change(name, method, alone, seeds=(0, 1)):
 
 
 @pytest.mark.parametrize("alone", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["mesh", "points"])
-@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize(
+    "name", [name if name in ("airfoil", "body") else pytest.param(name, marks=pytest.mark.slow) for name in MESHES]
+)
 def test_the_default(name, alone):
     assert change(name, "default", alone) < LEAST
 
@@ -160,6 +162,7 @@ def test_the_graph_of_a_lattice_is_one():
         np.testing.assert_array_equal(each, vertices[0])
 
 
+@pytest.mark.slow
 def test_derivatives_by_base_points_are_equal_on_both_sides():
     """On a symmetric airfoil a point's farthest neighbours are as far away: the larger distance had a kink there."""
     mesh, moving, fixed, _ = airfoil(sharp=True)
@@ -175,6 +178,7 @@ def test_derivatives_by_base_points_are_equal_on_both_sides():
     assert np.abs(both - slope).max() < 1e-4 * np.abs(slope).max()
 
 
+@pytest.mark.slow
 def test_one_of_two_largest_gaps_decides_how_wide_the_layer_is():
     """Two nodes are equally far from the source: the first one's distance is the width, and moves it either way."""
     surface = jnp.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0]])

@@ -154,6 +154,7 @@ def test_paraview_reads_the_lattice(tmp_path):
         io.write_lattice(tmp_path / "box.vts", np.zeros((4, 3)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOXES)
 def test_many_points_are_summed_in_blocks(name):
     """Points that are known and many are sorted: the same operator, with derivatives and batches."""
@@ -173,6 +174,7 @@ def test_many_points_are_summed_in_blocks(name):
     np.testing.assert_allclose(squares, 2 * jax.linear_transpose(operator, control)(operator(other))[0], atol=1e-11)
 
 
+@pytest.mark.slow
 def test_sums_in_blocks_have_derivatives_in_their_weights():
     """Linear in the outer weights: forward the sums with other weights, and reverse the transpose of that."""
     rng, x, control = (

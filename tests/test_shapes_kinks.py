@@ -124,6 +124,7 @@ def test_second_derivatives_of_naca_are_differences_of_the_first():
     np.testing.assert_allclose(jax.jit(jax.hessian(measure))(start), np.stack(differences), rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_third_derivatives_of_a_foot_are_differences_of_the_second():
     airfoil = jnp.array([0.04, 0.4, 0.12])
     second = jax.jit(jax.hessian(lambda place: _station(place[:1], place[1:], airfoil)[0]))

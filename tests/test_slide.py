@@ -293,6 +293,7 @@ def duct():
     return mesh, ends, {"sliding": ("bottom", "top"), "periodic": jm.Periodic("left", "right")}
 
 
+@pytest.mark.slow
 def test_flat_sides_follow_the_base_and_a_torn_one_is_refused():
     """Of a stretched base `refit` makes what `prepare` does; it says which node has left a side or the symmetry plane."""
     mesh, boundary = box_with_hole(), {"sliding": ["left", "right", "top"], "symmetry": jm.Plane((0, 1), (0, -4))}

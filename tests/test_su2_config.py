@@ -219,6 +219,7 @@ LISTED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("continuity", ["NO_DERIVATIVE", "2ND_DERIVATIVE", "USER_INPUT", None])
 def test_boxes_in_3d(folder, continuity):
     """A box that ends within the wall holds the planes of control points behind that face; one around it holds none."""
@@ -331,6 +332,7 @@ def test_a_gradient_by_boxes_is_its_differences(folder):
         np.testing.assert_allclose(gradient[k], difference, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_both_commands_on_boxes_that_the_mesh_keeps(folder, tmp_path, capsys):
     """FFD_SETTING puts a box into the mesh, two deformations go on from each other, and dot is their derivative."""
     mesh = io.read(folder / "airfoil.su2")

@@ -185,6 +185,7 @@ def test_a_plane_anywhere():
     assert exact.origin[0] == 0.1
 
 
+@pytest.mark.slow
 def test_a_patch_that_lies_in_several_planes():
     """Front and back, or all sides of a duct, as one patch: the planes one by one. A duct of one cell's width is the hardest."""
     axes = np.linspace(0, 2, 7), np.array([0, 1.0]), np.array([0, 0.5, 1.5])

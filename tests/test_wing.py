@@ -127,6 +127,7 @@ def test_the_turn_is_nose_up():
     np.testing.assert_allclose(tail, [0.75 * np.cos(np.pi / 6) - 0.75, 0, -0.375], atol=1e-15)
 
 
+@pytest.mark.slow
 @both_sizes
 @pytest.mark.parametrize("symmetric", [pytest.param(False, marks=pytest.mark.nightly), True], ids=["free", "plane"])
 @pytest.mark.parametrize("method", [pytest.param(REDUCED, marks=pytest.mark.nightly), None], ids=["paper's", "default"])
@@ -149,6 +150,7 @@ def test_bending_spares_the_volumes_that_graph_mapping_squeezes(wing):
         assert spared >= squeezed + 0.2
 
 
+@pytest.mark.slow
 @both_sizes
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_motions(wing, name):
