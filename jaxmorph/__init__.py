@@ -1,15 +1,17 @@
 """Differentiable mesh morphing in JAX: reduced radial basis functions with exact surfaces.
 
-"The paper" in docstrings is *Mesh deformation with exact surface reconstruction using a reduced radial basis function
-approach*; the copy that we worked from names no authors. The documentation's page on theory prints the equations that
-docstrings cite. The paper builds on
+"The paper" in docstrings is *Mesh deformation with exact surface reconstruction using a reduced
+radial basis function approach*; the copy that we worked from names no authors. The documentation's
+page on theory prints the equations that docstrings cite. The paper builds on
 
-- radial basis functions for moving meshes: de Boer, van der Schoot and Bijl, Computers and Structures 85, 2007;
+- radial basis functions for moving meshes: de Boer, van der Schoot and Bijl, Computers and
+  Structures 85, 2007;
 - their reduction to few sources: Rendall and Allen, Journal of Computational Physics 228, 2009;
 - Delaunay graph mapping: Liu, Qin and Xia, Journal of Computational Physics 211, 2006.
 
-The public names stand in `_public.py`. The first use of one imports all of them but `_LATER`, and JAX with them: the command
-line shows its help without. Submodules are imported when they are first used.
+The public names stand in `_public.py`. The first use of one imports all of them but `_LATER`, and
+JAX with them: the command line shows its help without. Submodules are imported when they are first
+used.
 """
 
 import importlib
@@ -35,7 +37,7 @@ _LATER = {
     **dict.fromkeys(("Steps", "fewest_steps"), "._advice.fewest_steps"),
     "ValidSteps": "._advice.valid_steps",
 }
-"""Names whose modules need optimistix and lineax, which take a quarter of a second to import: not before they are used."""
+"""Names whose modules need optimistix and lineax: not imported (0.25 s) before they are used."""
 
 _SUBMODULES = ("cases", "cli", "integrations", "io", "plot", "shapes")
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 
 def first_roots(coefficients: Float[np.ndarray, "4 k"]) -> Float[np.ndarray, " k"]:
-    """Finds where each cubic (lowest coefficient first) first falls below zero in 0 to 1; infinity where it does not."""
+    """Finds where cubics (lowest coefficient first) first fall below 0 in 0 to 1; else infinity."""
     roots = np.full(coefficients.shape[1], np.inf)
     roots[coefficients[0] < 0] = 0
     c0, c1, c2, c3 = coefficients

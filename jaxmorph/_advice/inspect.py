@@ -67,7 +67,7 @@ def inspect(
 
 
 def inspected(plan: Plan, u: Any, mesh: Mesh | None, nodes: Any, moved: np.ndarray | None = None) -> Inspection:
-    """Checks a displacement as `inspect` does; `moved` (n, d) is what `deform` returns for it, where it is known."""
+    """Checks a displacement as `inspect` does; `moved` (n, d) is its `deform`, where known."""
     plan.check_surface("inspect")
     if nodes is None and mesh is not None and tuple(mesh.points.shape) != tuple(plan.points.shape):
         raise ValueError(

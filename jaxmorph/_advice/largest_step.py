@@ -61,14 +61,15 @@ def largest_step(
     - `mesh`: whose `points` are the plan's.
     - `min_jacobian_ratio`: bound on `QualityReport.jacobian_ratio`; 0 is where cells invert.
     - `max_step`: above 0; no step beyond it is looked at.
-    - `proven`: judge whole cells too, default False. Their bound is relative to the least det J that is proven of the
-      undeformed cell.
+    - `proven`: judge whole cells too, default False. Their bound is relative to the least det J
+      that is proven of the undeformed cell.
 
     **Returns:** a `LargestStep`; its step is 0 where `u` breaks the bound already.
 
     **Raises:** `ValueError` for wrong shapes, for a bound outside of 0 to 1, and where `max_step`
     is not above 0. Also for a plan that is not linear: its nodes leave the straight lines on which
-    roots are sought. With `proven`, also for a mesh with undeformed cells that are not proven valid.
+    roots are sought. With `proven`, also for a mesh with undeformed cells that are not proven
+    valid.
     """
     if not plan.is_linear:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""The largest step that keeps whole cells above a bound, by Bernstein coefficients that are polynomials in the step."""
+"""The largest step that keeps whole cells above a bound, by Bernstein polynomials in the step."""
 
 import dataclasses
 
@@ -17,10 +17,11 @@ from .first_roots import first_roots
 def proven_share(
     mesh: Mesh, start: Float[np.ndarray, "n d"], end: Float[np.ndarray, "n d"], ratio: float
 ) -> tuple[float, int]:
-    """Finds how much of the straight way all cells are proven to keep their bound, at most 1, and the cell that ends it, or -1.
+    """Finds the share of the straight way on which all cells keep their bound, at most 1.
 
-    The bound is `ratio` times the least det J that is proven of the undeformed cell. At each instant the least coefficient is a
-    lower bound on det J, so the step ends where the first coefficient falls below. Only cells that would end it are cut.
+    Also finds the cell that ends it, or -1. The bound is `ratio` times the least det J that is
+    proven of the undeformed cell. At each instant the least coefficient is a lower bound on det J,
+    so the step ends where the first coefficient falls below. Only cells that would end it are cut.
     """
     undeformed = proof(mesh, mesh.points)
     if undeformed.valid < undeformed.count:
@@ -40,7 +41,7 @@ def proven_share(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Cells:
-    """Cells of one type, ids (nodes, k), with the bound (k,) that each is to keep on the way between two `ends`."""
+    """Cells of one type, ids (nodes, k), with the bound (k,) of each between two `ends`."""
 
     kind: str
     ids: np.ndarray
@@ -53,7 +54,10 @@ class _Cells:
         return form_of(self.kind).space
 
     def excess(self, cells: Int[np.ndarray, " c"]) -> Float[np.ndarray, "t n c"]:
-        """Computes coefficients of det J above the bound: Bernstein's in time by Bernstein's in space, less their round-off."""
+        """Computes Bernstein coefficients of det J above the bound, in time by space.
+
+        Their round-off is subtracted.
+        """
         form, still, ids = form_of(self.kind, True), form_of(self.kind), self.ids[:, cells]
         sign = np.where(still.mean(still.coefficients(nodes_of(self.undeformed, ids))) < 0, -1.0, 1.0)
         x = [np.concatenate(parts) for parts in zip(*(nodes_of(end, ids) for end in self.ends), strict=True)]
@@ -69,14 +73,14 @@ class _Search:
         self.step, self.cell = 1.0, -1
 
     def through(self, cells: _Cells, offset: int) -> None:
-        """Looks at all cells, then into those whose coefficients end the step before a corner of any cell does."""
+        """Looks at all cells, then into those that may end the step before any corner does."""
         size = max(1, ROOM // (4 * bernstein.count(cells.space)))
         blocks = np.split(np.arange(cells.ids.shape[1]), range(size, cells.ids.shape[1], size))
         for block in blocks:
             self._look(cells.space, cells.excess(block), block + offset, 0)
 
     def _look(self, space: bernstein.Space, excess: np.ndarray, cell: np.ndarray, level: int) -> None:
-        """Takes what is certain, the values at corners, and cuts parts of which it is not known whether they end the step."""
+        """Takes values at corners, which are certain, and cuts the parts that may end the step."""
         corners = bernstein.corners(space)
         self._take(_first(excess[:, corners]), cell)
         least = _first(excess)
@@ -97,7 +101,7 @@ class _Search:
 
 
 def _first(excess: Float[np.ndarray, "t n p"]) -> Float[np.ndarray, " p"]:
-    """Finds for each part when the first of its coefficients falls below zero; infinity where none does from 0 to 1."""
+    """Finds when each part's first coefficient falls below 0; infinity if none does in 0 to 1."""
     steps = np.full(excess.shape[1:], np.inf)
     falls = excess.min(axis=0) < 0
     steps[falls] = first_roots(_powers(excess[:, falls]))

@@ -1,4 +1,4 @@
-"""The boundary of `prepare`: what a caller names becomes checked node ids, planes, pairs, walls and faces."""
+"""The boundary of `prepare`: names become checked node ids, planes, pairs, walls and faces."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -57,7 +57,7 @@ class Boundary:
 
     @property
     def surface_faces(self) -> dict[str, np.ndarray] | None:
-        """The faces whose nodes are all on the surface, as rows of `nodes`; None where no faces are known."""
+        """Faces with all nodes on the surface, as rows of `nodes`; None without known faces."""
         if self.faces is None:
             return None
         rows = {kind: _rows(self.nodes, len(self.points))[corners] for kind, corners in self.faces.items()}
@@ -125,9 +125,10 @@ def find_boundary(
     *,
     outer: OuterFaces | None = None,
 ) -> Boundary:
-    """Checks the arguments of `prepare`. Raises `ValueError` in one sentence that names the call to make.
+    """Checks the arguments of `prepare`.
 
-    `outer` are the boundary faces, if a `Mesh` has no cells that show them.
+    Raises `ValueError` in one sentence that names the call to make. `outer` are the boundary faces,
+    if a `Mesh` has no cells that show them.
     """
     points = checked_points(mesh.points if isinstance(mesh, Mesh) else mesh)
     patches = mesh if isinstance(mesh, Mesh) else None
@@ -187,7 +188,7 @@ def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pai
 def walls_of(
     mesh: Mesh, symmetry: Any, sliding: Any, periodic: Any, fixed: Any = ()
 ) -> tuple[list[tuple[AbstractWall, np.ndarray]], tuple[Pairing, ...]]:
-    """Makes the walls of sliding patches and of symmetry planes, with their nodes, and the periodic pairs.
+    """Makes the walls of sliding patches and symmetry planes, their nodes, and the periodic pairs.
 
     It takes and refuses the arguments of `prepare`.
     """
@@ -210,7 +211,10 @@ def _walls(
     lists: Mapping[str, np.ndarray],
     outer: OuterFaces | None,
 ) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes the walls of sliding patches, with their nodes. Raises `ValueError` for a patch that a list holds whole."""
+    """Makes the walls of sliding patches, with their nodes.
+
+    Raises `ValueError` for a patch that a list holds whole.
+    """
     walls, patches, faces = [], [], None if outer is None else outer.corners
     for slide in slides(sliding):
         nodes = np.unique(nodes_named(slide.patch, "sliding", mesh, len(points)))
@@ -232,7 +236,10 @@ def _walls(
 def _guided(
     pairings: Sequence[Pairing], tracks: Sequence[Track], moving: np.ndarray, fixed: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Lists sliding and periodic nodes in no list. Raises `ValueError` for a pair whose nodes are in different lists."""
+    """Lists sliding and periodic nodes in no list.
+
+    Raises `ValueError` for a pair whose nodes are in different lists.
+    """
     role = np.zeros(len(points), dtype=int)
     role[moving], role[fixed] = 1, 2
     for pairing in pairings:

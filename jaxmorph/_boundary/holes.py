@@ -1,4 +1,7 @@
-"""Rims of a sliding patch, and its holes where a moving body stands: nodes slide there too, when the body has left."""
+"""Rims and holes of a sliding patch.
+
+A hole is where a moving body stands. Nodes slide there too, when the body has left.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int

@@ -1,4 +1,4 @@
-"""Images of the surface: mirrored in symmetry planes, and repeated by periodic transforms, before a method sees it."""
+"""Images of the surface, mirrored or periodic, made before a method sees it."""
 
 import dataclasses
 import itertools
@@ -53,11 +53,11 @@ class Images(eqx.Module):
         return jnp.where(self.kind[:, None] == 0, u[self.rows], image)
 
     def extended(self, u: Float[Array, "o d"]) -> Float[Array, "b d"]:
-        """Computes the displacements of all rows from displacements of the own rows that need not be `kept`."""
+        """Computes displacements of all rows from those of own rows, which need not be `kept`."""
         return self.vectors(self.kept(u))
 
     def kept(self, u: Float[Array, "o d"]) -> Float[Array, "o d"]:
-        """Changes displacements so that rows on a plane stay in the plane, and periodic pairs move alike."""
+        """Changes displacements: rows stay on their planes, and periodic pairs move alike."""
         u = self.within(u, self.on_plane)
         for pairing in self.pairings:
             u = pairing.alike(u)
@@ -102,12 +102,12 @@ class Copies:
 
     @property
     def first(self) -> np.ndarray:
-        """The first extended row (b,) that is an image of a row's own row or of its periodic partner."""
+        """The first extended row (b,) that is an image of a row's own row or periodic partner."""
         _, first, inverse = np.unique(self.roots[self.rows], return_index=True, return_inverse=True)
         return first[inverse]
 
     def faces(self, corners: Int[np.ndarray, "k c"]) -> Int[np.ndarray, "l c"]:
-        """Extends faces between own rows by their images, no face twice, and no face on a periodic side."""
+        """Extends faces between own rows by their images: each once, none on periodic sides."""
         # The images of a face are rows of place numbers; faces with equal numbers are one face. The
         # extended row of a place is found by its number.
         is_between = self.sides[corners].all(axis=1)
@@ -129,7 +129,7 @@ def copies(
     moving: int,
     points: Float[np.ndarray, "o d"],
 ) -> Copies:
-    """Finds the images of own rows at `points`; the first `moving` rows move, `pairings` are of own rows.
+    """Finds images of own rows at `points`; `moving` rows move, `pairings` are of own rows.
 
     Parallel planes make no images. Of several rows and images at one place, one counts. The nearest
     images come first.
@@ -201,7 +201,7 @@ def _joined(places: Int[np.ndarray, "t o"], at: Float[np.ndarray, "t o d"], poin
 
 
 def _once(places: Int[np.ndarray, "t o"], moving: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lists row and transform of all places, no place twice: moving rows first, own rows before images."""
+    """Lists row and transform of each place once: moving rows first, own rows before images."""
     count = places.shape[1]
     first = np.sort(np.unique(places, return_index=True)[1])
     kind, rows = np.divmod(first, count)
@@ -231,7 +231,7 @@ def images_of(
     moving: int,
     points: Float[np.ndarray, "n d"],
 ) -> tuple[Images, Copies]:
-    """Makes the images of the surface's `nodes`, and the list of their places; the first `moving` nodes move."""
+    """Makes the images of `nodes`, and the list of their places; the first `moving` nodes move."""
     place = np.full(len(on_plane), -1, dtype=np.int32)
     place[nodes] = np.arange(len(nodes))
     rows = tuple(pairing.renumbered(place) for pairing in pairings)

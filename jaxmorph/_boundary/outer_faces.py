@@ -84,7 +84,10 @@ def outer_faces(mesh: Mesh) -> OuterFaces | None:
 
 
 def _of_polyhedra(whole: Polyhedra, points: np.ndarray, between: np.ndarray | None) -> OuterFaces:
-    """Finds the boundary faces in the file: the pieces of polyhedra do not share faces with the whole cells beside them."""
+    """Finds the boundary faces in the file.
+
+    Pieces of polyhedra do not share faces with the whole cells beside them.
+    """
     faces = whole.faces
     outer = np.ones(len(faces.owner), dtype=bool)
     outer[: len(faces.neighbour)] = faces.neighbour < 0

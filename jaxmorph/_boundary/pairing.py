@@ -16,7 +16,7 @@ ALONG_AXIS = 1e-9
 
 
 class Pairing(eqx.Module):
-    """Pairs of nodes, and the transform x -> `matrix` x + `shift` that leads from `first` to `second`.
+    """Pairs of nodes, and the transform x -> `matrix` x + `shift` from `first` to `second`.
 
     - `first`, `second` (q,): ids or rows of the nodes.
     - `alone` (s,): nodes on the axis of a rotation, which the transform does not move.
@@ -64,14 +64,20 @@ class Pairing(eqx.Module):
         return dataclasses.replace(self, first=self.second, second=self.first, matrix=matrix, shift=shift)
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
-        """Renumbers the nodes: node k becomes `place[k]`. Pairs with a node of place -1 are dropped."""
+        """Renumbers the nodes: node k becomes `place[k]`.
+
+        Pairs with a node of place -1 are dropped.
+        """
         first, second, alone = (place[np.asarray(nodes)] for nodes in (self.first, self.second, self.alone))
         is_complete = (first >= 0) & (second >= 0)
         first, second = first[is_complete], second[is_complete]
         return dataclasses.replace(self, first=first, second=second, alone=alone[alone >= 0])
 
     def at(self, points: Float[Array, "n d"]) -> "Pairing":
-        """Returns the pairs of other base points. A translation follows the points, a rotation stays. Traced."""
+        """Returns the pairs of other base points.
+
+        A translation follows the points, a rotation stays. Traced.
+        """
         if self.is_rotation:
             return self
         difference = points[self.second] - points[self.first]
@@ -83,11 +89,14 @@ class Pairing(eqx.Module):
         return dataclasses.replace(self, shift=shift)
 
     def misses(self, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " q"]:
-        """Measures, on the host, the distance (q,) of every second node from the image of the first node."""
+        """Measures, on the host, distances (q,) of second nodes from their partners' images."""
         return np.linalg.norm(points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1)
 
     def matched(self, base: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Makes pairs match bit for bit if a translation matches them bit for bit at `base`. Traced."""
+        """Makes pairs match bit for bit if a translation matches them bit for bit at `base`.
+
+        Traced.
+        """
         if self.is_rotation:
             return points
         shift = jnp.asarray(self.shift, points.dtype)[None]
@@ -95,7 +104,10 @@ class Pairing(eqx.Module):
         return points.at[self.second].set(jnp.where(matched, points[self.first] + shift, points[self.second]))
 
     def alike(self, u: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Makes the displacements of a pair equal after the transform: both nodes take the mean. Traced."""
+        """Makes the displacements of a pair equal after the transform: both nodes take the mean.
+
+        Traced.
+        """
         matrix, keeps = jnp.asarray(self.matrix, u.dtype), jnp.asarray(self.keeps, u.dtype)
         mean = (u[self.first] + _product(u[self.second], matrix)) / 2
         u = u.at[self.first].set(mean).at[self.second].set(_product(mean, matrix.T))
@@ -111,7 +123,7 @@ def _product(rows: Float[Array, "n d"], matrix: Float[Array, "d d"]) -> Float[Ar
 
 
 def merged(pairings: Sequence[Pairing], size: float) -> tuple[Pairing, ...]:
-    """Joins all pairings of one transform, such as the sides of a passage that are cut into patches."""
+    """Joins all pairings of one transform, such as the sides of a passage cut into patches."""
     # A list holds one pairing of every transform. A further pairing joins the entry with its own
     # transform; if an entry has the inverse transform, the pairing is turned round first.
     joined: list[Pairing] = []

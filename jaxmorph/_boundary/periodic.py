@@ -15,16 +15,17 @@ from .pairing import ALONG_AXIS, Pairing
 from .symmetry import tolerance
 
 MISMATCH = 1e-4
-"""Largest allowed distance of a node from its partner's image, relative to the distance of the next node."""
+"""Largest allowed distance of a node from its partner's image, relative to the node spacing."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Periodic:
-    """Two patches of which the second repeats the first: passages of a cascade, sectors of a wheel, ends of a duct.
+    """Two patches of which the second repeats the first.
 
-    The transform repeats the surface before a method sees it, so that the field knows the
-    neighbours. Then every pair of nodes takes its mean displacement. Both patches move: they may
-    change shape, but stay copies of each other.
+    Examples are passages of a cascade, sectors of a wheel and ends of a duct. The transform repeats
+    the surface before a method sees it, so that the field knows the neighbours. Then every pair of
+    nodes takes its mean displacement. Both patches move: they may change shape, but stay copies of
+    each other.
 
     Without `translation`, `rotation`, `about` and `axis`, the transform is the translation between
     the middles of the patches. If the patches do not match, it is a rotation about an axis of
@@ -87,7 +88,10 @@ class Periodic:
 def paired(
     periodic: Periodic, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " l"], points: Float[np.ndarray, "n d"]
 ) -> Pairing:
-    """Pairs the nodes of two patches. Raises `ValueError`, with the worst node, if the patches do not match."""
+    """Pairs the nodes of two patches.
+
+    Raises `ValueError`, with the worst node, if the patches do not match.
+    """
     try:
         return _paired(periodic, first, second, points)
     except ValueError:
@@ -171,12 +175,12 @@ def _transform(periodic: Periodic, middle: np.ndarray, other: np.ndarray) -> tup
 
 
 def _sharp(shift: np.ndarray) -> np.ndarray:
-    """Clears the components of a translation that are round-off, so that their coordinates stay bit for bit."""
+    """Clears components of a translation that are round-off: their coordinates stay bit for bit."""
     return np.where(np.abs(shift) < ALONG_AXIS * np.abs(shift).max(), 0, shift)
 
 
 def _generator(axis: np.ndarray | None, dimension: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the matrix of the cross product with the axis, and the projection onto the plane across the axis."""
+    """Returns the matrix of the cross product with the axis, and the projection across the axis."""
     if axis is None:
         return np.array([[0.0, -1.0], [1.0, 0.0]]), np.eye(dimension)
     x, y, z = axis / np.linalg.norm(axis)

@@ -19,12 +19,15 @@ from .tracks import SMOOTH
 from .walls import AbstractWall, Flat, Round
 
 DEVIATION = 1e-5
-"""Distance from a surface, relative to the patch's extent, within which a node lies on it: files have few digits."""
+"""Distance within which a node lies on a surface, relative to the patch's extent.
+
+Files have few digits.
+"""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Revolution:
-    """A surface of revolution: a cylinder, a cone, a disc, or another shroud or hub; in 2-D a circle.
+    """A surface of revolution: cylinder, cone, disc, any shroud or hub; in 2-D a circle.
 
     **Arguments:**
 
@@ -56,11 +59,11 @@ class Revolution:
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Slide:
-    """Lets the nodes of a patch move along its surface: blade tips along a shroud, a body along the sides of its box.
+    """Lets the nodes of a patch move along its surface.
 
-    Nodes between two sliding patches, or between a patch and a symmetry plane, stay on both.
-    Corners of the mesh, the apex of a cone, and fixed nodes do not move. Moving nodes of the patch
-    stay on it.
+    Examples are blade tips along a shroud, and a body along the sides of its box. Nodes between two
+    sliding patches, or between a patch and a symmetry plane, stay on both. Corners of the mesh, the
+    apex of a cone, and fixed nodes do not move. Moving nodes of the patch stay on it.
 
     On a plane, a cylinder and other given surfaces the motion is smooth. On the patch's own faces
     the motion has a kink where a node crosses an edge.
@@ -193,7 +196,7 @@ def _of_faces(
 
 
 def _parted(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> list[tuple[AbstractWall, np.ndarray]]:
-    """Makes walls of faces, which are rows of `nodes`: one wall for every part between sharp edges, with its nodes."""
+    """Makes a wall of each part of faces, rows of `nodes`, between sharp edges; with its nodes."""
     if (flat := _flat(nodes, points, elements)) is not None:
         return [(flat, nodes)]
     area = normals(points[nodes[elements]])
@@ -222,7 +225,7 @@ def _flat(nodes: np.ndarray, points: np.ndarray, elements: np.ndarray) -> FlatFa
 
 
 def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "e d"]) -> Int[np.ndarray, " e"]:
-    """Numbers the parts of a patch between edges (corners in 2-D) that turn by more than 60 degrees.
+    """Numbers the parts of a patch between edges (2-D: corners) that turn by more than 60 degrees.
 
     Faces that fold back onto each other, the two sides of a thin plate, are one part.
     """
@@ -235,7 +238,7 @@ def _smooth_parts(elements: Int[np.ndarray, "e d"], normals: Float[np.ndarray, "
 
 
 def faces_around(elements: np.ndarray, count: int) -> np.ndarray:
-    """Lists the faces (count, w) at every vertex and at its neighbours; the last face fills up a row."""
+    """Lists the faces (count, w) at each vertex and its neighbours; the last face fills a row."""
     ids = np.repeat(np.arange(len(elements)), elements.shape[1])
     touch = csr_array((np.ones(ids.size), (elements.ravel(), ids)), shape=(count, len(elements)))
     near = csr_array(touch @ touch.T @ touch)

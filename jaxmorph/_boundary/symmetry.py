@@ -90,7 +90,7 @@ class Plane(Module):
         return np.abs(self.height(points)) <= tolerance(points)
 
     def height(self, points: np.ndarray) -> np.ndarray:
-        """Computes the signed distances (n,) of points from the plane, positive on the side of the normal."""
+        """Computes signed distances (n,) of points from the plane, positive along the normal."""
         return (points - self.origin) @ self.normal
 
 
@@ -101,7 +101,7 @@ MOST = 2 * 3
 def planes_through(
     points: Float[np.ndarray, "n d"], nodes: Int[np.ndarray, " k"], faces: Iterable[Int[np.ndarray, "_ c"]]
 ) -> tuple[Plane, ...]:
-    """Finds the planes of a patch, front and back for example, by boundary faces (e, corners) of the mesh.
+    """Finds the planes of a patch, such as front and back, by boundary faces (e, corners).
 
     The plane with most of the nodes comes first, then the plane with most of the remaining nodes.
     Raises the error of `Plane.through` if `MOST` planes do not hold all nodes, or if other planes
@@ -135,7 +135,7 @@ def planes_through(
 def _candidates(
     points: Float[np.ndarray, "n d"], faces: Sequence[Int[np.ndarray, "_ d"]], remaining: Bool[np.ndarray, " n"]
 ) -> list[Plane]:
-    """Lists the planes of many faces, the most frequent planes first, moved onto the nearby `remaining` nodes."""
+    """Lists planes of many faces, the most frequent first, moved onto `remaining` nodes nearby."""
     # A face has a key: its unit normal and its height, rounded to four digits. Faces of one plane
     # have equal keys, which are counted.
     corners = points[np.concatenate([np.zeros((0, points.shape[1]), dtype=np.int64), *faces])]
@@ -163,7 +163,10 @@ def tolerance(points: np.ndarray) -> float:
 
 
 def check_planes(planes: Sequence[Plane], points: np.ndarray) -> None:
-    """Raises `ValueError` unless planes have the mesh's dimension, bound it, and are parallel or at right angles."""
+    """Raises `ValueError` unless planes have the mesh's dimension, bound it, and suit each other.
+
+    Two planes are parallel or at right angles.
+    """
     check_dimension(planes, points.shape[1])
     normals = np.stack([plane.normal for plane in planes])
     cosines = np.abs(normals @ normals.T)

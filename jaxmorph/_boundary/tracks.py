@@ -38,7 +38,10 @@ class Track(eqx.Module):
         return all(wall.is_flat for wall in self.walls)
 
     def normals(self, points: Float[Array, "n d"]) -> Float[Array, "k w d"]:
-        """Computes, at every row, unit vectors at right angles that span the normals of the walls. Traced."""
+        """Computes, at every row, unit vectors at right angles that span the normals of the walls.
+
+        Traced.
+        """
         places = self.project(points[self.rows])
         first, *others = (wall.height(places)[1] for wall in self.walls)
         frame = [first]
@@ -94,7 +97,7 @@ def _least(normals, above):
 def tracks_of(
     walls: Sequence[tuple[AbstractWall, np.ndarray]], planes: Sequence[Plane], points: np.ndarray
 ) -> tuple[tuple[Track, ...], np.ndarray]:
-    """Groups the nodes of sliding patches by their walls, as tracks; also lists the nodes that cannot slide.
+    """Groups nodes of sliding patches by walls, as tracks; also lists nodes that cannot slide.
 
     Corners and the apex of a cone cannot slide. Raises `ValueError` where two walls meet without an
     edge.
@@ -147,7 +150,7 @@ def check_repeated(
     points: np.ndarray,
     free: Bool[np.ndarray, " n"],
 ) -> None:
-    """Raises `ValueError` for a free node whose walls, after the periodic transform, are not its partner's walls."""
+    """Raises `ValueError` for a free node whose walls, transformed, are not its partner's walls."""
     if not tracks or not pairings:
         return
     exact, dimension = points.astype(float), points.shape[1]

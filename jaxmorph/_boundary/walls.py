@@ -18,7 +18,7 @@ class AbstractWall(Module):
 
     @abc.abstractmethod
     def height(self, x: Float[Array, "k d"]) -> tuple[Float[Array, " k"], Float[Array, "k d"]]:
-        """Measures the signed distances of points from the wall, and the unit normals along which they are measured."""
+        """Measures signed distances of points from the wall, and their unit normals."""
 
     @property
     def is_flat(self) -> bool:
@@ -30,7 +30,10 @@ class AbstractWall(Module):
         return jnp.abs(self.height(x)[0])
 
     def at(self, points: Float[Array, "n d"]) -> "AbstractWall":
-        """Returns the wall of other base points. A given surface stays; a patch's own faces follow the points."""
+        """Returns the wall of other base points.
+
+        A given surface stays; a patch's own faces follow the points.
+        """
         return self
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "AbstractWall":
@@ -63,7 +66,9 @@ class Flat(AbstractWall):
 
 
 class Round(AbstractWall):
-    """A circle in 2-D, a surface of revolution in 3-D. The profile is a line, or a cubic spline of the radius.
+    """A circle in 2-D, a surface of revolution in 3-D.
+
+    The profile is a line, or a cubic spline of the radius.
 
     - `axis`, `origin` (d,): the axis, zero in 2-D, and a point on it.
     - `line` (3,): (a, b, c) with a z + b r = c and a^2 + b^2 = 1 at places z along the axis and

@@ -1,1 +1,1 @@
-"""Loops that XLA compiles badly (a logarithm, a narrow matrix product), calls of the host, and safe derivatives."""
+"""Loops that XLA compiles badly (logarithm, narrow product), host calls, and safe derivatives."""

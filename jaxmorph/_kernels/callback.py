@@ -19,7 +19,7 @@ from jaxtyping import Array
 
 
 def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *arguments: Any) -> Array:
-    """Calls a function of NumPy arrays on the host, for an array of the shape and dtype of `result`. Traced.
+    """Calls a function of NumPy arrays on the host, for an array shaped as `result`. Traced.
 
     The function must be pure and must not call JAX, which may wait. Under `vmap` it is called for
     one element after another. It has no derivative: the caller may wrap it, as in
@@ -29,7 +29,10 @@ def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *argum
 
 
 def _called(*arguments: Any, function: Callable, shape: tuple, dtype: np.dtype, batch: tuple) -> np.ndarray:
-    """Calls the function for all elements of a batch. Its axes come first, of size 1 in arguments that do not vary."""
+    """Calls the function for all elements of a batch.
+
+    Its axes come first, of size 1 in arguments that do not vary.
+    """
     results = np.empty((*batch, *shape), dtype)
     arrays = [np.asarray(argument) for argument in arguments]
     for place in np.ndindex(*batch):
@@ -62,7 +65,7 @@ def _lowered(context: Any, *operands: Any, **params: Any) -> Sequence[Any]:
 
 
 def _sharding(context: Any) -> Any:
-    """Makes one device call the host in a program for several devices, as JAX does for its own callbacks."""
+    """Makes one device of several call the host, as JAX does for its own callbacks."""
     layout = context.module_context.axis_context
     if isinstance(layout, mlir.ShardingContext) and layout.num_devices == 1:
         return None

@@ -69,12 +69,12 @@ def compiled(function: Function) -> Function:
 
 
 def is_for_cpu() -> bool:
-    """Checks whether JAX traces a direct call with arrays on a CPU: the program never runs elsewhere."""
+    """Checks whether JAX traces a direct call with CPU arrays: the program runs nowhere else."""
     return _is_for_cpu.get()
 
 
 def is_direct(*trees: Any) -> bool:
-    """Checks whether arrays are known and on a CPU, and nothing is traced: what is called with them runs at once."""
+    """Checks whether arrays are known and on a CPU, untraced: a call with them runs at once."""
     leaves = jax.tree.leaves(trees)
     return not _is_for_cpu.get() and _is_direct([leaf for leaf in leaves if isinstance(leaf, jax.Array | np.ndarray)])
 
@@ -94,7 +94,7 @@ def quickly_compiled(is_quick: bool = True) -> Iterator[None]:
 
 @functools.cache
 def _known_options(is_quick: bool) -> dict[str, Any]:
-    """Selects the options that this version of XLA knows: XLA refuses a program for an unknown option."""
+    """Selects the options that this XLA knows: it refuses a program for an unknown option."""
 
     def is_known(options: dict[str, Any]) -> bool:
         try:

@@ -21,7 +21,7 @@ BLOCK, WARPS = 512, 2
 """Points of a program of the kernel, and its groups of 32 threads: eight points a thread."""
 
 FEW = 2**19
-"""Number of points below which the sources are divided too: blocks of points alone do not keep a card busy."""
+"""Points below which sources are divided too: blocks of points alone do not fill a card."""
 
 FEW_BLOCK, FEW_WARPS = 64, 1
 """`BLOCK` and `WARPS` for fewer points."""
@@ -57,7 +57,10 @@ ELEMENTWISE = {
     *("and", "eq", "ge", "gt", "le", "lt", "ne", "not", "or", "select_n"),
     *("bitcast_convert_type", "broadcast_in_dim", "convert_element_type", "shift_left", "shift_right_logical"),
 }
-"""Operations of a kernel. The names are JAX's own and may change: functions with other operations run as loops."""
+"""Operations of a kernel.
+
+The names are JAX's own and may change: functions with other operations run as loops.
+"""
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "closed_call": "call_jaxpr"}
 """Operations that hold a jaxpr, and the name of the parameter. These names may change too."""
@@ -66,7 +69,7 @@ _is_in_kernel = contextvars.ContextVar("_is_in_kernel", default=False)
 
 
 def is_in_kernel() -> bool:
-    """Checks whether JAX traces the body of a kernel, where the GPU's own instructions may be used."""
+    """Checks whether JAX traces a kernel's body, where the GPU's instructions may be used."""
     return _is_in_kernel.get()
 
 
@@ -113,7 +116,7 @@ def fused_sum(
     points: Float[Array, "c d"],
     constants: Sequence[Float[Array, ""]] = (),
 ) -> Float[Array, "c k"]:
-    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA alone."""
+    """Computes `phi(squared distances of points and sources, *constants) @ weights`, for CUDA."""
     # A program of the kernel has a block of points, and, if there are few points, a part of the
     # sources. All blocks have one size: the last block overlaps the block before it. A thread keeps
     # the sums of its points in registers, and the loop runs over the sources.
@@ -169,7 +172,7 @@ def fused_sum(
 
 
 def contracted(function: Callable, *arguments: Any) -> Any:
-    """Evaluates an elementwise function of arrays, with products contracted into the additions that use them."""
+    """Evaluates an elementwise function of arrays, with products fused into additions."""
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
     results = _evaluate(closed.jaxpr, closed.consts, jax.tree.leaves(arguments))
     return jax.tree.unflatten(jax.tree.structure(shape), results)
@@ -240,7 +243,10 @@ def _only_added(jaxpr: Any) -> set[Any]:
 def fma(
     a: Float[Array, "*b"], b: Float[Array, "*b"], c: Float[Array, "*b"], negated: int | None = None
 ) -> Float[Array, "*b"]:
-    """Computes a b + c with one rounding, within a kernel. Argument number `negated`, from 1 on, changes its sign."""
+    """Computes a b + c with one rounding, within a kernel.
+
+    Argument number `negated`, from 1 on, changes its sign.
+    """
     kind, letter = _KINDS[a.dtype.name]
     names = ["minus" if i == negated else f"${i}" for i in range(4)]
     code = f"fma.rn.{kind} {', '.join(names)};"
@@ -256,7 +262,10 @@ def rough_reciprocal(x: Float[Array, "*b"]) -> Float[Array, "*b"]:
 
 _KINDS = {"float64": ("f64", "d"), "float32": ("f32", "f")}
 _INLINE = "elementwise_inline_asm_p"
-"""The name of instructions in Pallas, which is experimental. If it changes, logarithms run as loops."""
+"""The name of instructions in Pallas, which is experimental.
+
+If it changes, logarithms run as loops.
+"""
 
 
 def _inline(code: str, constraints: str, *arrays: Array) -> Array:

@@ -1,4 +1,4 @@
-"""JAX operations that are linear in their first argument, and whose transposes are operations of the same kind."""
+"""JAX operations linear in their first argument, with transposes of the same kind."""
 
 import functools
 import inspect
@@ -15,7 +15,7 @@ from jax.interpreters import ad, batching, mlir
 
 
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
-    """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c), column by column.
+    """Makes a primitive of `compute(values, *others, **options)`, linear in `values` (b, c).
 
     Its transpose is the primitive with other arguments. Derivatives by `others` are those of
     `compute`. Under `vmap` of `values` alone the primitive gets more columns; if `others` vary,

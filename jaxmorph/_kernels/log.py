@@ -1,4 +1,4 @@
-"""The float64 logarithm for CPUs, in operations that compile to vectors: XLA's own logarithm takes four times as long.
+"""The float64 logarithm for CPUs, in operations that compile to vectors: four times XLA's speed.
 
 The method is that of textbooks (Muller, Elementary Functions, chapter 11): x = 2^k m with m in
 [sqrt(1/2), sqrt(2)), and log m = 2 artanh(s) with s = (m - 1) / (m + 1). Newton's iteration
@@ -25,13 +25,19 @@ _INFINITY = 0x7FF0000000000000
 _SIGN = 0x8000000000000000
 
 _TWO_52 = 0x4330000000000000
-"""The bits of 2^52. With an integer k below 2^52 in the mantissa, they become the bits of 2^52 + k."""
+"""The bits of 2^52.
+
+With an integer k below 2^52 in the mantissa, they become the bits of 2^52 + k.
+"""
 
 _HALF_LOG_2 = (0.3465735901845619, 9.541074646352939e-11)
-"""log(2) / 2 in two parts: the first part ends in 21 zero bits, so that its product with an exponent is exact."""
+"""log(2) / 2 in two parts: the first ends in 21 zero bits, its products are exact."""
 
 _RECIPROCAL = (2.955511829448898, -2.889776453422684, 0.9349031257061479)
-"""1/d to 1.3e-3 for d in [1 + sqrt(1/2), 1 + sqrt(2)] / 2: 1 - d y(d) is a Chebyshev polynomial of degree 3."""
+"""1/d to 1.3e-3 for d in [1 + sqrt(1/2), 1 + sqrt(2)] / 2.
+
+1 - d y(d) is a Chebyshev polynomial of degree 3.
+"""
 
 _ARTANH = (
     0.3333333333333335,
@@ -42,7 +48,10 @@ _ARTANH = (
     0.07665860800278021,
     0.07308224842521703,
 )
-"""(artanh(s) / s - 1) / s^2 as a polynomial in s^2 for |s| <= (sqrt(2) - 1) / (sqrt(2) + 1), to 2^-57."""
+"""(artanh(s) / s - 1) / s^2 as a polynomial in s^2.
+
+It holds for |s| <= (sqrt(2) - 1) / (sqrt(2) + 1), to 2^-57.
+"""
 
 _SHORT_ARTANH = (
     1.0000000000000002,
@@ -58,7 +67,10 @@ _SHORT_ARTANH = (
 
 @jax.custom_jvp
 def log(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
-    """Computes `jax.numpy.log` to one unit in the last place, with its values at 0, infinity, NaN and negative numbers."""
+    """Computes `jax.numpy.log` to one unit in the last place, with its special values.
+
+    They are those at 0, infinity, NaN and negative numbers.
+    """
     return _by_platform(_whole_range_log, jnp.log, x)
 
 
@@ -119,14 +131,17 @@ def _whole_range_log(x):
 
 
 def _half_log(x, less: Array | float = 0.0):
-    """Computes (log x - `less` log 2) / 2 for positive normal numbers; a finite number below 373 for other numbers."""
+    """Computes (log x - `less` log 2) / 2 for positive normal numbers; else a number below 373."""
     k, f, s = _reduced(x, less)
     correction = s * s * _polynomial(_ARTANH, s * s)
     return k * _HALF_LOG_2[0] + (f + (k * _HALF_LOG_2[1] - s * (f - correction)))
 
 
 def _short_half_log(x):
-    """Computes log(x) / 2 to 3 units in the last place, which is enough for a kernel, with three operations fewer."""
+    """Computes log(x) / 2 to 3 units in the last place, with three operations fewer.
+
+    That is enough for a kernel.
+    """
     k, _, s = _reduced(x)
     return k * sum(_HALF_LOG_2) + s * _polynomial((1.0, *_ARTANH), s * s)
 
@@ -142,9 +157,10 @@ def _seeded_half_log(x):
 
 
 def _reduced(x, less: Array | float = 0.0):
-    """Splits x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)): returns k, f = (m - 1) / 2, s = (m - 1) / (m + 1).
+    """Splits x = 2^(k + `less`) m with m in [sqrt(1/2), sqrt(2)).
 
-    The half in f costs nothing here, and a thin plate spline needs it.
+    Returns k, f = (m - 1) / 2, s = (m - 1) / (m + 1). The half in f costs nothing here, and a thin
+    plate spline needs it.
     """
     k, m = _split(x, less)
     f, d = m - 0.5, m + 0.5

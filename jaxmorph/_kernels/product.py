@@ -1,4 +1,4 @@
-"""The product that ends a kernel sum: a few rows of weights, one a coordinate, times a large block of the kernel.
+"""The product that ends a kernel sum: a few rows of weights times a large block of the kernel.
 
 The transpose contracts a few rows of a cotangent with the block's long axis. On a CPU it takes a
 quarter of the time as one matrix-vector product a row. With the rows of many displacements
@@ -24,7 +24,7 @@ def few_rows_times(rows: Float[Array, "k s"], block: Float[Array, "s c"]) -> Flo
 
 
 def few_rows_times_transposed(rows: Float[Array, "k c"], block: Float[Array, "s c"]) -> Float[Array, "k s"]:
-    """Computes `rows @ block.T` as `few_rows_times` does, without a transposed copy of the block."""
+    """Computes `rows @ block.T` as `few_rows_times`, without a transposed copy of the block."""
     return _product.bind(rows, block, axis=1)
 
 

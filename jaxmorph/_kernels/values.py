@@ -1,4 +1,4 @@
-"""Values of NumPy and JAX: roots and maxima with safe derivatives, and formulas for both kinds of arrays."""
+"""Values of NumPy and JAX: roots and maxima with safe derivatives, formulas for both arrays."""
 
 import functools
 from typing import Any
@@ -10,11 +10,14 @@ from jax.core import Tracer  # pyright: ignore[reportAttributeAccessIssue]
 from jaxtyping import Array, Float
 
 Either = Any
-"""An array of JAX or NumPy, for formulas with `namespace`. Type checkers know no common operations of both."""
+"""An array of JAX or NumPy, for formulas with `namespace`.
+
+Type checkers know no common operations of both.
+"""
 
 
 def namespace(array: Any) -> Any:
-    """Returns NumPy for an array of NumPy, whose formulas need no compilation, and `jax.numpy` for other arrays."""
+    """Returns NumPy for its arrays, whose formulas need no compilation; else `jax.numpy`."""
     # A formula has two forms only where a first call gains a tenth of a process's time: `quality`,
     # `inverted` and `wall_quality` gain 0.4 to 0.9 CPU seconds of 3.5 in 2-D, 0.9 to 3.6 in 3-D;
     # the layer's width in `prepare` gains 1.1 of 4.2. See "First calls" in benchmarks/README.md.
@@ -43,7 +46,7 @@ def array(values: Any) -> Any:
 
 
 def on_host(*values: Any) -> bool:
-    """Checks whether values are readable and in the host's memory, so that NumPy can compute with them."""
+    """Checks whether values are readable in the host's memory: NumPy can compute with them."""
     arrays = (leaf for leaf in jax.tree.leaves(values) if isinstance(leaf, jax.Array))
     return is_readable(values) and all(device.platform == "cpu" for leaf in arrays for device in leaf.devices())
 
@@ -66,7 +69,7 @@ def norm(vectors: Float[Either, "*shape d"]) -> Float[Either, "*shape"]:
 
 
 def largest(values: Float[Either, "*shape"], axis: int = 0) -> Float[Either, "*rest"]:
-    """Computes the largest value along an axis; the derivative is the mean over equal largest values."""
+    """Computes the largest value along an axis; the derivative is the mean over equal ones."""
     return np.max(values, axis=axis) if namespace(values) is np else _largest(values, axis)
 
 
@@ -94,12 +97,15 @@ def _largest_jvp(axis, primals, tangents):
 
 
 def slack(dtype: Any) -> float:
-    """Computes the share of an interval beyond its ends that counts as inside: a little more than round-off."""
+    """Computes the share beyond an interval's ends that counts as inside: more than round-off."""
     return float(jnp.finfo(dtype).eps) ** 0.75
 
 
 def clipped(values: Float[Array, "*shape"], low: Any, high: Any) -> Float[Array, "*shape"]:
-    """Clips values to an interval. Its ends count as inside, with round-off; `jnp.clip` halves the derivative there."""
+    """Clips values to an interval.
+
+    Its ends count as inside, with round-off; `jnp.clip` halves the derivative there.
+    """
     beyond = slack(values.dtype) * (high - low)
     return jnp.where(values < low - beyond, low, jnp.where(values > high + beyond, high, values))
 

@@ -13,10 +13,11 @@ from .mesh import Mesh
 
 @checked
 def elevate(mesh: Mesh, order: int) -> Mesh:
-    """Makes a mesh of order 2 to 4 of a linear one: the same straight cells, with nodes on their edges, faces and inside.
+    """Makes a mesh of order 2 to 4 of a linear one.
 
-    The nodes of the linear mesh come first, as they were. New nodes of boundary faces belong to the patches that have all
-    corners of the face. `curve` then puts the wall's nodes onto a curved surface.
+    Cells are the same and straight, with nodes on their edges, faces and inside. The nodes of the
+    linear mesh come first, as they were. New nodes of boundary faces belong to the patches that
+    have all corners of the face. `curve` then puts the wall's nodes onto a curved surface.
 
     **Arguments:**
 
@@ -25,7 +26,8 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
 
     **Returns:** a `Mesh`. It is a new one, which no file knows.
 
-    **Raises:** `ValueError` for another order, for cells that are curved already, for a mesh without cells and for polyhedra.
+    **Raises:** `ValueError` for another order, for cells that are curved already, for a mesh
+    without cells and for polyhedra.
     """
     if order not in ORDERS[1:]:
         raise ValueError(f"`order` is {order}; meshes of order 2, 3 and 4 can be made.")
@@ -33,7 +35,8 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
         raise ValueError(f"{mesh} cannot be elevated: linear cells are needed, of the types {', '.join(CORNERS)}.")
     targets = {kind: _type(kind, order) for kind in mesh.cells}
     keys = {kind: _keys(np.asarray(ids), targets[kind]) for kind, ids in mesh.cells.items()}
-    # a new node is known by its corners and their weights, in ascending order: cells that share a face agree on it
+    # a new node is known by its corners and their weights, in ascending order: cells that share a
+    # face agree on it
     every = np.concatenate([each.reshape(-1, each.shape[2]) for each in keys.values()])
     nodes, number = np.unique(every, axis=0, return_inverse=True)
     n, number = len(mesh.points), number.ravel()
@@ -58,7 +61,10 @@ def _type(kind: str, order: int) -> Lagrange:
 
 
 def _keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
-    """Lists, for each new node of each cell, corners and weights in turn: (k, new, 16), corners ascending, zeros in front."""
+    """Lists corners and weights in turn (k, new, 16) of each cell's new nodes.
+
+    Corners ascend, with zeros in front.
+    """
     weights = _weights(cell)
     weights = weights // np.gcd.reduce(weights, axis=1)[:, None]  # alike in cells of all types that share a face
     order = np.argsort(np.where(weights[None] > 0, ids[:, None], -1), axis=2, kind="stable")
@@ -72,7 +78,7 @@ def _keys(ids: np.ndarray, cell: Lagrange) -> np.ndarray:
 
 
 def _weights(cell: Lagrange) -> np.ndarray:
-    """Lists the weights (new, corners), whole numbers, of the corners at each new node: values of the linear shape functions."""
+    """Lists integer weights (new, corners) of corners at new nodes: linear shape functions."""
     at, p = cell.lattice[cell.corners :], cell.order
     x, d = at.T, cell.dimension
     if cell.shape in ("triangle", "tetra", "line"):

@@ -33,14 +33,17 @@ Arrays = Mapping[str, Any]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Origin:
-    """The mesh of another library that a mesh came from. It is compared by identity, as a static field of a pytree must be."""
+    """The mesh of another library that a mesh came from.
+
+    It is compared by identity, as a static field of a pytree must be.
+    """
 
     content: Any
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grid:
-    """A mesh of another library: `blocks` of cells of one type; `cell_data` has one array a block."""
+    """A mesh of another library: `blocks` of one cell type; `cell_data` has one array a block."""
 
     points: np.ndarray
     blocks: list[tuple[str, np.ndarray]]
@@ -56,7 +59,10 @@ class Grid:
 
 
 def of_meshio(mesh: Any) -> Grid:
-    """Reads points, cells and arrays of a meshio mesh. Raises `ValueError` for cell types that are not supported."""
+    """Reads points, cells and arrays of a meshio mesh.
+
+    Raises `ValueError` for cell types that are not supported.
+    """
     if not all(
         hasattr(mesh, name) for name in ("points", "cells", "point_data", "cell_data", "cell_sets", "field_data")
     ):
@@ -67,7 +73,10 @@ def of_meshio(mesh: Any) -> Grid:
 
 
 def of_pyvista(grid: Any) -> Grid:
-    """Reads points, cells and arrays of a grid of PyVista. Raises `ValueError` for cell types that are not supported."""
+    """Reads points, cells and arrays of a grid of PyVista.
+
+    Raises `ValueError` for cell types that are not supported.
+    """
     numbers = np.asarray(grid.celltypes)
     kinds = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()} | {1: "vertex"}
     shapes = {number: shape for shape, number in VTK_LAGRANGE.items()}
@@ -92,12 +101,12 @@ def of_pyvista(grid: Any) -> Grid:
 
 
 def offsets_of(grid: Any) -> np.ndarray:
-    """Returns where the nodes of each cell begin in the connectivity of a grid of PyVista, old or new, and where all end."""
+    """Returns where each cell's nodes begin in a PyVista grid's connectivity, and where all end."""
     return np.asarray(grid.cell_offsets if hasattr(grid, "cell_offsets") else grid.offset)
 
 
 def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
-    """Names the type of a block of meshio as it is named here, and brings its nodes into the canonical order."""
+    """Names the type of a meshio block as here, and orders its nodes canonically."""
     shape, order = LAGRANGE.get(kind), MESHIO
     if shape is not None and len(ids):
         size = ids.shape[1]
@@ -108,7 +117,7 @@ def kind_of_block(kind: str, ids: np.ndarray) -> tuple[str, np.ndarray]:
 
 
 def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
-    """Names a type of cells as meshio does, and brings their nodes into the order that meshio's readers and writers expect.
+    """Names a cell type as meshio does, and orders its nodes as meshio's files need them.
 
     Cells of order 3 and more are VTK's of any order, where it has them.
     """
@@ -141,7 +150,7 @@ class Parts(NamedTuple):
 
 
 def parts(grid: Grid) -> Parts:
-    """Makes points, cells and patches of a grid: the cells of highest dimension, without z if all z are equal.
+    """Makes points, cells and patches of a grid: highest dimension, without z if all z are equal.
 
     Patches are named sets of cells of lower dimension, gmsh's physical groups, and point arrays
     `patch:NAME`. Without them, the numbers of an array of `MARKERS` name patches. Without such an
@@ -182,7 +191,7 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _sets(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of named sets of cells, without sets of full dimension, which are regions of the volume."""
+    """Makes patches of named cell sets, without those of full dimension: regions of the volume."""
     levels, patches = grid.levels, {}
     for name, members in grid.cell_sets.items():
         for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):
@@ -192,7 +201,7 @@ def _sets(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _physical(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of gmsh's physical groups; a group without a name gets the name `physical_` and its tag."""
+    """Makes patches of gmsh's physical groups; an unnamed group is `physical_` and its tag."""
     levels, patches = grid.levels, {}
     names = {(int(info[0]), int(info[1])): name for name, info in grid.field_data.items() if np.size(info) == 2}
     for (_, corners), level, tags in zip(grid.blocks, levels, grid.cell_data.get("gmsh:physical", []), strict=False):
@@ -204,7 +213,7 @@ def _physical(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _marked(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches by the numbers of the first array of `MARKERS`, on cells of lower dimension or on points.
+    """Makes patches by the first array of `MARKERS`, on cells of lower dimension or points.
 
     On points, 0 means inside.
     """

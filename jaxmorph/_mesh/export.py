@@ -51,7 +51,7 @@ def to_pyvista(mesh: Parts, source: Any, point_data: Arrays | None, cell_data: A
 
 
 def unstructured_grid(pyvista: Any, cells: Mapping[str, Any], points: np.ndarray) -> Any:
-    """Makes a grid of PyVista; raises `ValueError` for pyramids of high order that VTK does not have."""
+    """Makes a PyVista grid; raises `ValueError` for high-order pyramids, which VTK lacks."""
     numbers, rows = [np.zeros(0, np.uint8)], [np.zeros(0, np.int64)]
     for kind, ids in cells.items():
         number = (VTK | VTK_QUADRATIC).get(kind, VTK_LAGRANGE.get(SHAPES[kind]))
@@ -64,7 +64,7 @@ def unstructured_grid(pyvista: Any, cells: Mapping[str, Any], points: np.ndarray
 
 
 def _origin(source: Any, kind: type) -> Any:
-    """Finds the mesh of a library's class behind the source of a mesh, directly or by way of a file."""
+    """Finds the library's own mesh behind a mesh's source, directly or through a file."""
     while hasattr(source, "content"):
         source = source.content
     return source if isinstance(source, kind) else None
@@ -80,7 +80,7 @@ def _points(mesh: Parts, old: np.ndarray | None) -> np.ndarray:
 
 
 def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -> tuple[Arrays, Arrays]:
-    """Checks that arrays have one row a point, or a cell, and adds the patches to the arrays of points.
+    """Checks that arrays have a row for each point or cell, and adds patches to those of points.
 
     Vectors of a 2-D mesh get a third component 0.
     """
@@ -105,7 +105,7 @@ def _checked(mesh: Parts, point_data: Arrays | None, cell_data: Arrays | None) -
 
 
 def _dealt(mesh: Parts, arrays: Arrays, kinds: np.ndarray) -> dict[str, np.ndarray]:
-    """Reorders arrays from the order of `mesh.cells` to cells of the types `kinds`; a cell of another type gets NaN."""
+    """Reorders arrays from `mesh.cells` to cells of types `kinds`; other cells get NaN."""
     # Cells of one type have one order in both meshes. `place` is the row of a cell in the arrays,
     # or -1 for a cell of another type, which takes the row of NaN at the end.
     if not arrays:

@@ -1,4 +1,4 @@
-"""Cells made of OpenFOAM's faces: tetrahedra, pyramids, wedges and hexahedra, numbered as VTK numbers them.
+"""Cells made of OpenFOAM's faces: tetrahedra, pyramids, wedges, hexahedra, in VTK's node order.
 
 OpenFOAM's files hold polygons and the two cells beside them. The type of a cell follows from the
 number of its faces and their corners. Its numbering follows from one face, the base, and from the
@@ -66,7 +66,10 @@ class Faces:
         return corners
 
     def around(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """Gathers `corners` of faces (k, m) as (m, size, k), from any first corner: operations then run along the k cells."""
+        """Gathers `corners` of faces (k, m) as (m, size, k): operations run along k.
+
+        Corners begin at any first corner.
+        """
         # Corners 1 and -1 of a turned face change places, by three "exclusive or": that reverses a
         # triangle or a quad.
         faces = np.ascontiguousarray(faces.T)
@@ -102,7 +105,7 @@ class Faces:
 
 
 def faces_of_cells(kind: str, corners: np.ndarray, cell: np.ndarray) -> Faces:
-    """Lists the faces of cells of one type; inner faces come twice, until `joined_faces` pairs them."""
+    """Lists faces of cells of one type; inner faces come twice, until `joined_faces` pairs them."""
     parts = [corners[:, list(face)] for face in FACES[kind]]
     labels = np.concatenate([part.ravel() for part in parts])
     sizes = np.repeat([part.shape[1] for part in parts], len(corners))
@@ -111,7 +114,10 @@ def faces_of_cells(kind: str, corners: np.ndarray, cell: np.ndarray) -> Faces:
 
 
 def joined_faces(parts: list[Faces]) -> Faces:
-    """Joins faces whose cells are numbered throughout. Two outer faces with equal nodes become an inner face."""
+    """Joins faces whose cells are numbered throughout.
+
+    Two outer faces with equal nodes become an inner face.
+    """
     labels = np.concatenate([part.labels for part in parts])
     sizes = np.concatenate([part.sizes for part in parts])
     owner = np.concatenate([part.owner for part in parts])
@@ -131,7 +137,7 @@ def joined_faces(parts: list[Faces]) -> Faces:
 
 
 def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Finds the tetrahedra, pyramids, wedges and hexahedra: corner ids (k, corners) and cell ids (k,) by type.
+    """Finds tetrahedra, pyramids, wedges and hexahedra: corners (k, c) and cell ids (k,) by type.
 
     The cell ids have an entry `polyhedron` for other cells. Numbers of faces, triangles and quads
     select candidates; `_typed` numbers their corners and refuses cells with other connections.
@@ -154,7 +160,7 @@ def standard_cells(faces: Faces) -> tuple[dict[str, np.ndarray], dict[str, np.nd
 
 
 def open_cells(faces: Faces) -> np.ndarray:
-    """Finds the cells that are not closed: one of their edges belongs to an odd number of their faces."""
+    """Finds cells that are not closed: an edge belongs to an odd number of their faces."""
     # A node has a random number. An edge has the squared difference of its two numbers, which is
     # zero if a corner comes twice. In a closed cell every edge comes an even number of times, so
     # that an "exclusive or" over the edges of its faces leaves zero.
@@ -175,7 +181,7 @@ def open_cells(faces: Faces) -> np.ndarray:
 
 
 def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, starts: np.ndarray):
-    """Numbers the corners of cells whose faces begin at `starts`, and marks the cells with the shape of their type."""
+    """Numbers corners of cells whose faces begin at `starts`; marks cells shaped as their type."""
     # Blocks of cells keep memory small. The faces of a pyramid or a wedge are sorted so that the
     # base comes first: the quad of a pyramid, a triangle of a wedge.
     corners = np.empty((len(starts), _LAST[kind]), faces.labels.dtype)
@@ -192,7 +198,7 @@ def _typed(faces: Faces, kind: str, ordered: np.ndarray, sizes: np.ndarray, star
 
 
 def _from_base(faces: Faces, kind: str, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers cells from their first face, the base, seen from inside; marks the cells with the shape of their type."""
+    """Numbers cells from their first face, seen from inside; marks cells shaped as their type."""
     # A wall, another face that touches the base, shares an edge with it. On a walk round the wall,
     # exactly one edge leaves the base: its foot is a corner of the base, its head the corner above.
     # A cell has the shape of its type if every corner of the base has exactly one head, and the

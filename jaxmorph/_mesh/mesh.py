@@ -28,14 +28,15 @@ class Mesh(Module):
     - `cells`: corner ids (k, corners) by type, numbered as VTK numbers them. Types are `triangle`,
       `quad`, `tetra`, `pyramid`, `wedge` and `hexahedron`; `tri`, `tet`, `prism` and `hex` are
       other names. Cells of order 2 to 4 have the name and the number of nodes, `triangle6` or
-      `hexahedron64`; see below. Types are kept in alphabetical order, so that arrays per cell have one order,
-      also under `jit`. Default: none.
+      `hexahedron64`; see below. Types are kept in alphabetical order, so that arrays per cell have
+      one order, also under `jit`. Default: none.
     - `patches`: node ids by name, without repetition. Default: none.
     - `source`: the file's content, for `jaxmorph.io.write`. Default: none.
 
     Nodes of a cell of order p are points like any others. They stand on its edges, faces and inside
     at equal steps of 1 / p. A cell lists its corners first. Then come the inner nodes of its edges,
-    of its faces, and of the cell. `jaxmorph.io.read` brings the nodes of all formats into this order.
+    of its faces, and of the cell. `jaxmorph.io.read` brings the nodes of all formats into this
+    order.
 
     **Raises:** `ValueError` for an unknown cell type, for corner or patch ids outside of `points`,
     and for wrong shapes.
@@ -99,7 +100,7 @@ class Mesh(Module):
 
     @property
     def kinds(self) -> Mapping[str, str]:
-        """The kinds of patches in the file, by name: `BCFarfield` in CGNS, `wall` in OpenFOAM; only patches with a kind."""
+        """Kinds of patches in the file, by name: `BCFarfield` (CGNS), `wall` (OpenFOAM)."""
         return {name: kind for name, kind in getattr(self.source, "kinds", {}).items() if name in self.patches}
 
     @property
@@ -114,7 +115,7 @@ class Mesh(Module):
 
     @checked
     def in_file_order(self, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> np.ndarray:
-        """Computes the coordinates (N, D) of all nodes of the file, in its order, from `points` (n, d) of this mesh.
+        """Computes coordinates (N, D) of all nodes of the file from this mesh's `points` (n, d).
 
         `jaxmorph.io.write` writes these coordinates. D is 3 if the file has three coordinates, also
         for a mesh in 2-D. A node that has not moved keeps the file's coordinates in all of its
@@ -128,18 +129,18 @@ class Mesh(Module):
 
     @property
     def polyhedra(self) -> Polyhedra | None:
-        """The whole cells of a file with polyhedra (in 2-D polygons), whose pieces are in `cells`; or None."""
+        """Whole cells of a file with polyhedra (2-D: polygons), cut in `cells`; or None."""
         return getattr(self.source, "polyhedra", None)
 
     @property
     def cell_ids(self) -> np.ndarray:
-        """Numbers (k,) of the cells in the file, in the order of `cells`; pieces of a polyhedron share a number."""
+        """File numbers (k,) of `cells`; pieces of a polyhedron share a number."""
         ids = getattr(self.source, "cell_ids", None)
         return np.arange(sum(len(corners) for corners in self.cells.values())) if ids is None else ids
 
     @property
     def between(self) -> np.ndarray | None:
-        """The faces (k, corners), edges in 2-D, between this part of a mesh and other parts; or None.
+        """Faces (k, corners), 2-D: edges, between this part of a mesh and others; or None.
 
         Rows have -1 behind the last corner. These faces are no boundary: their nodes are inner
         nodes. No measure compares the cells on their two sides.
@@ -164,7 +165,7 @@ class Mesh(Module):
 
     @property
     def linear(self) -> "Mesh":
-        """This mesh with linear cells: a cell of order p is cut into pieces between all of its nodes; else the mesh itself."""
+        """This mesh with linear cells: pieces of order-p cells between all nodes; else itself."""
         if not self.is_curved:
             return self
         cells = linear_cells(self.cells, np.concatenate if is_known(*self.cells.values()) else jnp.concatenate)
@@ -190,7 +191,7 @@ class Mesh(Module):
 
     @staticmethod
     def from_meshio(mesh: Any) -> "Mesh":
-        """Makes a mesh of a `meshio.Mesh`: its cells of highest dimension, in two coordinates if all z are equal.
+        """Makes a mesh of a `meshio.Mesh`: cells of highest dimension, 2-D if all z are equal.
 
         Patches are cell sets of lower dimension, gmsh's physical groups and point arrays
         `patch:NAME`. Without them, the whole numbers of an array `patch`, `marker`, `boundary` ...,
@@ -224,7 +225,7 @@ class Mesh(Module):
 
     @staticmethod
     def from_pyvista(grid: Any) -> "Mesh":
-        """Makes a mesh of a `pyvista.UnstructuredGrid`, or of another data set of PyVista, as `from_meshio` does.
+        """Makes a mesh of a `pyvista.UnstructuredGrid`, or other data set, as `from_meshio` does.
 
         **Raises:** `ValueError` as `from_meshio` does, and for a `MultiBlock`.
         """
@@ -263,7 +264,7 @@ class Mesh(Module):
 
 
 def _floats(points) -> Any:
-    """Returns coordinates as an array of floats; an array of JAX stays one, since quality traces through a mesh's points."""
+    """Returns coordinates as floats; a JAX array stays one, for quality traces through points."""
     if isinstance(points, type):
         raise ValueError(f"`points` is {shown(points)}; coordinates are real numbers (n, d).")
     try:

@@ -9,7 +9,7 @@ SHOWN = 12
 
 
 def patch_names(names: Sequence[str], patches: Collection[str], groups: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Lists the patches of names: a patch, or a group, or all patches whose whole names match a regular expression.
+    """Lists patches of names: a patch, a group, or patches that match a whole regular expression.
 
     **Raises:** `ValueError` for a name without a patch.
     """

@@ -7,7 +7,7 @@ import numpy as np
 from .faces import BLOCK, Faces
 
 SLIVER = 1e-3
-"""Share of the mean piece of a cell below which a piece is left out: its sign says nothing about the cell."""
+"""Share of a cell's mean piece below which a piece is left out: its sign says nothing."""
 
 ENOUGH = 0.05
 """Share of the mean piece at which no better apex is searched."""
@@ -15,7 +15,7 @@ ENOUGH = 0.05
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Polyhedra:
-    """The whole cells of a mesh with cut cells: all faces (edges in 2-D), and the ids of the cut cells.
+    """Whole cells of a mesh with cut cells: all faces (2-D: edges), and the ids of cut cells.
 
     `Mesh.cell_ids` has the whole cell of every cell or piece of the mesh.
     """
@@ -25,10 +25,10 @@ class Polyhedra:
 
 
 def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cuts the faces `chosen` into triangles (t, 3), in the sense of the face; also returns the face's place in `chosen`.
+    """Cuts the faces `chosen` into triangles (t, 3), with each one's place in `chosen`.
 
-    A face is a fan about the corner that makes its smallest triangle largest. So both cells of a
-    face see equal triangles.
+    Triangles have the sense of their face. A face is a fan about the corner that makes its smallest
+    triangle largest. So both cells of a face see equal triangles.
     """
     sizes = faces.sizes[chosen]
     parts, owners = [], []
@@ -48,13 +48,13 @@ def triangles(faces: Faces, chosen: np.ndarray, points: np.ndarray) -> tuple[np.
 
 
 def _least(x: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Computes the smallest area of a fan about the first corner, times the length of the face's normal."""
+    """Computes the smallest fan area about the first corner, times the face normal's length."""
     arms = x[:, 1:] - x[:, :1]
     return np.einsum("fti,fi->ft", np.cross(arms[:, :-1], arms[:, 1:]), normal).min(axis=1)
 
 
 def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cuts cells into tetrahedra (t, 4) between a node, the apex, and the triangles of faces away from it.
+    """Cuts cells into tetrahedra (t, 4) between an apex node and triangles of faces away from it.
 
     It also returns the cell of every tetrahedron. The apex is the first node whose smallest piece
     is no sliver, or, if there is none, the node whose smallest piece is largest.
@@ -81,7 +81,7 @@ def spread(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Triangles around cells, counterclockwise from inside, with their cells and the faces of these cells."""
+    """Triangles around cells, counterclockwise from inside, with their cells and faces."""
 
     points: np.ndarray
     corners: np.ndarray
@@ -98,7 +98,7 @@ class _Pieces:
         return cls(points, np.where((signed < 0)[face, None], triangle, triangle[:, ::-1]), cell[face], face)
 
     def volumes(self, apex: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes six volumes of the tetrahedra below `apex`, one node a cell, and marks those on faces away from it."""
+        """Computes six volumes of tetrahedra below `apex`, one a cell; marks faces away from it."""
         tip = apex[self.cell[rows]]
         a, b, c = (self.points[self.corners[rows, i]] - self.points[tip] for i in range(3))
         face = self.face[rows]

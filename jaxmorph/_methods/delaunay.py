@@ -54,7 +54,7 @@ class DelaunayGraph(AbstractPlacing):
 
 
 def begin_graph(method: AbstractMethod, surface: Surface, count: int) -> None:
-    """Begins the graph of a surface beside what comes next, where a method is or has a `DelaunayGraph`.
+    """Begins a surface's graph beside what comes next, where a method is or has a `DelaunayGraph`.
 
     It does nothing unless some of the `count` points are off the surface.
     """

@@ -37,9 +37,9 @@ class Table(eqx.Module):
 class Interpolation(AbstractRows):
     """Interpolates points' displacements from surface nodes: weighted sums by a sparse operator.
 
-    For one point, `nodes` and `weights` are (k,); for many (n, k), to which a table of the transpose
-    may be added.
-    A row or entry where `reached` is False is empty, whatever the coordinates.
+    For one point, `nodes` and `weights` are (k,); for many (n, k), to which a table of the
+    transpose may be added. A row or entry where `reached` is False is empty, whatever the
+    coordinates.
     """
 
     nodes: Int[Array, "*n k"]
@@ -125,7 +125,10 @@ class InterpolatedField(AbstractField):
 
 
 def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Array, "n c"]:
-    """Applies the operator to values at the b surface nodes. Without a table of `rows`, its transpose scatters."""
+    """Applies the operator to values at the b surface nodes.
+
+    Without a table of `rows`, its transpose scatters.
+    """
     table = rows.table
     if table is None:
         none = jnp.zeros((0, WIDTH), jnp.int32)

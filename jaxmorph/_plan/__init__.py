@@ -1,1 +1,1 @@
-"""The driver: prepares a plan on the host, and moves points, blocks, steps and devices in traced code."""
+"""The driver: prepares a plan on the host; moves points, blocks, steps and devices traced."""

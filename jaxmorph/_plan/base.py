@@ -25,7 +25,7 @@ def refitted(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan
 def carry(
     plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any], surface: Float[Array, "o d"] | None = None
 ) -> Plan:
-    """Moves a plan to the mesh that one of its own steps left; a piece needs the whole moved surface.
+    """Moves a plan to the mesh of one of its own steps; a piece needs the whole moved surface.
 
     The solve is made anew, and every point keeps its place in the graph. A layer over a wall is
     laid anew.
@@ -57,7 +57,10 @@ def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None,
 
 
 def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
-    """Returns base coordinates in the precision of a plan. Raises `ValueError` unless they have its shape."""
+    """Returns base coordinates in the precision of a plan.
+
+    Raises `ValueError` unless they have its shape.
+    """
     points = jnp.asarray(points, plan.volume.points.dtype)
     if points.shape != plan.points.shape:
         raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")

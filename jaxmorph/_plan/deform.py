@@ -19,7 +19,7 @@ from .transposes import transposable, with_transposes
 
 @checked
 def deform(plan: Plan, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "n d"]:
-    """Moves the mesh: row i of `u` displaces node `plan.moving[i]`, fixed nodes stay, all other nodes follow.
+    """Moves the mesh: node `plan.moving[i]` by `u[i]`; fixed nodes stay, all other nodes follow.
 
     A method that is `exact` moves and fixes these nodes exactly; a reduced `RBF` alone does so
     approximately. The motion is one step, and linear in `u` where `plan.is_linear`.

@@ -66,7 +66,7 @@ def rows_here(layout: Layout | None, ids: Int[Array, " k"], count: int) -> Int[A
 
 
 def rows_from(start: Int[Array, ""], ids: Int[Array, " k"], count: int) -> Int[Array, " k"]:
-    """Finds points `ids` among the `count` rows from `start` on; absent points get a row from `count` on."""
+    """Finds `ids` among the `count` rows from `start` on; absent ones get a row from `count` on."""
     here = ids - start
     return jnp.where((here >= 0) & (here < count), here, count + jnp.arange(len(ids)))
 
@@ -74,7 +74,7 @@ def rows_from(start: Int[Array, ""], ids: Int[Array, " k"], count: int) -> Int[A
 def over_points(
     layout: Layout | None, function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, rows: PyTree
 ) -> PyTree:
-    """Evaluates `function(shared, rows)`, where all leaves of `rows` and of the result have one row a point.
+    """Evaluates `function(shared, rows)`; leaves of `rows` and the result have one row a point.
 
     Every device works on its own rows. JAX's tracking of what varies (`check_vma`) is off. So one
     all-reduce at the end sums the gradient of `shared`, not one in every round of an inner loop.

@@ -1,4 +1,4 @@
-"""The two halves of `prepare`, for a mesh in pieces: the surface and its solve once, then piece by piece."""
+"""The two halves of `prepare`, for a mesh in pieces: the surface once, then piece by piece."""
 
 import dataclasses
 import functools
@@ -28,15 +28,16 @@ from .plan import Plan, SurfacePart
 from .prepare import between_planes, boundary_of, laid_out, plan_of, refuse_cells, surface_of
 
 SAME = 1e-12
-"""Largest allowed difference of a surface node's place in a piece and in the half, as a share of the extent."""
+"""Largest difference of a surface node's place in piece and half, as a share of the extent."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceHalf:
-    """What all pieces of a mesh share: the surface, its sources and the solve. `prepare_surface` makes it.
+    """What all pieces of a mesh share: the surface, its sources and the solve.
 
-    `jm.save`, `jm.load` and pickle keep its bits. Two pieces, also of two processes, move a common
-    point alike, to round-off. Common points of the surface are equal bit for bit.
+    `prepare_surface` makes it. `jm.save`, `jm.load` and pickle keep its bits. Two pieces, also of
+    two processes, move a common point alike, to round-off. Common points of the surface are equal
+    bit for bit.
 
     - `plan`: the plan of the surface's nodes alone, for `inspect`, `plan.offset` and
       `plan.sources`.
@@ -59,7 +60,7 @@ class SurfaceHalf:
 
     @property
     def moving(self) -> Int[np.ndarray, " m"]:
-        """Ids of the moving nodes in the whole mesh: row i of a displacement moves node `moving[i]`."""
+        """Ids of the moving nodes in the whole mesh: row i of `u` moves node `moving[i]`."""
         return self.nodes[np.asarray(self.plan.moving)]
 
     @property
@@ -115,7 +116,7 @@ class SurfaceHalf:
         return laid_out(plan, shared, as_jax(points), on_plane, volume_ids)
 
     def _check_sides(self, points: np.ndarray, place: np.ndarray) -> None:
-        """Raises `ValueError` for points on a free side, where the surface was prepared without free sides."""
+        """Raises `ValueError` for points on a free side, if the surface was prepared without."""
         if self.faces is not None or self.is_open or not sees_free_sides(self.plan.method):
             return
         is_inner = np.ones(len(points), dtype=bool)
@@ -137,7 +138,7 @@ class SurfaceHalf:
         return surface, on_plane
 
     def _places(self, nodes: Any, points: np.ndarray) -> np.ndarray:
-        """Finds the row in `points` of all nodes (k,) of the half; -1 for a node that the piece lacks."""
+        """Finds the row in `points` of all nodes (k,) of the half; -1 for an absent node."""
         ids = as_array("nodes", nodes)
         if ids.shape != (len(points),) or ids.dtype.kind not in "iu":
             raise ValueError(
@@ -179,7 +180,7 @@ def prepare_surface(
     is_open: bool | None = None,
     faces: Mapping[str, Integer[np.ndarray, "_k _c"]] | None = None,
 ) -> SurfaceHalf:
-    """Prepares the surface of a mesh that is too large for one call of `prepare`, or lies in several processes.
+    """Prepares the surface of a mesh too large for one `prepare`, or in several processes.
 
     `prepare_surface(mesh, ...).attach(mesh.points, range(n))` equals `prepare(mesh, ...)`. If no
     process has the whole mesh, gather the moving and fixed nodes of all pieces, and pass them.
@@ -233,7 +234,7 @@ def half_of(boundary: Boundary, method: AbstractMethod | None, ids: np.ndarray) 
 
 
 def has_open_side(boundary: Boundary) -> bool:
-    """Checks, by points alone, whether a flat side is free: neither moving, fixed nor a symmetry plane."""
+    """Checks, by points alone, whether a flat side is free: not moving, fixed or symmetric."""
     surface = surface_of(dataclasses.replace(boundary, pairings=()))[0]
     return has_free_sides(surface.points, surface.rows(len(boundary.points)) == len(surface.points), boundary.points)
 

@@ -1,4 +1,4 @@
-"""The quality of moved boundaries: distances of nodes from planes and surfaces, and mismatch of periodic pairs."""
+"""Quality of moved boundaries: distances from planes and surfaces, and periodic mismatch."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,7 @@ from .plan import Plan
 
 @dataclasses.dataclass(frozen=True)
 class BoundaryQuality:
-    """Result of `boundary_quality`: the largest distances in the mesh's unit, zero if a plan has no such nodes.
+    """Result of `boundary_quality`: largest distances in the mesh's unit, zero without such nodes.
 
     - `off_plane`: distance of nodes from their symmetry plane.
     - `off_surface`: distance of sliding nodes from their surface.
@@ -51,7 +51,7 @@ class BoundaryQuality:
 
 @checked
 def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> BoundaryQuality:
-    """Measures, on the host, how well moved points keep symmetry planes, sliding surfaces and periodic pairs.
+    """Measures, on the host, how well moved points keep planes, sliding surfaces and pairs.
 
     The points may come from `deform`, the last step of a `march`, `improve`, or another tool.
 
@@ -76,7 +76,7 @@ def boundary_quality(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any])
 
 
 def deviations(plan: Plan, points: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Yields the distances of moved points, by plane, wall and pairing: a field of `BoundaryQuality`, nodes, distances."""
+    """Yields distances of moved points by plane, wall and pairing: field, nodes, distances."""
     if plan.images is not None:
         for plane, is_on in zip(plan.images.planes, np.asarray(plan.volume.on_plane)[: len(points)].T, strict=True):
             yield "off_plane", np.flatnonzero(is_on), np.abs(plane.height(points[is_on]))
@@ -104,7 +104,7 @@ def ended(plan: Plan, places: Float[np.ndarray, "o d"]) -> Int[np.ndarray, " k"]
 
 
 def ends(nodes: np.ndarray, points: np.ndarray) -> str:
-    """Reports the nodes at the end of their surface in two sentences; an empty text without nodes."""
+    """Reports nodes at the end of their surface in two sentences; empty without nodes."""
     if not len(nodes):
         return ""
     return (

@@ -1,4 +1,4 @@
-"""The plan: what is known of a mesh before it moves, and how its displacement fields move it in traced code."""
+"""The plan: what is known of a mesh before it moves, and how its fields move it, traced."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -140,12 +140,12 @@ class Plan(Module):
 
     @property
     def guided(self) -> Int[Array, " g"]:
-        """Node ids of the nodes that follow along sliding patches, periodic patches or parallel planes."""
+        """Ids of nodes that follow along sliding or periodic patches, or parallel planes."""
         return self.surface.nodes[len(self.surface.nodes) - self.n_guided :]
 
     @property
     def is_linear(self) -> bool:
-        """True where `deform` is linear in `u`: a linear method, and no nodes that slide along curved walls."""
+        """True where `deform` is linear in `u`: a linear method, and no curved sliding walls."""
         guide = self.surface.guide
         is_guide_linear = guide is None or (guide.plan.is_linear and all(track.is_linear for track in guide.tracks))
         return self.method.linear and is_guide_linear
@@ -157,7 +157,7 @@ class Plan(Module):
 
     @property
     def reach(self) -> float:
-        """Distance from the surface that the method's field reaches, on the host; infinity where it has no radius."""
+        """Reach of the method's field from the surface, on the host; infinity without a radius."""
         return self.method.control(self.surface.ids).reach
 
     @property
@@ -174,7 +174,7 @@ class Plan(Module):
 
     @property
     def images(self) -> Images | None:
-        """The images of the surface by symmetry planes and periodic pairs; None without planes and pairs."""
+        """Images of the surface by planes and periodic pairs; None without them."""
         return self.surface.images
 
     @property
@@ -202,16 +202,25 @@ class Plan(Module):
 
     @checked
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes what the coarse field leaves to the correction (eq. 5), at all surface nodes. Traced in `u`."""
+        """Computes what the coarse field leaves to the correction (eq. 5), at all surface nodes.
+
+        Traced in `u`.
+        """
         return _offset(self, u)
 
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes the displacements of all surface nodes from those of the moving nodes. Traced."""
+        """Computes the displacements of all surface nodes from those of the moving nodes.
+
+        Traced.
+        """
         return kept(self, extended(self, u))
 
     def __repr__(self) -> str:
-        """Describes the plan. Its leaves may be concrete, stacked or traced arrays, shapes, or None."""
+        """Describes the plan.
+
+        Its leaves may be concrete, stacked or traced arrays, shapes, or None.
+        """
         points, nodes = self.volume.points, self.surface.nodes
         parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):
@@ -249,7 +258,7 @@ def _is_located(leaf: Any) -> bool:
 
 
 def extended(plan: Plan, u: Any) -> Float[Array, "o d"]:
-    """Checks a displacement of the moving nodes, and extends it by zeros for all other surface nodes."""
+    """Checks a displacement of the moving nodes, and adds zeros for other surface nodes."""
     if not isinstance(plan, Plan):
         raise ValueError(f"the first argument must be a plan, deform(plan, u), not {type(plan).__name__}.")
     m, d = plan.n_moving, plan.points.shape[1]
@@ -275,7 +284,7 @@ class Shared(eqx.Module):
 
 
 def deform_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "n d"]:
-    """Moves the mesh as `deform` does, by displacements of the moving nodes, then of the fixed nodes."""
+    """Moves the mesh as `deform` does, by displacements of moving, then fixed nodes."""
     layout = plan.layout
 
     def moved_here(shared: Shared, volume: VolumePart) -> Float[Array, "n d"]:
@@ -298,7 +307,7 @@ def shared_by(plan: Plan, vectors: Float[Array, "o d"]) -> Shared:
 
 
 def move(shared: Shared, volume: VolumePart, at: Int[Array, " a"]) -> Float[Array, "n d"]:
-    """Moves the points of some rows; `at` are the rows of the assigned nodes, beyond the last row for absent nodes."""
+    """Moves points of some rows; `at` are rows of assigned nodes, beyond the last if absent."""
     displacement = map_points(shared.field, volume.points, volume.placed)
     if shared.images is not None and volume.on_plane is not None:
         displacement = shared.images.within(displacement, volume.on_plane)
@@ -316,7 +325,10 @@ def moved_surface(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d
 
 
 def kept(plan: Plan, vectors: Float[Array, "o d"]) -> Float[Array, "o d"]:
-    """Changes displacements of the surface's own rows so that rows stay on planes and follow boundaries."""
+    """Changes displacements of the surface's own rows so that they keep to the boundaries.
+
+    Rows stay on planes and follow walls and periodic partners.
+    """
     surface = plan.surface
     if surface.guide is not None:
         vectors = surface.guide(vectors)

@@ -1,4 +1,4 @@
-"""Preparation: everything about a mesh that does not depend on the displacement, found once on the host."""
+"""Preparation: all of a mesh that does not depend on the displacement, once on the host."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from .base import refitted
 from .plan import Guide, Plan, SurfacePart, VolumePart
 
 FEW = 50_000, 2_000
-"""Points, and surface nodes, up to which compilation takes longer than the compiled program that `prepare` runs once."""
+"""Points, and surface nodes, below which compiling takes longer than one compiled run."""
 
 
 def prepare(
@@ -43,7 +43,7 @@ def prepare(
     sliding: Slide | str | Sequence[Slide | str] = (),
     free: str | Sequence[str] | Integer[ArrayLike, " k"] | Sequence[int | np.integer] = (),
 ) -> Plan:
-    """Prepares a plan, once per mesh and on the host: everything that does not depend on the displacement.
+    """Prepares a plan, once per mesh, on the host: all that does not depend on the displacement.
 
     **Arguments:**
 
@@ -77,7 +77,10 @@ def prepare(
 
 
 def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
-    """Prepares the plan of a checked boundary. Warns of boundary faces in no list, and of lost precision."""
+    """Prepares the plan of a checked boundary.
+
+    Warns of boundary faces in no list, and of lost precision.
+    """
     boundary.warn_of_free_faces()
     boundary = between_planes(boundary, method)
     check_pairings(boundary.pairings, boundary.planes, float(np.ptp(boundary.points, axis=0).max()))
@@ -160,7 +163,7 @@ def _cells(boundary: Boundary, on_plane: Bool[np.ndarray, "n p"] | None) -> Cell
 
 
 def surface_of(boundary: Boundary) -> tuple[Surface, Images | None, Bool[np.ndarray, "n p"] | None]:
-    """Returns the surface that a method sees, its images, and a mask (n, p) of the points on every plane."""
+    """Returns the surface that a method sees, its images, and a mask (n, p) of points on planes."""
     points, nodes, moving, faces = boundary.points, boundary.nodes, len(boundary.moving), boundary.surface_faces
     if not boundary.planes and not boundary.pairings:
         rows = np.arange(len(nodes))
@@ -214,7 +217,7 @@ def boundary_of(plan: Plan) -> Boundary:
 
 
 def _trial(plan: Plan) -> Float[Array, "b d"]:
-    """Makes a smooth displacement of the moving nodes, of size one, that is no polynomial; fixed nodes rest."""
+    """Makes a smooth displacement of the moving nodes, of size one, no polynomial; others rest."""
     points, images = np.asarray(plan.points)[np.asarray(plan.surface.nodes)], plan.images
     moving = points[: plan.n_moving]
     arms = moving - moving.mean(axis=0)

@@ -1,4 +1,4 @@
-"""A plan on other base coordinates: mesh walls and translations follow, given walls and planes are checked."""
+"""A plan on other base coordinates: mesh walls and translations follow, given ones are checked."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,7 +24,7 @@ from .judge import deviations
 from .plan import Plan
 
 DEVIATION = 1e-5
-"""Largest allowed distance of new base points from a plane or a wall, relative to the extent of its nodes."""
+"""Largest distance of new base points from a plane or wall, relative to its nodes' extent."""
 
 WORDS = {
     "off_plane": "nodes have left their symmetry plane",
@@ -35,10 +35,10 @@ WORDS = {
 
 @checked
 def refit(plan: Plan, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Plan:
-    """Computes a plan anew on other base coordinates: ids stay, floats are computed. Traced and differentiable.
+    """Computes a plan anew on other base coordinates: ids stay, floats are computed.
 
-    It is meant for another mesh of one family. For the steps of one motion call `march`: after a
-    large motion, points have left their simplices and extrapolate.
+    Traced and differentiable. It is meant for another mesh of one family. For the steps of one
+    motion call `march`: after a large motion, points have left their simplices and extrapolate.
 
     The patches' own faces, and translations of periodic pairs, are taken from the new points.
     Symmetry planes, surfaces given to `jm.Slide`, and rotations stay. Points that do not lie on
@@ -98,7 +98,7 @@ def _boundary_at(
 
 
 def _check_boundary(plan: Plan, points: np.ndarray) -> None:
-    """Raises `ValueError` where points are off the planes and walls of a plan, or do not match as its pairs."""
+    """Raises `ValueError` where points leave a plan's planes and walls, or where pairs differ."""
     surface, guide = np.asarray(plan.surface.nodes), plan.surface.guide
     tracks = () if guide is None else guide.tracks
     sliding = surface[np.concatenate([np.zeros(0, int), *(np.asarray(track.rows) for track in tracks)])]
@@ -126,7 +126,7 @@ def _have_no_place(plan: Plan) -> tuple[Bool[Array, " n"], Bool[Array, ""]]:
 
 
 def _check_places(plan: Plan, points: np.ndarray) -> None:
-    """Raises `ValueError` where a plan's ids serve no more at its base points, if these points are finite."""
+    """Raises `ValueError` where a plan's ids fail at its base points, if these are finite."""
     lost, is_solved = map(np.asarray, _have_no_place(plan))
     if (is_solved and not lost.any()) or not np.isfinite(points).all():
         return

@@ -116,7 +116,7 @@ class _Refused(ValueError):
 
 @dataclasses.dataclass
 class _Writer:
-    """Describes a tree and collects its `arrays`, equal arrays once: the steps of a march share most of them."""
+    """Describes a tree and collects its `arrays`, equal ones once: steps of a march share most."""
 
     arrays: list[np.ndarray] = dataclasses.field(default_factory=list)
     places: dict[Any, int] = dataclasses.field(default_factory=dict)

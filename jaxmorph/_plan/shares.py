@@ -1,4 +1,4 @@
-"""The transpose of `deform` by shares of the points, which all cores compute one after the other."""
+"""The transpose of `deform` by shares of the points, computed by all cores in turn."""
 
 import functools
 from typing import Any
@@ -30,13 +30,17 @@ def _shared(plan: Plan, u: Any) -> Shared:
 
 @compiled
 def _shared_by(plan: Plan, u: Any, _: str) -> tuple[Shared, str]:
-    """Computes what all points share, and which of its leaves depend on `u`: 1 or 0 for each. The string makes both static."""
+    """Computes what all points share, and which of its leaves depend on `u`: 1 or 0 for each.
+
+    The string makes both static.
+    """
     return _shared(plan, u), _varying(plan, u)
 
 
 def _varying(plan: Plan, u: Any) -> str:
-    # A leaf depends on u if an operation between the two does, of all that JAX traces. Sources and scales of a field do not:
-    # derivatives in them cost more than all else, and nobody asks for them.
+    # A leaf depends on u if an operation between the two does, of all that JAX traces. Sources and
+    # scales of a field do not: derivatives in them cost more than all else, and nobody asks for
+    # them.
     traced = jax.make_jaxpr(lambda u: jax.tree.leaves(_shared(plan, u)))(jnp.asarray(u, plan.points.dtype)).jaxpr
     varies = set(traced.invars)
     for step in traced.eqns:

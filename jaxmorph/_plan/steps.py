@@ -1,4 +1,4 @@
-"""Motions in several steps: a path of surface displacements, followed on the host and replayed in traced code."""
+"""Motions in several steps: a path of displacements, followed on the host, replayed in traces."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from .transposes import transposable
 def march(
     plan: Plan, path: Real[ArrayLike, "k m d"] | Sequence[Any], *, rebuild: bool = False, mesh: Mesh | None = None
 ) -> tuple[tuple[Plan, ...], Float[Array, "n d"]]:
-    """Follows a path of total surface displacements, and refits the plan on the moved mesh before every step.
+    """Follows a path of total displacements; refits the plan on the moved mesh before each step.
 
     Radial basis functions are solved for anew at every step. A Delaunay graph stays on the
     undeformed mesh.
@@ -67,10 +67,10 @@ def march(
 
 @checked
 def replay(plans: Sequence[Plan], path: Real[ArrayLike, "k m d"] | Sequence[Any]) -> Float[Array, "n d"]:
-    """Repeats the steps of a `march` with the recorded ids. Traced and differentiable; the points are equal.
+    """Repeats the steps of a `march` with the recorded ids.
 
-    It is differentiable with respect to `path`, and to the base coordinates through
-    `refit(plans[0], points)`.
+    Traced and differentiable; the points are equal. It is differentiable with respect to `path`,
+    and to the base coordinates through `refit(plans[0], points)`.
 
     **Arguments:**
 
@@ -113,7 +113,7 @@ def _targets(plan: Plan, path) -> Float[Array, "k o d"]:
 
 @compiled
 def _advance(plan: Plan, target: Float[Array, "o d"]) -> tuple[Float[Array, "n d"], Float[Array, "o d"] | None]:
-    """Moves the surface to the target, also fixed nodes that a method has moved; for a piece, returns the whole surface too."""
+    """Moves the surface to the target, with moved fixed nodes; a piece returns all of it too."""
     vectors = target - plan.surface_points
     points = deform_surface(plan, vectors)
     if not plan.is_piece:

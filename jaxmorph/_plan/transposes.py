@@ -1,4 +1,4 @@
-"""Tables of the transposes of a plan's sparse operators: made when a derivative first needs them, and not for a motion."""
+"""Tables of transposes of a plan's sparse operators, made when a derivative first needs them."""
 
 from typing import Any
 
@@ -10,11 +10,12 @@ from .._methods.blocks import is_rows, with_tables, without_tables
 
 
 def with_transposes(plan: Any, parts: int = 1) -> Any:
-    """Adds the tables, for so many shares of the points, to a plan whose arrays are known, and to its guide's plan.
+    """Adds the tables, for so many shares of points, to a plan of known arrays, and to its guide.
 
     They are made once for a plan.
 
-    A plan that is traced, or laid over devices, stays as it is: its transpose scatters, or has tables.
+    A plan that is traced, or laid over devices, stays as it is: its transpose scatters, or has
+    tables.
     """
     volume, guide = getattr(plan, "volume", None), getattr(getattr(plan, "surface", None), "guide", None)
     if volume is None or plan.layout is not None or not is_readable(plan) or (parts == 1 and not _lacks_tables(plan)):

@@ -16,7 +16,10 @@ from ._summary import count
 
 
 def mesh_of(path: Path, zone: int | None) -> Mesh:
-    """Reads the mesh of a file, or zone number `zone` of an SU2 file. Raises `ValueError` for a zone that the file has not."""
+    """Reads the mesh of a file, or zone number `zone` of an SU2 file.
+
+    Raises `ValueError` for a zone that the file has not.
+    """
     if zone is None:
         return io.read(path)
     meshes = io.read_zones(path)

@@ -13,9 +13,10 @@ from jaxmorph._mesh.mesh import Mesh
 
 
 def faces_of(comm: Any, mesh: Mesh | None, nodes: np.ndarray, is_shared: np.ndarray) -> dict[str, np.ndarray] | None:
-    """Finds a piece's faces (k, corners) of the boundary of the whole mesh by type, in its ids; None for points alone.
+    """Finds a piece's faces (k, corners) of the whole mesh's boundary by type; or None.
 
-    `nodes` (n,) are the whole mesh's ids of the piece's points, of which other pieces share some. Processes raise together.
+    `nodes` (n,) are the whole mesh's ids of the piece's points, of which other pieces share some.
+    Processes raise together.
     """
 
     def outer() -> dict[str, np.ndarray]:
@@ -34,7 +35,8 @@ def faces_of(comm: Any, mesh: Mesh | None, nodes: np.ndarray, is_shared: np.ndar
         raise ValueError("some processes give a Mesh and some points alone: give the same in all.")
     if mesh is None:
         return None
-    # a ghost cell counts in the first piece that has it; a face that two pieces then have lies between them
+    # a ghost cell counts in the first piece that has it; a face that two pieces then have lies
+    # between them
     cells = _filtered(
         comm, solid(mesh.linear.cells, mesh.points.shape[1]), nodes, is_shared, lambda is_first, _: is_first
     )
@@ -53,7 +55,7 @@ def _filtered(
     is_shared: np.ndarray,
     chosen: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> dict[str, np.ndarray]:
-    """Chooses among cells or faces, by whether this piece is the first that has them, and whether others have them too.
+    """Marks the cells or faces that this piece has first, and those that others have too.
 
     Other processes are asked only for those whose nodes are all shared.
     """
@@ -78,7 +80,7 @@ def joined(shares: Sequence[Any], names: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Marks the keys, ids (k,) or rows of ids (k, c), of which this process is the first, and those that others have too.
+    """Marks keys, ids (k,) or rows (k, c), that this process has first, and those others have too.
 
     Each id has a process that keeps its list, so that no process sees the nodes of all.
     """
@@ -98,7 +100,7 @@ def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def agree(comm: Any, ids: np.ndarray, is_shared: np.ndarray, is_owner: np.ndarray, values: np.ndarray) -> None:
-    """Puts the owner's rows of shared nodes in place of the others', by way of the process that keeps each id."""
+    """Puts the owner's rows of shared nodes in place of others', by way of each id's keeper."""
     keeper = np.where(is_shared, ids % comm.size, -1)
     given = [np.flatnonzero((keeper == rank) & is_owner) for rank in range(comm.size)]
     wanted = [np.flatnonzero((keeper == rank) & ~is_owner) for rank in range(comm.size)]

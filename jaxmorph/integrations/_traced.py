@@ -24,7 +24,7 @@ Traced = Callable[[Values], Any]
 
 
 class TracedComponent(om.ExplicitComponent):
-    """Computes one output from its inputs by a traced function; forward and reverse products are JAX's.
+    """Computes one output of inputs by a traced function; forward and reverse products are JAX's.
 
     A subclass adds inputs and one output in `setup`, and returns the function from `traced`.
     """
@@ -40,7 +40,7 @@ class TracedComponent(om.ExplicitComponent):
         self.judge(value)
 
     def judge(self, value: Array) -> None:
-        """Raises `openmdao.api.AnalysisError` for a value that no solver should be given; none by default."""
+        """Raises `openmdao.api.AnalysisError` for a value no solver should get; none by default."""
 
     def compute_jacvec_product(
         self, inputs, d_inputs, d_outputs, mode, discrete_inputs=None, discrete_outputs=None
@@ -58,7 +58,10 @@ class TracedComponent(om.ExplicitComponent):
 
 
 class Deformed(eqx.Module):
-    """Computes `deform` of a plan from the input `name`: displacements of its moving nodes, or their positions."""
+    """Computes `deform` of a plan.
+
+    The input `name` has displacements of its moving nodes, or their positions.
+    """
 
     plan: jm.Plan
     name: str = eqx.field(static=True)
@@ -70,7 +73,7 @@ class Deformed(eqx.Module):
 
 
 class MovedMesh(TracedComponent):
-    """Moves a mesh by the option `plan`, and judges its cells where the option `mesh` knows them."""
+    """Moves a mesh by the option `plan`; judges its cells where the option `mesh` has them."""
 
     def initialize(self) -> None:
         self.options.declare("plan", types=jm.Plan, recordable=False, desc="what jaxmorph.prepare returned")
@@ -98,7 +101,7 @@ class MovedMesh(TracedComponent):
         self._is_inverted = jax.jit(lambda points: jm.inverted(judged, points).any())
 
     def judge(self, value: Array) -> None:
-        """Raises `AnalysisError` where cells have lost the sign that they had on the undeformed mesh, or points are not finite."""
+        """Raises `AnalysisError` where cells have inverted, or points are not finite."""
         points = jnp.reshape(value, self.options["plan"].points.shape)
         if self._is_inverted is None or not self._is_inverted(points):
             return

@@ -25,10 +25,11 @@ VOLUME = "aero_vol_coords"
 
 
 class ShapeBuilder(Builder):
-    """Builds MPhys's geometry of a shape: the wall's coordinates in, moved coordinates out, design variables as inputs.
+    """Builds MPhys's geometry of a shape: wall coordinates in, moved ones out, by design variables.
 
-    `get_mesh_coordinate_subsystem` is the component. Its input `x_aero0_geometry_input` takes the coordinates (3 m,) of any
-    solver, its output is `x_aero0_geometry_output`. A shape moves any positions: one builder serves solvers with different walls.
+    `get_mesh_coordinate_subsystem` is the component. Its input `x_aero0_geometry_input` takes the
+    coordinates (3 m,) of any solver, its output is `x_aero0_geometry_output`. A shape moves any
+    positions: one builder serves solvers with different walls.
 
     **Arguments:**
 
@@ -48,15 +49,17 @@ class ShapeBuilder(Builder):
 
 
 class VolumeBuilder(Builder):
-    """Builds a volume mesh that follows its wall, in place of an aerodynamic solver or within one's builder.
+    """Builds a mesh that follows its wall, in place of an aerodynamic solver or in one's builder.
 
-    The mesh subsystem has the wall's coordinates `x_aero0_mesh` (3 m,). The coupling subsystem takes `x_aero` (3 m,) to the
-    coordinates `aero_vol_coords` (3 n,) of all nodes. Rows of the wall are `plan.moving`.
+    The mesh subsystem has the wall's coordinates `x_aero0_mesh` (3 m,). The coupling subsystem
+    takes `x_aero` (3 m,) to the coordinates `aero_vol_coords` (3 n,) of all nodes. Rows of the wall
+    are `plan.moving`.
 
     **Arguments:**
 
     - `plan`: what `jaxmorph.prepare` returned for a mesh in 3-D.
-    - `mesh`, `raise_if_inverted`: as `MeshDeformation` has them: inverted cells raise `openmdao.api.AnalysisError`.
+    - `mesh`, `raise_if_inverted`: as `MeshDeformation` has them: inverted cells raise
+      `openmdao.api.AnalysisError`.
 
     **Raises:** `ValueError` for a mesh in 2-D, and by `initialize` on more than one process.
     """

@@ -1,4 +1,4 @@
-"""A mesh whose pieces lie in the processes of an MPI run, none of which holds all of it (extra `mpi`)."""
+"""A mesh whose pieces lie in the processes of an MPI run, none of which holds all (extra `mpi`)."""
 
 try:
     from mpi4py import MPI
@@ -26,7 +26,9 @@ ROWS = Real[ArrayLike, "k d"] | Sequence[Any]
 
 @dataclasses.dataclass(frozen=True)
 class Piece:
-    """Moves the piece of a mesh that this process has. `prepare` makes it; every process calls its functions together.
+    """Moves the piece of a mesh that this process has.
+
+    `prepare` makes it; every process calls its functions together.
 
     - `comm`: the communicator.
     - `plan`: the plan of this piece's n points; its displacements are those of all moving nodes.
@@ -46,12 +48,13 @@ class Piece:
     is_shared: Bool[np.ndarray, " n"]
 
     def deform(self, u: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
-        """Moves the piece: row i of `u` (k, d) displaces point `moving[i]`. Returns the piece's points (n, d).
+        """Moves the piece: row i of `u` (k, d) displaces point `moving[i]`.
 
-        Nodes that processes share come from the one that owns them: they are equal bit for bit.
+        Returns the piece's points (n, d). Nodes that processes share come from the one that owns
+        them: they are equal bit for bit.
 
-        Raises `ValueError`, in every process, for a `u` of another shape, and where processes displace a node that they share
-        differently.
+        Raises `ValueError`, in every process, for a `u` of another shape, and where processes
+        displace a node that they share differently.
         """
         u = self.gathered(u)
         moved = np.array(together(self.comm, lambda: jm.deform(self.plan, u)))
@@ -62,8 +65,8 @@ class Piece:
     def pullback(self, u: Real[ArrayLike, "k d"], cotangent: Real[ArrayLike, "n d"]) -> Float[np.ndarray, "k d"]:
         """Pulls dJ/d(points) of the whole mesh back to this piece's moving nodes (k, d).
 
-        `cotangent` (n, d) is the derivative by each node as a whole: processes that share a node give the same, and it counts
-        once. It raises `ValueError` as `deform` does.
+        `cotangent` (n, d) is the derivative by each node as a whole: processes that share a node
+        give the same, and it counts once. It raises `ValueError` as `deform` does.
         """
         u = self.gathered(u)
 
@@ -79,7 +82,7 @@ class Piece:
         return total[self.rows]
 
     def pushforward(self, u: Real[ArrayLike, "k d"], tangent: Real[ArrayLike, "k d"]) -> Float[np.ndarray, "n d"]:
-        """Pushes a change of the displacements `u` (k, d), `tangent` (k, d), forward to this piece's points (n, d).
+        """Pushes `tangent` (k, d), a change of `u` (k, d), forward to this piece's points (n, d).
 
         It is the derivative of `deform` in one direction. It raises `ValueError` as `deform` does.
         """
@@ -109,7 +112,7 @@ class Piece:
         return whole
 
     def summary(self, report: jm.QualityReport) -> "Summary":
-        """Sums up the reports of all pieces, `quality(piece, points)` of each: every cell is in one of them."""
+        """Sums up reports, `quality(piece, points)`, of all pieces: each cell is in one."""
         together(self.comm, lambda: check("report", report, jm.QualityReport, Piece.summary))
         return _summed(self.comm, report)
 
@@ -118,10 +121,12 @@ class Piece:
 class Summary:
     """Sums up the quality of a mesh in pieces.
 
-    Faces between two pieces are not judged: a piece's non-orthogonality is that of the faces inside it.
+    Faces between two pieces are not judged: a piece's non-orthogonality is that of the faces inside
+    it.
 
     - `cells`, `inverted`, `degenerate`: how many.
-    - `smallest`, `largest`, `mean`: of each measure of `QualityReport`, means weighted by area or volume.
+    - `smallest`, `largest`, `mean`: of each measure of `QualityReport`, means weighted by area or
+      volume.
     """
 
     cells: int
@@ -145,27 +150,32 @@ def prepare(
 ) -> Piece:
     """Prepares the piece of a mesh that this process has; every process calls it together.
 
-    The moving and fixed nodes of all pieces are gathered, and those on parallel symmetry planes. The first process prepares
-    them, and all attach their points to equal bits: nodes that pieces share move alike.
+    The moving and fixed nodes of all pieces are gathered, and those on parallel symmetry planes.
+    The first process prepares them, and all attach their points to equal bits: nodes that pieces
+    share move alike.
 
-    Pieces with cells, as a `Mesh`, give the boundary's faces: those that one cell of all pieces has. The points are then those of
-    `jaxmorph.prepare(mesh, ...)` to round-off, however many processes there are. Without cells they are those of points alone.
+    Pieces with cells, as a `Mesh`, give the boundary's faces: those that one cell of all pieces
+    has. The points are then those of `jaxmorph.prepare(mesh, ...)` to round-off, however many
+    processes there are. Without cells they are those of points alone.
 
     **Arguments:**
 
     - `comm`: the communicator, for example `MPI.COMM_WORLD`.
-    - `points`: this piece of the mesh, a `Mesh`, or base coordinates (n, d) of its nodes; alike in every process. A cell may be in
-      several pieces, as ghost cells are.
-    - `nodes`: the whole mesh's id (n,) of each, from 0 on: nodes that several pieces share have one id.
-    - `moving`, `fixed`: which of these points move (k,) and are fixed (f,); an empty list where there are none.
+    - `points`: this piece of the mesh, a `Mesh`, or base coordinates (n, d) of its nodes; alike in
+      every process. A cell may be in several pieces, as ghost cells are.
+    - `nodes`: the whole mesh's id (n,) of each, from 0 on: nodes that several pieces share have one
+      id.
+    - `moving`, `fixed`: which of these points move (k,) and are fixed (f,); an empty list where
+      there are none.
     - `method`, `symmetry`: as `jaxmorph.prepare` takes them, alike in every process.
-    - `is_open`: whether the mesh has a side that is neither moving, fixed nor a symmetry plane. Default False. Faces show it:
-      pieces with cells need it only to say that such sides are meant, and not to be warned of.
+    - `is_open`: whether the mesh has a side that is neither moving, fixed nor a symmetry plane.
+      Default False. Faces show it: pieces with cells need it only to say that such sides are meant,
+      and not to be warned of.
 
     **Returns:** a `Piece`.
 
-    **Raises:** `ValueError`, in every process, for what `jaxmorph.prepare` refuses. Also for a node that two processes have at
-    different places.
+    **Raises:** `ValueError`, in every process, for what `jaxmorph.prepare` refuses. Also for a node
+    that two processes have at different places.
     """
 
     _check_comm(comm)
@@ -200,7 +210,7 @@ def attach(
     points: Real[ArrayLike, "n d"],
     nodes: Int[ArrayLike, " n"] | Sequence[int],
 ) -> Piece:
-    """Attaches the piece of a mesh that this process has to a surface that is prepared; every process calls it together.
+    """Attaches this process' piece of a mesh to a prepared surface; all processes call it together.
 
     **Arguments:**
 
@@ -253,8 +263,9 @@ def _surface(
 ) -> tuple[np.ndarray, np.ndarray, int, int, int]:
     """Gathers the points that the surface's half needs, and their ids.
 
-    The first m move, those up to `count` are fixed, those up to `total` are on parallel planes or on the boundary's `faces`.
-    The outermost points, whose id is -1, are the last. All processes see the same, and raise together.
+    The first m move, those up to `count` are fixed, those up to `total` are on parallel planes or
+    on the boundary's `faces`. The outermost points, whose id is -1, are the last. All processes see
+    the same, and raise together.
     """
     x, ids = piece.points, piece.nodes
     ends = np.unique([x.argmin(axis=0), x.argmax(axis=0)])
@@ -279,7 +290,10 @@ def _check_comm(comm: Any) -> None:
 
 
 def _rows(values: Any, n: int) -> np.ndarray:
-    """Returns rows of the piece's points as an array. Raises `ValueError` for what is no list of them."""
+    """Returns rows of the piece's points as an array.
+
+    Raises `ValueError` for what is no list of them.
+    """
     rows = np.asarray(values)
     if rows.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -295,7 +309,10 @@ def _rows(values: Any, n: int) -> np.ndarray:
 
 
 def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Joins ids and coordinates, each id once, ascending. Raises `ValueError` where one has several places."""
+    """Joins ids and coordinates, each id once, ascending.
+
+    Raises `ValueError` where one has several places.
+    """
     ids, points = (np.concatenate([share[k] for share in shares]) for k in range(2))
     unique, first, back = np.unique(ids, return_index=True, return_inverse=True)
     apart = np.flatnonzero((points != points[first][back]).any(axis=1))

@@ -1,4 +1,4 @@
-"""OpenMDAO components: from design variables to displacements of a surface, and from these to points of the volume."""
+"""OpenMDAO components: design variables to surface displacements, and these to volume points."""
 
 from typing import Any
 
@@ -16,19 +16,23 @@ from ._traced import Deformed, MovedMesh, TracedComponent
 
 
 class MeshDeformation(MovedMesh):
-    """Wraps `jaxmorph.deform` as an explicit component, whose derivatives are products without a matrix.
+    """Wraps `jaxmorph.deform` as an explicit component, whose derivatives are products.
 
-    The input `displacements` (m, d) is zero at first; its row i moves node `plan.moving[i]`. The output `points` (n, d) are all
-    nodes in the mesh's own order. In reverse mode it takes sensitivities of all points to those of the moving ones, which is
-    `jaxmorph.pullback`. OpenMDAO works in float64, so make the plan with JAX's x64 mode on.
+    The input `displacements` (m, d) is zero at first; its row i moves node `plan.moving[i]`. The
+    output `points` (n, d) are all nodes in the mesh's own order. In reverse mode it takes
+    sensitivities of all points to those of the moving ones, which is `jaxmorph.pullback`. OpenMDAO
+    works in float64, so make the plan with JAX's x64 mode on.
 
     **Arguments:** (options)
 
     - `plan`: what `jaxmorph.prepare` returned.
-    - `mesh`: the mesh that the plan is of, whose cells are judged. Default None: no cells are seen, which is warned of.
-    - `raise_if_inverted`: whether inverted cells raise `openmdao.api.AnalysisError`, by which optimisers shorten a step. Cells
-      are judged relative to `mesh`: those that were inverted from the start do not count. Default True.
-    - `flat`: True flattens both variables to (m d,) and (n d,), as the solvers of MPhys have them. Default False.
+    - `mesh`: the mesh that the plan is of, whose cells are judged. Default None: no cells are seen,
+      which is warned of.
+    - `raise_if_inverted`: whether inverted cells raise `openmdao.api.AnalysisError`, by which
+      optimisers shorten a step. Cells are judged relative to `mesh`: those that were inverted from
+      the start do not count. Default True.
+    - `flat`: True flattens both variables to (m d,) and (n d,), as the solvers of MPhys have them.
+      Default False.
     - `units`: those of both variables, such as "m". Default None: none.
 
         problem = om.Problem()
@@ -58,11 +62,12 @@ class MeshDeformation(MovedMesh):
 
 
 class ShapeDisplacement(TracedComponent):
-    """Computes the displacements of a plan's moving nodes, or their positions, from the parameters of a shape.
+    """Computes displacements or positions of a plan's moving nodes, from a shape's parameters.
 
-    Each array of the parameters is an input by its name of `jaxmorph.shapes.names`, with colons for dots: `twist`, `wing:box`.
-    Parameters that are one array alone are called `parameters`. Inputs begin with neutral parameters. The output
-    `displacements` (m, d) is what `MeshDeformation` takes.
+    Each array of the parameters is an input by its name of `jaxmorph.shapes.names`, with colons for
+    dots: `twist`, `wing:box`. Parameters that are one array alone are called `parameters`. Inputs
+    begin with neutral parameters. The output `displacements` (m, d) is what `MeshDeformation`
+    takes.
 
         model.add_subsystem("shape", ShapeDisplacement(plan=plan, shape=wing), promotes=["*"])
         model.add_subsystem("mesh", MeshDeformation(plan=plan, mesh=mesh), promotes=["*"])
@@ -71,8 +76,10 @@ class ShapeDisplacement(TracedComponent):
 
     - `shape`: a shape of `jaxmorph.shapes`, or a function of positions and parameters.
     - `plan`: what `jaxmorph.prepare` returned.
-    - `parameters`: those at the start; only a plain function needs them. Default None: `shape.neutral()`.
-    - `positions`: True makes the output `positions` (m, d) of the moving nodes instead. Default False.
+    - `parameters`: those at the start; only a plain function needs them. Default None:
+      `shape.neutral()`.
+    - `positions`: True makes the output `positions` (m, d) of the moving nodes instead. Default
+      False.
     - `flat`, `units`: of the output, as `MeshDeformation` has them.
     """
 
@@ -100,7 +107,8 @@ class ShapeDisplacement(TracedComponent):
 def first_parameters(shape: Any, given: PyTree) -> PyTree:
     """Returns the given parameters, or neutral ones for None.
 
-    **Raises:** `ValueError` for what is no function, for a plain function and None, and for what the shape does not take.
+    **Raises:** `ValueError` for what is no function, for a plain function and None, and for what
+    the shape does not take.
     """
     if isinstance(shape, type) or not callable(shape):
         raise ValueError(f"`shape` must be a shape or a function of positions and parameters, not {shown(shape)}.")
@@ -111,7 +119,7 @@ def first_parameters(shape: Any, given: PyTree) -> PyTree:
 
 
 def add_parameters(component: Any, parameters: PyTree, **options: Any) -> dict[str, Float[np.ndarray, "..."]]:
-    """Adds an input to a component for each array of parameters, and returns the arrays by their inputs' names."""
+    """Adds an input for each array of parameters; returns the arrays by input name."""
     arrays = {name: np.asarray(leaf, float) for name, leaf in _inputs(parameters)}
     for name, values in arrays.items():
         component.add_input(name, val=values, **options)

@@ -9,8 +9,9 @@ from jaxmorph._host.cells.pieces import boundary_sides
 def patch_faces(mesh: Mesh) -> dict[str, dict[str, np.ndarray]]:
     """Finds the boundary faces of each patch, by type: all nodes of the face are in the patch.
 
-    A face that several patches could have (the one edge of an inlet between two walls of one patch) goes to the
-    smallest of them. It raises `ValueError` for a patch with nodes that none of its faces holds: faces cannot say it.
+    A face that several patches could have (the one edge of an inlet between two walls of one patch)
+    goes to the smallest of them. It raises `ValueError` for a patch with nodes that none of its
+    faces holds: faces cannot say it.
     """
     patches = sorted(mesh.patches.items(), key=lambda item: len(item[1]))
     n = mesh.points.shape[0]

@@ -27,9 +27,10 @@ def read_box(
 ) -> tuple[FreeForm | Hexahedron, Float[np.ndarray, "*counts d"]]:
     """Reads a box of control points, and the displacements of its control points.
 
-    The table has `low` and `high` (two corners of a box along the axes), or `corners` (eight, in 2-D four, as `Hexahedron` takes
-    them). It has `points` (numbers of control points), and a list `moved`. Each of `moved` is a table of `at` (a control point's
-    numbers, from 0) and `by` (its displacement). `degree` and `continuity` are those of `FreeForm`.
+    The table has `low` and `high` (two corners of a box along the axes), or `corners` (eight, in
+    2-D four, as `Hexahedron` takes them). It has `points` (numbers of control points), and a list
+    `moved`. Each of `moved` is a table of `at` (a control point's numbers, from 0) and `by` (its
+    displacement). `degree` and `continuity` are those of `FreeForm`.
 
     **Arguments:**
 
@@ -38,7 +39,8 @@ def read_box(
 
     **Returns:** the box, and displacements (*counts, d).
 
-    **Raises:** `ValueError` for what is no such table, does not fit the dimensions, or moves a control point that is held.
+    **Raises:** `ValueError` for what is no such table, does not fit the dimensions, or moves a
+    control point that is held.
     """
     d, where = dimensions, "--box" if isinstance(source, Mapping) else str(source)
     table = dict(source) if isinstance(source, Mapping) else read(where, input_path(source).read_bytes())

@@ -18,7 +18,7 @@ Points = Float[np.ndarray, "..."]
 Surface = Mapping[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k d"]]]
 
 HALF = 0.5
-"""SU2's boxes of a 2-D mesh have a thickness of 1: control points at -1/2 and 1/2, nodes in the middle."""
+"""SU2's boxes of a 2-D mesh are 1 thick: control points at -1/2 and 1/2, nodes between."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,8 +27,10 @@ class Box:
 
     - `name`: its tag.
     - `shape`: corners, numbers of control points and degrees; in the dimension of the mesh.
-    - `control`: positions (*counts, d) of the control points now. Those of `shape.lattice()` until the box is deformed.
-    - `surface`: by marker, ids (k,) of its nodes in the box and their coordinates (k, d) there, which a deformation leaves.
+    - `control`: positions (*counts, d) of the control points now. Those of `shape.lattice()` until
+      the box is deformed.
+    - `surface`: by marker, ids (k,) of its nodes in the box and their coordinates (k, d) there,
+      which a deformation leaves.
     - `level`, `parents`, `children`: of nested boxes; 0 and none for others.
     """
 
@@ -79,7 +81,8 @@ def with_boxes(mesh: Mesh, new: Sequence[Box]) -> Mesh:
 
     **Returns:** a `Mesh` with the points, cells and patches of `mesh`.
 
-    **Raises:** `ValueError` for a mesh that did not come from an SU2 file, boxes of one name, and other control points.
+    **Raises:** `ValueError` for a mesh that did not come from an SU2 file, boxes of one name, and
+    other control points.
     """
     source = source_of(mesh, NAME)
     if source is None:
@@ -117,7 +120,10 @@ def _keywords(source: Source) -> Sequence[Keyword]:
 
 
 def _extent(source: Source) -> tuple[int, int]:
-    """Finds where the section of boxes begins and ends in the text; the end of the zone twice where there is none."""
+    """Finds where the section of boxes begins and ends in the text.
+
+    Where there is none, both are the end of the zone.
+    """
     keywords = _keywords(source)
     section = [keyword for keyword in keywords if keyword.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
     if not section:
@@ -168,7 +174,7 @@ def _rows(table: Mapping[str, Keyword], name: str, at: Section, width: int) -> F
 
 
 def _control(rows: Float[np.ndarray, "k 6"], shape: Hexahedron, at: Section) -> Points:
-    """Sorts control points by their numbers; in 2-D the two that stand above each other become their mean."""
+    """Sorts control points by their numbers; in 2-D, two above each other become their mean."""
     d = len(shape.counts)
     counts = (*shape.counts, *(2,) * (3 - d))
     if not len(rows):

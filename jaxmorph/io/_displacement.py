@@ -15,7 +15,7 @@ from ._surface import read_surface
 
 SHAPES = (".stl", ".obj")
 OFF = 0.01
-"""Distance that a moving node may be off the surface, as a share of the diagonal of its bounding box."""
+"""Distance of a moving node off the surface, as a share of its bounding box's diagonal."""
 
 
 @checked
@@ -29,12 +29,12 @@ def read_displacement(
 ) -> Float[np.ndarray, "m d"]:
     """Reads the displacement of each of the nodes `moving`, in their order.
 
-    With `before` it goes from one surface to another of the same points in the same order (.stl, .obj, or .npz of
-    `points` and `triangles`, in 2-D `lines`). Each node takes the displacement of the place of `before` that is closest
-    to it.
+    With `before` it goes from one surface to another of the same points in the same order (.stl,
+    .obj, or .npz of `points` and `triangles`, in 2-D `lines`). Each node takes the displacement of
+    the place of `before` that is closest to it.
 
-    Without `before` it goes by node id. The file is a table `id, x, y[, z]` (SU2's `surface_*.dat`, .csv), or .npz of
-    `displacement` or `position` and `ids` (default: in the order of `moving`).
+    Without `before` it goes by node id. The file is a table `id, x, y[, z]` (SU2's `surface_*.dat`,
+    .csv), or .npz of `displacement` or `position` and `ids` (default: in the order of `moving`).
 
     **Arguments:**
 
@@ -46,8 +46,8 @@ def read_displacement(
 
     **Returns:** displacements (m, d) in the unit of the mesh.
 
-    **Raises:** `ValueError` for nodes that are missing or foreign, for surfaces of different connectivity, and for
-    nodes further off the surface `before` than 0.01 of its size.
+    **Raises:** `ValueError` for nodes that are missing or foreign, for surfaces of different
+    connectivity, and for nodes further off the surface `before` than 0.01 of its size.
     """
     path, moving = input_path(path), np.asarray(moving)
     points = np.asarray(mesh.points)

@@ -1,4 +1,4 @@
-"""Exodus files of Cubit and MOOSE, in netCDF-4 or classic netCDF: a copy with other coordinates, all else untouched."""
+"""Exodus files of Cubit and MOOSE, netCDF-4 or classic: copies with other coordinates."""
 
 import dataclasses
 import pathlib
@@ -34,12 +34,12 @@ TYPES = {
     ),
 } | {(name, 2): ("line", [[0, 1]] * 2) for name in ("BAR", "BEA", "TRU", "EDG", "ROD", "SHE")}
 TYPES |= {(name, 1): ("vertex", []) for name in ("SPH", "CIR", "POI", "NOD")}
-"""Our types by the first letters and the number of nodes of Exodus's, and the corners of each of its sides."""
+"""Our types by first letters and node counts of Exodus's, and the corners of their sides."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Block:
-    """Elements of one type between `corners`, called `name`, and the corners of each of their sides."""
+    """Elements of one type between `corners`, called `name`, and the corners of their sides."""
 
     name: str
     kind: str
@@ -48,7 +48,7 @@ class _Block:
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """Reads points, cells and patches: side sets, node sets, and blocks of elements of lower dimension than the mesh.
+    """Reads points, cells and patches: side sets, node sets, blocks of lower dimension.
 
     Those of one name are one patch. One without a name is called by its kind and number.
     """
@@ -70,7 +70,7 @@ def read(path: pathlib.Path) -> Mesh:
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh that was not read from an Exodus file, or when that file has changed."""
+    """Raises `ValueError` for a mesh of no Exodus file, or when its file has changed."""
     unchanged_source(path, mesh, NAME)
 
 
@@ -99,7 +99,7 @@ def _columns(file: Mapping[str, Any]) -> list[np.ndarray]:
 
 
 def _check_count(file: Mapping[str, Any], name: str, count: int) -> None:
-    """Raises `ValueError` where a dimension of the file is not the number of things that were found."""
+    """Raises `ValueError` where a dimension of the file is not the number of things found."""
     if file[name].shape != (count,):
         raise ValueError(f"{name} is {file[name].shape[0]}, and {count} are found")
 
@@ -141,7 +141,7 @@ def _sets(file: Mapping[str, Any], blocks: list[_Block]) -> Iterator[tuple[str, 
 
 
 def _array(file: Mapping[str, Any], name: str, at: int, what: str) -> Any:
-    """Finds the array of a block or set, None for one that is empty: its status is 0, where the file says it."""
+    """Finds a block's or set's array; None if it is empty: its status, if given, is 0."""
     array, status = file.get(f"{name}{at}"), file.get(f"{what}_status")
     if array is None and status is not None and status[()][at - 1]:
         raise ValueError(f"there is no {name}{at}")

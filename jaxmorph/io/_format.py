@@ -16,13 +16,14 @@ Arrays = Mapping[str, np.ndarray]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Source:
-    """Keeps the file a mesh was read from, and the `content` that its format needs to give the file back as it was.
+    """The file that a mesh was read from, and the `content` that gives the file back as it was.
 
-    It is compared by identity, so that it can be a static field of a pytree however large `content` is. `polyhedra`, `cell_ids`,
-    `between` and `groups` are those of `Mesh`. `node_ids` are the numbers that files give to its nodes, None for 0, 1, 2, ...
-    `periodic` are the pairs of patches that the file names as such, `symmetry` the patches that lie in symmetry planes. `kinds` is
-    what the file says that patches are. `file_nodes` are those of `Mesh`. `in_file` makes points of the file of points of the mesh.
-    Both are None where a mesh has the nodes of its file.
+    It is compared by identity, so that it can be a static field of a pytree however large `content`
+    is. `polyhedra`, `cell_ids`, `between` and `groups` are those of `Mesh`. `node_ids` are the
+    numbers that files give to its nodes, None for 0, 1, 2, ... `periodic` are the pairs of patches
+    that the file names as such, `symmetry` the patches that lie in symmetry planes. `kinds` is what
+    the file says that patches are. `file_nodes` are those of `Mesh`. `in_file` makes points of the
+    file of points of the mesh. Both are None where a mesh has the nodes of its file.
     """
 
     path: pathlib.Path
@@ -48,26 +49,29 @@ class Codec(Protocol):
     """Lists the functions that the module of a format defines."""
 
     def read(self, path: pathlib.Path) -> Mesh:
-        """Reads the mesh in a file; raises `ValueError` with file, place and what was found for a bad one."""
+        """Reads the mesh in a file; `ValueError` names file, place and what was found."""
         ...
 
     def check(self, path: pathlib.Path, mesh: Mesh) -> None:
-        """Raises `ValueError` for what `write` could not do with the mesh, wherever its points are."""
+        """Raises `ValueError` for what `write` could not do with the mesh, for any points."""
         ...
 
     def write(self, path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-        """Writes a new file. `cell_data` follows the order of `mesh.cells`, one type after the other."""
+        """Writes a new file.
+
+        `cell_data` follows the order of `mesh.cells`, one type after the other.
+        """
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """Describes a format: its name, its endings, and the module of this package that reads and writes it.
+    """A format: its name, its endings, and the module of this package that reads and writes it.
 
     `magic` are the first bytes of its files, for an ending that another format has too.
 
-    The module is imported when it is needed, and with it the extra that it may stand on. A format that is a folder
-    writes it complete or not at all by itself.
+    The module is imported when it is needed, and with it the extra that it may stand on. A format
+    that is a folder writes it complete or not at all by itself.
     """
 
     name: str
@@ -89,7 +93,7 @@ def source_of(mesh: Mesh, format_name: str) -> Source | None:
 
 
 def own_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
-    """Returns the source of a mesh for a format that takes back only its own meshes; raises `ValueError` for other ones."""
+    """Returns a mesh's source for a format that writes only its own; else raises `ValueError`."""
     source = source_of(mesh, format_name)
     if source is None:
         raise ValueError(
@@ -117,7 +121,7 @@ class FilePoints:
 
 
 def unchanged_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:
-    """Returns what `own_source` does; raises `ValueError` also when the file has changed since it was read.
+    """Returns `own_source`; raises `ValueError` also when the file has changed since it was read.
 
     The source's `content` has the file's `stamp`.
     """

@@ -21,8 +21,9 @@ ENDINGS = (".csv", ".json")
 def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: PyTree) -> None:
     """Writes design variables by name, each with its value and its derivative.
 
-    Names are those of `shapes.names`. A table (.csv) has the columns `variable`, `value` and `dJ_dvalue`; JSON has an object
-    for each name, with `value` and `dJ_dvalue`. Numbers that are not finite are `null` in JSON.
+    Names are those of `shapes.names`. A table (.csv) has the columns `variable`, `value` and
+    `dJ_dvalue`; JSON has an object for each name, with `value` and `dJ_dvalue`. Numbers that are
+    not finite are `null` in JSON.
 
     **Arguments:**
 
@@ -54,5 +55,5 @@ def write_gradient(path: str | os.PathLike[str], parameters: PyTree, gradient: P
 
 @checked
 def check_gradient_output(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Raises `ValueError` for a file that `write_gradient` cannot write, before any work; returns its path."""
+    """Raises `ValueError` for a file that `write_gradient` cannot write; returns its path."""
     return output_path(path, *ENDINGS)

@@ -1,4 +1,4 @@
-"""A mesh of several zones or blocks whose shared nodes are one, and the way back to the nodes of the file."""
+"""A mesh of several zones or blocks with joined nodes, and the way back to the file's nodes."""
 
 import dataclasses
 import itertools
@@ -14,9 +14,10 @@ from ._structured import open_faces, shared_nodes
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Zones:
-    """Holds all nodes of a file one zone after the other, cells and patches of their ids, and the outer faces of the zones.
+    """All nodes of a file, zone after zone, cells and patches of their ids, and outer faces.
 
-    `names` are those of the patches that the faces become where no other zone meets them; without, they are `unnamed`.
+    `names` are those of the patches that the faces become where no other zone meets them; without,
+    they are `unnamed`.
     """
 
     points: np.ndarray
@@ -28,14 +29,14 @@ class Zones:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Joined:
-    """Maps each node of the file to its node of the mesh (`node`), and keeps the `points` of the file."""
+    """Maps each node of the file to the mesh's (`node`), and keeps the file's `points`."""
 
     node: np.ndarray
     points: np.ndarray
     is_flat: bool
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Returns the file's points from the mesh's points; copies of an unmoved point stay as they were."""
+        """Returns the file's points from the mesh's; copies of an unmoved point stay as read."""
         first = np.unique(self.node, return_index=True)[1]
         new = self.points.copy()
         d = points.shape[1]
@@ -45,7 +46,7 @@ class Joined:
 
 
 def join(zones: Zones) -> tuple[Mesh, Joined]:
-    """Joins zones to one mesh, nodes in the order of the file; 2-D when all its cells are and z is the same everywhere.
+    """Joins zones to one mesh in the file's node order; 2-D if all cells are, and z is constant.
 
     It raises `ValueError` for coordinates that are not finite.
     """
@@ -64,10 +65,10 @@ def join(zones: Zones) -> tuple[Mesh, Joined]:
 
 
 def _join_nodes(zones: Zones) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Finds the nodes that stay, the node of the mesh for each of the file, and the patches of the mesh.
+    """Finds the nodes that stay, the mesh node of each file node, and the mesh's patches.
 
-    Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are the patch `unnamed`,
-    or `boundary` where there is no other, unless they have a name.
+    Where no patch lies, nodes at one place are one. Faces that are then alone and in no patch are
+    the patch `unnamed`, or `boundary` where there is no other, unless they have a name.
     """
     covers = [nodes for parts in zones.patches.values() for nodes in parts]
     faces = open_faces(zones.faces, covers, len(zones.points))
@@ -83,7 +84,7 @@ def _join_nodes(zones: Zones) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndar
 
 
 def _single(faces: list[np.ndarray]) -> list[np.ndarray]:
-    """Finds the faces that come once and are not shrunk to a line or a point: a mask for each array of `faces`."""
+    """Finds faces that come once and are not shrunk to a line or point: a mask for each array."""
     if not faces:
         return []
     width = max(corners.shape[1] for corners in faces)

@@ -18,7 +18,8 @@ def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
     **Arguments:**
 
     - `file`: its name ends in `.vts`.
-    - `points`: (i, j, 2) or (i, j, k, 3), as `FreeForm.lattice` gives them, before or after a motion.
+    - `points`: (i, j, 2) or (i, j, k, 3), as `FreeForm.lattice` gives them, before or after a
+      motion.
 
     **Raises:** `ValueError` for another shape or another ending, `ImportError` without pyvista.
     """
@@ -32,7 +33,10 @@ def write_lattice(file: str | os.PathLike[str], points: Any) -> None:
 
 
 def _text(grid: Any) -> bytes:
-    """Returns the file as VTK writes it; into a file VTK would write without an error where the device is full."""
+    """Returns the file as VTK writes it.
+
+    VTK itself raises no error where the device is full.
+    """
     from vtkmodules.vtkIOXML import vtkXMLStructuredGridWriter
 
     writer = vtkXMLStructuredGridWriter()
@@ -44,7 +48,7 @@ def _text(grid: Any) -> bytes:
 
 @checked
 def check_lattice_output(file: str | os.PathLike[str]) -> pathlib.Path:
-    """Raises `ValueError` or `ImportError` for a file that `write_lattice` cannot write, before any work; returns its path."""
+    """Raises `ValueError` or `ImportError` where `write_lattice` cannot write; returns the path."""
     path = output_path(file, ".vts")
     imported("pyvista", "plot")
     return path

@@ -1,4 +1,4 @@
-"""VTK's legacy files (.vtk) of unstructured grids, text or binary, versions 1 to 5.1, with the arrays that VTK writes."""
+"""VTK's legacy files (.vtk) of unstructured grids, versions 1 to 5.1, with VTK's arrays."""
 
 import dataclasses
 import pathlib
@@ -21,7 +21,10 @@ TYPES = {
     **{"long_long": "i8", "unsigned_long_long": "u8", "float": "f4", "double": "f8", "bit": "u1"},
     **{f"vtktype{sign}int{8 * size}": f"{sign[:1] or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
 }
-"""VTK's names of types. It writes its own type of ids as `vtktypeint64`, and reads `vtkIdType` as four bytes."""
+"""VTK's names of types.
+
+It writes its own type of ids as `vtktypeint64`, and reads `vtkIdType` as four bytes.
+"""
 
 CELLS_OF_ANY_ORDER = ("curve", "triangle", "quadrilateral", "tetrahedron", "hexahedron", "wedge")
 
@@ -74,7 +77,7 @@ def read(path: pathlib.Path) -> meshio.Mesh:
 
 @dataclasses.dataclass
 class _Scanner:
-    """Goes through a file: `at` is the place where it stands, `section` the last line that began one."""
+    """Goes through a file: `at` is where it stands, `section` the last line that began one."""
 
     data: bytes
     at: int
@@ -88,7 +91,10 @@ class _Scanner:
         return text.decode(errors="replace")
 
     def words(self) -> list[str]:
-        """Returns the words of the next line that holds any, none at the end of the file. Blocks of metadata are left out."""
+        """Returns the words of the next line that holds any, none at the end of the file.
+
+        Blocks of metadata are left out.
+        """
         while self.at < len(self.data):
             words = self.line().split()
             if words == ["METADATA"]:
@@ -110,7 +116,7 @@ class _Scanner:
         return values
 
     def _text(self, count: int, kind: str) -> np.ndarray:
-        """Reads numbers of a text by their number: where they end is found by the blanks between them."""
+        """Reads so many numbers of a text: the blanks between them show where they end."""
         dtype = np.float64 if kind[0] == "f" else np.uint64 if kind == "u8" else np.int64
         parts, left = [np.zeros(0, dtype)], count
         while left:
@@ -133,7 +139,7 @@ class _Scanner:
         return result
 
     def _binary(self, count: int, kind: str, is_bit: bool) -> np.ndarray:
-        """Reads numbers of a binary file, whose first byte is the largest; bits are packed, eight a byte."""
+        """Reads numbers of a binary file, largest byte first; bits are packed, eight a byte."""
         dtype = np.dtype(kind).newbyteorder(">")
         number = -(-count // 8) if is_bit else count
         if number * dtype.itemsize > len(self.data) - self.at:
@@ -149,7 +155,10 @@ class _Scanner:
         return values if columns == 1 else values.reshape(rows, columns)
 
     def strings(self, count: int) -> None:
-        """Goes over strings: a line each in a text; in a binary file its length, in 1 to 8 bytes as the first two bits tell."""
+        """Goes over strings: a line each in a text, length and bytes in a binary file.
+
+        The length has 1 to 8 bytes, as its first two bits tell.
+        """
         for _ in range(count):
             if self.is_text:
                 self.line()
@@ -193,7 +202,7 @@ def _grid(scanner: _Scanner) -> meshio.Mesh:
 
 @dataclasses.dataclass(frozen=True)
 class _Cells:
-    """Holds the number of cells, where the nodes of each begin and all end (None before 5.1), and the nodes of all cells."""
+    """Number of cells, where each one's nodes begin and all end (None before 5.1), all nodes."""
 
     count: int
     offsets: np.ndarray | None
@@ -201,7 +210,10 @@ class _Cells:
 
 
 def _cells(scanner: _Scanner, count: int, size: int) -> _Cells:
-    """Reads the nodes of cells. Before 5.1 the number of its nodes stands before each cell, from then on the offsets do."""
+    """Reads the nodes of cells.
+
+    Before 5.1 the number of its nodes stands before each cell, from then on the offsets do.
+    """
     start = scanner.at
     words = scanner.words()
     if words[:1] != ["OFFSETS"]:
@@ -215,7 +227,10 @@ def _cells(scanner: _Scanner, count: int, size: int) -> _Cells:
 
 
 def _begins(cells: _Cells, types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds where the nodes of each cell begin, and their number: it follows from the type, and what the file says must agree."""
+    """Finds where the nodes of each cell begin, and their number.
+
+    The number follows from the type, and what the file says must agree.
+    """
     strange = sorted({*types.tolist()} - {*KINDS})
     if strange:
         told = ", ".join(f"{OTHERS.get(number, 'others')} (type {number})" for number in strange)
@@ -256,7 +271,7 @@ def _measure_lagrange(cells: _Cells, types: np.ndarray, sizes: np.ndarray) -> No
 
 
 def _blocks(cells: _Cells, types: np.ndarray, n: int) -> tuple[list, np.ndarray]:
-    """Makes blocks of cells of one type that follow each other, and the first cells of all blocks but the first."""
+    """Makes blocks of consecutive cells of one type; and the first cells of later blocks."""
     begins, sizes = _begins(cells, types)
     ends = np.flatnonzero((np.diff(types) != 0) | (np.diff(sizes) != 0)) + 1
     blocks = []

@@ -1,4 +1,4 @@
-"""MED files of Salome and Code_Aster, in HDF5: a copy of the file with other coordinates, all else untouched."""
+"""MED files of Salome and Code_Aster, in HDF5: copies with other coordinates."""
 
 import pathlib
 import urllib.parse
@@ -30,7 +30,7 @@ TYPES = {
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """Reads points, cells and patches: the groups of nodes, and of elements of lower dimension than the mesh."""
+    """Reads points, cells and patches: groups of nodes, and of elements of lower dimension."""
     path.open("rb").close()
     with opened(path, what=WHAT) as file:
         name, step = _step(file)
@@ -58,7 +58,7 @@ def read(path: pathlib.Path) -> Mesh:
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh that was not read from a MED file, or when that file has changed."""
+    """Raises `ValueError` for a mesh of no MED file, or when its file has changed."""
     unchanged_source(path, mesh, NAME)
 
 

@@ -29,7 +29,7 @@ class Block(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Blocks:
-    """Holds a mesh as meshio does, of any type of cells: meshio's own class refuses those of high order that it does not know."""
+    """A mesh as meshio has it, of any cell type: meshio's class refuses some of high order."""
 
     points: np.ndarray
     cells: list[Block]
@@ -40,7 +40,10 @@ class Blocks:
 
 
 def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.Mesh:
-    """Reads a file by `reader`, which prints nothing. Any way in which it fails on a file becomes a `ValueError`."""
+    """Reads a file by `reader`, which prints nothing.
+
+    Any way in which it fails on a file becomes a `ValueError`.
+    """
     path.open("rb").close()
     output = io.StringIO()
     try:

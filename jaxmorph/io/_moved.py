@@ -1,4 +1,4 @@
-"""Moved meshes in files: displacement and quality beside the points, and ParaView's collection of several files."""
+"""Moved meshes in files: displacement and quality with the points, and ParaView's collections."""
 
 import os
 import pathlib
@@ -16,7 +16,7 @@ from ._registry import check_output, write
 
 @checked
 def cell_arrays(report: QualityReport) -> dict[str, np.ndarray]:
-    """Lists the quality of each cell by name, as files hold it: one number a cell, in the order of `mesh.cells`."""
+    """Lists each cell's quality by name, as files hold it: a number a cell, as in `mesh.cells`."""
     names = ("skewness", "aspect_ratio", "volume_ratio", "jacobian_ratio")
     arrays = {name: np.asarray(getattr(report, name)) for name in names}
     return arrays | {"is_inverted": np.asarray(report.is_inverted).astype(np.uint8)}
@@ -24,7 +24,7 @@ def cell_arrays(report: QualityReport) -> dict[str, np.ndarray]:
 
 @checked
 def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: QualityReport) -> None:
-    """Writes a moved mesh, with the displacement and the quality of each cell where the format holds arrays.
+    """Writes a moved mesh, with displacement and cell quality where the format holds arrays.
 
     **Arguments:**
 
@@ -46,7 +46,7 @@ def write_moved(path: str | os.PathLike[str], mesh: Mesh, moved: Mesh, report: Q
 
 @checked
 def write_pvd(path: str | os.PathLike[str], files: Sequence[str | os.PathLike[str]], times: Sequence[float]) -> None:
-    """Writes ParaView's collection of files (.pvd), each of `files` at one of `times`, named as they stand in its folder."""
+    """Writes ParaView's collection (.pvd): each of `files`, by its name, at one of `times`."""
     path = output_path(path, ".pvd")
     if len(files) != len(times):
         raise ValueError(f"`times` has {len(times)} numbers for {len(files)} `files`.")

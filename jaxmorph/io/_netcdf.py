@@ -1,7 +1,7 @@
-"""Classic netCDF files (CDF-1, CDF-2, CDF-5): their arrays by name, as h5py has those of netCDF-4, read and written in place.
+"""Classic netCDF files (CDF-1, CDF-2, CDF-5): arrays by name as in h5py, read and written in place.
 
-The format is that of Unidata's "NetCDF Classic Format Specification": a header of dimensions, attributes and variables with
-their places, all numbers with the most significant byte first.
+The format is that of Unidata's "NetCDF Classic Format Specification": a header of dimensions,
+attributes and variables with their places, all numbers with the most significant byte first.
 """
 
 import itertools
@@ -37,8 +37,8 @@ class Variable(Array):
 def tree(file: BinaryIO) -> dict[str, Any]:
     """Reads the header of an open file: its variables by name, without records of time.
 
-    A dimension without a variable of its name is an array of its length that has no numbers, as in netCDF-4. It raises
-    `ValueError` for what lies beyond the file, or in two variables.
+    A dimension without a variable of its name is an array of its length that has no numbers, as in
+    netCDF-4. It raises `ValueError` for what lies beyond the file, or in two variables.
     """
     return _Header(file).tree()
 

@@ -8,7 +8,7 @@ from ._format import Source
 
 @checked
 def periodic(mesh: jm.Mesh) -> tuple[jm.Periodic, ...]:
-    """Lists the periodic patches that a mesh's file names: `cyclic` ones of an OpenFOAM case, periodic interfaces of CGNS.
+    """Lists a file's periodic patches: OpenFOAM's `cyclic`, CGNS's periodic interfaces.
 
     **Arguments:**
 
@@ -21,7 +21,7 @@ def periodic(mesh: jm.Mesh) -> tuple[jm.Periodic, ...]:
 
 @checked
 def symmetry(mesh: jm.Mesh) -> tuple[str, ...]:
-    """Lists the symmetry patches that a mesh's file names: `symmetry` and `symmetryPlane` of an OpenFOAM case, the axis of wedges.
+    """Lists a file's symmetry patches: OpenFOAM's `symmetry` and `symmetryPlane`, axes of wedges.
 
     In CGNS these are of the type `BCSymmetryPlane`, their own or their family's.
 

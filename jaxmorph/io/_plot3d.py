@@ -1,7 +1,7 @@
-"""PLOT3D grids: one or many blocks, 2-D or 3-D, text, Fortran records or plain binary, single or double.
+"""PLOT3D grids: one or many blocks, 2-D or 3-D, text, Fortran records or binary, single or double.
 
-A file does not say which of these it is; the one whose sizes fit the file to the byte is taken. It may have IBLANK,
-whose values are kept and not looked at. The file is written back in the same form.
+A file does not say which of these it is; the one whose sizes fit the file to the byte is taken. It
+may have IBLANK, whose values are kept and not looked at. The file is written back in the same form.
 """
 
 import dataclasses
@@ -26,14 +26,14 @@ WORDS = bytes.maketrans(b",Dd", b" ee")
 
 @dataclasses.dataclass(frozen=True)
 class FileLayout:
-    """Holds the sizes of the blocks, and where the coordinates of each begin: a number of a text, a byte of a binary file."""
+    """Sizes of the blocks, and where coordinates begin: a number in text, a byte in binary."""
 
     shapes: tuple[tuple[int, ...], ...]
     starts: tuple[int, ...]
     dtype: np.dtype | None
 
     def coordinates(self, numbers: np.ndarray) -> list[np.ndarray]:
-        """Returns views (d, nodes) of the coordinates of each block among the numbers of a text, or the bytes of a binary file."""
+        """Returns views (d, nodes) of each block's coordinates in a text's numbers or bytes."""
         views = []
         for shape, start in zip(self.shapes, self.starts, strict=True):
             d, count = len(shape), int(np.prod(shape))
@@ -54,9 +54,10 @@ class _Content:
 def read(path: pathlib.Path) -> Mesh:
     """Reads all blocks; nodes where blocks meet are one.
 
-    Patches are those of the file beside it that is called as it is, with the ending `.patches`. It holds lines `NAME
-    BLOCK SIDE` (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes counted from 1. Without it each outer side
-    of a block is a patch, as `block2_jmin`, or `jmin` in a file of one block.
+    Patches are those of the file beside it that is called as it is, with the ending `.patches`. It
+    holds lines `NAME BLOCK SIDE` (`imin` to `kmax`) or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`, nodes
+    counted from 1. Without it each outer side of a block is a patch, as `block2_jmin`, or `jmin` in
+    a file of one block.
     """
     data = path.read_bytes()
     is_text = len(data) > 0 and not data[:4096].translate(None, TEXT)

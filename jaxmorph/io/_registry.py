@@ -28,8 +28,9 @@ FORMATS = (
 def format_of(path: pathlib.Path, source: object = None) -> Format:
     """Finds the format of a file by its ending, of a folder OpenFOAM.
 
-    Two formats may have an ending. Then the format of `source` decides, from which a mesh to be written came, or the first bytes of
-    a file to be read. It raises `ValueError`, with the endings there are, for another one.
+    Two formats may have an ending. Then the format of `source` decides, from which a mesh to be
+    written came, or the first bytes of a file to be read. It raises `ValueError`, with the endings
+    there are, for another one.
     """
     found = [candidate for candidate in FORMATS if path.suffix.lower() in candidate.suffixes]
     if len(found) > 1 and isinstance(source, Source):
@@ -53,17 +54,20 @@ def format_of(path: pathlib.Path, source: object = None) -> Format:
 def read(path: str | os.PathLike[str]) -> Mesh:
     """Reads the mesh in a file or an OpenFOAM case.
 
-    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med), Exodus (.e, .exo, .ex2, .exoii, .g)
-    and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g).
-    Of an OpenFOAM case `path` is its folder, or a time folder. VTK, gmsh, CGNS, MED and Exodus need the extra `io`.
+    Files are SU2 (.su2), VTK (.vtu, .vtk), gmsh (.msh), CGNS (.cgns), MED (.med), Exodus (.e, .exo,
+    .ex2, .exoii, .g) and PLOT3D (.xyz, .p3d, .p3dfmt, .x, .g). Of an OpenFOAM case `path` is its
+    folder, or a time folder. VTK, gmsh, CGNS, MED and Exodus need the extra `io`.
 
-    Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two coordinates when all z
-    of the file are equal. Patches are
+    Coordinates are float64, in the units and the order of the file. A mesh of 2-D cells has two
+    coordinates when all z of the file are equal. Patches are
 
-    - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, MED's groups, OpenFOAM's patches;
-    - Exodus's side sets and node sets, and its blocks of shells, beams or points beside larger cells;
-    - the sides of PLOT3D's blocks, or those that a file beside it names. It is called as the grid with the ending
-      `.patches`, and holds lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1 K2]`;
+    - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, MED's groups,
+      OpenFOAM's patches;
+    - Exodus's side sets and node sets, and its blocks of shells, beams or points beside larger
+      cells;
+    - the sides of PLOT3D's blocks, or those that a file beside it names. It is called as the grid
+      with the ending `.patches`, and holds lines `NAME BLOCK SIDE` or `NAME BLOCK I1 I2 J1 J2 [K1
+      K2]`;
     - in VTK files the point arrays called `patch:NAME`;
     - the one patch `boundary` for a file that names none.
 
@@ -71,10 +75,11 @@ def read(path: str | os.PathLike[str]) -> Mesh:
 
     - `path`: the file, or the folder of a case.
 
-    **Returns:** a `Mesh` that remembers the file, so that `write` can give it back with other coordinates.
+    **Returns:** a `Mesh` that remembers the file, so that `write` can give it back with other
+    coordinates.
 
-    **Raises:** `ValueError` for a file that is not a good mesh, with file, line and what stands there. `OSError` for a file
-    that cannot be opened. `ImportError` when the extra is missing.
+    **Raises:** `ValueError` for a file that is not a good mesh, with file, line and what stands
+    there. `OSError` for a file that cannot be opened. `ImportError` when the extra is missing.
     """
     path = files.input_path(path)
     mesh = format_of(path).codec().read(path)
@@ -105,17 +110,19 @@ def write(
     point_data: dict[str, Shaped[np.ndarray, "n ..."]] | None = None,
     cell_data: dict[str, Shaped[np.ndarray, "c ..."]] | None = None,
 ) -> None:
-    """Writes a mesh in the format of the file's ending. The mesh may be one read from a file and then `moved`.
+    """Writes a mesh in the format of the file's ending.
 
-    Written to the format it came from, everything but the coordinates is kept, byte for byte in SU2, gmsh, OpenFOAM and
-    PLOT3D files. An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once where the file is
-    in single precision. Between formats, and for generated meshes, points, cells and patches are written. SU2 and gmsh
-    express a patch by the boundary faces between its nodes. CGNS, MED, Exodus, PLOT3D and OpenFOAM take back only meshes that came
-    from them.
+    The mesh may be one read from a file and then `moved`. Written to the format it came from,
+    everything but the coordinates is kept, byte for byte in SU2, gmsh, OpenFOAM and PLOT3D files.
+    An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once where the
+    file is in single precision. Between formats, and for generated meshes, points, cells and
+    patches are written. SU2 and gmsh express a patch by the boundary faces between its nodes. CGNS,
+    MED, Exodus, PLOT3D and OpenFOAM take back only meshes that came from them.
 
-    A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its `polyMesh/points`), or into a new
-    folder. The new folder is a copy of the case's `constant`, `system`, `0` and `0.orig` with other points. The case stays as
-    it is. 2-D cases (`empty` patches) are meshes in two coordinates, and both planes move alike.
+    A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
+    `polyMesh/points`), or into a new folder. The new folder is a copy of the case's `constant`,
+    `system`, `0` and `0.orig` with other points. The case stays as it is. 2-D cases (`empty`
+    patches) are meshes in two coordinates, and both planes move alike.
 
     The file appears when it is complete, under a temporary name until then.
 
@@ -124,11 +131,11 @@ def write(
     - `path`: the file or folder to write; its folder must exist.
     - `mesh`: the mesh.
     - `point_data`: arrays by name, one row a point, for formats that hold any. Default: none.
-    - `cell_data`: arrays by name, one row a cell, in the order of `mesh.cells`, one type after the other. Default:
-      none.
+    - `cell_data`: arrays by name, one row a cell, in the order of `mesh.cells`, one type after the
+      other. Default: none.
 
-    **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a wrong length, points
-    that are not finite, and what the format cannot say.
+    **Raises:** `ValueError` when `path` is the file that the mesh was read from, for arrays of a
+    wrong length, points that are not finite, and what the format cannot say.
     """
     chosen = _checked(path, mesh)
     path = pathlib.Path(path)
@@ -160,8 +167,9 @@ def check_output(path: str | os.PathLike[str], mesh: Mesh) -> bool:
 
     **Returns:** True if the format holds arrays.
 
-    **Raises:** `ValueError` for an unknown ending, a folder that does not exist, the file that the mesh was read from, and a mesh
-    that the format cannot hold. `ImportError` when the extra is missing.
+    **Raises:** `ValueError` for an unknown ending, a folder that does not exist, the file that the
+    mesh was read from, and a mesh that the format cannot hold. `ImportError` when the extra is
+    missing.
     """
     return _checked(path, mesh).holds_arrays
 
@@ -173,7 +181,7 @@ def _checked(name: str | os.PathLike[str], mesh: Mesh) -> Format:
 
 
 def checked_target(name: str | os.PathLike[str], source: object) -> Format:
-    """Checks the name of a file to write, whatever it will hold; raises `ValueError` also where it is the file of `source`."""
+    """Checks the name of a file to write; raises `ValueError` also for that of `source`."""
     chosen = format_of(pathlib.Path(name), source)
     path = files.output_path(name, folder=chosen.is_folder)
     if isinstance(source, Source) and _same_file(path, source.path):

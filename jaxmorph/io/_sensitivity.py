@@ -25,28 +25,31 @@ ENDINGS = (".csv", ".npz")
 def read_sensitivity(
     path: str | os.PathLike[str], mesh: Mesh, *, moving: Int[np.ndarray, " m"] | None = None
 ) -> Float[np.ndarray, "k d"]:
-    """Reads dJ/d(points) for every node of the mesh: what `pullback` takes. Or for those of a wall, for `shapes.project`.
+    """Reads dJ/d(points) for every node of the mesh: what `pullback` takes.
 
-    The file is one of
+    Or for those of a wall, for `shapes.project`. The file is one of
 
-    - a table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`]: SU2's volume sensitivities
-      and adjoint restarts, .csv or .dat;
+    - a table with a header that names `Sensitivity_x`, `Sensitivity_y`[, `Sensitivity_z`]: SU2's
+      volume sensitivities and adjoint restarts, .csv or .dat;
     - a table of rows of node id and as many numbers as the mesh has dimensions, in any order;
     - .npz of `sensitivity` (n, d), with `ids` where its rows are not in the order of the nodes;
-    - for a mesh that was read from an OpenFOAM case, a field of vectors at its points, `pointSensVec...` of
-      `adjointOptimisationFoam`. It is zero off the walls, and must not be divided by areas (`includeSurfaceArea true`).
-      Of a 2-D case both planes' vectors are added.
+    - for a mesh that was read from an OpenFOAM case, a field of vectors at its points,
+      `pointSensVec...` of `adjointOptimisationFoam`. It is zero off the walls, and must not be
+      divided by areas (`includeSurfaceArea true`). Of a 2-D case both planes' vectors are added.
 
     **Arguments:**
 
     - `path`: the file.
     - `mesh`: the mesh of whose nodes it speaks.
-    - `moving`: ids (m,) of the moving nodes. With them a file may have fewer nodes than the mesh, if it has these: it is then the
-      sensitivity of the surface itself, such as SU2's `surface_sens.csv`.
+    - `moving`: ids (m,) of the moving nodes. With them a file may have fewer nodes than the mesh,
+      if it has these: it is then the sensitivity of the surface itself, such as SU2's
+      `surface_sens.csv`.
 
-    **Returns:** sensitivities (n, d), in the unit of J over that of the points; those (m, d) of `moving` from a surface's file.
+    **Returns:** sensitivities (n, d), in the unit of J over that of the points; those (m, d) of
+    `moving` from a surface's file.
 
-    **Raises:** `ValueError` for nodes that are missing, foreign or there twice, and for values that are not finite.
+    **Raises:** `ValueError` for nodes that are missing, foreign or there twice, and for values that
+    are not finite.
     """
     path = input_path(path)
     n, d = mesh.points.shape
@@ -101,7 +104,8 @@ def write_sensitivity(
     - `ids`: the nodes' ids, as `plan.moving`.
     - `values`: a row for each of them, as `pullback` gives.
 
-    **Raises:** `ValueError` for another ending, ids that are none, and values of another shape or that are not finite.
+    **Raises:** `ValueError` for another ending, ids that are none, and values of another shape or
+    that are not finite.
     """
     path, ids = check_sensitivity_output(path), rows_of("ids", ids, 2**62)
     values = finite_array("values", values, (len(ids), 2), (len(ids), 3)).astype(float)
@@ -119,5 +123,5 @@ def write_sensitivity(
 
 @checked
 def check_sensitivity_output(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Raises `ValueError` for a file that `write_sensitivity` cannot write, before any work; returns its path."""
+    """Raises `ValueError` for a file that `write_sensitivity` cannot write; returns its path."""
     return output_path(path, *ENDINGS)

@@ -1,4 +1,4 @@
-"""Surfaces without node ids: STL, OBJ, NPZ; and the displacement from one to another of the same connectivity."""
+"""Surfaces without node ids: STL, OBJ, NPZ; and displacements between two of one connectivity."""
 
 import dataclasses
 import pathlib
@@ -19,14 +19,14 @@ NEAR = 8
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Shape:
-    """Holds `points` (p, 2 or 3), and `simplices` between them: triangles (t, 3), or the segments (t, 2) of a curve."""
+    """`points` (p, 2 or 3), and `simplices`: triangles (t, 3), or a curve's segments (t, 2)."""
 
     points: np.ndarray
     simplices: np.ndarray
 
 
 def read_shape(path: pathlib.Path) -> Shape:
-    """Reads a surface from .stl (text or binary), .obj (faces or lines), or .npz (`points`, and `triangles` or `lines`).
+    """Reads a surface: .stl (text, binary), .obj (faces, lines), .npz (points with either).
 
     It raises `ValueError` for other endings and contents, and for simplices beyond the points.
     """
@@ -102,7 +102,7 @@ def _npz(path: pathlib.Path) -> Shape:
 
 
 def carried(before: Shape, values: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolates `values` (p, k) of the points of `before` at its place closest to each of `x` (m, d); and gives the distance.
+    """Interpolates `values` (p, k) of `before` at its places closest to `x` (m, d); with distances.
 
     It is linear on each triangle or segment, and exact at its corners.
     """
@@ -145,7 +145,7 @@ def _candidates(trees: list, corners: np.ndarray, x: np.ndarray) -> tuple[np.nda
 
 
 def _closest(corners: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Computes weights (m, c) of the corners (m, c, d) of a triangle or segment each at its place closest to `x`.
+    """Computes weights (m, c) of corners (m, c, d) at each simplex' place closest to `x`.
 
     The distance comes with them.
     """

@@ -13,7 +13,10 @@ COPIES = 12
 
 
 def block_ids(shape: tuple[int, ...], first: int) -> np.ndarray:
-    """Numbers the nodes of a block by i, j[, k], from `first`, i running fastest; indices of one node are left out."""
+    """Numbers a block's nodes by i, j[, k] from `first`, i running fastest.
+
+    Indices of one node are left out.
+    """
     ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
     return ids.reshape([size for size in shape if size > 1])
 
@@ -54,9 +57,10 @@ def open_faces(faces: list[np.ndarray], patches: list[np.ndarray], n: int) -> li
 
 
 def shared_nodes(points: np.ndarray, faces: list[np.ndarray]) -> np.ndarray:
-    """Finds for each point the id of the first one at the same place, among the nodes of `faces`; else its own.
+    """Finds each point's first id at its place, among the nodes of `faces`; else its own.
 
-    Two nodes are at one place when they are closer than a thousandth of the shortest edge of `faces` at them.
+    Two nodes are at one place when they are closer than a thousandth of the shortest edge of
+    `faces` at them.
     """
     n = len(points)
     size = np.full(n, np.inf)

@@ -1,6 +1,7 @@
 """SU2's native mesh format, 2-D and 3-D (su2code.github.io/docs_v7/Mesh-File).
 
-A mesh that came from an SU2 file goes back into a copy of its text, with new coordinates and nothing else changed.
+A mesh that came from an SU2 file goes back into a copy of its text, with new coordinates and
+nothing else changed.
 """
 
 import dataclasses
@@ -38,7 +39,7 @@ class Keyword:
     section: Section
 
     def number(self, least: int = 0) -> int:
-        """Reads the first whole number of the value: `NPOIN= 9 6` counts points with and without halos."""
+        """Reads the value's first whole number: `NPOIN= 9 6` counts with and without halos."""
         words = self.value.split()
         if not words or not words[0].isdecimal() or int(words[0]) < least:
             raise self.section.error(f"{self.name}= must be followed by a whole number, found {self.value[:40]!r}.")
@@ -58,8 +59,9 @@ class SU2Content:
 def read(path: pathlib.Path) -> Mesh:
     """Reads points in the order of the file; `patches` are the markers, those of one name together.
 
-    Index columns after coordinates and corners are not looked at, as SU2 itself does not; all rows have them or none.
-    `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and `MARKER_ELEMS=`.
+    Index columns after coordinates and corners are not looked at, as SU2 itself does not; all rows
+    have them or none. `MARKERTAG=` and `MARKERELEMS=` are read as `MARKER_TAG=` and
+    `MARKER_ELEMS=`.
     """
     text = path.read_bytes()
     zones = by_zones(path, text)
@@ -72,7 +74,7 @@ def read(path: pathlib.Path) -> Mesh:
 
 
 def by_zones(path: pathlib.Path, text: bytes) -> list[list[Keyword]]:
-    """Finds the keywords of each zone of a text, by its number: those behind its `IZONE=`, and those before all zones."""
+    """Finds each zone's keywords, by its number: behind its `IZONE=`, and before all zones."""
     keywords = list(_keywords(path, blank_comments(text)))
     cuts = [number for number, keyword in enumerate(keywords) if keyword.name == "IZONE"]
     head, *zones = [keywords[a:b] for a, b in zip([0, *cuts], [*cuts, len(keywords)], strict=True)]
@@ -102,7 +104,10 @@ def mesh_of(path: pathlib.Path, text: bytes, keywords: list[Keyword]) -> Mesh:
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for patches of a new file that boundary faces cannot express, or whose name is no tag of a marker."""
+    """Raises `ValueError` for patches that a new file cannot have.
+
+    Boundary faces cannot express them, or their name is no tag of a marker.
+    """
     if source_of(mesh, NAME) is not None:
         return
     curved = [kind for kind in mesh.cells if kind not in VTK]
@@ -117,7 +122,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the text the mesh came from with new coordinates; for any other mesh a new file, see `_new_text`."""
+    """Writes the mesh's own text with new coordinates; else a new file, see `_new_text`."""
     source = source_of(mesh, NAME)
     points = np.asarray(mesh.points)
     with path.open("wb") as file:
@@ -241,7 +246,10 @@ def _tables(keyword: Keyword, section: Section, n: int, what: str) -> Iterator[d
 
 
 def _corners(section: Section, block: Rows, rows: np.ndarray, kind: int, place: tuple[int, int]) -> np.ndarray:
-    """Reads the corners of elements of one kind, the `rows` of a block; `place` is its first row, and the columns after corners."""
+    """Reads corners of elements of one kind, the `rows` of a block from row `place` on.
+
+    Also returns the columns after corners.
+    """
     row, extra = place
     if kind not in SIZES:
         known = ", ".join(map(str, SIZES))
@@ -269,7 +277,10 @@ def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
 
 
 def _new_text(mesh: Mesh) -> Iterator[bytes]:
-    """Yields a new file in pieces. Patches become markers, with the boundary faces between their nodes as elements."""
+    """Yields a new file in pieces.
+
+    Patches become markers, with the boundary faces between their nodes as elements.
+    """
     points = np.asarray(mesh.points)
     n, d = points.shape
     markers = patch_faces(mesh)

@@ -17,10 +17,10 @@ IDS = (b"pointid", b"point_id", b"id", b"node", b"globalindex", b"global_index")
 
 @checked
 def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m d"]]:
-    """Reads node ids and d numbers for each, from lines `id, x, y[, z]`: SU2's surface files, or comma-separated values.
+    """Reads ids and d numbers each, from lines `id, x, y[, z]`: SU2's surfaces, or CSV.
 
-    Numbers stand between blanks, commas or semicolons; a header line and what follows `%` or `#` are skipped. The
-    numbers are positions or displacements, as the caller knows.
+    Numbers stand between blanks, commas or semicolons; a header line and what follows `%` or `#`
+    are skipped. The numbers are positions or displacements, as the caller knows.
 
     **Arguments:**
 
@@ -29,8 +29,8 @@ def read_surface(path: str | os.PathLike[str], d: int) -> tuple[Int[np.ndarray, 
 
     **Returns:** node ids (m,) and numbers (m, d).
 
-    **Raises:** `ValueError`, with file and line, for other contents and for ids that come twice or are no whole
-    numbers.
+    **Raises:** `ValueError`, with file and line, for other contents and for ids that come twice or
+    are no whole numbers.
     """
     return read_table(input_path(path), d)
 
@@ -75,7 +75,7 @@ def read_table(
 
 
 def _after_header(text: bytes) -> int:
-    """Finds where the line after a header begins: a first line that begins with a name instead of a number."""
+    """Finds where the line after a header begins: a first line that begins with a name."""
     first = len(text) - len(text.lstrip())
     end = text.find(b"\n", first)
     word = text[first : end if end >= 0 else len(text)].split()[:1]

@@ -45,7 +45,7 @@ def read(path: pathlib.Path) -> Mesh:
 
 
 def _read_newer(data: bytes, head: int, _: str) -> Any:
-    """Reads a file of a version that meshio does not know: 2.3, which differs for us in the order of hexahedra alone."""
+    """Reads a file of version 2.3, unknown to meshio: only the order of hexahedra differs."""
     with tempfile.TemporaryDirectory() as folder:
         older = pathlib.Path(folder) / "older.vtu"
         older.write_bytes(re.sub(rb'(\sversion=")[\d.]+"', rb'\g<1>1.0"', data[:head]) + data[head:])
@@ -53,7 +53,7 @@ def _read_newer(data: bytes, head: int, _: str) -> Any:
 
 
 def _check_counts(path: pathlib.Path) -> None:
-    """Raises `ValueError` for lists of points or cells in text that hold more or less than announced."""
+    """Raises `ValueError` for text lists of points or cells longer or shorter than announced."""
     for piece in ElementTree.parse(path).iter("Piece"):
         values = {}
         for array in [*piece.iterfind("Points/DataArray"), *piece.iterfind("Cells/DataArray")]:
@@ -75,7 +75,10 @@ def _check_counts(path: pathlib.Path) -> None:
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for pyramids that VTK does not have; else these files hold any mesh, its patches as flags of points."""
+    """Raises `ValueError` for pyramids that VTK does not have.
+
+    All other meshes fit, with patches as flags of points.
+    """
     unknown = [kind for kind in mesh.cells if SHAPES[kind] == "pyramid" and kind not in VTK | VTK_QUADRATIC]
     if unknown:
         raise ValueError(
@@ -84,7 +87,10 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes in double precision, .vtu compressed. A mesh that came from such a file keeps its other cells and arrays."""
+    """Writes in double precision, .vtu compressed.
+
+    A mesh that came from such a file keeps its other cells and arrays.
+    """
     made, is_legacy = (
         mesh.to_meshio(point_data=dict(point_data), cell_data=dict(cell_data)),
         path.suffix.lower() == ".vtk",
@@ -108,7 +114,7 @@ def _quoted(name: str) -> str:
 
 
 def _storable(values: np.ndarray, is_legacy: bool) -> np.ndarray:
-    """Gives an array a type that files have, of the same size everywhere: `long` has four bytes or eight, by the system."""
+    """Gives an array a type of fixed size: `long` has four bytes or eight, by the system."""
     if values.dtype.kind == "b":
         return values.astype(np.uint8)
     if values.dtype.kind == "f":

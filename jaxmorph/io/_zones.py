@@ -17,10 +17,11 @@ from ._su2 import NAME, by_zones, mesh_of, with_points
 
 @checked
 def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
-    """Reads each zone of an SU2 file as a mesh (`NZONE= 2`), in the order of their numbers (`IZONE= 1`).
+    """Reads each zone of an SU2 file (`NZONE= 2`) as a mesh, in the order of `IZONE=`.
 
-    Zones are moved alone or together: a wall that two zones have moves in both where each is given its displacement. `write` writes
-    the file with one zone moved, `write_zones` with several. All else stays byte for byte.
+    Zones are moved alone or together: a wall that two zones have moves in both where each is given
+    its displacement. `write` writes the file with one zone moved, `write_zones` with several. All
+    else stays byte for byte.
 
     **Arguments:**
 
@@ -28,7 +29,8 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
 
     **Returns:** the meshes; one for a file without zones.
 
-    **Raises:** `ValueError` for what `read` refuses, and for other formats, whose zones `read` joins to one mesh.
+    **Raises:** `ValueError` for what `read` refuses, and for other formats, whose zones `read`
+    joins to one mesh.
     """
     path = input_path(path)
     if path.suffix.lower() != ".su2":
@@ -44,17 +46,18 @@ def read_zones(path: str | os.PathLike[str]) -> tuple[Mesh, ...]:
 
 @checked
 def write_zones(path: str | os.PathLike[str], meshes: Sequence[Mesh]) -> None:
-    """Writes the SU2 file that zones were read from with the coordinates of some of them, all else byte for byte.
+    """Writes the zones' SU2 file with the coordinates of some of them, all else byte for byte.
 
     The file appears when it is complete.
 
     **Arguments:**
 
     - `path`: the file to write, .su2; its folder must exist.
-    - `meshes`: zones that `read_zones` has read from one file together, then moved. Those left out stay as they are.
+    - `meshes`: zones that `read_zones` has read from one file together, then moved. Those left out
+      stay as they are.
 
-    **Raises:** `ValueError` for none, for meshes of several files, or of several readings, one zone twice, and what `write`
-    refuses.
+    **Raises:** `ValueError` for none, for meshes of several files, or of several readings, one zone
+    twice, and what `write` refuses.
     """
     contents = []
     for mesh in meshes:

@@ -64,10 +64,10 @@ class Chord(Module):
     def along(points: Numbers) -> "Chord":
         """Finds the chord of an airfoil in 2-D.
 
-            The tail has the largest x, the nose is the node farthest from the tail.
+        The tail has the largest x, the nose is the node farthest from the tail.
 
-            Nodes of a blunt tail, which share the largest x, give their mean. Nodes that are equally far from
-        the tail do so too. `points` are positions (m, 2).
+        Nodes of a blunt tail, which share the largest x, give their mean. Nodes that are
+        equally far from the tail do so too. `points` are positions (m, 2).
         """
         known = known_positions(points, "points")
         last = known[:, 0].max()

@@ -1,4 +1,4 @@
-"""Linear finite elements of each cell type: derivatives of their shape functions at the points of a quadrature."""
+"""Linear finite elements of each cell type: derivatives of shape functions at quadrature points."""
 
 import functools
 import itertools
@@ -12,16 +12,19 @@ _COLLAPSED = {
     "wedge": (0, 1, 2, 2, 3, 4, 5, 5),
     "pyramid": (0, 1, 2, 3, 4, 4, 4, 4),
 }
-"""The corner of the cell for every corner of a square or cube: pairs at one place make a wedge, four a pyramid."""
+"""The corner of the cell for each corner of a square or cube.
+
+Pairs at one place make a wedge, four make a pyramid.
+"""
 
 
 @functools.cache
 def quadrature(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Computes derivatives (q, corners, d) of the shape functions by the reference coordinates, and weights (q,).
+    """Computes derivatives (q, corners, d) of the shape functions, and weights (q,).
 
-    A simplex has one point. A quad has its four corners, with the linear triangles of the corners
-    and their neighbours: the mean of both ways to cut the quad. Other types have two Gauss points
-    in every direction.
+    Derivatives are by the reference coordinates. A simplex has one point. A quad has its four
+    corners, with the linear triangles of the corners and their neighbours: the mean of both ways to
+    cut the quad. Other types have two Gauss points in every direction.
     """
     if kind in ("triangle", "tetra"):
         d = 2 if kind == "triangle" else 3

@@ -1,4 +1,4 @@
-"""First grid lines off a wall: the edge of every wall node that leaves the wall nearest to its normal."""
+"""First grid lines off a wall: each wall node's edge nearest to the wall's normal."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -62,7 +62,10 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
 
 
 def areas(x: Any) -> Any:
-    """Computes area vectors (f, d) of faces (f, c, d), in 2-D as long as the edge. Takes arrays of NumPy or JAX."""
+    """Computes area vectors (f, d) of faces (f, c, d), in 2-D as long as the edge.
+
+    Takes arrays of NumPy or JAX.
+    """
     if x.shape[2] == 2:
         along = x[:, 1] - x[:, 0]
         return along[:, ::-1] * np.array([[-1.0, 1.0]], dtype=x.dtype)
@@ -72,7 +75,7 @@ def areas(x: Any) -> Any:
 
 
 def _sides(cells: Mapping[str, np.ndarray], on_wall: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lists sides of single cells that have all corners on the wall, and a corner of the cell off the side."""
+    """Lists sides of single cells with all corners on the wall, and a cell corner off the side."""
     faces, apexes = [], []
     width = {2: 2, 3: 4}[max((DIMENSION[kind] for kind in cells), default=2)]
     for kind, corners in cells.items():

@@ -1,14 +1,18 @@
 """Cells of high order: where their nodes are, and in which order a cell lists them.
 
-A cell of order p has nodes on a lattice of step 1 / p in a reference cell. The reference cells have corners at 0 and 1:
+A cell of order p has nodes on a lattice of step 1 / p in a reference cell. The reference cells have
+corners at 0 and 1:
 
-- triangle and tetrahedron: the origin and the unit vectors; quadrilateral and hexahedron: the unit square and cube;
-- wedge: the triangle times the unit interval; pyramid: the unit square, and its apex (0, 0, 1) above corner 0.
+- triangle and tetrahedron: the origin and the unit vectors; quadrilateral and hexahedron: the unit
+  square and cube;
+- wedge: the triangle times the unit interval; pyramid: the unit square, and its apex (0, 0, 1)
+  above corner 0.
 
-In the canonical order corners come first, as in the linear cell. Inner nodes of the edges follow, edge by edge as `EDGES`
-lists them, from the edge's first corner to its second. Then come inner nodes of the faces, face by face as `FACES` lists them.
-They go in rows along the face's first edge, from its first corner towards its last one. At the end come inner nodes of the
-cell, the first coordinate fastest.
+In the canonical order corners come first, as in the linear cell. Inner nodes of the edges follow,
+edge by edge as `EDGES` lists them, from the edge's first corner to its second. Then come inner
+nodes of the faces, face by face as `FACES` lists them. They go in rows along the face's first edge,
+from its first corner towards its last one. At the end come inner nodes of the cell, the first
+coordinate fastest.
 """
 
 import dataclasses
@@ -41,7 +45,8 @@ class Lagrange:
 
     - `shape`, `order`: the type of its linear cell, and the order of its edges.
     - `lattice`: whole numbers (k, d), the place of each node in the reference cell times `order`.
-    - `is_complete`: False where nodes of the lattice inside of faces and of the cell are left out (serendipity).
+    - `is_complete`: False where nodes of the lattice inside of faces and of the cell are left out
+      (serendipity).
     """
 
     shape: str
@@ -51,7 +56,10 @@ class Lagrange:
 
     @property
     def name(self) -> str:
-        """The name of the type: meshio's, the shape and the number of nodes, without it for a linear cell."""
+        """The name of the type.
+
+        It is meshio's, or the shape and the number of nodes; a linear cell's has no number.
+        """
         return self.shape if self.order == 1 else f"{self.shape}{len(self.lattice)}"
 
     @property
@@ -71,14 +79,14 @@ class Lagrange:
 
     @property
     def edges(self) -> np.ndarray:
-        """The nodes (edges, order + 1) of each edge of `EDGES`: its first corner, its second one, then its inner nodes."""
+        """Nodes (edges, order + 1) of each edge of `EDGES`: first, second, inner nodes."""
         ends = np.array(EDGES[self.shape])
         inner = self.corners + np.arange(len(ends) * (self.order - 1)).reshape(len(ends), self.order - 1)
         return np.concatenate([ends, inner], axis=1)
 
     @property
     def sides(self) -> list[tuple[str, np.ndarray]]:
-        """The type of each face of `FACES` (of an edge in 2-D), and its nodes in the canonical order of that type."""
+        """Type of each face of `FACES` (2-D: edge), and its nodes in that type's own order."""
         place = {tuple(at): node for node, at in enumerate(self.lattice.tolist())}
         corners, sides = np.array(PLACES[self.shape]), []
         for face in FACES[self.shape]:
@@ -89,9 +97,10 @@ class Lagrange:
         return sides
 
     def completion(self) -> tuple[str, np.ndarray]:
-        """Returns the type with all nodes of the lattice, and the matrix (nodes, k) that makes its nodes of these ones.
+        """Returns the type with all lattice nodes, and the matrix (nodes, k) that makes them.
 
-        The completed cell is the same curved cell: a missing node is where the serendipity functions put it.
+        The completed cell is the same curved cell: a missing node is where the serendipity
+        functions put it.
         """
         complete = _cell(self.shape, self.order, True)
         matrix = np.zeros((len(complete.lattice), len(self.lattice)))
@@ -143,7 +152,7 @@ def _cell(shape: str, order: int, is_complete: bool) -> Lagrange:
 
 @functools.cache
 def lagrange_types() -> dict[str, Lagrange]:
-    """Lists all types by name: linear ones, orders 2 to 4 with all nodes, and order 2 with nodes on edges alone."""
+    """Lists all types by name: linear, orders 2 to 4 complete, order 2 with nodes on edges."""
     cells = [_cell(shape, order, True) for shape in PLACES for order in ORDERS]
     partial = [_cell(shape, 2, False) for shape in ("quad", "pyramid", "wedge", "hexahedron")]
     return {cell.name: cell for cell in (*cells, *partial)}

@@ -1,7 +1,8 @@
 """The order in which each format lists the nodes of a cell of high order.
 
-All formats list corners first, then inner nodes of edges, of faces and of the cell. They differ in the order and the sense
-of edges and faces, and in how inner nodes go. Here is a table of edges and one of faces for each format.
+All formats list corners first, then inner nodes of edges, of faces and of the cell. They differ in
+the order and the sense of edges and faces, and in how inner nodes go. Here is a table of edges and
+one of faces for each format.
 """
 
 import dataclasses
@@ -22,7 +23,8 @@ Sides = Mapping[str, tuple[tuple[int, ...], ...]]
 class NodeOrder:
     """Describes the order of a format.
 
-    - `edges`, `faces`: in the format's order, each from its first corner; shapes that are not in it go as `EDGES`, `FACES`.
+    - `edges`, `faces`: in the format's order, each from its first corner; shapes that are not in it
+      go as `EDGES`, `FACES`.
     - `inner`: lists the inner lattice of a shape and order, as the format goes through it.
     """
 
@@ -55,7 +57,7 @@ class NodeOrder:
 
 
 def reordered(kind: str, ids: Any, origin: NodeOrder | None, target: NodeOrder | None) -> Any:
-    """Brings nodes (k, nodes) of cells from one order to another; None stands for the canonical order."""
+    """Brings cell nodes (k, nodes) from one order to another; None is the canonical order."""
     if SHAPES.get(kind, kind) == kind or origin is target:
         return ids
     ids = ids if origin is None else ids[:, origin.places(kind)]
@@ -129,11 +131,11 @@ VTK_ORDER = NodeOrder(
     },
     _rows,
 )
-"""The order of VTK's quadratic and Lagrange cells, from VTK 9 on: its classes' parametric coordinates."""
+"""The order of VTK's quadratic and Lagrange cells, from VTK 9 on: parametric coordinates."""
 
 
 def _spirals(shape: str, order: int) -> np.ndarray:
-    """Lists the inner lattice as CGNS does: layer by layer, and round and round in each layer of a square."""
+    """Lists the inner lattice as CGNS does: layer by layer, each layer of a square in rings."""
     rows = _rows(shape, order)
     if shape == "quad":
         return _spiral(rows)
@@ -144,7 +146,7 @@ def _spirals(shape: str, order: int) -> np.ndarray:
 
 
 def _spiral(square: np.ndarray) -> np.ndarray:
-    """Orders the places of a square from its border inwards, each ring from its least corner along the first coordinate."""
+    """Orders a square's places in rings inwards, each from its least corner along axis 0."""
     low, high = 1, square[:, :2].max(initial=0)
     x, y = square[:, 0], square[:, 1]
     ring = np.minimum.reduce([x - low, high - x, y - low, high - y])
@@ -173,7 +175,7 @@ CGNS_ORDER = NodeOrder(
 
 
 def swapped_edges(kind: str, ids: np.ndarray) -> np.ndarray:
-    """Changes hexahedra of any order between VTK's order and the order that it had before version 9.
+    """Changes hexahedra of any order between VTK's node order and that before version 9.
 
     In files of an older version the inner nodes of the last two edges stand the other way round.
     """
@@ -187,7 +189,7 @@ def swapped_edges(kind: str, ids: np.ndarray) -> np.ndarray:
 
 
 class _Meshio(NodeOrder):
-    """Describes the order of meshio's meshes: VTK's for cells of order 2, gmsh's for cells of higher orders."""
+    """Describes meshio's node order: VTK's for cells of order 2, gmsh's for higher orders."""
 
     def lattice(self, shape: str, order: int, *, is_complete: bool = True) -> np.ndarray:
         origin = VTK_ORDER if order == 2 and not (shape == "pyramid" and is_complete) else GMSH

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 
 def sorted_columns(nodes: Sequence[np.ndarray], width: int) -> list[np.ndarray]:
-    """Sorts the nodes of faces, given and returned by column: first nodes (f,), second nodes (f,), ...
+    """Sorts nodes of faces, given and returned by column: first nodes (f,), second nodes (f,), ...
 
     Columns of -1 follow, up to the `width`.
     """
@@ -30,7 +30,7 @@ def columns_of(corners: np.ndarray) -> list[np.ndarray]:
 
 
 def twins(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Finds the row of the other face with equal nodes, for every face; -1 for none or more than one.
+    """Finds for each face the row of the other face with equal nodes; -1 for none or several.
 
     `columns` are the nodes of the faces as `sorted_columns` gives them.
     """
@@ -70,7 +70,10 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndar
 
 
 def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Marks (f,) the faces (f, c) that equal one of the `others` (k, e). No face comes twice in `others`."""
+    """Marks (f,) the faces (f, c) that equal one of the `others` (k, e).
+
+    No face comes twice in `others`.
+    """
     width = max(faces.shape[1], others.shape[1])
     both = np.full((len(faces) + len(others), width), -1, np.int64)
     both[: len(faces), : faces.shape[1]], both[len(faces) :, : others.shape[1]] = faces, others
@@ -78,7 +81,7 @@ def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _ordered(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Brings equal faces side by side: returns the order, and a mask of faces that equal the next face."""
+    """Brings equal faces side by side: returns the order, and a mask of faces equal to the next."""
     keys = _keys(columns)
     order = np.argsort(keys)
     same = _equals_next(columns, order)
@@ -97,7 +100,7 @@ def _equals_next(columns: Sequence[np.ndarray], order: np.ndarray) -> np.ndarray
 
 
 def _keys(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Packs a face into one integer: its first node in the upper bits, a hash of its other nodes in the lower bits.
+    """Packs a face into one integer: its first node in the upper bits, a hash of the rest below.
 
     One sort of integers then replaces a sort by columns. Keys of a mesh ascend almost as its faces
     do, which makes the sort fast. Faces with one key are equal, except by an accident that
@@ -119,6 +122,6 @@ def _scatter(order: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def parts_of(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
-    """Numbers the connected parts of nodes (count,); `first` (e,) and `second` (e,) are connected."""
+    """Numbers connected parts of nodes (count,); `first` (e,) and `second` (e,) are connected."""
     graph = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(count, count))
     return connected_components(graph, directed=False)[1]

@@ -1,8 +1,9 @@
-"""Linear pieces of cells of high order, between all of their nodes; and the boundary faces of such cells.
+"""Linear pieces of cells of high order, between all of their nodes; and faces of such cells.
 
-The pieces of two neighbours meet in faces that are equal, and each piece of a straight cell is right-handed. What needs
-walls, neighbours and edges so takes nodes of high order as the corners that they are of pieces. One exception: of a 3-D cell
-with nodes on edges alone, two inner quadrilaterals are cut in two.
+The pieces of two neighbours meet in faces that are equal, and each piece of a straight cell is
+right-handed. What needs walls, neighbours and edges so takes nodes of high order as the corners
+that they are of pieces. One exception: of a 3-D cell with nodes on edges alone, two inner
+quadrilaterals are cut in two.
 """
 
 import functools
@@ -18,7 +19,7 @@ from .topology import CORNERS, EDGES, FACES, FRAMES, NODES, SHAPES
 
 
 def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[str, Any]:
-    """Cuts cells into linear pieces; the pieces of a cell stand one after the other within their type."""
+    """Cuts cells into linear pieces; a cell's pieces are consecutive within their type."""
     result: dict[str, list[Any]] = {}
     for kind, ids in cells.items():
         for shape, rows in pieces_of(kind).items():
@@ -27,7 +28,7 @@ def linear_cells(cells: Mapping[str, Any], join: Any = np.concatenate) -> dict[s
 
 
 def owners(cells: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Finds the cell of each of the `linear_cells`, by their type: cells are numbered in the order of `cells`."""
+    """Finds the cell of each of the `linear_cells`, by type; cells are numbered as in `cells`."""
     ids = np.cumsum([0, *map(len, cells.values())])
     numbered = {kind: np.arange(first, first + len(cells[kind])) for kind, first in zip(cells, ids, strict=False)}
     nodes = {kind: np.repeat(each[:, None], NODES[kind], axis=1) for kind, each in numbered.items()}
@@ -43,7 +44,7 @@ def boundary_faces(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
 
 
 def boundary_sides(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """Finds the faces, with all of their nodes, that belong to one cell only (edges of 2-D cells), by type.
+    """Finds faces, with all of their nodes, that belong to one cell only (2-D: edges), by type.
 
     **Arguments:**
 
@@ -65,7 +66,8 @@ def boundary_sides(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
         for side, rows in sides_of(kind):
             columns = [nodes[row] for row in rows]
             if is_candidate is not None:
-                # both copies of an inner face pass or fail together, so that counting candidates is counting all
+                # both copies of an inner face pass or fail together, so that counting candidates is
+                # counting all
                 passes = np.logical_and.reduce([is_candidate[column] for column in columns])
                 columns = [column[passes] for column in columns]
             found.setdefault(side, []).append(columns)
@@ -78,7 +80,7 @@ def boundary_sides(cells: Mapping[str, np.ndarray], n: int, among: np.ndarray | 
 
 
 def sides_of(kind: str) -> list[tuple[str, np.ndarray]]:
-    """Lists the type of each face of a cell, and its nodes as rows of the cell's; none for a line."""
+    """Lists the type of each face of a cell, and its nodes as rows of the cell; none for a line."""
     return [] if SHAPES[kind] == "line" else lagrange_types()[kind].sides
 
 
@@ -93,7 +95,7 @@ def pieces_of(kind: str) -> dict[str, np.ndarray]:
 
 
 def _of_lattice(cell: Lagrange) -> dict[str, list]:
-    """Cuts a cell with all nodes of the lattice: into cells of its shape, a pyramid also into tetrahedra."""
+    """Cuts a cell with all lattice nodes into cells of its shape; pyramids also into tetrahedra."""
     place = {tuple(at): node for node, at in enumerate(cell.lattice.tolist())}
     p, shape = cell.order, cell.shape
 
@@ -111,7 +113,8 @@ def _of_lattice(cell: Lagrange) -> dict[str, list]:
         return {shape: [row for corners in triangles for row in rows(corners, starts)]}
     if shape == "pyramid":
         return _of_pyramid(rows, starts)
-    # sums of the last coordinates turn the simplex into p >= y1 >= y2 >= ... >= 0, which paths along the axes fill
+    # sums of the last coordinates turn the simplex into p >= y1 >= y2 >= ... >= 0, which paths
+    # along the axes fill
     back = np.linalg.inv(np.triu(np.ones((cell.dimension,) * 2)))
     pieces, starts = [], np.indices((p + 1,) * cell.dimension).reshape(cell.dimension, -1).T
     for axes in itertools.permutations(range(cell.dimension)):
@@ -136,9 +139,10 @@ def _of_pyramid(rows, starts: np.ndarray) -> dict[str, list]:
 
 
 def _of_edges(cell: Lagrange) -> dict[str, list]:
-    """Cuts a cell of order 2 with nodes on its edges alone: off goes each corner, with the middles of its edges.
+    """Cuts a cell of order 2 with nodes on its edges alone.
 
-    What is left goes from one of its nodes to its sides: inner polygons of the faces, and triangles where corners were.
+    Each corner is cut off, with the middles of its edges. What is left goes from one of its nodes
+    to its sides: inner polygons of the faces, and triangles where corners were.
     """
     middle = {frozenset(ends): cell.corners + k for k, ends in enumerate(EDGES[cell.shape])}
     pieces: dict[str, list] = {"triangle": [], "quad": [], "tetra": [], "pyramid": []}

@@ -1,8 +1,9 @@
 """Shape functions of cells of high order: their derivatives, and where det J is looked at.
 
-The functions of a node are 1 there and 0 at the other nodes. Their space is that of polynomials whose exponents are the
-lattice; for a pyramid the space of Bergot et al. (J. Sci. Comput. 42, 2010), polynomials in (x / (1 - z), y / (1 - z), 1 - z).
-A place in a pyramid is given by x / (1 - z), y / (1 - z), z here, by which its apex has directions.
+The functions of a node are 1 there and 0 at the other nodes. Their space is that of polynomials
+whose exponents are the lattice; for a pyramid the space of Bergot et al. (J. Sci. Comput. 42,
+2010), polynomials in (x / (1 - z), y / (1 - z), 1 - z). A place in a pyramid is given by x / (1 -
+z), y / (1 - z), z here, by which its apex has directions.
 """
 
 import functools
@@ -16,15 +17,19 @@ from .lagrange import Lagrange, is_inside, lagrange_types
 
 @functools.cache
 def derivatives_at_nodes(kind: str) -> np.ndarray:
-    """Returns derivatives (s, nodes, d) of the shape functions at the nodes of a type, by the reference coordinates."""
+    """Returns derivatives (s, nodes, d) of the shape functions at the nodes of a type.
+
+    They are by the reference coordinates.
+    """
     return derivatives(kind, _collapsed(kind, lagrange_types()[kind].reference))
 
 
 @functools.cache
 def jacobian_samples(kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns derivatives (s, nodes, d) of the shape functions where det J is looked at, and weights (s,) for its integral.
+    """Returns shape function derivatives (s, nodes, d) where det J is measured, and weights (s,).
 
-    Places are a lattice twice as fine as that of the nodes, where weights are 0, and Gauss points of the exact volume.
+    Places are a lattice twice as fine as that of the nodes, where weights are 0, and Gauss points
+    of the exact volume.
     """
     cell = lagrange_types()[kind]
     d, fine = cell.dimension, 2 * cell.order
@@ -57,7 +62,7 @@ def values(kind: str, places: np.ndarray) -> np.ndarray:
 
 
 def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Computes a basis (s, k) of the space, and its derivatives (s, k, d): products of Legendre's polynomials."""
+    """Computes a basis (s, k) of Legendre products, and its derivatives (s, k, d)."""
     p, powers = cell.order, cell.lattice
     one = legendre.legvander(2 * places - 1, p)  # (s, d, p + 1)
     slope = np.stack([legendre.legval(2 * places - 1, legendre.legder(row) * 2) for row in np.eye(p + 1)], axis=2)
@@ -74,7 +79,10 @@ def _basis(cell: Lagrange, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _pyramid(
     one: np.ndarray, slope: np.ndarray, places: np.ndarray, powers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Computes the basis of a pyramid: f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c, n not below the degrees of f, g."""
+    """Computes a pyramid's basis: f(a) g(b) c^n with c = 1 - z, a = x / c, b = y / c.
+
+    n is not below the degrees of f and g.
+    """
     f, g = one[:, 0, powers[:, 0]], one[:, 1, powers[:, 1]]
     df, dg = slope[:, 0, powers[:, 0]], slope[:, 1, powers[:, 1]]
     n = powers[:, :2].max(axis=1) + powers[:, 2]
@@ -85,7 +93,7 @@ def _pyramid(
 
 
 def _collapsed(kind: str, places: np.ndarray) -> np.ndarray:
-    """Brings places of the reference cell to those of the basis; the apex of a pyramid is seen from the middle."""
+    """Maps reference places to those of the basis; a pyramid's apex is seen from the middle."""
     if lagrange_types()[kind].shape != "pyramid":
         return places
     c = 1 - places[:, 2:]
@@ -93,7 +101,7 @@ def _collapsed(kind: str, places: np.ndarray) -> np.ndarray:
 
 
 def _of_cube(shape: str, cube: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Maps places of a square or cube to a shape: the places (s, d), and the factor (s,) of the volume."""
+    """Maps places of a square or cube to a shape: places (s, d), and the volume's factor (s,)."""
     if shape in ("line", "quad", "hexahedron"):
         return cube, np.ones(len(cube))
     u, v = cube[:, 0], cube[:, 1]

@@ -15,7 +15,7 @@ HIGH_ORDER = (
     *("tetra10", "tetra20", "tetra35", "pyramid13", "pyramid14", "pyramid30", "pyramid55"),
     *("wedge15", "wedge18", "wedge40", "wedge75", "hexahedron20", "hexahedron27", "hexahedron64", "hexahedron125"),
 )
-"""Types of cells of order 2 to 4, by meshio's names: the type of the linear cell, and the number of nodes."""
+"""Cell types of order 2 to 4, by meshio's names: the linear type, and the number of nodes."""
 
 SHAPES = {kind: kind for kind in CORNERS} | {kind: kind.rstrip("0123456789") for kind in HIGH_ORDER}
 """The type of the linear cell with the corners of each type."""
@@ -30,7 +30,10 @@ VTK_QUADRATIC = {
     **{"line3": 21, "line4": 35, "triangle6": 22, "quad8": 23, "quad9": 28, "tetra10": 24, "pyramid13": 27},
     **{"wedge15": 26, "wedge18": 32, "hexahedron20": 25, "hexahedron27": 29},
 }
-"""VTK's number of each type of order 2, and of lines of order 3. Pyramids with more nodes VTK does not have."""
+"""VTK's number of each type of order 2, and of lines of order 3.
+
+Pyramids with more nodes VTK does not have.
+"""
 
 VTK_LAGRANGE = {"line": 68, "triangle": 69, "quad": 70, "tetra": 71, "hexahedron": 72, "wedge": 73}
 """VTK's number of cells of any order, which their number of nodes tells."""
@@ -95,7 +98,10 @@ FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
         *((4, 7, 5, 0), (5, 4, 6, 1), (6, 5, 7, 2), (7, 6, 4, 3)),
     ),
 }
-"""Corners with the ends of their edges, right-handed, by type: there corner Jacobians are taken. A simplex has one."""
+"""Corners with the ends of their edges, right-handed, by type: there corner Jacobians are taken.
+
+A simplex has one.
+"""
 
 SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
 """Types of faces by their number of corners."""
@@ -107,5 +113,5 @@ def solid(cells: Mapping[str, Any], dimension: int) -> dict[str, Any]:
 
 
 def repeated_cells(corners: np.ndarray) -> np.ndarray:
-    """Finds the rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
+    """Finds rows, ascending, of cells (k, corners) with the nodes of another cell in any order."""
     return np.flatnonzero(~is_single(sorted_columns(columns_of(corners), corners.shape[1])))

@@ -20,7 +20,7 @@ TOGETHER = 1 << 17
 def crossing_faces(
     points: np.ndarray, moved: np.ndarray, faces: np.ndarray, place: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds pairs (k, 2) of faces that meet only after the motion, and the places (k, d) where they meet.
+    """Finds pairs (k, 2) of faces that meet only after the motion, and where (k, d) they meet.
 
     **Arguments:**
 
@@ -48,7 +48,7 @@ def crossing_faces(
 
 
 def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds pairs of faces (f, corners, d) with overlapping bounding boxes, of which one face moves, no pair twice."""
+    """Finds pairs of faces (f, corners, d), one moving, with overlapping boxes, each pair once."""
     # Faces are the leaves of a balanced tree. The search goes down level by level, for all pairs of
     # boxes together. Only pairs that overlap, and of which one box moves, have pairs of children.
     order, depth = _balanced(corners.mean(axis=1))
@@ -76,7 +76,10 @@ def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.nd
 
 
 def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
-    """Orders faces as the leaves of a balanced tree, by halving along the widest axis; ids from k on are padding."""
+    """Orders faces as leaves of a balanced tree, halved along the widest axis.
+
+    Ids from k on are padding.
+    """
     depth = (len(centres) - 1).bit_length()
     order = np.arange(1 << depth)[None]
     padded = np.concatenate([centres, np.repeat(centres[-1:], (1 << depth) - len(centres), axis=0)])
@@ -90,7 +93,10 @@ def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _meet(first: np.ndarray, second: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:
-    """Marks the pairs of faces (k, corners, d) that meet, and finds the point. Faces in one plane do not count."""
+    """Marks the pairs of faces (k, corners, d) that meet, and finds the point.
+
+    Faces in one plane do not count.
+    """
     meets, where = np.zeros(len(first), bool), np.full((len(first), first.shape[2]), np.nan)
     if first.shape[2] == 2:
         left = np.arange(len(first))
@@ -118,7 +124,7 @@ def _aside(first: np.ndarray, second: np.ndarray, slack: float) -> np.ndarray:
 
 
 def _segment_meets_segment(start, end, other, slack):
-    """Marks segments from `start` to `end` (k, 2) that meet the segments `other` (k, 2, 2), and finds the share of the way."""
+    """Marks segments `start` to `end` (k, 2) that meet `other` ones (k, 2, 2); with the share."""
     along, across, arm = end - start, other[:, 1] - other[:, 0], other[:, 0] - start
     turn = cross(along.T, across.T)[0]
     is_turned = np.abs(turn) > PARALLEL * np.sqrt((along**2).sum(axis=1) * (across**2).sum(axis=1))
@@ -129,7 +135,7 @@ def _segment_meets_segment(start, end, other, slack):
 
 
 def _segment_meets_triangle(start, end, corners, slack):
-    """Marks segments from `start` to `end` (k, 3) that meet triangles (k, 3, 3), and finds the share of the way."""
+    """Marks segments `start` to `end` (k, 3) that meet triangles (k, 3, 3); with the share."""
     along, one, other = end - start, corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     arm, normal = start - corners[:, 0], np.cross(one, other)
     descent = -np.einsum("kd,kd->k", along, normal)

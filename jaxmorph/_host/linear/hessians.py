@@ -51,7 +51,7 @@ def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _ordering(starts: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Orders the nodes by minimum degree: less fill, and half the time of ordering their components."""
+    """Orders the nodes by minimum degree: less fill, in half the time of ordering components."""
     n = len(starts) - 1
     degrees = sparse.diags(np.diff(starts) + 1.0)
     graph = sparse.csr_matrix((np.ones(len(columns)), columns, starts), shape=(n, n))
@@ -97,7 +97,7 @@ def _solved(structure, blocks, shift, right, accuracy: float | None) -> np.ndarr
 
 
 def _factored(matrix: Any, right: np.ndarray, damping: tuple[float, ...]) -> np.ndarray:
-    """Solves by pivots on the diagonal, with the first term of `damping` that makes the matrix positive."""
+    """Solves by pivots on the diagonal, with the first `damping` term that makes it positive."""
     for added in damping:
         factors = Factors(matrix + added * sparse.identity(matrix.shape[0]), is_ordered=True)
         if factors.is_positive:

@@ -1,4 +1,4 @@
-"""A multigrid cycle for large sparse positive matrices: pyamg's levels, with sweeps of SciPy's products.
+"""A multigrid cycle for large sparse positive matrices: pyamg's levels, swept by SciPy's products.
 
 pyamg's Gauss-Seidel sweeps need as many steps, and two to three times as long: see
 `benchmarks/README.md`. Its polynomials take their bounds from random vectors, so that no two runs
@@ -25,7 +25,7 @@ across the layer are joined.
 """
 
 COARSEST = 90
-"""Most unknowns of the last level, which a dense inverse solves: few enough for a BLAS without threads."""
+"""Most unknowns of the last level, solved by a dense inverse: few enough for unthreaded BLAS."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,10 @@ class Level:
     top: float
 
     def smoothed(self, right: np.ndarray) -> np.ndarray:
-        """Solves roughly for a right side (k,), by Chebyshev's second polynomial for the upper eigenvalues."""
+        """Solves roughly for a right side (k,), by Chebyshev's second polynomial.
+
+        It damps the upper eigenvalues.
+        """
         middle, half = (1 + 1 / SPREAD) * self.top / 2, (1 - 1 / SPREAD) * self.top / 2
         first = self.inverse * right / middle
         rate = 1 / (2 * middle / half - half / middle)
@@ -55,7 +58,10 @@ class Level:
 
 @dataclasses.dataclass(frozen=True)
 class Hierarchy:
-    """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996): levels, and the `last` level's solver."""
+    """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996).
+
+    It has levels, and the solver of the `last` level.
+    """
 
     levels: Sequence[Level]
     last: Callable[[np.ndarray], np.ndarray]
@@ -71,7 +77,7 @@ class Hierarchy:
 
 
 def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
-    """Makes the cycle of a positive matrix (k, k) in CSR form, which takes `mode` (k,) nearly to zero."""
+    """Makes the cycle of a positive CSR matrix (k, k), which takes `mode` (k,) nearly to zero."""
     import pyamg  # pyright: ignore[reportMissingImports]
 
     # Local weights are bounds; other weights come from random vectors.
@@ -86,7 +92,10 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
 
 
 def _last(matrix: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the solver of the last level: a dense inverse, or sparse factors if many unknowns were not joined."""
+    """Makes the last level's solver: a dense inverse.
+
+    It takes sparse factors if many unknowns were not joined.
+    """
     if matrix.shape[0] <= COARSEST:
         return np.linalg.pinv(matrix.toarray(), hermitian=True).__matmul__
     return Factors(matrix)
@@ -100,7 +109,10 @@ def _level(level: Any) -> Level:
 
 
 def by_component(cycles: Sequence[Hierarchy]) -> Callable[[np.ndarray], np.ndarray]:
-    """Joins the cycles of all components. The unknowns (k d,) run over nodes, then over the components of a node."""
+    """Joins the cycles of all components.
+
+    The unknowns (k d,) run over nodes, then over the components of a node.
+    """
 
     def cycle(right):
         columns = np.ascontiguousarray(right.reshape(-1, len(cycles)).T)

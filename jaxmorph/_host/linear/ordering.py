@@ -1,4 +1,4 @@
-"""Orders for sparse approximate inverses: points from far apart to close, with near predecessors."""
+"""Orders for sparse approximate inverses: points from far to close, with near predecessors."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from ..sources.farthest import farthest
 
 
 def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Orders points (n, d) so that the next is far from its predecessors, and finds near predecessors.
+    """Orders points (n, d) so that each is far from its predecessors, and finds near predecessors.
 
     Returns ids (n,), and places in their order (n - first, count). A row begins with the point's
     own place. The nearest earlier places follow; its own place fills up the row. The result depends
@@ -29,10 +29,10 @@ def far_to_near(points: np.ndarray, first: int, count: int) -> tuple[np.ndarray,
 
 
 def _before(points: np.ndarray, start: int, count: int) -> np.ndarray:
-    """Finds, for the points from `start` on, `count` near earlier places; a point's own place fills up its row.
+    """Finds, for the points from `start` on, `count` near earlier places.
 
-    The places are the nearest, unless most neighbours of a point are later ones. Then some places
-    between `start` and the point may be missed.
+    A point's own place fills up its row. The places are the nearest, unless most neighbours of a
+    point are later ones. Then some places between `start` and the point may be missed.
     """
     place = np.arange(start, len(points))[:, None]
     distance, nearest = _query(points, points[start:], min(len(points), 2 * count + 2))
@@ -53,7 +53,7 @@ def _query(points: np.ndarray, at: np.ndarray, count: int) -> tuple[np.ndarray, 
 
 
 def _smallest(distance: np.ndarray, ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Selects, in every row, the `count` ids of least distance, nearest first; infinite distances fill up a row."""
+    """Selects each row's `count` nearest ids, nearest first; infinite distances fill up a row."""
     columns = np.argsort(distance, axis=1, kind="stable")[:, :count]
     missing = ((0, 0), (0, count - columns.shape[1]))
     best = np.pad(np.take_along_axis(distance, columns, axis=1), missing, constant_values=np.inf)

@@ -13,7 +13,10 @@ import numpy as np
 from scipy.sparse import linalg
 
 DIRECT = 12_000
-"""Unknowns up to which a 3-D system is factored. 2-D systems always are: their factors stay sparse."""
+"""Unknowns up to which a 3-D system is factored.
+
+2-D systems always are: their factors stay sparse.
+"""
 
 
 def is_factored(unknowns: int, dimension: int) -> bool:
@@ -57,7 +60,7 @@ class Factors:
 def conjugate_gradients(
     matrix: Any, right: np.ndarray, inverse: Callable, is_enough: Callable, limit: int
 ) -> tuple[np.ndarray, bool]:
-    """Solves for one right side (k,), up to a direction of negative curvature (Nocedal and Wright, algorithm 7.1).
+    """Solves for a right side (k,), up to negative curvature (Nocedal and Wright, algorithm 7.1).
 
     **Arguments:**
 

@@ -1,4 +1,7 @@
-"""Sparse symmetric positive systems with one number, or one small block, for every pair of nodes. The last few are cached."""
+"""Sparse symmetric positive systems with one number, or one small block, for every pair of nodes.
+
+The last few are cached.
+"""
 
 import collections
 import threading
@@ -16,13 +19,13 @@ from .multigrid import by_component, hierarchy
 from .solves import Factors, conjugate_gradients, dot, is_factored
 
 ACCURACY = 1e-9
-"""Residual, relative to the right side, and error, relative to the solution, at which conjugate gradients stop."""
+"""Residual relative to the right side, and error relative to the solution, that end CG."""
 
 LIMIT = 500
 """Most steps of conjugate gradients. A mesh of 65,000 nodes takes 50."""
 
 RESORT = 60_000
-"""Unknowns up to which a 3-D system is factored if conjugate gradients do not converge, as on thin layers of cells."""
+"""Unknowns up to which a 3-D system is factored if CG does not converge, as on thin layers."""
 
 KEPT = 2
 """Number of the latest systems whose factors are cached."""
@@ -115,7 +118,10 @@ def _scalar(pairs, values, diagonal, n) -> sparse.csr_matrix:
 
 
 def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
-    """Assembles the matrix of the nodes `rows` block by block; unknowns that are not `used` have a one on the diagonal."""
+    """Assembles the matrix of the nodes `rows` block by block.
+
+    Unknowns that are not `used` have a one on the diagonal.
+    """
     # The blocks of pairs, of their transposes and of the diagonal are listed one after the other,
     # and sorted by row and column. Rows and columns of unused unknowns are cleared.
     d = used.shape[1]
@@ -135,7 +141,7 @@ def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
 
 
 def _of_matrix(matrix: Any, d: int, multigrid: bool) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the solver of one matrix, scaled to a diagonal of ones, for right sides (k,) or (k, c)."""
+    """Makes a matrix's solver, scaled to a diagonal of ones, for right sides (k,) or (k, c)."""
     if matrix.shape[0] == 0:
         return lambda right: right
     if not (matrix.diagonal() > 0).all():
@@ -170,7 +176,7 @@ def _factored(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarr
 def iterated(
     matrix: Any, right: np.ndarray, cycle: Callable[[np.ndarray], np.ndarray] | None, scale: np.ndarray
 ) -> np.ndarray:
-    """Solves for one right side (k,); NaN if conjugate gradients do not converge, or the matrix is not positive.
+    """Solves for a right side (k,); NaN if CG does not converge, or the matrix is not positive.
 
     The wanted unknowns are `scale` (k,) times x. The cycle's image of the residual is as large as
     the error. The residual alone says too little: one that is small beside stiff cells moves soft
@@ -193,7 +199,7 @@ def _largest(x: np.ndarray) -> float:
 
 
 def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the multigrid cycle of a matrix; for blocks, one cycle for every component, of the blocks' diagonal entries.
+    """Makes a matrix's multigrid cycle; for blocks, one a component, of diagonal entries.
 
     The diagonal entries are equivalent to the matrix (Korn's inequality), with a ninth of its
     entries.
@@ -209,7 +215,10 @@ def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]
 
 
 def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the solver of B^T B x = right for a sparse B (n, k), by a larger system whose condition is not squared."""
+    """Makes the solver of B^T B x = right for a sparse B (n, k).
+
+    It solves a larger system whose condition is not squared.
+    """
     n = root.shape[0]
     scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))
     scaled = root @ sparse.diags(scale)
@@ -229,7 +238,7 @@ def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _scaled(matrix: Any, scale: np.ndarray) -> Any:
-    """Multiplies rows and columns of a matrix by `scale`; blocks stay blocks, and change in place."""
+    """Multiplies rows and columns of a matrix by `scale`; blocks stay blocks, changed in place."""
     if matrix.format != "bsr":
         return (sparse.diags(scale) @ matrix @ sparse.diags(scale)).tocsr()
     scale = scale.reshape(-1, matrix.blocksize[0])

@@ -41,7 +41,7 @@ def tabulate(nodes: np.ndarray, used: np.ndarray, count: int) -> tuple[np.ndarra
 
 
 def _stable_order(columns: np.ndarray, count: int) -> np.ndarray:
-    """Sorts small integers stably, by SciPy's counting sort, several times faster than `numpy.argsort`."""
+    """Sorts small integers stably by SciPy's counting sort, faster than `numpy.argsort`."""
     places = np.arange(len(columns), dtype=np.int32)
     row = csr_array((places, columns, np.array([0, len(columns)], dtype=np.int32)), shape=(1, count))
     return row.tocsc().data

@@ -60,7 +60,7 @@ def fits(value: Any, annotation: Any) -> bool:
 
 
 def _fits_array(value: Any, annotation: Any) -> bool:
-    """Checks whether a value is an array of the annotated kind of numbers, of any shape, without masked numbers."""
+    """Checks whether a value is an unmasked array of the annotated numbers, of any shape."""
     try:
         array = value if has_type(value) else np.asarray(value)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Checks of arguments: against their annotations, and against ranges and shapes that no annotation says.
+"""Checks of arguments: by their annotations, and by ranges and shapes that no annotation says.
 
 A wrong argument raises `ValueError` with one sentence.
 """
@@ -42,7 +42,7 @@ def checked(function: Function) -> Function:
 
 
 def check_fields(instance: Any) -> None:
-    """Compares the fields of a dataclass with their annotations, as `checked` compares arguments."""
+    """Compares a dataclass's fields with their annotations, as `checked` compares arguments."""
     for name, annotation in _rules(type(instance)).items():
         check(name, getattr(instance, name), annotation, type(instance))
 
@@ -79,7 +79,7 @@ def whole(name: str, value: Any, least: int = 1) -> int:
 
 
 def between(name: str, value: Any, low: float | int = -np.inf, high: float | int = np.inf, ends: str = "()") -> None:
-    """Raises `ValueError` unless a value is a real number in an interval with the brackets `ends`, such as `"[)"`."""
+    """Raises `ValueError` unless a value is a real number in an interval, `ends` such as `"[)"`."""
     above = fits(value, float) and (value > low or (ends[0] == "[" and value == low))
     if not (above and (value < high or (ends[1] == "]" and value == high))):
         raise ValueError(f"`{name}` must be a real number{_range(low, high, ends)}, not {shown(value)}.")
@@ -101,7 +101,10 @@ def as_array(name: str, values: Any) -> np.ndarray:
 
 
 def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
-    """Returns ids as an array. Raises `ValueError` unless they are whole numbers from 0 to `count` - 1."""
+    """Returns ids as an array.
+
+    Raises `ValueError` unless they are whole numbers from 0 to `count` - 1.
+    """
     array = as_array(name, ids) if isinstance(ids, list | tuple | range) or has_type(ids) else None
     if array is not None and array.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -122,7 +125,10 @@ def check_patch(name: str, patch: Any) -> None:
 
 
 def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
-    """Returns an array of floats of one of the shapes, in which None is any length. Floats keep their precision."""
+    """Returns an array of floats of one of the shapes, in which None is any length.
+
+    Floats keep their precision.
+    """
     is_array = isinstance(values, list | tuple) or has_type(values)
     try:
         array = np.asarray(values) if is_array and not np.ma.is_masked(values) else None

@@ -12,14 +12,14 @@ from scipy.spatial import KDTree
 T = TypeVar("T")
 
 SWITCH = "JAXMORPH_CPUS"
-"""The environment variable that says how many cores to use, where these should be fewer than the process may use."""
+"""The environment variable that limits the cores to use."""
 
 FEW = 4096
 """Points of a search up to which threads cost more than they gain."""
 
 
 def cores() -> int:
-    """Counts the cores that this process may use: those of its affinity mask, or what `JAXMORPH_CPUS` says.
+    """Counts the cores to use: those of the process' affinity mask, or what `JAXMORPH_CPUS` says.
 
     **Raises:** `ValueError` where the variable is no whole number of 1 or more.
     """
@@ -44,7 +44,8 @@ class Tree(KDTree):
 class Beside(Generic[T]):
     """A call that runs in a thread of its own, beside what comes next; `result` waits for it.
 
-    With one core the call runs when its result is asked for: nothing takes turns, and nothing waits for a thread that cannot run.
+    With one core the call runs when its result is asked for: nothing takes turns, and nothing waits
+    for a thread that cannot run.
     """
 
     def __init__(self, function: Callable[..., T], *arguments: Any):
@@ -76,7 +77,7 @@ class Beside(Generic[T]):
 
 
 def spread(function: Callable[[list], T], pieces: list) -> list[T]:
-    """Divides pieces of work evenly among the cores, and lists what `function` returns for each core's pieces, in order."""
+    """Divides pieces of work among the cores; lists `function` of each core's pieces, in order."""
     number = min(cores(), len(pieces))
     ends = [len(pieces) * k // number for k in range(number + 1)]
     first, *others = (pieces[start:end] for start, end in itertools.pairwise(ends))

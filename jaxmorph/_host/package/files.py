@@ -16,7 +16,7 @@ import numpy as np
 
 
 def input_path(path: str | os.PathLike[str]) -> pathlib.Path:
-    """Checks the name of a file or a folder to read; returns it as a path, also where nothing exists.
+    """Checks the name of a file or folder to read; returns a path, also where nothing exists.
 
     It raises `ValueError` for a device or a pipe, for which a reader would wait, and for a name
     with a null byte.
@@ -97,7 +97,7 @@ def real_array(path: pathlib.Path, arrays: dict[str, np.ndarray], name: str) -> 
 
 @contextlib.contextmanager
 def complete(path: pathlib.Path, *, folder: bool = False, name_errors: bool = True) -> Iterator[pathlib.Path]:
-    """Yields a temporary file or folder beside `path`, which replaces `path` at the end; a failure leaves nothing.
+    """Yields a temporary file or folder that replaces `path` at the end; a failure leaves nothing.
 
     The temporary file is new, and its name is unique: no link is followed, and no file is
     overwritten. If `path` is a symbolic link, its target is replaced. The new file gets the
@@ -135,7 +135,7 @@ def _check_replaceable(path: pathlib.Path, target: pathlib.Path, folder: bool) -
 
 @contextlib.contextmanager
 def named(path: pathlib.Path) -> Iterator[None]:
-    """Makes a system error name the target file, if the error names the temporary file or no file."""
+    """Makes a system error name the target file instead of the temporary file or none."""
     try:
         yield
     except (OSError, RuntimeError) as error:

@@ -5,11 +5,11 @@ import numpy as np
 from .rounding import SAME, ranked
 
 BETWEEN = 0.618
-"""Place of the borders of Morton's cells, relative to their size: off the numbers of a structured grid."""
+"""Place of the borders of Morton's cells, relative to their size: off structured grids."""
 
 
 def canonical_order(points: np.ndarray) -> np.ndarray:
-    """Sorts points by their coordinates, so that results do not depend on the order of the points."""
+    """Sorts points by their coordinates, so that results do not depend on the order given."""
     slack = SAME * float(np.ptp(points, axis=0).max())
     return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
 
@@ -29,7 +29,7 @@ def morton_order(points: np.ndarray) -> np.ndarray:
 
 
 def _spread(grid: np.ndarray, dimension: int) -> np.ndarray:
-    """Moves bit k of all numbers to place k times `dimension`: blocks of bits are halved until they are single bits."""
+    """Moves bit k of all numbers to place k times `dimension`, by halving blocks of bits."""
     for half in (16, 8, 4, 2, 1):
         bits = sum((2**half - 1) << place for place in range(0, 64, half * dimension)) % 2**64
         grid = (grid | grid << np.uint64(half * (dimension - 1))) & np.uint64(bits)

@@ -1,4 +1,4 @@
-"""Decisions that do not depend on round-off: numbers within `SAME` count as equal, and the first of equals is taken.
+"""Decisions free of round-off: numbers within `SAME` are equal, and the first of equals is taken.
 
 A mesh with flat sides, even spacings or a plane of symmetry has many equal lengths. Computed
 lengths differ in the last bit, and differently on different processors. A plain comparison would
@@ -22,7 +22,7 @@ def roundoff(points: np.ndarray) -> float:
 
 
 def spacing(points: np.ndarray) -> np.ndarray:
-    """Measures the distance (n,) of every point from its nearest neighbour; infinite for a single point."""
+    """Measures each point's distance (n,) from its nearest neighbour; infinite for one point."""
     return np.asarray(Tree(points).query(points, k=2)[0])[:, 1]
 
 
@@ -38,7 +38,7 @@ def ranked(values: np.ndarray, slack: float) -> np.ndarray:
 
 
 def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the places of points: the first point (k,) at a place, in canonical order, and the place (n,) of a point."""
+    """Finds places of points: each place's first point (k,), and each point's place (n,)."""
     slack = roundoff(points)
     rows = np.stack([ranked(column, slack) for column in points.T], axis=1)
     _, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -46,18 +46,18 @@ def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def first_largest(values: np.ndarray, slack: float | None = None) -> int:
-    """Finds the first number within a slack of the largest; the default slack is `SAME` times the largest."""
+    """Finds the first number within a slack of the largest; by default `SAME` times the largest."""
     top = values.max()
     return int((values >= top - (SAME * abs(top) if slack is None else slack)).argmax())
 
 
 def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Finds, for every point, the nearest `chosen` place, and returns its entry of `ids`; ties go to the first place."""
+    """Finds each point's nearest `chosen` place, as an entry of `ids`; ties go to the first."""
     return ids[nearest_few(points, chosen, 1)[:, 0]]
 
 
 def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarray:
-    """Finds, for every point, the `count` nearest `chosen` places (k, count), nearest first; ties go to the first place."""
+    """Finds each point's `count` nearest `chosen` places (k, count), nearest first, then lowest."""
     # Distances are ranked: a distance within the slack of the one before has its rank. The sort is
     # by rank, then by number. If the last rank reaches the end of the search, more places are
     # searched.

@@ -89,7 +89,7 @@ def farthest(
     first: np.ndarray | None = None,
     reach: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Picks the ids of `count` points, always the farthest from all chosen points; `first` come first.
+    """Picks ids of `count` points, each the farthest from all chosen points; `first` come first.
 
     It ends early if all points are within `closest` of chosen points. With `reach` (n,), distances
     are relative to a point's own reach, and it ends when all points are within reach.
@@ -113,7 +113,10 @@ def farthest(
 
 
 def _lower(distance: np.ndarray, columns: np.ndarray, node: int, weight: np.ndarray | float, work: np.ndarray) -> None:
-    """Lowers the squared distances from the nearest chosen node to those from `node`, in place: all data stay in the cache."""
+    """Lowers, in place, squared distances to those from `node`.
+
+    All data stay in the cache.
+    """
     total, term = work
     np.subtract(columns[0], columns[0, node], out=total)
     np.multiply(total, total, out=total)

@@ -16,11 +16,12 @@ SHARE = {2: 0.25, 3: 0.5}
 
 @dataclasses.dataclass(frozen=True)
 class Graded(AbstractSeparated):
-    """Chooses points so that the distance of every point from a source is at most `share` of its distance from the other boundary.
+    """Chooses points so that sources are dense where the other boundary is near.
 
-    It is made for the fixed boundary. Where the moving boundary is near, the field must vanish
-    within the gap, and few sources would leave it wavy. A far field needs a few dozen sources at
-    most, however fine its mesh.
+    The distance of every point from a source is at most `share` of its distance from the other
+    boundary. It is made for the fixed boundary. Where the moving boundary is near, the field must
+    vanish within the gap, and few sources would leave it wavy. A far field needs a few dozen
+    sources at most, however fine its mesh.
 
     The distance is measured to the nearest source of the other boundary. It is at least the
     distance of that source from its own nearest source: where boundaries touch, the spacing changes
@@ -65,7 +66,7 @@ class Graded(AbstractSeparated):
 
 
 def _room(points: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Measures the distance (n,) of points from the nearest of the `others`, at least the spacing of the others there."""
+    """Measures distances (n,) from the nearest of the `others`, at least their spacing there."""
     if len(others) == 0:
         return np.full(len(points), float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0)
     distance = np.asarray(Tree(others).query(points)[0])

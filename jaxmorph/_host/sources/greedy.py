@@ -1,4 +1,4 @@
-"""Greedy reduction: sources where the interpolation is worst, one after the other (Rendall and Allen 2009)."""
+"""Greedy reduction: sources where interpolation is worst, one by one (Rendall and Allen 2009)."""
 
 import dataclasses
 
@@ -65,7 +65,7 @@ class Greedy(AbstractSeparated):
 def _by_error(
     points: np.ndarray, values: np.ndarray, count: int, closest: float, tolerance: float, group: float
 ) -> np.ndarray:
-    """Picks the points where the interpolation of `values` (m, k d) misses by most, a `group` in a round."""
+    """Picks points where interpolation of `values` (m, k d) misses most, a `group` in a round."""
     unit = (points - points.mean(axis=0)) / (np.ptp(points, axis=0).max() or 1.0)
     tail = np.concatenate([np.ones((len(unit), 1)), unit], axis=1)
     chosen = farthest(points, min(count, points.shape[1] + 1), closest)
@@ -94,7 +94,7 @@ def _by_error(
 
 
 def _missed(kernel: np.ndarray, tail: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Computes the largest miss (m,), over all values, of the spline through the chosen points (eq. 3 of the paper)."""
+    """Computes the largest miss (m,), over all values, of the chosen points' spline (eq. 3)."""
     terms = tail.shape[1]
     matrix = np.block([[kernel[chosen], tail[chosen]], [tail[chosen].T, np.zeros((terms, terms))]])
     rhs = np.concatenate([values[chosen], np.zeros((terms, values.shape[1]))])

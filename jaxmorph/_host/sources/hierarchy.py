@@ -20,13 +20,13 @@ WIDTH = 8
 
 
 def farthest_first(points: np.ndarray, earlier: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orders nodes so that the next is always the farthest from its predecessors. Also finds nearest predecessors.
+    """Orders nodes so that the next is always the farthest from its predecessors.
 
-    The `earlier` nodes are predecessors of all nodes. Without earlier nodes, the first node is the
-    farthest from the middle, and the node farthest from it counts as its nearest predecessor. The
-    mirror images of a node, which share its number in `images` (b,), count as its predecessors. So
-    images come in one order. A node that coincides with a predecessor is left out. Left out and
-    earlier nodes are their own nearest predecessors.
+    Also finds nearest predecessors. The `earlier` nodes are predecessors of all nodes. Without
+    earlier nodes, the first node is the farthest from the middle, and the node farthest from it
+    counts as its nearest predecessor. The mirror images of a node, which share its number in
+    `images` (b,), count as its predecessors. So images come in one order. A node that coincides
+    with a predecessor is left out. Left out and earlier nodes are their own nearest predecessors.
     """
     # A batch holds the nodes with the largest distances. Those that do not depend on each other are
     # picked together. Only nodes within the distance of a picked node can come nearer to it.
@@ -72,7 +72,7 @@ class Share(AbstractReduction):
 
 
 def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest mirror image of every node: its distance, infinite without images, and its id."""
+    """Finds each node's nearest mirror image: distance (infinite without images) and id."""
     distance, nearest = np.full(len(points), np.inf), np.arange(len(points))
     order = np.argsort(images, kind="stable")
     for shift in range(1, int(np.bincount(np.unique(images, return_inverse=True)[1]).max())):
@@ -86,7 +86,10 @@ def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _first(points: np.ndarray, distance: np.ndarray, nearest: np.ndarray) -> np.ndarray:
-    """Picks the node farthest from the middle. If it has no image, the node farthest from it becomes its nearest."""
+    """Picks the node farthest from the middle.
+
+    If it has no image, the node farthest from it becomes its nearest.
+    """
     first = first_largest(np.linalg.norm(points - points.mean(axis=0), axis=1))
     if nearest[first] == first:
         away = np.linalg.norm(points - points[first], axis=1)
@@ -100,7 +103,7 @@ def _nearest_of(points: np.ndarray, chosen: np.ndarray, others: np.ndarray) -> t
 
 
 def _farthest(distance: np.ndarray, least: float) -> np.ndarray:
-    """Lists the nodes with the largest distances above `least`, the largest first; ties go to the first node."""
+    """Lists nodes with the largest distances above `least`, largest first; ties by first node."""
     last = np.partition(distance, -min(BATCH, len(distance)))[-min(BATCH, len(distance))]
     above, below = np.flatnonzero(distance > (1 + SAME) * last), (1 - SAME) * last
     equal = np.flatnonzero((distance >= below) & (distance <= (1 + SAME) * last))
@@ -116,7 +119,7 @@ def _certain(points: np.ndarray, distance: np.ndarray, batch: np.ndarray) -> np.
 
 
 def _approach(distance: np.ndarray, nearest: np.ndarray, near: np.ndarray, node: np.ndarray, gap: np.ndarray) -> None:
-    """Updates, in place, distances and nearest nodes: node `near[k]` has the distance `gap[k]` from `node[k]`."""
+    """Updates distances and nearest nodes in place: `near[k]` is at `gap[k]` from `node[k]`."""
     closer = np.flatnonzero(gap < (1 - SAME) * distance[near])
     np.minimum.at(distance, near[closer], gap[closer])
     closer = closer[gap[closer] <= (1 + SAME) * distance[near[closer]]]
@@ -131,7 +134,7 @@ def _joined(lists) -> np.ndarray:
 def overlaps(
     points: np.ndarray, centres: np.ndarray, radius: np.ndarray, targets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds pairs (target, centre) within the centre's radius (b,), sorted by target, then in the order of `centres`."""
+    """Finds pairs (target, centre) within the centre's radius (b,), by target, then centre."""
     tree = Tree(targets, leafsize=32, balanced_tree=False, compact_nodes=False)
     around = tree.query_ball_point(points[centres], radius[centres], return_sorted=False)
     target, rank = _joined(around), np.repeat(np.arange(len(centres)), [len(ids) for ids in around])
@@ -140,7 +143,7 @@ def overlaps(
 
 
 def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the entries that are pairs.
+    """Lays pairs, sorted by target, into rows (count, k) of centres, with a mask of the pairs.
 
     k is the largest number of centres of a target.
     """
@@ -153,10 +156,10 @@ def padded(target: np.ndarray, centre: np.ndarray, count: int) -> tuple[np.ndarr
 
 
 Sweep = tuple[np.ndarray, np.ndarray]
-"""The order in which a triangular system is solved: s steps of r rows. A row adds up to `WIDTH` entries of its owner.
+"""The order in which a triangular system is solved: s steps of r rows.
 
-The first array (s, r, WIDTH) has positions in the list of entries, -1 for padding; the second array
-(s, r) has the owners.
+A row adds up to `WIDTH` entries of its owner. The first array (s, r, WIDTH) has positions in the
+list of entries, -1 for padding; the second array (s, r) has the owners.
 """
 
 

@@ -1,4 +1,4 @@
-"""Sources by the power function: the largest error that an interpolation can have at a point (De Marchi et al. 2005)."""
+"""Sources by the power function: the largest interpolation error at a point (De Marchi 2005)."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ NOISE = 1e-13
 
 @dataclasses.dataclass(frozen=True)
 class PGreedy(AbstractSeparated):
-    """Chooses points one after the other, always where the power function of the chosen points is largest.
+    """Chooses points one by one, each where the power function of the chosen points is largest.
 
     The method is that of De Marchi, Schaback and Wendland (Advances in Computational Mathematics
     23, 2005). It depends on places alone, not on a motion. The basis is Wendland's C2 with a radius

@@ -1,4 +1,4 @@
-"""Reduction of the source points: the choice of nodes with radial basis functions (section 2.1 of the paper)."""
+"""Reduction of source points: the nodes that carry radial functions (paper, section 2.1)."""
 
 import abc
 import dataclasses
@@ -16,7 +16,7 @@ from ..package.rounding import SAME, first_largest, nearest_of, roundoff
 
 
 class AbstractReduction(abc.ABC):
-    """Chooses source points: called with points (k, d), it returns the ids of sources, ascending, no id twice.
+    """Chooses source points: called with points (k, d), it returns distinct ids, ascending.
 
     Your own reduction is a frozen (hashable) dataclass with one method, `__call__`.
 
@@ -35,7 +35,7 @@ class AbstractReduction(abc.ABC):
     def __call__(self, points: np.ndarray) -> np.ndarray: ...
 
     def beside(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Chooses as `__call__` does, near the `others` (k, d): the fixed nodes, or the moving sources.
+        """Chooses as `__call__`, near the `others` (k, d): fixed nodes, or moving sources.
 
         The default ignores `others`.
         """
@@ -47,13 +47,13 @@ class AbstractReduction(abc.ABC):
 
 
 class AbstractSeparated(AbstractReduction):
-    """A reduction whose sources keep a least distance, and that chooses from points in canonical order."""
+    """A reduction of sources with a least distance, which takes points in canonical order."""
 
     separation: float
 
     @abc.abstractmethod
     def _chosen(self, points: np.ndarray, order: np.ndarray) -> np.ndarray:
-        """Chooses rows of `points` (k, d), which are in canonical order; `order` (k,) has their ids."""
+        """Chooses rows of `points` (k, d) in canonical order; `order` (k,) has their ids."""
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         return chosen_in_order(points, self._chosen)
@@ -63,7 +63,10 @@ class AbstractSeparated(AbstractReduction):
 
 
 class AbstractSearchPoints(abc.ABC):
-    """Places in a leaf's box, in local coordinates from -1 to 1. The mesh points closest to them become sources."""
+    """Places in a leaf's box, in local coordinates from -1 to 1.
+
+    The mesh points closest to them become sources.
+    """
 
     @abc.abstractmethod
     def local(self, dimension: int) -> np.ndarray:
@@ -166,7 +169,7 @@ class KDTree(AbstractSeparated):
         return self.given(points, others)(points)
 
     def given(self, points: np.ndarray, others: np.ndarray) -> "KDTree":
-        """Returns the tree to build near the `others`: with `crowded` leaves if another point is near."""
+        """Returns the tree to build near the `others`: leaves are `crowded` near another point."""
         if self.crowded is None or not len(points) or not len(others):
             return self
         near = (1 - SAME) * float(np.ptp(points, axis=0).max())
@@ -201,7 +204,7 @@ class KDTree(AbstractSeparated):
         return KDTree(min(tried, key=lambda leaves: (abs(tried[leaves] - count), leaves)), extremes=True)
 
     def boxes(self, points: np.ndarray) -> np.ndarray:
-        """Builds the tree for points (n, d), and returns the lower and upper corners of the leaves' boxes (k, 2, d)."""
+        """Builds the tree of points (n, d); returns lower and upper corners of leaves (k, 2, d)."""
         counter = itertools.count()  # breaks ties: the leaf found first is split first
 
         def entry(members):
@@ -227,7 +230,10 @@ class KDTree(AbstractSeparated):
 
 
 def _halves(points: np.ndarray, members: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Splits members at the median along an axis; points at one coordinate (an outlet, both sides of a wing) stay together."""
+    """Splits members at the median along an axis.
+
+    Points at one coordinate (an outlet, both sides of a wing) stay together.
+    """
     members = members[np.argsort(points[members, axis], kind="stable")]
     along = points[members, axis]
     gaps = 1 + np.flatnonzero(np.diff(along) > SAME * (along[-1] - along[0]))

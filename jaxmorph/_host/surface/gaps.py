@@ -25,7 +25,7 @@ def share_left(
 
 
 def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest face (b, d) of another wall for every row of `points`, and its distance (b,).
+    """Finds the nearest face (b, d) of another wall for each of `points`, and its distance (b,).
 
     The distance is infinite without other walls. `wall` (b,) numbers the walls; `faces` are rows of
     `points`, segments (f, 2) in 2-D and triangles (f, 3) in 3-D. A face between two walls does not
@@ -49,7 +49,7 @@ def gaps(points: np.ndarray, wall: np.ndarray, faces: np.ndarray) -> tuple[np.nd
 
 
 def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, Tree]]) -> np.ndarray:
-    """Finds the faces (k, c) whose middles are nearest to points (k, d), by several trees with their rows of faces."""
+    """Finds faces (k, c) with middles nearest to points (k, d), by trees with their face rows."""
     distances, near = [], []
     for rows, tree in trees:
         count = min(CLOSEST, len(rows))
@@ -63,7 +63,7 @@ def _closest(points: np.ndarray, trees: list[tuple[np.ndarray, Tree]]) -> np.nda
 
 
 def _distance(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Measures the distances (k,) of points (k, d) from their segments (k, 2, d) or triangles (k, 3, d)."""
+    """Measures distances (k,) of points (k, d) from their segments or triangles (k, d, d)."""
     count = corners.shape[1]
     sides = [(corners[:, k], corners[:, (k + 1) % count]) for k in range(count if count > 2 else 1)]
     nearest = np.min([distance_from_segment(x, *side) for side in sides], axis=0)
@@ -80,7 +80,7 @@ def _distance(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def distance_from_segment(x: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Measures the distances (k,) of points (k, d) from segments, one for all points or one a point."""
+    """Measures distances (k,) of points (k, d) from segments, one for all or one a point."""
     along = np.broadcast_to(end - start, x.shape)
     squared = np.maximum(np.einsum("kd,kd->k", along, along), 1e-300)
     share = np.clip(np.einsum("kd,kd->k", x - start, along) / squared, 0, 1)

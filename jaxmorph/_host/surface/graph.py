@@ -20,13 +20,13 @@ from . import simplices
 from .simplices import cofactors, smallest_height
 
 JITTER = 1e-8
-"""Relative to the distance of the nearest node: at 1e-9 location is five times slower, at 1e-7 weights go wrong."""
+"""Relative to the nearest node's distance: at 1e-9 location is slow, at 1e-7 weights go wrong."""
 
 SNAP = 2e-9
-"""Rounding of the coordinates for qhull, relative to the distance of the nearest node; well below `JITTER`."""
+"""Rounding of coordinates for qhull, relative to the nearest node; well below `JITTER`."""
 
 TRIALS = 4
-"""Most jitters that are tried: qhull ends with a precision error now and then, though nodes are good."""
+"""Most jitters tried: qhull now and then ends with a precision error on good nodes."""
 
 FLAT = 64
 """A simplex lower than this times the round-off of the coordinates holds no point."""
@@ -34,7 +34,9 @@ FLAT = 64
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Graph:
-    """The Delaunay graph of a surface, in which any number of points can be located. `graph_of` makes it.
+    """The Delaunay graph of a surface, in which any number of points can be located.
+
+    `graph_of` makes it.
 
     - `unit` (b, d): the surface's nodes relative to `centre`, over `size`.
     - `unique` (k,), `nodes` (k, d): ids of the distinct nodes, and their places.
@@ -53,12 +55,15 @@ class Graph:
     slack: float
 
     def smallest_weight(self, simplex: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Computes the smallest barycentric coordinate (k,) of points (k, d) in their simplices (k,)."""
+        """Computes least barycentric coordinates (k,) of points (k, d) in simplices (k,)."""
         return simplices.smallest_weight(self.nodes, self.delaunay.simplices, simplex, points, self.flat)
 
 
 def graph_of(surface: np.ndarray) -> Graph:
-    """Builds the Delaunay graph of a surface (b, d). Raises `ValueError` for one without extent in some direction."""
+    """Builds the Delaunay graph of a surface (b, d).
+
+    Raises `ValueError` for one without extent in some direction.
+    """
     dimension, slack = surface.shape[1], roundoff(surface)
     surface = surface.astype(np.float64, copy=False)
     centre, size = surface.min(axis=0), np.ptp(surface, axis=0).max() or 1.0
@@ -107,7 +112,10 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
 
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
-    """Lists the ids of distinct nodes in canonical order: of coincident nodes the first, which is a moving one if there is any."""
+    """Lists distinct nodes in canonical order.
+
+    Of coincident nodes it lists the first, which is a moving one if there is any.
+    """
     groups = Tree(unit).query_pairs(closest, output_type="ndarray")
     keep = np.ones(len(unit), dtype=bool)
     keep[groups.max(axis=1) if len(groups) else []] = False

@@ -80,7 +80,7 @@ def _among(wanted: np.ndarray, ids: np.ndarray, nodes: np.ndarray, n: int) -> tu
 def _inwards(
     order: np.ndarray, near: np.ndarray, nodes: np.ndarray, points: np.ndarray, surface: np.ndarray
 ) -> np.ndarray:
-    """Moves the points `near` walls to the end of an order: node after node, and from afar to the wall."""
+    """Moves the points `near` walls to the end of an order: by node, from afar to the wall."""
     # A search begins in the simplex of the point before. A walk along a wall would pass through all
     # flat simplices in between; a walk from outside takes half as long.
     height = np.linalg.norm(points[near] - surface[nodes], axis=1)
@@ -92,7 +92,7 @@ def _inwards(
 
 
 def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Finds better simplices for points that the search missed: their ids, and the smallest weights."""
+    """Finds better simplices for points that the search missed: ids, and smallest weights."""
     # A point is inside of a simplex if its smallest weight is not negative, so that the best
     # simplex has the largest one. First a point moves a little towards the middle, out of the flat
     # simplices along a plane side of the hull, and is searched again. Then a point without a good
@@ -126,7 +126,7 @@ def _repair(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.n
 
 
 def _search(graph: Graph, points: np.ndarray, simplex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Tries all simplices for a few points: the best simplices, and the distances of the points beyond them.
+    """Tries all simplices for a few points: the best ones, and the points' distances beyond them.
 
     Between flat simplices of nodes in one plane, the walk of `_repair` may end early.
     """

@@ -72,7 +72,7 @@ def near_walls(
 
 
 def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
-    """Picks the `count` nearest nodes of every row (k, c), nearest first; ties go to the first node."""
+    """Picks each row's `count` nearest nodes (k, c), nearest first; ties by first node."""
     order = np.argsort(squared, axis=1, kind="stable")
     nodes, squared = (np.take_along_axis(table, order, axis=1) for table in (nodes, squared))
     is_more = squared[:, 1:] > (1 + 2 * SAME) * squared[:, :-1]
@@ -87,7 +87,7 @@ def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
 def _nearest_within(
     surface: np.ndarray, wall: np.ndarray, reach: np.ndarray, points: np.ndarray, once: Once
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest surface node within whose reach a point lies, and its distance, infinite without a node.
+    """Finds the nearest surface node whose reach has the point, and its distance, else infinite.
 
     Nodes of similar reach are searched together: a bound that is far too large costs ten times as
     much.
@@ -118,7 +118,7 @@ def _nearest(
     once: Once,
     reach: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Finds the nearest node of several lists within their bounds, and its distance, infinite without a node.
+    """Finds the nearest node of several lists within their bounds, and its distance, else infinite.
 
     With `reach` (b,), a node counts only within its own reach.
     """
@@ -137,12 +137,12 @@ def _nearest(
 
 
 def _tree(points: np.ndarray) -> Tree:
-    """Builds a tree for many searches: cells cut in the middle are searched three times faster than cells cut at the median."""
+    """Builds a tree for many searches: cells cut in the middle are faster than at the median."""
     return Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
 
 
 def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
-    """Lists (b, count) the nearest nodes of every node on its wall: the node itself first, and again as padding."""
+    """Lists (b, count) nearest nodes on the wall: the node itself first, and as padding."""
     around = np.empty((len(surface), count), dtype=np.int32)
     for label in np.unique(wall):
         nodes = np.flatnonzero(wall == label)
@@ -153,10 +153,11 @@ def _around(surface: np.ndarray, wall: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearly_coincident(points: np.ndarray, radius: float, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Finds close pairs: points with neighbours far nearer than the next neighbour. Returns ids and nearest ids.
+    """Finds close pairs: points with neighbours far nearer than the next neighbour.
 
-    Far nearer means below a `share` of the distance of the next neighbour, or of the `radius`. The
-    closest pair comes first. Up to `AROUND` points may be near each other.
+    Returns ids and nearest ids. Far nearer means below a `share` of the distance of the next
+    neighbour, or of the `radius`. The closest pair comes first. Up to `AROUND` points may be near
+    each other.
     """
     if len(points) < 2:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

@@ -10,7 +10,7 @@ SHARP = np.cos(np.deg2rad(60))
 """Cosine of the angle between the two edges of a tip below which the wall is sharp there."""
 
 NEARBY = 0.002, 0.008, 0.032
-"""Distances of sources from a sharp tip, relative to the mean chord: a wavy field would invert cells at the tip."""
+"""Distances of sources from a sharp tip, relative to the mean chord: waves invert cells at tips."""
 
 AWAY = 0.7
 """Least distance of a place behind a tip from the wall, relative to its distance from the tip."""
@@ -18,7 +18,7 @@ AWAY = 0.7
 
 @dataclasses.dataclass(frozen=True)
 class Tips:
-    """Sharp tips of walls in 2-D, and the walls as chains of places; coincident nodes are one place.
+    """Sharp tips of walls in 2-D, and walls as chains of places (coincident nodes are one).
 
     - `rows` (p,), `points` (p, 2): a row of the surface at every place, and its coordinates.
     - `ends` (e, 2): the two places of every edge.
@@ -42,7 +42,7 @@ class Tips:
         return [self._walk(tip, start, length) for start in self.beside[tip].tolist()]
 
     def _walk(self, tip: int, place: int, length: float) -> int:
-        """Follows the wall from a tip to the first place at the distance `length`, or to the end of the wall."""
+        """Follows the wall from a tip to the first place at distance `length`, or to its end."""
         before = tip
         while self.count[place] == 2 and np.linalg.norm(self.points[place] - self.points[tip]) < length * (1 - SAME):
             ahead = int(self.beside[place, 0] if self.beside[place, 0] != before else self.beside[place, 1])
@@ -84,7 +84,7 @@ def behind_tips(walls: Tips, length: np.ndarray, closest: float, room: np.ndarra
 
 
 def beside_tips(walls: Tips, chord: np.ndarray) -> np.ndarray:
-    """Lists rows on both sides of the sharp tips, at the distances `NEARBY`; edges (e,) have a `chord`."""
+    """Lists rows on both sides of sharp tips, at distances `NEARBY`; edges (e,) have a `chord`."""
     places = [
         place
         for tip in walls.tips.tolist()

@@ -1,4 +1,4 @@
-"""Geometry of simplices in closed form: a LAPACK call for every simplex, as in NumPy and SciPy, takes twenty times longer."""
+"""Closed-form geometry of simplices: a LAPACK call for each one takes twenty times longer."""
 
 import numpy as np
 
@@ -30,7 +30,7 @@ def smallest_weight(
 
 
 def smallest_height(corners: np.ndarray) -> np.ndarray:
-    """Computes the least height (k,) of simplices (k, c, d): their content over the content of the largest side.
+    """Computes least heights (k,) of simplices (k, c, d): content over the largest side's content.
 
     The result does not depend on which corner comes first.
     """
@@ -41,7 +41,7 @@ def smallest_height(corners: np.ndarray) -> np.ndarray:
 
 
 def _content(corners: list[np.ndarray]) -> np.ndarray:
-    """Computes lengths, twice the areas or six times the volumes of simplices from their corners (k, d); 1 for points."""
+    """Computes lengths, twice areas or six times volumes from corners (k, d); 1 for points."""
     edges = [corner - corners[0] for corner in corners[1:]]
     if not edges:
         return np.ones(len(corners[0]))
@@ -52,7 +52,7 @@ def _content(corners: list[np.ndarray]) -> np.ndarray:
 
 
 def normals(corners: np.ndarray) -> np.ndarray:
-    """Computes normals (k, d) of segments or triangles (k, d, d), as long as the segment or twice the area."""
+    """Computes normals (k, d) of segments or triangles (k, d, d), of length or twice the area."""
     edges = corners[:, 1:] - corners[:, :1]
     return edges[:, 0, ::-1] * [1, -1] if edges.shape[1] == 1 else cross(edges[:, 0], edges[:, 1])
 

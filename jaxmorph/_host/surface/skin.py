@@ -14,9 +14,10 @@ from .walls import outward
 FacesByType = Mapping[str, np.ndarray] | None
 
 RINGS, BEYOND = (40, 80), 1.1
-"""Radii of rings at which a body's field comes to rest, relative to the distance of its ends from its middle.
+"""Radii of rings at which a body's field comes to rest.
 
-A far field has rings if it is `BEYOND` times as far away as the last ring.
+They are relative to the distance of the body's ends from its middle. A far field has rings if it is
+`BEYOND` times as far away as the last ring.
 """
 
 SIDES = 64
@@ -27,7 +28,7 @@ APART = {2: 0.6, 3: 0.8}
 
 
 def edges(points: np.ndarray, moving: int, faces: FacesByType = None) -> np.ndarray:
-    """Lists pairs (e, 2) of neighbouring rows among the first `moving` rows of the surface, no pair twice.
+    """Lists pairs (e, 2) of neighbouring rows among the first `moving` surface rows, each once.
 
     Pairs are the sides of the `faces`; without faces, neighbours by distance. Pairs that coincide
     are left out.
@@ -50,7 +51,7 @@ def _sides(faces: FacesByType, moving: int) -> np.ndarray:
 
 
 def _neighbours(points: np.ndarray) -> np.ndarray:
-    """Pairs a node with its nearest node and the nearest node behind it (2-D), or with its six nearest nodes (3-D)."""
+    """Pairs a node with its nearest and the nearest behind it (2-D), or its six nearest (3-D)."""
     first = distinct(points)[0]
     unique = points[first]
     count = min(6, len(unique) - 1)
@@ -96,7 +97,7 @@ def chords(points: np.ndarray, wall: np.ndarray, faces: FacesByType = None) -> t
 
 
 def thicknesses(points: np.ndarray, wall: np.ndarray, faces: FacesByType, ends: np.ndarray) -> np.ndarray:
-    """Measures the relative thickness (w,) of walls in 2-D: area over half of the length, over the distance of the `ends`.
+    """Measures relative thickness (w,) of walls in 2-D: 2 area / length, over the `ends`' distance.
 
     It is infinite for a wall that is not closed, and without faces.
     """
@@ -135,7 +136,7 @@ def _shares(points: np.ndarray, faces: FacesByType) -> np.ndarray:
 
 
 def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Finds, for every edge (e,), the nearest row that is fixed or on another wall; without one, the edge's first row."""
+    """Finds each edge's (e,) nearest row fixed or on another wall; else the edge's first row."""
     middle = points[pairs].mean(axis=1)
     nearest = pairs[:, 0].copy()
     label_of_edge = wall[pairs[:, 0]]
@@ -148,7 +149,7 @@ def nearest_held(points: np.ndarray, moving: int, wall: np.ndarray, pairs: np.nd
 
 
 def drawn_in(surface: np.ndarray, moving: np.ndarray, fixed: np.ndarray, images: np.ndarray) -> tuple:
-    """Finds distant fixed sources, and the shares of the way to them at which the field comes to rest.
+    """Finds distant fixed sources, and shares of the way to them where the field comes to rest.
 
     The way begins at the middle of the moving sources. Few directions, with their mirror images,
     are enough.
@@ -188,7 +189,10 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
 
 
 def has_free_faces(points: np.ndarray, faces: Mapping[str, np.ndarray], is_held: np.ndarray) -> bool:
-    """Checks whether boundary faces have corners that are not held (n,). Coincident faces, the sides of a cut, do not count."""
+    """Checks whether boundary faces have corners that are not held (n,).
+
+    Coincident faces, the sides of a cut, do not count.
+    """
     free = [corners[~is_held[corners].all(axis=1)] for corners in faces.values()]
     middles = np.concatenate([points[corners].mean(axis=1) for corners in free])
     distance = np.full(len(middles), np.inf)

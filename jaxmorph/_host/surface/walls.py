@@ -1,4 +1,4 @@
-"""Walls of a surface: by the faces between its nodes, or by chains of nearest neighbours if no faces are known."""
+"""Walls of a surface: by faces between its nodes, or by chains of nearest neighbours."""
 
 from collections.abc import Mapping
 
@@ -14,10 +14,10 @@ SHARP = np.cos(np.deg2rad(45))
 """Cosine of the angle at a concave corner from which on its two faces belong to different walls."""
 
 REACH = 1.5
-"""Distance within which nodes are neighbours, relative to that of the eighth nearest node (second nearest in 2-D)."""
+"""Distance of neighbours, relative to that of the eighth nearest node (2-D: second nearest)."""
 
 CURVED = 4
-"""Most nodes of a curve, relative to its extent over the distance of the nearest node; a surface has far more."""
+"""Most nodes of a curve, as its extent over the nearest node's distance; surfaces have more."""
 
 SAMPLE = 16
 """Nodes of a curve that vote for the next part."""
@@ -32,7 +32,7 @@ def walls(
     faces: Mapping[str, np.ndarray] | None = None,
     in_planes: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Numbers the walls, and returns the wall (b,) of every surface node; the first `moving` nodes move.
+    """Numbers the walls; returns each surface node's wall (b,); the first `moving` nodes move.
 
     Moving and fixed nodes are on different walls, even where they touch. `faces` are rows of
     `points`, counterclockwise as seen from outside of the mesh. With faces, a wall continues from a
@@ -61,7 +61,7 @@ def walls(
 
 
 def _in_order(faces: np.ndarray) -> np.ndarray:
-    """Sorts faces (k, c) by their nodes, lowest node first, so that walls do not depend on the order of the faces."""
+    """Sorts faces (k, c) by their nodes: walls do not depend on the order of the faces."""
     if faces.shape[1] > 2:  # a turned edge would be seen from inside
         turn = faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])
         faces = np.take_along_axis(faces, turn % faces.shape[1], axis=1)
@@ -69,7 +69,10 @@ def _in_order(faces: np.ndarray) -> np.ndarray:
 
 
 def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Reverses all faces of a closed boundary if they enclose a negative area or volume: the cells are numbered clockwise."""
+    """Reverses all faces of a closed boundary that encloses a negative area or volume.
+
+    Its cells are numbered clockwise.
+    """
     origin, enclosed = points.mean(axis=0), 0.0
     for corners in faces.values():
         x = points[corners] - origin
@@ -101,14 +104,17 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
 
 
 def outward(corners: np.ndarray) -> np.ndarray:
-    """Computes outward normals (k, d) of faces (k, corners, d), as long as the face's area, or length in 2-D."""
+    """Computes outward normals (k, d) of faces (k, corners, d).
+
+    A normal is as long as the face's area, or its length in 2-D.
+    """
     if corners.shape[1] == 2:
         return normals(corners)
     return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2
 
 
 def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds pairs of faces that share an edge (a node in 2-D), and marks pairs with opposite senses along the edge.
+    """Finds pairs of faces that share an edge (2-D: node), and marks opposite senses along it.
 
     Faces of a consistent surface have opposite senses. Faces are numbered through all groups.
     """
@@ -170,7 +176,10 @@ def _next_to_curves(points: np.ndarray, label: np.ndarray, spacing: np.ndarray) 
 
 
 def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: np.ndarray, around: np.ndarray) -> list:
-    """Pairs a curve with the nearest part, by the vote of its sample, on both sides; `around` lists nodes to search."""
+    """Pairs a curve with the nearest part on both sides, by the vote of its sample.
+
+    `around` lists the nodes to search.
+    """
     curve = label[members[0]]
     offsets = points[around] - sample[:, None]
     distance = np.where(label[around] == curve, np.inf, np.linalg.norm(offsets, axis=2))
@@ -188,7 +197,10 @@ def _votes(points: np.ndarray, label: np.ndarray, members: np.ndarray, sample: n
 
 
 def _across(curve: np.ndarray, offsets: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Finds the direction across a curve: the normal of its plane; for a straight curve, towards the nearest other node."""
+    """Finds the direction across a curve.
+
+    It is the normal of its plane; for a straight curve, it points to the nearest other node.
+    """
     size, axes = np.linalg.svd(curve - curve.mean(axis=0), full_matrices=False)[1:]
     if size[1] > 0.01 * size[0]:
         return axes[-1]

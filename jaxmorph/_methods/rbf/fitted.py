@@ -37,7 +37,8 @@ class FittedRBF(AbstractMethod):
     moving sources; at the fixed sources v is u. The field c_v is then the best fit, in least
     squares over nodes i and edges e of the moving walls:
 
-        mean_i |c_v - u|^2  +  mean_e mu^2 |d/ds (c_v - u)|^2  +  mean_e ell^2 2 |dev sym grad c_v|^2
+        mean_i |c_v - u|^2  +  mean_e mu^2 |d/ds (c_v - u)|^2  +  mean_e ell^2 2 |dev sym grad
+        c_v|^2
 
     d/ds is the derivative along an edge, and dev sym grad the deviatoric strain at its middle. The
     first two terms follow value and slope along the wall. The third term lets the field carry the

@@ -1,4 +1,4 @@
-"""A surface that a solver defines by points and faces, and the linear map from its motion to that of a mesh's wall."""
+"""A solver's surface of points and faces, and the linear map from its motion to the wall's."""
 
 import dataclasses
 from typing import Any
@@ -12,35 +12,37 @@ from scipy.spatial import KDTree
 SAME = 1e-12
 """Distance of two points that are one, as a share of the surface's extent."""
 AT = 1e-6
-"""Distance within which a wall node is a point of the surface, as a share of the spacing of its points."""
+"""Distance of a wall node that is a surface point, as a share of the points' spacing."""
 NEAR = 0.1
-"""Distance from a face within which a node belongs to it, as a share of its longest edge: facets cut corners."""
+"""Distance of a node that belongs to a face, as a share of its longest edge: facets cut corners."""
 MOST = 1 << 12
 """Nodes whose candidates among the faces are looked at together."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Definition:
-    """Holds a surface: points (s, 3) of all processes, one process after the other, and triangles (t, 3) between them."""
+    """A surface: points (s, 3) of all processes in turn, and triangles (t, 3) between them."""
 
     points: Float[np.ndarray, "s 3"]
     triangles: Int[np.ndarray, "t 3"]
 
     @staticmethod
     def gathered(comm: Any, points: np.ndarray, conn: np.ndarray, sizes: np.ndarray) -> "Definition":
-        """Gathers what each process defines: points (k, 3), the corners of faces in one list, and how many each face has."""
+        """Gathers each process' points (k, 3), corners of faces in one list, and their counts."""
         shares = comm.allgather((points, _triangles(conn, sizes)))
         firsts = np.cumsum([0, *(len(share[0]) for share in shares)])
         corners = [share[1] + first for share, first in zip(shares, firsts, strict=False)]
         return Definition(np.concatenate([share[0] for share in shares]), np.concatenate(corners))
 
     def weights(self, x: Float[np.ndarray, "k 3"]) -> tuple[Any, np.ndarray, np.ndarray]:
-        """Computes the weights (k, s), a sparse matrix, by which the surface's points move nodes `x`.
+        """Computes sparse weights (k, s) by which the surface's points move nodes `x`.
 
-        A node at a point of the surface moves with it; where several points are at one place, with their mean. Another node moves
-        as the closest point of the faces does, or as the three nearest points where there are no faces. Rows sum to one.
+        A node at a point of the surface moves with it; where several points are at one place, with
+        their mean. Another node moves as the closest point of the faces does, or as the three
+        nearest points where there are no faces. Rows sum to one.
 
-        **Returns:** the weights, each node's distance (k,) from the surface, and the distance (k,) beyond which it is not on it.
+        **Returns:** the weights, each node's distance (k,) from the surface, and the distance (k,)
+        beyond which it is not on it.
         """
         place, at = self._places()
         tree = KDTree(place)
@@ -61,7 +63,7 @@ class Definition:
         return of_places @ means, away, limit
 
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Finds the places (g, 3) of the points, and the place's row (s,) of each: solvers repeat points between faces."""
+        """Finds the points' places (g, 3), and each point's place (s,): solvers repeat points."""
         place, at = np.unique(self.points, axis=0, return_inverse=True)
         pairs = KDTree(place).query_pairs(SAME * np.ptp(place, axis=0).max(), output_type="ndarray")
         ones = np.ones(len(pairs), bool)
@@ -94,7 +96,7 @@ def _padded(values: np.ndarray) -> np.ndarray:
 
 
 def _inverse(distance: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Computes shares by inverse squared distance; all of it for a point at less than the `least` distance."""
+    """Computes shares by inverse squared distance; all for a point nearer than `least`."""
     shares = 1 / np.maximum(distance, np.finfo(float).tiny ** 0.25) ** 2
     shares = np.where(distance[:, :1] <= least[:, None], np.arange(distance.shape[1]) == 0, shares)
     return shares / shares.sum(axis=1, keepdims=True)
@@ -105,9 +107,10 @@ def _edges(corners: np.ndarray) -> np.ndarray:
 
 
 def _closest(x: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds the closest triangle (k,) of `corners` (t, 3, 3) for each of `x`, the weights (k, 3) of its corners, the distance.
+    """Finds the closest triangle (k,) of `corners` (t, 3, 3) for `x`, weights (k, 3), distance.
 
-    Triangles of like size are looked at together, so that a few long ones do not make candidates of all.
+    Triangles of like size are looked at together, so that a few long ones do not make candidates of
+    all.
     """
     bound = np.asarray(KDTree(corners.reshape(-1, 3)).query(x)[0])
     middle = corners.mean(axis=1)
@@ -133,7 +136,7 @@ def _closest(x: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _on_triangles(x: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Computes the weights (k, 3) of each triangle's closest point to `x`, inside or on an edge, and its distance (k,)."""
+    """Computes weights (k, 3) of each triangle's closest point to `x`, and its distance (k,)."""
     a, b, c = (corners[:, k] for k in range(3))
     normal = np.cross(b - a, c - a)
     squared = np.sum(normal**2, axis=1)

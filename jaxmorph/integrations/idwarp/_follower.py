@@ -42,7 +42,7 @@ class Follower:
             return self.piece.pushforward(self._u(self._displacement()), self._u(tangent))
 
     def pullback(self, cotangent: np.ndarray) -> np.ndarray:
-        """Pulls back a derivative by the nodes of all processes: those of a node that several have add up."""
+        """Pulls back a derivative by all processes' nodes: those of a shared node add up."""
         with doubles():
             share = self.copies.pullback(self._u(self._displacement()), cotangent)
         moving = np.zeros((self.weights.shape[0], 3))

@@ -1,4 +1,4 @@
-"""A grid file in the processes of an MPI run: the nodes that each has, the order of the file, and a solver's own order."""
+"""A grid file in MPI processes: each one's nodes, the file's order, and a solver's order."""
 
 import dataclasses
 import pathlib
@@ -16,12 +16,17 @@ from .._shared import together
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Grid:
-    """Holds what this process has of a grid in 3-D. The coordinates of all processes, one after the other, are the file's.
+    """Holds what this process has of a grid in 3-D.
+
+    The coordinates of all processes, one after the other, are the file's.
 
     - `points` (n, 3), `nodes` (n,): coordinates, and ids in the whole mesh.
-    - `rows` (k,): the row of `points` of each node that the file lists, as far as it is this process'. Blocks repeat nodes.
-    - `mesh`: the whole mesh in the first process and None in others; or the part of a decomposed case that this process has.
-    - `outside`: the mesh of the first process by whose patches the surface is prepared; None in others.
+    - `rows` (k,): the row of `points` of each node that the file lists, as far as it is this
+      process'. Blocks repeat nodes.
+    - `mesh`: the whole mesh in the first process and None in others; or the part of a decomposed
+      case that this process has.
+    - `outside`: the mesh of the first process by whose patches the surface is prepared; None in
+      others.
     - `case`: the decomposed case.
     """
 
@@ -35,7 +40,7 @@ class Grid:
 
     @staticmethod
     def read(comm: Any, path: str) -> "Grid":
-        """Reads a file, or a case of OpenFOAM: of several processes each reads its folder processor* where there are any."""
+        """Reads a file or OpenFOAM case; several processes read their processor* folders."""
         if comm.size > 1 and any(comm.allgather(bool([*pathlib.Path(path).glob("processor*")]))):
             return Grid._decomposed(comm, path)
 
@@ -67,7 +72,7 @@ class Grid:
 
     @property
     def known(self) -> dict[str, Any]:
-        """Keywords of `prepare_surface` for `outside`: ids of nodes and faces of a decomposed case."""
+        """Keywords of `prepare_surface` for `outside`: nodes and faces of a decomposed case."""
         if self.case is None or self.outside is None:
             return {}
         return {"nodes": io.global_nodes(self.outside), "faces": self.outside.cells}
@@ -102,7 +107,7 @@ class Grid:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SolverOrder:
-    """Takes coordinates from the list of all processes, one after the other, to the list that each process' solver has, and back.
+    """Takes coordinates from the list of all processes to the solver's list of each, and back.
 
     - `count`: the numbers that this process has of the list of all.
     - `sent`: places of them that go to each process, in its order.
@@ -164,14 +169,17 @@ def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
 
 
 def communicator(comm: Any) -> Any:
-    """Returns the communicator, that of all processes by default. Raises `ValueError` for anything else."""
+    """Returns the communicator, that of all processes by default.
+
+    Raises `ValueError` for anything else.
+    """
     if comm is not None and not hasattr(comm, "allgather"):
         raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {comm!r}.")
     return mpi.MPI.COMM_WORLD if comm is None else comm
 
 
 def surface_blocks(comm: Any, path: str) -> tuple[np.ndarray, np.ndarray]:
-    """Reads the points (k, 3) and quadrilaterals (q, 4) of a surface in PLOT3D's blocks; in the first process alone."""
+    """Reads a PLOT3D surface's points (k, 3) and quadrilaterals (q, 4); in the first process."""
     if comm.rank:
         return np.zeros((0, 3)), np.zeros((0, 4), int)
     mesh = io.read(path)

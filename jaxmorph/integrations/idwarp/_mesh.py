@@ -20,27 +20,32 @@ from ._walls import walls_of
 
 
 class USMesh:
-    """Moves a volume mesh as its surface moves, called as `idwarp.USMesh` is: one line of imports is what changes.
+    """Moves a volume mesh as its surface moves, called as `idwarp.USMesh`: one import changes.
 
-    Processes of an MPI run call it together. Arrays are NumPy's and float64, whatever JAX's mode is.
+    Processes of an MPI run call it together. Arrays are NumPy's and float64, whatever JAX's mode
+    is.
 
-    - A solver that calls `setExternalMeshIndices` and `setSurfaceDefinition` speaks in its own order of nodes. Its surface may have
-      other points than the mesh's wall: this follows by a linear map.
-    - Without a definition the surface is the nodes of the wall patches, or of `specifiedSurfaces`, each once, in the file's order.
-      The first process has all of a file; with folders `processor*` each has its own.
-    - Nodes of patches that are neither walls nor symmetry planes are fixed. IDWarp lets them follow.
+    - A solver that calls `setExternalMeshIndices` and `setSurfaceDefinition` speaks in its own
+      order of nodes. Its surface may have other points than the mesh's wall: this follows by a
+      linear map.
+    - Without a definition the surface is the nodes of the wall patches, or of `specifiedSurfaces`,
+      each once, in the file's order. The first process has all of a file; with folders `processor*`
+      each has its own.
+    - Nodes of patches that are neither walls nor symmetry planes are fixed. IDWarp lets them
+      follow.
 
     **Arguments:**
 
-    - `options`: IDWarp's options by name, in any case. `useRotations` chooses IDWarp's method, `InverseDistance(rotations=...)`,
-      with `aExp`, `bExp` and `alpha`. Without it the method is `prepare`'s default, or IDWarp's where patches are overset and
-      none is fixed. `symmTol` is the distance within which nodes lie on `symmetryPlanes`. Without planes they come from the file.
+    - `options`: IDWarp's options by name, in any case. `useRotations` chooses IDWarp's method,
+      `InverseDistance(rotations=...)`, with `aExp`, `bExp` and `alpha`. Without it the method is
+      `prepare`'s default, or IDWarp's where patches are overset and none is fixed. `symmTol` is the
+      distance within which nodes lie on `symmetryPlanes`. Without planes they come from the file.
       Options without a counterpart are named in one warning.
     - `comm`: the communicator. Default: that of all processes.
     - `debug`: IDWarp's; nothing here depends on it.
 
-    **Raises:** `ValueError`, in every process, for an option that IDWarp does not have, for values of another type, for a mesh in
-    2-D, and for what `jaxmorph.io.read` refuses.
+    **Raises:** `ValueError`, in every process, for an option that IDWarp does not have, for values
+    of another type, for a mesh in 2-D, and for what `jaxmorph.io.read` refuses.
     """
 
     def __init__(self, options: Mapping[str, Any] | None = None, comm: Any = None, debug: bool = False):
@@ -69,15 +74,15 @@ class USMesh:
         return self._defined().coordinates.copy()
 
     def setSurfaceCoordinates(self, coordinates: Any) -> None:
-        """Sets the points of the surface, in the order of `getSurfaceCoordinates`; `warpMesh` then moves the mesh."""
+        """Sets the surface's points, as `getSurfaceCoordinates` orders them; `warpMesh` moves."""
         surface = self._defined()
         surface.coordinates = self._rows("coordinates", coordinates)
 
     def setSurfaceDefinition(self, pts: Any, conn: Any, faceSizes: Any, cgnsBlockID: Any = None) -> None:
-        """Defines the surface by points (k, 3) of this process and faces between them; points at one place are one.
+        """Defines the surface by this process' points (k, 3) and faces; equal points are one.
 
-        Wall nodes at its points move with them. Others move as the closest point of its faces; without faces as the three points
-        that are nearest.
+        Wall nodes at its points move with them. Others move as the closest point of its faces;
+        without faces as the three points that are nearest.
 
         **Arguments:**
 
@@ -86,7 +91,8 @@ class USMesh:
         - `faceSizes`: how many of them each face has.
         - `cgnsBlockID`: IDWarp's; nothing here depends on it.
 
-        **Raises:** `ValueError`, in every process, for other shapes, and for a surface on which no patch of the mesh lies.
+        **Raises:** `ValueError`, in every process, for other shapes, and for a surface on which no
+        patch of the mesh lies.
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
         self._define(points, corners, sizes, is_own=False)
@@ -97,11 +103,11 @@ class USMesh:
         self.setSurfaceDefinition(points, corners.ravel(), np.full(len(corners), 4))
 
     def setSurfaceFromFile(self, surfFile: str) -> None:
-        """Sets the points of the surface from a file with the blocks of that of `setSurfaceDefinitionFromFile`."""
+        """Sets the surface's points from a file in blocks as `setSurfaceDefinitionFromFile`'s."""
         self.setSurfaceCoordinates(together(self.comm, lambda: surface_blocks(self.comm, surfFile))[0])
 
     def setExternalMeshIndices(self, ind: Any) -> None:
-        """Sets which coordinates of the file's list this process' solver has, three for each node, counted from 0.
+        """Sets the file's coordinates that this process' solver has, three a node, counted from 0.
 
         The list is that of `getCommonGrid` of all processes, one after the other.
         """
@@ -112,7 +118,7 @@ class USMesh:
         return self._solver().to_solver(self.getCommonGrid())
 
     def getCommonGrid(self) -> Float[np.ndarray, " c"]:
-        """Returns the coordinates of the moved mesh in the order of the file, as far as they are this process'."""
+        """Returns this process' coordinates of the moved mesh in the file's order."""
         return self._grid.listed(self._moved)
 
     def getWarpGrid(self) -> Float[np.ndarray, " c"]:
@@ -124,11 +130,12 @@ class USMesh:
         self._moved = self._defined().deform()
 
     def warpDeriv(self, dXv: Any, solverVec: bool = True) -> None:
-        """Pulls the derivative by the mesh's coordinates back to the surface's points; `getdXs` returns it.
+        """Pulls the derivative by mesh coordinates back to the surface's points; see `getdXs`.
 
         **Arguments:**
 
-        - `dXv`: the derivative, in the order of `getSolverGrid`, or of `getCommonGrid`. Contributions of processes add up.
+        - `dXv`: the derivative, in the order of `getSolverGrid`, or of `getCommonGrid`.
+          Contributions of processes add up.
         - `solverVec`: whether its order is the solver's. Default True.
         """
         surface = self._defined()
@@ -141,8 +148,8 @@ class USMesh:
     def warpDerivFwd(self, dXs: Any, solverVec: bool = True) -> Float[np.ndarray, " c"]:
         """Pushes a change of the surface's points (k, 3) forward to the mesh's coordinates.
 
-        It moves the mesh too, as IDWarp does. The result is in the order of `getSolverGrid`, or of `getCommonGrid` where
-        `solverVec` is False.
+        It moves the mesh too, as IDWarp does. The result is in the order of `getSolverGrid`, or of
+        `getCommonGrid` where `solverVec` is False.
         """
         tangent = self._rows("dXs", np.reshape(np.asarray(dXs, float), (-1, 3)))
         self.warpMesh()
@@ -158,12 +165,13 @@ class USMesh:
         h: float = 1e-6,
         randomSeed: int = 314,
     ) -> float:
-        """Compares `warpDeriv` with central differences, and prints a line for each coordinate of the surface's points.
+        """Compares `warpDeriv` with central differences, and prints a line for each coordinate.
 
         **Arguments:**
 
         - `dXv`, `solverVec`: those of `warpDeriv`. Default: random numbers.
-        - `dofStart`, `dofEnd`: the first coordinate and that after the last, counted over the points of all processes.
+        - `dofStart`, `dofEnd`: the first coordinate and that after the last, counted over the
+          points of all processes.
         - `h`: the step, in the mesh's unit.
         - `randomSeed`: of the random numbers.
 
@@ -185,7 +193,7 @@ class USMesh:
         return worst / scale if scale else worst
 
     def writeGrid(self, fileName: str | None = None) -> None:
-        """Writes the moved mesh: a new file in the format of `gridFile`, or a new case or time folder of OpenFOAM.
+        """Writes the moved mesh: a file in `gridFile`'s format, or an OpenFOAM case or time.
 
         It raises `ValueError` without a name, of OpenFOAM too: what was read is never overwritten.
         """
@@ -200,7 +208,8 @@ class USMesh:
     def setOption(self, name: str, value: Any) -> None:
         """Sets an option; it holds for the surface that is defined next.
 
-        It raises `ValueError` where the surface is there, or the grid is read, and the option belongs to it.
+        It raises `ValueError` where the surface is there, or the grid is read, and the option
+        belongs to it.
         """
         name = name_of(name)
         if name in FILE or (name not in WITHOUT and self._surface is not None):
@@ -215,7 +224,7 @@ class USMesh:
 
     @property
     def warp(self) -> Any:
-        """The numbers of coordinates of this process, called as in IDWarp's compiled module: `warp.griddata.warpmeshdof`."""
+        """Numbers of this process' coordinates, called as `warp.griddata.warpmeshdof` in IDWarp."""
         count = 3 * len(self._grid.rows)
         solvers = 0 if self._order is None else self._order.size
         sizes = types.SimpleNamespace(commonmeshdof=count, warpmeshdof=count, solvermeshdof=solvers)

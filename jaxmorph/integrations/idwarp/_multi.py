@@ -20,10 +20,11 @@ from ._mesh import USMesh
 
 
 class MultiUSMesh:
-    """Moves grids that overlap in one CGNS file, called as `idwarp.MultiUSMesh` is. cgns_utils is not needed.
+    """Moves overlapping grids in one CGNS file, called as `idwarp.MultiUSMesh`, without cgns_utils.
 
-    A grid is the zones `wing.00000`, `wing.00001`, ... of one name before the last dot. Each grid that `optionsDict` names is a
-    `USMesh`, and moves with the part of the surface that lies in its zones. The others stay.
+    A grid is the zones `wing.00000`, `wing.00001`, ... of one name before the last dot. Each grid
+    that `optionsDict` names is a `USMesh`, and moves with the part of the surface that lies in its
+    zones. The others stay.
 
     **Arguments:**
 
@@ -58,7 +59,7 @@ class MultiUSMesh:
         self._coordinates = np.zeros((0, 3))
 
     def setExternalMeshIndices(self, ind: Any) -> None:
-        """Sets which coordinates of the file's list this process' solver has, three for each node, counted from 0."""
+        """Sets the file's coordinates that this process' solver has, three a node, from 0."""
         self._order = solver_order(self.comm, 3 * len(self._whole.rows), ind)
         grid, own = self._zones.own(np.asarray(ind, dtype=np.int64))
         self._chosen = [np.flatnonzero(grid == k) for k in range(len(self.meshes))]
@@ -70,7 +71,8 @@ class MultiUSMesh:
     ) -> None:
         """Defines the surface as `USMesh` does.
 
-        - `cgnsBlockIDs`: the zone of each face, counted from 0. Faces of grids that stay do not move.
+        - `cgnsBlockIDs`: the zone of each face, counted from 0. Faces of grids that stay do not
+          move.
         - `distTol`: IDWarp's; nothing here depends on it.
         """
         points, corners, sizes = together(self.comm, lambda: faces(pts, conn, faceSizes))
@@ -89,7 +91,7 @@ class MultiUSMesh:
         return self._coordinates.copy()
 
     def setSurfaceCoordinates(self, pts: Any) -> None:
-        """Sets the points of the surface, in the order of `getSurfaceCoordinates`; `warpMesh` then moves the grids."""
+        """Sets the surface's points, as `getSurfaceCoordinates` orders them; `warpMesh` moves."""
         points = self._given("pts", pts)
         for rows, mesh in zip(self._defined(), self.meshes, strict=True):
             mesh.setSurfaceCoordinates(points[rows])
@@ -107,12 +109,12 @@ class MultiUSMesh:
         return grid
 
     def getWarpGrid(self) -> tuple[list[Float[np.ndarray, " c"]], int]:
-        """Returns what `getCommonGrid` does of each grid that moves, and the number of coordinates of all processes."""
+        """Returns `getCommonGrid` of each moving grid, and the count of all coordinates."""
         grids = [mesh.getCommonGrid() for mesh in self.meshes]
         return grids, self.comm.allreduce(sum(map(len, grids)))
 
     def warpDeriv(self, dXv: Any, solverVec: bool = True) -> Float[np.ndarray, "k 3"]:
-        """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3), and returns it.
+        """Pulls the derivative by the solver's coordinates back to the surface's points (k, 3).
 
         It raises `ValueError` for `solverVec=False`: the file's order is that of each grid alone.
         """
@@ -138,7 +140,10 @@ class MultiUSMesh:
         return change
 
     def writeGrid(self, baseName: str = "IDWarpMulti") -> None:
-        """Writes `baseName`.cgns, a copy of the file with all grids as they moved. IDWarp writes a file for each."""
+        """Writes `baseName`.cgns, a copy of the file with all grids as they moved.
+
+        IDWarp writes a file for each.
+        """
         shares = [self.comm.gather(mesh.getCommonGrid().reshape(-1, 3)) for mesh in self.meshes]
 
         def write() -> None:
@@ -168,7 +173,7 @@ class MultiUSMesh:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Zones:
-    """The zones of a file: the number of nodes of each, and the grid that it belongs to: a place in `names`, or -1."""
+    """Zones of a file: each one's number of nodes, and its grid, a place in `names`, or -1."""
 
     names: list[str]
     counts: Int[np.ndarray, " z"]
@@ -188,7 +193,7 @@ class _Zones:
         return np.repeat(self.grid, self.counts)
 
     def own(self, indices: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-        """Finds the grid of coordinates of the file, and their numbers among the coordinates of this grid."""
+        """Finds the grid of the file's coordinates, and their numbers within the grid."""
         first, within = np.cumsum(self.counts) - self.counts, np.zeros_like(self.counts)
         for k in range(-1, len(self.names)):
             counts = self.counts[self.grid == k]

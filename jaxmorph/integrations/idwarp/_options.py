@@ -62,7 +62,10 @@ def changed(options: Mapping[str, Any], name: str, value: Any) -> dict[str, Any]
 
 
 def name_of(name: str) -> str:
-    """Finds an option by its name in whatever case. Raises `ValueError` for a name that IDWarp does not have."""
+    """Finds an option by its name in whatever case.
+
+    Raises `ValueError` for a name that IDWarp does not have.
+    """
     known = {option.lower(): option for option in OPTIONS}
     if not isinstance(name, str) or name.lower() not in known:
         raise ValueError(f"`options`: IDWarp has no option {name}; it has {', '.join(OPTIONS)}.")
@@ -97,7 +100,10 @@ def warn_of(options: Mapping[str, Any]) -> None:
 
 
 def method(options: Mapping[str, Any], is_loose: bool) -> jm.AbstractMethod | None:
-    """Makes the method; None is the default of `prepare`, which is not for a mesh that `is_loose`: free, and fixed nowhere."""
+    """Makes the method; None is `prepare`'s default.
+
+    The default is not for a mesh that `is_loose`: free, and fixed nowhere.
+    """
     turns = options["useRotations"]
     if turns is None and not is_loose:
         return None

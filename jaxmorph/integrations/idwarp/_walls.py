@@ -1,4 +1,4 @@
-"""Patches of a mesh by what becomes of their nodes: they move with a surface, slide in symmetry planes, or are fixed."""
+"""Patches by what becomes of their nodes: they move, slide in symmetry planes, or are fixed."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -33,10 +33,11 @@ class Walls:
     free: tuple[str, ...]
 
     def moving(self, definition: Definition, is_own: bool) -> tuple[np.ndarray, Any]:
-        """Finds the nodes (m,) of the mesh that move, ascending, and the weights (m, s) by which the surface moves them.
+        """Finds the mesh's moving nodes (m,), ascending, and the surface's weights (m, s) of them.
 
-        `is_own` says that the surface is the nodes of `walls`. Otherwise it is that of a solver. Patches with half of their nodes
-        on its faces then belong to it, walls alone where there are such ones; their nodes on its faces move.
+        `is_own` says that the surface is the nodes of `walls`. Otherwise it is that of a solver.
+        Patches with half of their nodes on its faces then belong to it, walls alone where there are
+        such ones; their nodes on its faces move.
         """
         points = np.asarray(self.mesh.points, dtype=float)
         if is_own:
@@ -63,7 +64,10 @@ class Walls:
         return nodes[is_on] if is_on.mean() >= PART else nodes[:0]
 
     def half(self, moving: np.ndarray, options: Mapping[str, Any], known: Mapping[str, Any]) -> jm.SurfaceHalf:
-        """Prepares the surface. Other patches are fixed, except symmetry, periodic and overset patches."""
+        """Prepares the surface.
+
+        Other patches are fixed, except symmetry, periodic and overset patches.
+        """
         periodic = io.periodic(self.mesh)
         loose = {*self.flat, *self.free, *(str(name) for each in periodic for name in (each.patch, each.partner))}
         fixed = self.mesh.patch(*(name for name in self.mesh.patches if name not in loose))
@@ -75,7 +79,10 @@ class Walls:
 
 
 def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:
-    """Sorts the patches of a mesh. Raises `ValueError`, with the patches there are, for a name that is none of them."""
+    """Sorts the patches of a mesh.
+
+    Raises `ValueError`, with the patches there are, for a name that is none of them.
+    """
     kinds = _kinds(mesh)
     specified, flat = (_named(mesh, options[name], name) for name in ("specifiedSurfaces", "symmetrySurfaces"))
     walls = tuple(name for name, kind in kinds.items() if kind == "wall") if specified is None else specified
@@ -92,7 +99,7 @@ def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:
 
 
 def _kinds(mesh: jm.Mesh) -> dict[str, str]:
-    """Sorts patches into wall, symmetry, overset and others: by what the file says that they are, else by their names."""
+    """Sorts patches into wall, symmetry, overset, others: by kind in the file, else by name."""
     words = {"sym": "symmetry", "wall": "wall", "overset": "overset"}
     kinds = {}
     for name in mesh.patches:

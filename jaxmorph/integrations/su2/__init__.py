@@ -1,4 +1,4 @@
-"""SU2's config files: the shape that SU2_DEF moves a wall by, its design variables and its patches."""
+"""SU2's config files: the shape that moves a wall, its design variables and its patches."""
 
 from ._config import Config as Config
 from ._config import read_config as read_config

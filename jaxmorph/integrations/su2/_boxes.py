@@ -1,4 +1,4 @@
-"""Free-form boxes of a config file and its mesh, and the design variables that move their control points."""
+"""Free-form boxes of a config file and its mesh, and variables that move control points."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from ._variables import Variable
 
 
 def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bool) -> tuple[io.Box, ...]:
-    """Lists the boxes of the mesh, or those of `FFD_DEFINITION` where it has none or `is_setting` asks for them.
+    """Lists the mesh's boxes; those of `FFD_DEFINITION` without any, or if `is_setting`.
 
     Raises `ValueError` for nested boxes, and for numbers that do not fit.
     """
@@ -67,7 +67,8 @@ def box_parts(
 ) -> list[BoxPart]:
     """Makes the parts of the variables that move control points, one for each box that they name.
 
-    `first` is the place of each variable's first value. Raises `ValueError` for a box that is not there.
+    `first` is the place of each variable's first value. Raises `ValueError` for a box that is not
+    there.
     """
     boxed = [k for k, variable in enumerate(listed) if variable.box]
     known = [box.name for box in boxes]

@@ -27,10 +27,12 @@ class Config:
     """A config file and its mesh: the shape that moves the wall, and the patches.
 
     - `mesh`: the mesh of `MESH_FILENAME`; `output` is the file of `MESH_OUT_FILENAME`.
-    - `shape`, `parameters`: moves the nodes `mesh.patch(*moving)` by values (n,); at `shape.neutral()` nothing moves.
+    - `shape`, `parameters`: moves the nodes `mesh.patch(*moving)` by values (n,); at
+      `shape.neutral()` nothing moves.
     - `moving`, `symmetry`, `fixed`: names of patches, `DV_MARKER`, `MARKER_SYM`, and all others.
     - `steps`: of `DEFORM_NONLINEAR_ITER`.
-    - `boxes`: free-form boxes of the mesh, or of `FFD_DEFINITION` where `DV_KIND` is `FFD_SETTING` or the mesh has none.
+    - `boxes`: free-form boxes of the mesh, or of `FFD_DEFINITION` where `DV_KIND` is `FFD_SETTING`
+      or the mesh has none.
     - `names`: of the design variables, as `shapes.names` has them for other shapes.
     - `options`: the options as text, by name.
     """
@@ -82,8 +84,8 @@ def read_config(path: str | os.PathLike[str], *, definition: bool = False) -> Co
     **Arguments:**
 
     - `path`: the config file; names of files in it are relative to its folder.
-    - `definition`: True takes the design variables of `DEFINITION_DV`, with its scales, at the values of `DV_VALUE_NEW` (else all
-      at rest). Default: those of `DV_KIND`.
+    - `definition`: True takes the design variables of `DEFINITION_DV`, with its scales, at the
+      values of `DV_VALUE_NEW` (else all at rest). Default: those of `DV_KIND`.
 
     **Returns:** a `Config`.
 

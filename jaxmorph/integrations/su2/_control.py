@@ -18,7 +18,8 @@ Fixed = tuple[frozenset[int], ...]
 class BoxPart(AbstractPart):
     """Moves nodes in a box by its control points.
 
-    The control points go through the variables in the order of the file, so that a rotation turns what those before it moved.
+    The control points go through the variables in the order of the file, so that a rotation turns
+    what those before it moved.
     """
 
     rows: tuple[int, ...] = eqx.field(static=True)
@@ -47,9 +48,10 @@ class BoxPart(AbstractPart):
 def box_part(
     box: io.Box, variables: Sequence[Variable], rows: Sequence[int], fixed: Fixed, length: float, places: np.ndarray
 ) -> BoxPart:
-    """Makes the part of one box. `places` are coordinates of the wall's nodes in it, NaN for those outside of it.
+    """Makes the part of one box.
 
-    Raises `ValueError` for numbers of control points that the box does not have.
+    `places` are coordinates of the wall's nodes in it, NaN for those outside of it. Raises
+    `ValueError` for numbers of control points that the box does not have.
     """
     for variable in variables:
         _check(variable, box)
@@ -115,7 +117,7 @@ def _moved(variable: Variable, values, control, fixed: Fixed, length: float) -> 
 
 
 def _twist(variable: Variable, values, control, fixed: Fixed, length: float) -> Float[Array, "..."]:
-    """Turns the control points of one plane about an axis along y, where a line meets that plane."""
+    """Turns one plane's control points about an axis along y, where a line meets the plane."""
     j, start, end = int(variable.numbers[0]), np.array(variable.numbers[1:4]), np.array(variable.numbers[4:7])
     rise = end[1] - start[1]
     height = control[0, j, 0, 1]
@@ -133,10 +135,10 @@ def _twist(variable: Variable, values, control, fixed: Fixed, length: float) -> 
 
 
 def _chosen(index: Sequence[float], counts: tuple[int, ...], fixed: Fixed) -> Bool[np.ndarray, "..."]:
-    """Marks the control points that move: -1 is all of a direction, and a plane that stays stays as SU2 has it.
+    """Marks control points that move: -1 is all of a direction, and a plane that stays, stays.
 
-    SU2 looks at planes of numbers that are named. Of a direction of all it leaves planes out in 3-D alone, and only where the
-    other two numbers are named.
+    SU2 looks at planes of numbers that are named. Of a direction of all it leaves planes out in 3-D
+    alone, and only where the other two numbers are named.
     """
     d = len(counts)
     chosen = np.zeros(counts, bool)

@@ -1,4 +1,4 @@
-"""The motion of a wall by SU2's design variables, each as SU2 states it; displacements of several are added."""
+"""The motion of a wall by SU2's design variables, as SU2 states each; displacements add up."""
 
 import abc
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ SIDED = ("HICKS_HENNE", "NACA_4DIGITS")
 
 
 class AbstractPart(eqx.Module):
-    """The displacement by some of the design variables; `rows` are their places among all values."""
+    """The displacement by some design variables; `rows` are their places among all values."""
 
     rows: eqx.AbstractVar[tuple[int, ...]]
 
@@ -32,10 +32,10 @@ class AbstractPart(eqx.Module):
 
 
 class DesignVariables(shapes.AbstractShape):
-    """The shape of a config file: it moves the nodes of `DV_MARKER` by the values of the design variables.
+    """A config file's shape: moves the nodes of `DV_MARKER` by the design variables' values.
 
-    The parameters (n,) are the values in the order of the file; a control point without a direction has one for each coordinate.
-    `names` are those of the variables, as messages have them.
+    The parameters (n,) are the values in the order of the file; a control point without a direction
+    has one for each coordinate. `names` are those of the variables, as messages have them.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -87,7 +87,7 @@ class Scale(AbstractPart):
 
 
 class Bumps(AbstractPart):
-    """Hicks-Henne bumps on one side of an airfoil of chord 1 from the origin; the lower side moves downwards."""
+    """Hicks-Henne bumps on one side of an airfoil of chord 1 from 0; below, they move downwards."""
 
     rows: tuple[int, ...] = eqx.field(static=True)
     shape: shapes.HicksHenne
@@ -99,7 +99,7 @@ class Bumps(AbstractPart):
 
 
 class Airfoil(AbstractPart):
-    """Puts nodes onto a NACA 4-digit airfoil at the x that they have; SU2 takes its numbers from `DV_PARAM`."""
+    """Puts nodes onto a NACA 4-digit airfoil at their x; the digits come from `DV_PARAM`."""
 
     rows: tuple[int, ...] = eqx.field(static=True)
     numbers: Float[Array, " 3"]
@@ -133,8 +133,8 @@ def simple_parts(
 ) -> list[AbstractPart]:
     """Makes the parts of all variables that need neither a box nor a file.
 
-    `first` is the place of each variable's first value. `normals` are those of the wall's nodes, out of the body, where `SIDED`
-    kinds need them.
+    `first` is the place of each variable's first value. `normals` are those of the wall's nodes,
+    out of the body, where `SIDED` kinds need them.
     """
     parts: list[AbstractPart] = []
     for side in (UPPER, LOWER, BOTH):
@@ -178,7 +178,7 @@ def _bumps(centres: list[float], rows: np.ndarray, side: int, normals: np.ndarra
 
 
 def check_alone(listed: Sequence[Variable]) -> None:
-    """Raises `ValueError` for kinds that SU2 takes only alone, beside others, and for boxes beside what is no box."""
+    """Raises `ValueError` for kinds that stand alone in SU2, and boxes beside other kinds."""
     kinds = {variable.kind for variable in listed if variable.kind not in ("ANGLE_OF_ATTACK", "FFD_ANGLE_OF_ATTACK")}
     for kind in ("NACA_4DIGITS", "SURFACE_FILE"):
         if kind in kinds and len(listed) > 1:

@@ -72,7 +72,10 @@ def split(text: str) -> list[str]:
 
 
 def read_options(path: pathlib.Path) -> Options:
-    """Reads a config file. Raises `ValueError` for a line that is no option, and for an option that comes twice."""
+    """Reads a config file.
+
+    Raises `ValueError` for a line that is no option, and for an option that comes twice.
+    """
     values: dict[str, str] = {}
     text = input_path(path).read_text(encoding="utf-8", errors="replace").removeprefix("\ufeff")
     lines = iter(enumerate(text.splitlines(), start=1))

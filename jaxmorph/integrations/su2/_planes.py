@@ -14,7 +14,8 @@ def planes(
 ) -> tuple[set[int], ...]:
     """Finds the planes that stay in each direction of a lattice.
 
-    `segments` are the edges and diagonals of the wall's faces. Raises `ValueError` for words that SU2 does not have.
+    `segments` are the edges and diagonals of the wall's faces. Raises `ValueError` for words that
+    SU2 does not have.
     """
     d, degrees = lattice.shape[-1], [count - 1 for count in lattice.shape[:-1]]
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)

@@ -44,12 +44,15 @@ NOTHING = ("NO_DEFORMATION", "FFD_SETTING")
 """Words of `DV_KIND` where nothing is to be deformed."""
 
 DIRECTIONS = {"FFD_CONTROL_POINT": (4, 3), "FFD_CONTROL_POINT_2D": (3, 2)}
-"""Place and length of the direction among the parameters of a control point; the variable has as many values where it is zero."""
+"""Place and length of the direction in a control point's parameters.
+
+Where the length is zero, the variable has as many values.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Variable:
-    """A design variable: its kind, the tag of its box, its parameters, the number of its values, and a factor of these."""
+    """A design variable: kind, box tag, parameters, number of values, and their factor."""
 
     kind: str
     box: str
@@ -59,9 +62,10 @@ class Variable:
 
 
 def variables(options: Options, definition: bool) -> tuple[list[Variable], list[str]]:
-    """Lists the design variables, and the markers that they move. `definition` is for those of `DEFINITION_DV`.
+    """Lists the design variables, and the markers that they move.
 
-    Raises `ValueError` for kinds that are not taken, each by its name, and for wrong numbers of parameters.
+    `definition` is for those of `DEFINITION_DV`. Raises `ValueError` for kinds that are not taken,
+    each by its name, and for wrong numbers of parameters.
     """
     if definition:
         return _definition(options)

@@ -1,7 +1,8 @@
-"""ADF, the older of the two files that CGNS is kept in: its tree of nodes, with the names that h5py has for HDF5's.
+"""ADF, the older file format of CGNS: its tree of nodes, with h5py's names for HDF5's.
 
-The format is that of cgnslib's ADF core. A file is a heap of parts between tags: a header, nodes, their tables of children, and
-chunks of data. A place is a block of 4,096 bytes and an offset in it: hexadecimal digits in version A, integers in version B.
+The format is that of cgnslib's ADF core. A file is a heap of parts between tags: a header, nodes,
+their tables of children, and chunks of data. A place is a block of 4,096 bytes and an offset in it:
+hexadecimal digits in version A, integers in version B.
 """
 
 import math
@@ -26,7 +27,7 @@ def is_adf(path: pathlib.Path) -> bool:
 
 
 class Array:
-    """The numbers of a node, read and written where they stand: bytes `(at, count)` of the file, one piece after the other."""
+    """A node's numbers, read and written in place: bytes `(at, count)` of the file, in pieces."""
 
     def __init__(self, file: BinaryIO, dtype: np.dtype, shape: tuple[int, ...], pieces: list[tuple[int, int]]):
         self._file, self._dtype, self.pieces = file, dtype, pieces
@@ -51,7 +52,7 @@ class Array:
             self._file.write(raw[first : first + count])
 
     def _spans(self, rows: slice) -> Iterator[tuple[int, int, int]]:
-        """Yields where bytes of some rows stand in the file, how many, and the number of the first among those of the rows."""
+        """Yields where some rows' bytes stand in the file, their count, and the first's number."""
         width = self._dtype.itemsize * math.prod(self.shape[1:])
         start, stop, _ = rows.indices(len(self))
         first, last, before = start * width, stop * width, 0
@@ -82,13 +83,14 @@ class Node(Mapping[str, Any]):
 def tree(path: pathlib.Path, file: BinaryIO) -> Node:
     """Reads the tree of an open file, not its arrays.
 
-    It raises `ValueError` for links, damaged tags, what lies beyond the file, nodes in a circle, and parts that overlap.
+    It raises `ValueError` for links, damaged tags, what lies beyond the file, nodes in a circle,
+    and parts that overlap.
     """
     return _Reader(path, file).tree()
 
 
 class _Reader:
-    """Reads nodes, and remembers the `spans` of the file that they take: no two may share a byte."""
+    """Reads nodes, and remembers their `spans` of the file: no two may share a byte."""
 
     def __init__(self, path: pathlib.Path, file: BinaryIO):
         self.path, self.file, self.size = path, file, file.seek(0, 2)
@@ -216,7 +218,10 @@ class _Reader:
         return self.read(first, need)
 
     def _part(self, at: int, tags: tuple[bytes, bytes]) -> tuple[int, int]:
-        """Finds where the content of a part begins, and its number of bytes: between its tags, behind the place of the last one."""
+        """Finds where the content of a part begins, and its number of bytes.
+
+        It stands between the part's tags, behind the place of the last one.
+        """
         raw = self.read(at, TAG + POINTER)
         first, stop = at + len(raw), self.pointer(raw[TAG:])
         self._tagged(raw, {0: tags[0]})

@@ -1,4 +1,4 @@
-"""CGNS, structured and unstructured zones: a copy of the file with other coordinates, all else untouched."""
+"""CGNS, structured and unstructured: a copy of the file with other coordinates, rest untouched."""
 
 import dataclasses
 import pathlib
@@ -34,8 +34,8 @@ class _CGNSContent:
 def read(path: pathlib.Path) -> Mesh:
     """Reads all zones of the file's one base; nodes where two zones meet are one.
 
-    `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Outer faces without either are the
-    patch `unnamed`, `boundary` in a file without any.
+    `patches` are the boundary conditions, by family, and the sides of periodic interfaces. Outer
+    faces without either are the patch `unnamed`, `boundary` in a file without any.
     """
     path.open("rb").close()
     with opened(path) as file:
@@ -52,7 +52,7 @@ def read(path: pathlib.Path) -> Mesh:
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for a mesh that was not read from a CGNS file, or when that file has changed."""
+    """Raises `ValueError` for a mesh of no CGNS file, or when its file has changed."""
     unchanged_source(path, mesh, NAME)
 
 
@@ -132,7 +132,10 @@ def pairs_of(
 
 
 def periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tuple[jm.Periodic, ...]:
-    """Makes periodic pairs of interfaces; their translation or angle is that of the nodes, for files differ in its sign."""
+    """Makes periodic pairs of interfaces.
+
+    Translation or angle is that of the nodes, for files differ in its sign.
+    """
     made = []
     for first, second, each in pairs:
         turns = bool(each.angles.any())
@@ -142,7 +145,7 @@ def periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tupl
 
 
 def _whole(zones: list[Content], node: np.ndarray) -> tuple[Polyhedra, np.ndarray] | tuple[None, None]:
-    """Joins the cells of all zones where some are cut: with their number for each cell of the mesh, types as it has them."""
+    """Joins all zones' cells where some are cut; with each cell's number, types as in the mesh."""
     if not any(zone.whole is not None and len(zone.whole.cut) for zone in zones):
         return None, None
     parts, cut, ids, first = [], [np.zeros(0, np.int64)], {}, 0

@@ -9,7 +9,7 @@ UNSAID = ("", "Null", "FamilySpecified")
 
 
 def kinds_of(file: Any, zones: list[Zone]) -> dict[str, str]:
-    """Finds the type of each patch: its conditions' own, or that of its family; several one after the other, if they differ."""
+    """Finds each patch's type: its conditions' or family's; several in turn, if they differ."""
     families = {}
     for _, base in children(file, "CGNSBase_t"):
         for name, family in children(base, "Family_t"):

@@ -1,4 +1,4 @@
-"""Polyhedra of a CGNS file: sections NGON_n (faces by their vertices) and NFACE_n (cells by their faces)."""
+"""Polyhedra of a CGNS file: sections NGON_n (faces by vertices) and NFACE_n (cells by faces)."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ from jaxmorph._mesh.polyhedra import Polyhedra, spread, tetrahedra
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ragged:
-    """Holds rows of different lengths: `values` of all in a row, and where each begins (one more `start` at the end)."""
+    """Rows of different lengths: all `values`, and where each row begins (one more `start`)."""
 
     values: np.ndarray
     starts: np.ndarray
@@ -27,7 +27,8 @@ class Ragged:
 class Block:
     """Holds cells of one type by their corner ids (k, corners).
 
-    `cell` (k,) is the number of the polyhedral cell that each is, or is a piece of; None for cells of other sections.
+    `cell` (k,) is the number of the polyhedral cell that each is, or is a piece of; None for cells
+    of other sections.
     """
 
     kind: str
@@ -38,12 +39,13 @@ class Block:
 def polyhedra(
     polygons: dict[int, Ragged], cells: list[Ragged], points: np.ndarray, first: int
 ) -> tuple[list[Block], list[np.ndarray], Polyhedra]:
-    """Makes cells by type, those of no type as tetrahedra between their own nodes, and outer faces by their number of corners.
+    """Makes cells by type, others as tetrahedra between own nodes, and outer faces by corners.
 
     The whole cells come last.
 
-    `polygons` are faces by the number of the first, vertices from 0. `first` is the id of vertex 0, `points` those of
-    the zone. It raises `ValueError` for cells with faces that are not there, or that more than two cells have.
+    `polygons` are faces by the number of the first, vertices from 0. `first` is the id of vertex 0,
+    `points` those of the zone. It raises `ValueError` for cells with faces that are not there, or
+    that more than two cells have.
     """
     begins = np.concatenate([begin + np.arange(len(rows)) for begin, rows in sorted(polygons.items())])
     each = [rows for _, rows in sorted(polygons.items())]

@@ -21,10 +21,10 @@ _FOREIGN = "{0}: {1} {2}. Only files that hold all of their data are read: `h5re
 
 @contextlib.contextmanager
 def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterator[Any]:
-    """Opens a file, and yields the root of its tree as h5py has it: groups with the attribute `label`, arrays as " data".
+    """Yields the root of a file's tree as h5py has it: groups with `label`, arrays as " data".
 
-    `what` names the format in messages. A file to be read is refused with a `ValueError` where it is another one, damaged, or has
-    data elsewhere. Writing would go through to them.
+    `what` names the format in messages. A file to be read is refused with a `ValueError` where it
+    is another one, damaged, or has data elsewhere. Writing would go through to them.
     """
     try:
         if adf.is_adf(path):
@@ -45,7 +45,7 @@ def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterat
 
 
 def copy(source: pathlib.Path, target: pathlib.Path, what: str = WHAT) -> None:
-    """Copies a file to be written in place; data of other files are refused before anything is opened for writing."""
+    """Copies a file to be written in place; refuses other files' data before it opens any."""
     with opened(source, what=what):
         pass
     shutil.copyfile(source, target)
@@ -54,7 +54,8 @@ def copy(source: pathlib.Path, target: pathlib.Path, what: str = WHAT) -> None:
 def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:
     """Raises `ValueError` where anything in an HDF5 file has its data in another one.
 
-    Links to other files, data sets in external storage and virtual ones are refused, wherever they stand.
+    Links to other files, data sets in external storage and virtual ones are refused, wherever they
+    stand.
     """
     groups, seen = [file["/"]], set()
     while groups:

@@ -1,4 +1,4 @@
-"""Zones of a CGNS file: cells, boundary conditions (cgns.github.io, SIDS and the HDF5 file mapping)."""
+"""Zones of a CGNS file: cells, boundary conditions (cgns.github.io, SIDS, HDF5 mapping)."""
 
 import dataclasses
 import pathlib
@@ -62,9 +62,10 @@ def word(group: Any) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Content:
-    """Holds cells and boundary elements of a zone by type, its outer faces where they are known, and vertices of elements.
+    """Cells and boundary elements of a zone by type, known outer faces, and vertices of elements.
 
-    The vertices stand by the number of their section's first element. `whole` has all polyhedral cells.
+    The vertices stand by the number of their section's first element. `whole` has all polyhedral
+    cells.
     """
 
     blocks: list[Block]
@@ -89,7 +90,7 @@ class Connection:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Zone:
-    """Holds a zone: its node in the file, the sizes of its vertices (one number if unstructured), and its first node's id."""
+    """A zone: its node in the file, sizes of vertices (one if unstructured), first node's id."""
 
     path: pathlib.Path
     name: str
@@ -225,7 +226,7 @@ class Zone:
                     yield Connection(name, sides[0], sides[1], centre, angles)
 
     def conditions(self) -> Iterator[tuple[str, str, Any]]:
-        """Yields the patch of each boundary condition (its family, if it has one), its name and its node."""
+        """Yields each boundary condition's patch (its family, if any), its name and its node."""
         for _, zone_bc in children(self.group, "ZoneBC_t"):
             for name, condition in children(zone_bc, "BC_t"):
                 family = [word(child) for _, child in children(condition, "FamilyName_t")]
@@ -245,7 +246,8 @@ class Zone:
             yield patch, nodes
 
     def _nodes(self, name: str, place: str, chosen: np.ndarray, is_range: bool, elements) -> np.ndarray:
-        # ranges may run backwards; one that ends before the first node, or a list without entries, is empty
+        # ranges may run backwards; one that ends before the first node, or a list without entries,
+        # is empty
         first, last = chosen.reshape(2, -1) if is_range else (chosen, chosen)
         if not chosen.size or ((last < first) & (last < 1)).any():
             return np.zeros(0, np.int64)

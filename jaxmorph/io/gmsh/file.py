@@ -1,4 +1,4 @@
-"""gmsh's .msh, versions 2, 4.0 and 4.1, text and binary: read as gmsh reads it, written back by replacing the coordinates."""
+"""gmsh's .msh, versions 2, 4.0, 4.1, text and binary: written back by replacing coordinates."""
 
 import dataclasses
 import pathlib
@@ -25,7 +25,7 @@ SPARSE = 10
 
 @dataclasses.dataclass(frozen=True)
 class _GmshContent:
-    """Keeps the section of nodes of a file, where the x of each node is, and the points with the z of a 2-D mesh."""
+    """A file's section of nodes, places of each node's x, and points with a 2-D mesh's z."""
 
     section: Section
     form: Form
@@ -74,7 +74,8 @@ def read(path: pathlib.Path) -> Mesh:
 def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
     """Replaces the tags of nodes by their places among the nodes.
 
-    A table from tags to places is fast, and too long where tags are far apart: there they are looked up in their order.
+    A table from tags to places is fast, and too long where tags are far apart: there they are
+    looked up in their order.
     """
     least, most, numbered = int(tags.min()), int(tags.max()), []
     is_dense = most - least <= SPARSE * len(tags)
@@ -106,7 +107,10 @@ def _mesh(points: np.ndarray, cells: list[Elements], names: dict[tuple[int, int]
 
 
 def check(path: pathlib.Path, mesh: Mesh) -> None:
-    """Raises `ValueError` for patches of a new file that boundary faces cannot express, or whose name ends before its end."""
+    """Raises `ValueError` for patches that a new file cannot have.
+
+    Boundary faces cannot express them, or their name ends before its end.
+    """
     if source_of(mesh, NAME) is not None:
         return
     for name in mesh.patches:
@@ -120,9 +124,10 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes the file the mesh came from with new coordinates; for any other mesh a new file of version 2.2, binary.
+    """Writes the mesh's own file with new coordinates; else a new binary file of version 2.2.
 
-    In a new file a patch becomes a physical group, with the boundary faces between its nodes as elements.
+    In a new file a patch becomes a physical group, with the boundary faces between its nodes as
+    elements.
     """
     source = source_of(mesh, NAME)
     if source is None:

@@ -20,7 +20,7 @@ Groups = dict[tuple[int, int], list[int]]
 
 
 class Nodes(NamedTuple):
-    """Holds the tags (n,) of nodes, and the places of their x (n,): numbers of a text, bytes of a binary file."""
+    """Tags (n,) of nodes, and places of their x (n,): numbers of a text, bytes of a binary file."""
 
     tags: np.ndarray
     places: np.ndarray
@@ -28,7 +28,7 @@ class Nodes(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Elements:
-    """Holds elements of one type: tags of their nodes (k, corners), and rows by physical group; None stands for all rows."""
+    """Elements of one type: node tags (k, corners), rows by physical group; None is all rows."""
 
     kind: str
     corners: np.ndarray
@@ -75,7 +75,7 @@ def nodes(stream: Stream, *, is_parametric: bool) -> Nodes:
 
 
 def _block(stream: Stream) -> Nodes:
-    """Reads the nodes of one entity; parameters on it, as many as its dimension, may follow the coordinates of each."""
+    """Reads one entity's nodes; as many parameters as its dimension may follow each."""
     first, second, is_parametric = stream.take("i", 3).tolist()
     count, dimension = stream.one("n"), first if stream.form.version > 4 else second
     if dimension not in range(4) or is_parametric not in (0, 1):
@@ -102,7 +102,7 @@ def _column(stream: Stream, start: int, count: int, step: int) -> np.ndarray:
 
 
 def _with_parameters(stream: Stream, total: int) -> Nodes:
-    """Reads rows of tag, coordinates, dimension and tag of the entity, and a parameter on curves, two on surfaces.
+    """Reads rows of tag, coordinates, entity (dimension, tag), and parameters (curve 1, surface 2).
 
     Rows of one width are read together.
     """
@@ -211,7 +211,7 @@ def _numbered(stream: Stream) -> list[Elements]:
 
 
 def _of_version_2(kind: str, corners: np.ndarray, table: np.ndarray) -> Elements:
-    """Finds the groups of elements: `table` (2, k) has the tags of their physical group, 0 for none, and of their entity.
+    """Finds groups of elements: `table` (2, k) has tags of physical group (0: none) and entity.
 
     In version 2 an element of two groups stands twice, with the second group: it is read once.
     """

@@ -18,7 +18,7 @@ _NAME = re.compile(rb'\s*(\d+)\s+(\d+)\s+(?:"(.*)"|(\S+))\s*')
 
 @dataclasses.dataclass(frozen=True)
 class Form:
-    """Describes a file: version 2, 4.0 or 4.1, text or binary, its byte order and the bytes of a size."""
+    """A file's version (2, 4.0, 4.1), text or binary, byte order and bytes of a size."""
 
     version: float
     is_text: bool
@@ -31,7 +31,10 @@ class Form:
 
 
 def form_of(path: pathlib.Path, data: bytes) -> Form:
-    """Reads `$MeshFormat`. Raises `ValueError` where anything but sections of comments stands before it."""
+    """Reads `$MeshFormat`.
+
+    Raises `ValueError` where anything but sections of comments stands before it.
+    """
     at, number = 0, 1
     while (line := data[at : data.find(b"\n", at) + 1 or None]).strip() == b"$Comments":
         ended = re.compile(rb"^[ \t]*\$EndComments[ \t\r]*$", re.MULTILINE).search(data, at)
@@ -92,7 +95,7 @@ def physical_names(section: Section) -> dict[tuple[int, int], str]:
 
 
 class Stream:
-    """Goes through the numbers of a section: `at` counts the numbers of a text, the bytes of a binary file."""
+    """Goes through a section's numbers: `at` counts numbers of a text, bytes of a binary file."""
 
     def __init__(self, section: Section, form: Form, dtype: type = np.int64):
         self.section, self.form, self.data = section, form, section.text
@@ -124,7 +127,7 @@ class Stream:
         return int(self.take(kind, 1)[0])
 
     def announced(self) -> int:
-        """Reads the number on the first line of a section of version 2, which is text in a binary file too."""
+        """Reads the number on a section's first line of version 2, text in a binary file too."""
         if self.rows is not None:
             return self.one("n")
         end = self.data.index(b"\n", self.at, self.stop) + 1

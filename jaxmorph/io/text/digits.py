@@ -1,4 +1,4 @@
-"""Floating point numbers out of text and into it, many at once: rounded correctly, with the fewest digits."""
+"""Floating point numbers in text, many at once: rounded correctly, with the fewest digits."""
 
 import io
 import warnings
@@ -7,16 +7,17 @@ import numpy as np
 import scipy.io
 
 ENOUGH = 1 << 14
-"""Bytes from which on SciPy's writer of Matrix Market files pays: it writes the digits of `repr` several times faster."""
+"""Bytes from which SciPy's writer of Matrix Market files pays: `repr`'s digits, much faster."""
 
 _MARKS = b"0123456789.+-eE"
 
 
 def parse_rows(text: bytes, dtype: type) -> tuple[np.ndarray, int]:
-    """Reads the numbers of lines that hold as many each, between single blanks, and that many; 0 for any other text.
+    """Reads that many numbers of lines of equal length, between single blanks; 0 for other texts.
 
-    A text without its digits and marks is the blanks between the words. There is one word more than blanks on each line, or
-    fewer, so if there are as many numbers as that in all, then also on each line.
+    A text without its digits and marks is the blanks between the words. There is one word more than
+    blanks on each line, or fewer, so if there are as many numbers as that in all, then also on each
+    line.
     """
     gaps = text.translate(None, _MARKS)
     width = gaps.find(b"\n") + 1
@@ -28,7 +29,7 @@ def parse_rows(text: bytes, dtype: type) -> tuple[np.ndarray, int]:
 
 
 def parse(text: bytes, dtype: type) -> np.ndarray:
-    """Reads the numbers of a text, up to the first thing that is none (`numpy.fromstring` rounds correctly)."""
+    """Reads a text's numbers up to the first non-number (`numpy.fromstring` rounds correctly)."""
     if not text.strip():
         return np.zeros(0, dtype)
     with warnings.catch_warnings():

@@ -1,6 +1,7 @@
 """Rows of numbers in a text file: read in bulk, and replaced where they stand.
 
-Everything goes through `scan`, which finds the numbers (runs of non-blank bytes) of many lines at once with NumPy.
+Everything goes through `scan`, which finds the numbers (runs of non-blank bytes) of many lines at
+once with NumPy.
 """
 
 import dataclasses
@@ -20,7 +21,7 @@ CHUNK = 1 << 20
 
 @dataclasses.dataclass(frozen=True)
 class Rows:
-    """Holds the numbers of the lines that hold any: `values` of all in a row, `counts` of them on each line."""
+    """Numbers of the lines that hold any: all `values` in a row, and the `counts` on each line."""
 
     values: np.ndarray
     counts: np.ndarray
@@ -40,7 +41,7 @@ class Rows:
 
 @dataclasses.dataclass(frozen=True)
 class Section:
-    """Marks the bytes from `start` to `stop` of a file's text, and names the line of anything in it."""
+    """Marks the bytes `start` to `stop` of a file's text, and names the line of anything in it."""
 
     path: pathlib.Path
     text: bytes
@@ -48,7 +49,7 @@ class Section:
     stop: int
 
     def error(self, message: str, row: int | None = None) -> ValueError:
-        """Makes a `ValueError` that names the file and the line: of the row with that number, or the one before the section."""
+        """Makes a `ValueError` that names file and line: of that row, or before the section."""
         return ValueError(f"{self.path}, line {self._line(row)}: {message}")
 
     def _line(self, row: int | None) -> int:
@@ -115,7 +116,7 @@ def chunks(text: bytes, start: int, stop: int) -> Iterator[bytes]:
 
 
 def scan(chunk: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds where the words of a chunk begin and end, and how many stand on each line that holds any."""
+    """Finds where a chunk's words begin and end, and how many each line has that has any."""
     codes = np.frombuffer(chunk, np.uint8)
     blank = np.ones(len(codes) + 2, bool)
     np.less_equal(codes, 32, out=blank[1:-1])
@@ -131,9 +132,9 @@ def replace(
 ) -> Iterator[bytes | memoryview]:
     """Yields the text, in pieces, with its coordinates replaced by the `points`.
 
-    `is_row` tells from the number of words on a line whether it holds a point; its coordinates begin with word
-    `column`. A coordinate that has not changed keeps its digits; a changed one gets the shortest that read back bit for
-    bit.
+    `is_row` tells from the number of words on a line whether it holds a point; its coordinates
+    begin with word `column`. A coordinate that has not changed keeps its digits; a changed one gets
+    the shortest that read back bit for bit.
     """
     d = points.shape[1]
     done = 0
@@ -149,9 +150,10 @@ def replace(
 
 
 def replace_words(text: bytes, start: int, stop: int, values: np.ndarray, blanks: bytes) -> Iterator[bytes]:
-    """Yields the text from `start` to `stop` with `values` in place of all the numbers that it holds, as `replace` does.
+    """Yields the text `start` to `stop` with `values` in place of its numbers, as `replace` does.
 
-    `blanks` is the table (of `bytes.translate`) that turns what stands between the numbers into blanks.
+    `blanks` is the table (of `bytes.translate`) that turns what stands between the numbers into
+    blanks.
     """
     done = 0
     for original in chunks(text, start, stop):

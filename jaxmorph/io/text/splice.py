@@ -7,10 +7,10 @@ WIDEST = 64
 
 
 def spliced(text: bytes, starts: np.ndarray, ends: np.ndarray, lines: bytes) -> bytes:
-    """Replaces what stands between `starts` and `ends` of a text by `lines`, one for each, without the ends of the lines.
+    """Replaces what stands between `starts` and `ends` of a text by `lines`, without line ends.
 
-    Pieces of text and lines alternate. Each becomes a row of a table as wide as the widest of its kind, and the rows
-    are written one after the other without what is beyond their ends.
+    Pieces of text and lines alternate. Each becomes a row of a table as wide as the widest of its
+    kind, and the rows are written one after the other without what is beyond their ends.
     """
     breaks = np.append(np.flatnonzero(np.frombuffer(lines, np.uint8) == ord("\n")), len(lines))
     first = np.append(0, breaks[:-1] + 1)
@@ -25,7 +25,7 @@ def spliced(text: bytes, starts: np.ndarray, ends: np.ndarray, lines: bytes) -> 
 
 
 def _rows(text: bytes, starts: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gathers bytes from each of `starts`, as many in each row as the longest needs, and which of them are inside."""
+    """Gathers bytes from each of `starts`, as wide as the longest; with a mask of those inside."""
     width = max(int(sizes.max()), 1)
     windows = np.ndarray(len(text) + 1, f"V{width}", text + bytes(width), strides=(1,))
     return windows[starts].view(np.uint8).reshape(-1, width), np.arange(width) < sizes[:, None]
