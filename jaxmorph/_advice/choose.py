@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from .._boundary.boundary import find_boundary
+from .._boundary.boundary import Boundary, find_boundary
 from .._boundary.images import Images
 from .._boundary.periodic import Periodic
 from .._boundary.slide import Slide
@@ -95,19 +95,10 @@ def choose(
     surface, images, _ = surface_of(known)
     columns = _columns(motions, len(known.nodes), images)
     rows, plans, refused = [], [], None
-    for is_fit, count, with_radius in _tries(leaves):
-        row: dict[str, Any] = {"leaves": count} | dict.fromkeys(("sources", "radius", "error", "rounding"))
-        try:
-            coarse, facts = _candidate(surface, columns, count, with_radius)
-            row |= facts
-            plan = tried(boundary, SurfaceReconstruction(FittedRBF(coarse) if is_fit else coarse, NearWall()))
-        except ValueError as error:  # sources that determine no field
-            plan = error
+    for trial in _tries(leaves):
+        row, plan = _radial(boundary, surface, columns, motions, trial)
         refused = plan if isinstance(plan, Exception) else refused
-        if is_fit:
-            row |= {"error": _left(plan, motions) if isinstance(plan, Plan) else None, "rounding": None}
-        name = "fitted" if is_fit else "Wendland C2" if with_radius else "thin plate"
-        rows.append({"method": name} | row | {"fit": is_fit} | judged(mesh, plan, motions))
+        rows.append(row | judged(mesh, plan, motions))
         plans.append(plan if isinstance(plan, Plan) else None)
     for row, plan in others(mesh, boundary, methods, motions):
         rows.append(row)
@@ -170,6 +161,24 @@ def _columns(motions: np.ndarray, nodes: int, images: Images | None) -> np.ndarr
         columns.append(vectors if images is None else np.asarray(images.extended(jnp.asarray(vectors))))
     joined = np.concatenate(columns, axis=1)
     return joined / np.abs(joined).max()
+
+
+def _radial(
+    boundary: Boundary, surface: Surface, columns: np.ndarray, motions: np.ndarray, trial: tuple[bool, int, bool]
+) -> tuple[dict[str, Any], Plan | Exception]:
+    """Tries one radial function: the first cells of its row, and the plan or what refused it."""
+    is_fit, count, with_radius = trial
+    row: dict[str, Any] = {"leaves": count} | dict.fromkeys(("sources", "radius", "error", "rounding"))
+    try:
+        coarse, facts = _candidate(surface, columns, count, with_radius)
+        row |= facts
+        plan = tried(boundary, SurfaceReconstruction(FittedRBF(coarse) if is_fit else coarse, NearWall()))
+    except ValueError as error:  # sources that determine no field
+        plan = error
+    if is_fit:
+        row |= {"error": _left(plan, motions) if isinstance(plan, Plan) else None, "rounding": None}
+    name = "fitted" if is_fit else "Wendland C2" if with_radius else "thin plate"
+    return {"method": name} | row | {"fit": is_fit}, plan
 
 
 def _candidate(surface: Surface, columns: np.ndarray, count: int, with_radius: bool) -> tuple[RBF, dict[str, Any]]:

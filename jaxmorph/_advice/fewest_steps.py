@@ -100,14 +100,21 @@ def fewest_steps(
             return steps
     if improve and margin(steps := tried(max_steps, mend=True)) > 0:
         return steps
+    best = tried(max_steps, 0.0)
+    for mend, width in ((False, 1e-3), (True, 1e-2))[: 1 + improve]:
+        best = _farthest(best, lambda fraction, mend=mend: tried(max_steps, fraction, mend), margin, width)
+    return best
+
+
+def _farthest(best: Steps, tried: Callable[[float], Steps], margin: Callable[[Steps], float], width: float) -> Steps:
+    """Bisects for the largest good fraction beyond that of `best`, to `width`."""
     # a motion may be NumPy's, so the bisection runs on the host instead of in optimistix's traced
     # loop
-    best, high = tried(max_steps, 0.0), 1.0
-    for mend, width in ((False, 1e-3), (True, 1e-2))[: 1 + improve]:
-        low, high = best.fraction, 1.0
-        while high - low > width:
-            middle = (low + high) / 2
-            steps = tried(max_steps, middle, mend)
-            low, high = (middle, high) if margin(steps) > 0 else (low, middle)
-            best = steps if low == middle else best
+    low, high = best.fraction, 1.0
+    while high - low > width:
+        steps = tried((low + high) / 2)
+        if margin(steps) > 0:
+            best, low = steps, steps.fraction
+        else:
+            high = steps.fraction
     return best

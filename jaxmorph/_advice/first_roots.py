@@ -1,4 +1,4 @@
-"""Where polynomials of degree 3 first fall below zero."""
+"""First roots: the place from which a polynomial of degree 3 is below zero."""
 
 import itertools
 

@@ -114,42 +114,31 @@ def _of_plan(plan: Plan, u: Any, moved: np.ndarray | None) -> Inspection:
     """Checks all that needs no faces."""
     offset = np.linalg.norm(np.asarray(plan.offset(u)), axis=1)
     points, nodes = np.asarray(plan.points), np.asarray(plan.surface_nodes)
-    finite = np.isfinite(np.asarray(u)).all(axis=1)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        raise MeshError(
-            f"{(~finite).sum()} of {plan.n_moving} displacements are not finite, first that of node {{node}} (row {row}).",
-            nodes[: plan.n_moving][~finite],
-        )
-    vectors = np.asarray(plan.of_surface(u))
+    _check_finite(u, nodes[: plan.n_moving])
+    vectors, displacement = np.asarray(plan.of_surface(u)), np.asarray(u, dtype=float)
     is_fixed = np.isin(nodes, plan.fixed)
     tree = Tree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
     size = np.asarray(tree.query(points[nodes], k=2)[0])[:, 1]
     worst = int(offset.argmax())
     pairs = torn_pairs(points[nodes], vectors, is_fixed)
     torn, rests = nodes[pairs].reshape(-1, 2), np.asarray(is_fixed[pairs].any(axis=1))
-    near = points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan)
     ratio = float((offset / np.where(size > 0, size, np.inf)).max())
-    anywhere, behind = overshoot(plan, np.asarray(u, dtype=float), moved)
-    displacement = np.asarray(u, dtype=float)
+    anywhere, behind = overshoot(plan, displacement, moved)
     changed = np.linalg.norm(vectors[: plan.n_moving] - displacement, axis=1)
     back = np.flatnonzero(changed > PUT_BACK * np.linalg.norm(displacement, axis=1).max())
     places = points[nodes] + vectors
     rows = ended(plan, places)
-    base, rows_of_sources = (
-        points[nodes[: plan.n_moving]],
-        np.flatnonzero(np.isin(nodes[: plan.n_moving], plan.sources)),
-    )
-    too_few = missed(base, displacement, rows_of_sources) if points.shape[1] == 3 and len(rows_of_sources) else 0.0
+    base = points[nodes[: plan.n_moving]]
+    too_few = _missed(plan, nodes[: plan.n_moving], displacement)
     return Inspection(
         offset=float(offset[worst]),
         offset_node=int(nodes[worst]),
         offset_ratio=ratio,
         contradictions=torn,
-        near=near,
+        near=points[torn[0, 0]] if len(torn) else np.full(points.shape[1], np.nan),
         overshoot=anywhere,
         overshoot_behind=behind,
-        slope=_slope(points[nodes[: plan.n_moving]], vectors[: plan.n_moving]),
+        slope=_slope(base, vectors[: plan.n_moving]),
         is_fitted=isinstance(getattr(plan.method, "coarse", None), FittedRBF),
         put_back=nodes[back[np.argsort(-changed[back], kind="stable")]],
         put_back_by=float(changed.max()) if len(back) else 0.0,
@@ -161,6 +150,25 @@ def _of_plan(plan: Plan, u: Any, moved: np.ndarray | None) -> Inspection:
         touches=rests,
         missed=too_few,
         leaves=leaves_enough(base, displacement) if too_few > UNRESOLVED else None,
+    )
+
+
+def _check_finite(u: Any, nodes: np.ndarray) -> None:
+    """Raises `ValueError` for displacements of moving `nodes` (m,) that are not finite."""
+    finite = np.isfinite(np.asarray(u)).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise MeshError(
+            f"{(~finite).sum()} of {len(nodes)} displacements are not finite, first that of node {{node}} (row {row}).",
+            nodes[~finite],
+        )
+
+
+def _missed(plan: Plan, nodes: np.ndarray, displacement: np.ndarray) -> float:
+    """Measures, in 3-D, the part of a displacement of `nodes` (m,) that the sources miss."""
+    rows = np.flatnonzero(np.isin(nodes, plan.sources))
+    return (
+        missed(np.asarray(plan.points)[nodes], displacement, rows) if plan.points.shape[1] == 3 and len(rows) else 0.0
     )
 
 

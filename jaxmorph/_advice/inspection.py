@@ -1,4 +1,4 @@
-"""What `inspect` finds, in numbers and in sentences."""
+"""The findings of `inspect`, in numbers and in sentences."""
 
 import dataclasses
 import math

@@ -137,13 +137,8 @@ def find_boundary(
         nodes_named(ids, name, patches, len(points))
         for ids, name in ((moving, "moving"), (fixed, "fixed"), (free, "free"))
     )
-    unique, counts = np.unique(moving, return_counts=True)
-    if len(unique) < len(moving):
-        raise MeshError(
-            f"{(counts > 1).sum()} nodes are named more than once in `moving`, first node {{node}}.", unique[counts > 1]
-        )
-    if len(moving) == 0:
-        raise ValueError("`moving` is empty: name the nodes of the boundary that moves.")
+    _check_moving(moving)
+    # each fixed node once, where it comes first
     fixed = fixed[np.sort(np.unique(fixed, return_index=True)[1])]
     fixed = fixed[~np.isin(fixed, moving)]
     planes = planes_named(symmetry, points, patches)
@@ -152,13 +147,7 @@ def find_boundary(
     pairings = _pairings(periodic, points, patches)
     walls = _walls(sliding, points, patches, {"fixed": fixed, "moving": moving}, outer)
     tracks, corners = tracks_of(walls, planes if walls else (), points)
-    wrong = corners[np.isin(corners, moving)]
-    if len(wrong):
-        raise MeshError(
-            f"{len(wrong)} moving nodes are corners of sliding patches and cannot move, the first is node {{node}} at "
-            f"({place_of(points[wrong[0]])}). Remove them from `moving`, or slide along fewer patches.",
-            wrong,
-        )
+    _check_corners(corners, moving, points)
     is_free = np.isin(np.arange(len(points)), fixed, invert=True)
     check_repeated(tracks, corners, pairings, points, is_free)
     fixed = np.append(fixed, corners[~np.isin(corners, fixed)])
@@ -167,6 +156,27 @@ def find_boundary(
     lists = moving, fixed, _guided(pairings, tracks, moving, fixed, points), planes, pairings, tracks
     boundary = Boundary(points, *lists, None, None, None)
     return boundary if patches is None else boundary.with_faces_of(patches, outer, free)
+
+
+def _check_moving(moving: np.ndarray) -> None:
+    unique, counts = np.unique(moving, return_counts=True)
+    if len(unique) < len(moving):
+        raise MeshError(
+            f"{(counts > 1).sum()} nodes are named more than once in `moving`, first node {{node}}.", unique[counts > 1]
+        )
+    if len(moving) == 0:
+        raise ValueError("`moving` is empty: name the nodes of the boundary that moves.")
+
+
+def _check_corners(corners: np.ndarray, moving: np.ndarray, points: np.ndarray) -> None:
+    """Raises `ValueError` for moving nodes at corners of sliding patches, which cannot move."""
+    wrong = corners[np.isin(corners, moving)]
+    if len(wrong):
+        raise MeshError(
+            f"{len(wrong)} moving nodes are corners of sliding patches and cannot move, the first is node {{node}} at "
+            f"({place_of(points[wrong[0]])}). Remove them from `moving`, or slide along fewer patches.",
+            wrong,
+        )
 
 
 def _pairings(periodic: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[Pairing, ...]:

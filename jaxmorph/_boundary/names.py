@@ -1,4 +1,4 @@
-"""What a caller names, checked: points, node ids, patches, planes and slides."""
+"""Checked names of a caller: points, node ids, patches, planes and slides."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any

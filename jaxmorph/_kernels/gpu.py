@@ -124,9 +124,7 @@ def fused_sum(
     from jax.experimental.pallas import triton
 
     (count, rows), (n, dimension) = weights.shape, points.shape
-    block, warps = (BLOCK, WARPS) if n >= FEW else (min(FEW_BLOCK, 1 << int(math.log2(n))), FEW_WARPS)
-    blocks = -(-n // block)
-    share = count if n >= FEW else max(LEAST_SHARE, -(-count * blocks // PROGRAMS))
+    block, warps, blocks, share = _layout(n, count)
     parts = -(-count // share)
     packed = jnp.stack([jnp.asarray(number, points.dtype) for number in constants] or [jnp.zeros((), points.dtype)])
 
@@ -144,21 +142,10 @@ def fused_sum(
             y = [sources_ref[j, axis] for axis in range(dimension)]
             return tuple(contracted(term, sums, x, y, [weights_ref[j, row] for row in range(rows)]))
 
-        def add_together(start):
-            def step(i, sums):
-                for k in range(TOGETHER):
-                    sums = add(start + i * TOGETHER + k, sums)
-                return sums
-
-            return step
-
         first = pl.program_id(1) * share
         last = count if parts == 1 else jnp.minimum(first + share, count)
-        whole = (last - first) // TOGETHER
         with _in_kernel():
-            sums = (jnp.zeros(block, points.dtype),) * rows
-            sums = jax.lax.fori_loop(0, whole, add_together(first), sums)
-            sums = jax.lax.fori_loop(first + whole * TOGETHER, last, add, sums)
+            sums = _looped(add, first, last, (jnp.zeros(block, points.dtype),) * rows)
         for row, total in enumerate(sums):
             sums_ref[pl.program_id(1), here, row] = total
 
@@ -169,6 +156,26 @@ def fused_sum(
         compiler_params=triton.CompilerParams(num_warps=warps),
     )(weights, sources, points, packed)
     return sums[0] if parts == 1 else sums.sum(axis=0)
+
+
+def _layout(n: int, count: int) -> tuple[int, int, int, int]:
+    """Lays `n` points and `count` sources out: block, warps, number of blocks, sources of a part."""
+    block, warps = (BLOCK, WARPS) if n >= FEW else (min(FEW_BLOCK, 1 << int(math.log2(n))), FEW_WARPS)
+    blocks = -(-n // block)
+    return block, warps, blocks, count if n >= FEW else max(LEAST_SHARE, -(-count * blocks // PROGRAMS))
+
+
+def _looped(add: Callable, first: Any, last: Any, sums: tuple) -> tuple:
+    """Adds the sources from `first` to `last`, `TOGETHER` in a round, then the rest one by one."""
+    whole = (last - first) // TOGETHER
+
+    def add_together(i, sums):
+        for k in range(TOGETHER):
+            sums = add(first + i * TOGETHER + k, sums)
+        return sums
+
+    sums = jax.lax.fori_loop(0, whole, add_together, sums)
+    return jax.lax.fori_loop(first + whole * TOGETHER, last, add, sums)
 
 
 def contracted(function: Callable, *arguments: Any) -> Any:

@@ -2,7 +2,8 @@
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,30 @@ from jax.interpreters import ad, batching, mlir
 # `jax.custom_vjp` allows no forward derivatives, and `jax.custom_jvp` no hand-written transpose. A
 # primitive has both, to any order, and batching. `jax.extend.core` and `jax.interpreters` are
 # public, but change between versions of JAX.
+
+
+def _changed(compute: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    """Computes the derivative of `compute` by those arguments but the first that vary."""
+    moving = [i for i, tangent in enumerate(tangents) if i and not isinstance(tangent, ad.Zero)]
+
+    def of_moving(*values):
+        arguments = dict(enumerate(primals)) | dict(zip(moving, values, strict=True))
+        return compute(*arguments.values())
+
+    return jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])[1]
+
+
+def _program(primitive: Primitive, compute: Callable) -> Callable:
+    """Makes the function that a direct call runs: the compiled primitive."""
+    parameters = inspect.signature(compute).parameters.values()
+    static = tuple(option.name for option in parameters if option.kind is option.KEYWORD_ONLY)
+    program = jax.jit(primitive.bind, static_argnames=static)  # platforms have lowerings of the primitive
+
+    def evaluated(*arguments, **options):
+        # Without `jit`, the program would call itself.
+        return (compute if jax.config.values["jax_disable_jit"] else program)(*arguments, **options)
+
+    return evaluated
 
 
 def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Callable) -> Primitive:
@@ -36,14 +61,8 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
         changes = []
         if not isinstance(tangents[0], ad.Zero):
             changes.append(primitive.bind(tangents[0], *primals[1:], **options))
-        moving = [i for i, tangent in enumerate(tangents) if i and not isinstance(tangent, ad.Zero)]
-        if moving:
-
-            def of_moving(*values):
-                arguments = dict(enumerate(primals)) | dict(zip(moving, values, strict=True))
-                return compute(*arguments.values(), **options)
-
-            changes.append(jax.jvp(of_moving, [primals[i] for i in moving], [tangents[i] for i in moving])[1])
+        if any(not isinstance(tangent, ad.Zero) for tangent in tangents[1:]):
+            changes.append(_changed(functools.partial(compute, **options), primals, tangents))
         return primitive.bind(*primals, **options), sum(changes[1:], start=changes[0])
 
     def transposed(cotangent, values, *others, **options):
@@ -66,15 +85,7 @@ def linear_primitive(name: str, compute: Callable, rows: Callable, turned: Calla
         varies = {"vma": values.vma.union(*(other.vma for other in others))} if hasattr(values, "vma") else {}
         return values.update(shape=(rows(*others, **options), values.shape[1]), weak_type=False, **varies)
 
-    parameters = inspect.signature(compute).parameters.values()
-    static = tuple(option.name for option in parameters if option.kind is option.KEYWORD_ONLY)
-    program = jax.jit(primitive.bind, static_argnames=static)  # platforms have lowerings of the primitive
-
-    def evaluated(*arguments, **options):
-        # Without `jit`, the program would call itself.
-        return (compute if jax.config.values["jax_disable_jit"] else program)(*arguments, **options)
-
-    primitive.def_impl(evaluated)
+    primitive.def_impl(_program(primitive, compute))
     primitive.def_abstract_eval(abstract)
     ad.primitive_jvps[primitive] = jvp
     ad.primitive_transposes[primitive] = transposed

@@ -160,7 +160,7 @@ class Mesh(Module):
 
     @property
     def is_curved(self) -> bool:
-        """Whether some cells are of order 2 or more."""
+        """True where some cells are of order 2 or more."""
         return any(kind != SHAPES[kind] for kind in self.cells)
 
     @property

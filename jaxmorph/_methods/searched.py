@@ -1,4 +1,4 @@
-"""Where nodes near points were searched for, and whether that still holds on a new base."""
+"""Searches for nodes near points, and a check that they hold on a new base."""
 
 import equinox as eqx
 import jax

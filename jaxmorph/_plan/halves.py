@@ -33,7 +33,7 @@ SAME = 1e-12
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceHalf:
-    """What all pieces of a mesh share: the surface, its sources and the solve.
+    """The part of a plan that all pieces of a mesh share: the surface, its sources and the solve.
 
     `prepare_surface` makes it. `jm.save`, `jm.load` and pickle keep its bits. Two pieces, also of
     two processes, move a common point alike, to round-off. Common points of the surface are equal

@@ -162,7 +162,7 @@ def _prepared(request: Deform, surface: jm.Mesh, out: Output) -> tuple[jm.Surfac
 
 @dataclasses.dataclass(frozen=True)
 class Parts:
-    """What all parts of a case share: the prepared surface, its path, the precision, the limits.
+    """The shared state of all parts of a case: prepared surface, path, precision and limits.
 
     `largest` is the number of nodes of the largest part.
     """

@@ -42,7 +42,7 @@ DIMENSION = {"line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wed
 DIMENSION |= {kind: DIMENSION[SHAPES[kind]] for kind in HIGH_ORDER}
 
 KNOWN = f"known are {', '.join(CORNERS)}, and of order 2 to 4 {', '.join(HIGH_ORDER)}"
-"""What a message says of the types there are."""
+"""The known types, for the end of a message."""
 
 _ALIASES = {"tri": "triangle", "tet": "tetra", "tetrahedron": "tetra", "prism": "wedge", "hex": "hexahedron"}
 

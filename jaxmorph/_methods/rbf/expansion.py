@@ -89,7 +89,7 @@ class Expansion(Module):
 
     @property
     def at_sources(self) -> float:
-        """What the ridge adds to phi at each source."""
+        """The ridge, with its sign: the addition to phi at each source."""
         return self.sign * self.ridge
 
     def kernel(self, r2, scale):

@@ -63,6 +63,9 @@ def symmetric_kernel_sum(
 
     Each block of the kernel is made once, and serves for its mirror image too.
     """
+    # The sources are padded to whole blocks by copies of the last one, which have the weight 0. A
+    # scan goes over the blocks (i, j) with i <= j: a block gives sums of columns j and, transposed,
+    # of columns i.
     count, columns, dimension = len(sources), len(weights), sources.shape[1]
     side = min(SQUARE, count)
     blocks = -(-count // side)

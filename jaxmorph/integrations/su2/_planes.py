@@ -43,7 +43,7 @@ def _face(lattice: Float[np.ndarray, "..."], direction: int, last: int) -> Float
 
 
 def _crosses(segments: Float[np.ndarray, "s 2 d"], faces: Float[np.ndarray, "t d d"]) -> bool:
-    """Tells whether a segment meets a triangle, or in 2-D another segment."""
+    """Checks whether a segment meets a triangle, or in 2-D another segment."""
     start, way = segments[:, 0], segments[:, 1] - segments[:, 0]
     for face in faces:
         # start + s way = face[0] + edges^T w, for s in 0 to 1 and w in the triangle

@@ -47,6 +47,28 @@ def polyhedra(
     `points` those of the zone. It raises `ValueError` for cells with faces that are not there, or
     that more than two cells have.
     """
+    faces = _faces(polygons, cells)
+    ajar = open_cells(faces)
+    if len(ajar):
+        raise ValueError(f"{len(ajar)} cells do not close, first cell {ajar[0]}: NGON_n or NFACE_n are damaged")
+    typed, ids = standard_cells(faces)
+    cut = ids.pop("polyhedron", np.zeros(0, np.int64))
+    blocks = [Block(kind, corners + first, ids[kind]) for kind, corners in typed.items()]
+    if len(cut):
+        pieces, owner = tetrahedra(faces, cut, points)
+        blocks.append(Block("tetra", pieces + first, owner))
+    faces, sizes = dataclasses.replace(faces, labels=faces.labels + first), np.diff(faces.starts)
+    outer = [np.flatnonzero((faces.neighbour < 0) & (sizes == size)) for size in np.unique(sizes).tolist()]
+    outer = [faces.corners(chosen, int(sizes[chosen[0]])) for chosen in outer if len(chosen)]
+    return blocks, outer, Polyhedra(faces, cut)
+
+
+def _faces(polygons: dict[int, Ragged], cells: list[Ragged]) -> Faces:
+    """Joins all sections: the faces that cells have, with the cells on both sides.
+
+    It raises `ValueError` for cells with faces that are not there, or that more than two cells
+    have.
+    """
     begins = np.concatenate([begin + np.arange(len(rows)) for begin, rows in sorted(polygons.items())])
     each = [rows for _, rows in sorted(polygons.items())]
     labels = np.concatenate([rows.values for rows in each])
@@ -60,29 +82,15 @@ def polyhedra(
     sides[(used < 0).astype(int), face] = cell
     if (sides >= 0).sum() != len(used):
         raise ValueError("NFACE_n has faces on the same side of two cells")
-    # a face that only a cell behind it has is turned round
+    # a face that only a cell behind it has is turned round: its labels are gathered backwards
     turned = (sides[0] < 0) & (sides[1] >= 0)
     kept = np.flatnonzero((sides >= 0).any(axis=0))
     rows, which = spread(starts[kept], starts[kept + 1])
     back = (starts[kept] + starts[kept + 1] - 1)[which] - rows
     rows = np.where(turned[kept][which], back, rows)
-    sizes = np.diff(starts)[kept]
-    faces = Faces(
+    return Faces(
         labels[rows],
-        np.concatenate([[0], np.cumsum(sizes)]),
+        np.concatenate([[0], np.cumsum(np.diff(starts)[kept])]),
         np.where(turned, sides[1], sides[0])[kept],
         np.where(turned, -1, sides[1])[kept],
     )
-    ajar = open_cells(faces)
-    if len(ajar):
-        raise ValueError(f"{len(ajar)} cells do not close, first cell {ajar[0]}: NGON_n or NFACE_n are damaged")
-    typed, ids = standard_cells(faces)
-    cut = ids.pop("polyhedron", np.zeros(0, np.int64))
-    blocks = [Block(kind, corners + first, ids[kind]) for kind, corners in typed.items()]
-    if len(cut):
-        pieces, owner = tetrahedra(faces, cut, points)
-        blocks.append(Block("tetra", pieces + first, owner))
-    faces = dataclasses.replace(faces, labels=faces.labels + first)
-    outer = [np.flatnonzero((faces.neighbour < 0) & (sizes == size)) for size in np.unique(sizes).tolist()]
-    outer = [faces.corners(chosen, int(sizes[chosen[0]])) for chosen in outer if len(chosen)]
-    return blocks, outer, Polyhedra(faces, cut)

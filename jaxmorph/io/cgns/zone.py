@@ -138,16 +138,7 @@ class Zone:
             kind, start = int(data(section)[0]), int(data(parts["ElementRange"])[0])
             connectivity = data(parts["ElementConnectivity"]).astype(np.int64)
             if kind in (NGON, NFACE):
-                if "ElementStartOffset" not in parts:
-                    raise self.error(
-                        f"section {name} has no ElementStartOffset; cgnsupdate brings the file to version 4"
-                    )
-                rows = Ragged(connectivity, data(parts["ElementStartOffset"]).astype(np.int64))
-                least = 3 if kind == NGON else 4
-                if rows.starts[0] != 0 or rows.starts[-1] != len(connectivity) or (np.diff(rows.starts) < least).any():
-                    raise self.error(
-                        f"the offsets of section {name} do not cut its {len(connectivity)} numbers into rows of {least} or more"
-                    )
+                rows = self._ragged(name, parts, connectivity, least=3 if kind == NGON else 4)
                 if kind == NFACE:
                     volumes.append(rows)
                     continue
@@ -167,6 +158,17 @@ class Zone:
         except ValueError as error:
             raise self.error(str(error)) from error
         return Content(blocks + more, sides, elements, whole)
+
+    def _ragged(self, name: str, parts: dict[str, Any], connectivity: np.ndarray, least: int) -> Ragged:
+        """Cuts a section's numbers into its faces or cells, of `least` numbers or more each."""
+        if "ElementStartOffset" not in parts:
+            raise self.error(f"section {name} has no ElementStartOffset; cgnsupdate brings the file to version 4")
+        rows = Ragged(connectivity, data(parts["ElementStartOffset"]).astype(np.int64))
+        if rows.starts[0] != 0 or rows.starts[-1] != len(connectivity) or (np.diff(rows.starts) < least).any():
+            raise self.error(
+                f"the offsets of section {name} do not cut its {len(connectivity)} numbers into rows of {least} or more"
+            )
+        return rows
 
     def _check(self, name: str, vertices: np.ndarray) -> None:
         if vertices.size and (vertices.min() < 1 or vertices.max() > self.count):
