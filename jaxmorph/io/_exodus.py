@@ -12,9 +12,9 @@ from jaxmorph import Mesh
 from jaxmorph._host.cells.topology import DIMENSION
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, FilePoints, Source, own_source, stamp_of, unchanged_source
+from ._format import Arrays, Source, StampedPoints, stamp_of, unchanged_source
 from ._meshio import meshio, to_mesh
-from .cgns.tree import copy, opened
+from .cgns.tree import opened, write_points
 
 NAME = "Exodus"
 WHAT = "an Exodus file"
@@ -64,7 +64,7 @@ def read(path: pathlib.Path) -> Mesh:
                 raise ValueError(f"{name} has nodes {nodes.min() + 1} to {nodes.max() + 1} of {len(points)}")
             flag = flags.setdefault(PREFIX + urllib.parse.quote(name), np.zeros(len(points), np.uint8))
             flag[nodes] = 1
-    content = FilePoints(points, stamp_of(path))
+    content = StampedPoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, [(block.kind, block.corners) for block in blocks], point_data=flags)
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
 
@@ -76,18 +76,16 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
-    source = own_source(path, mesh, NAME)
-    copy(source.path, path, WHAT)
-    points = source.content.in_file(np.asarray(mesh.points))
-    if np.array_equal(points, source.content.points):
+    write_points(path, mesh, NAME, _put, WHAT)
+
+
+def _put(file: Any, points: np.ndarray, old: np.ndarray) -> None:
+    if "coord" in file:
+        file["coord"][...] = points.T
         return
-    with opened(path, writes=True, what=WHAT) as file:
-        if "coord" in file:
-            file["coord"][...] = points.T
-            return
-        for axis, values in enumerate(points.T):
-            if not np.array_equal(values, source.content.points[:, axis]):
-                file[f"coord{'xyz'[axis]}"][...] = values
+    for axis, values in enumerate(points.T):
+        if not np.array_equal(values, old[:, axis]):
+            file[f"coord{'xyz'[axis]}"][...] = values
 
 
 def _columns(file: Mapping[str, Any]) -> list[np.ndarray]:

@@ -110,14 +110,20 @@ def stamp_of(path: pathlib.Path) -> tuple[int, int]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FilePoints:
-    """The points of a file, and marks by which a changed file is found."""
+    """The points of a file, of which a 2-D mesh has no z."""
 
     points: np.ndarray
-    stamp: tuple[int, int]
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
         """Returns points with the z of the file where they have none."""
         return np.concatenate([points, self.points[:, points.shape[1] :]], axis=1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class StampedPoints(FilePoints):
+    """The points of a file, and marks by which a changed file is found."""
+
+    stamp: tuple[int, int]
 
 
 def unchanged_source(path: pathlib.Path, mesh: Mesh, format_name: str) -> Source:

@@ -10,9 +10,9 @@ import numpy as np
 from jaxmorph import Mesh
 from jaxmorph._mesh.exchange import PREFIX
 
-from ._format import Arrays, FilePoints, Source, own_source, stamp_of, unchanged_source
+from ._format import Arrays, Source, StampedPoints, stamp_of, unchanged_source
 from ._meshio import meshio, to_mesh
-from .cgns.tree import copy, opened
+from .cgns.tree import opened, write_points
 
 NAME = "MED"
 WHAT = "a MED file"
@@ -52,7 +52,7 @@ def read(path: pathlib.Path) -> Mesh:
             flags[PREFIX + urllib.parse.quote(group)] = np.isin(of_nodes, numbers).astype(int)
     if any(len(each) != len(corners) for each, (_, corners) in zip(families, blocks, strict=True)):
         raise ValueError(f"{path}: not {WHAT}, or a damaged one (families of other elements than there are).")
-    content = FilePoints(points, stamp_of(path))
+    content = StampedPoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, blocks, point_data=flags, cell_sets=sets)
     return to_mesh(path, mesh, Source(path, NAME, content, in_file=content.in_file))
 
@@ -64,14 +64,12 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
-    source = own_source(path, mesh, NAME)
-    copy(source.path, path, WHAT)
-    points = source.content.in_file(np.asarray(mesh.points))
-    if np.array_equal(points, source.content.points):
-        return
-    with opened(path, writes=True, what=WHAT) as file:
-        coordinates = _step(file)[1]["NOE"]["COO"]
-        coordinates[...] = points.T.reshape(coordinates.shape)
+    write_points(path, mesh, NAME, _put, WHAT)
+
+
+def _put(file: Any, points: np.ndarray, _: np.ndarray) -> None:
+    coordinates = _step(file)[1]["NOE"]["COO"]
+    coordinates[...] = points.T.reshape(coordinates.shape)
 
 
 def _step(file: Any) -> tuple[str, Any]:

@@ -14,7 +14,7 @@ from jaxmorph._host.cells.orders import swapped_edges
 from jaxmorph._host.cells.topology import CORNERS, NODES, SHAPES, VTK, VTK_QUADRATIC
 
 from . import _legacy
-from ._format import Arrays, FilePoints, Source, stamp_of
+from ._format import Arrays, FilePoints, Source
 from ._meshio import load, meshio, to_mesh
 
 NAME = "VTK"
@@ -40,8 +40,7 @@ def read(path: pathlib.Path) -> Mesh:
             _check_counts(path)
     else:
         mesh = _legacy.read(path)
-    places = FilePoints(np.asarray(mesh.points, float), stamp_of(path))
-    return to_mesh(path, mesh, Source(path, NAME, mesh, in_file=places.in_file))
+    return to_mesh(path, mesh, Source(path, NAME, mesh, in_file=FilePoints(np.asarray(mesh.points, float)).in_file))
 
 
 def _read_newer(data: bytes, head: int, _: str) -> Any:

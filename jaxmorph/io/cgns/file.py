@@ -12,11 +12,11 @@ from jaxmorph._host.cells.pieces import boundary_faces
 from jaxmorph._mesh.faces import faces_of_cells, joined_faces
 from jaxmorph._mesh.polyhedra import Polyhedra
 
-from .._format import Arrays, Source, own_source, stamp_of, unchanged_source
+from .._format import Arrays, Source, stamp_of, unchanged_source
 from .._joined import Joined, Zones, join
 from .kinds import kinds_of, symmetry_of
 from .polyhedra import Block
-from .tree import copy, opened
+from .tree import opened, write_points
 from .zone import DIMENSION, TYPES, Connection, Content, Zone, children, data, word
 
 NAME = "CGNS"
@@ -24,10 +24,9 @@ LEVEL = {TYPES[number]: dimension for number, dimension in DIMENSION.items()}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _CGNSContent:
+class _CGNSContent(Joined):
     """The way back to the nodes of the file, and marks by which a changed file is found."""
 
-    joined: Joined
     stamp: tuple[int, int]
 
 
@@ -43,7 +42,7 @@ def read(path: pathlib.Path) -> Mesh:
     try:
         mesh, joined = join(zones)
         whole, ids = _whole(cells, joined.node)
-        content = _CGNSContent(joined, stamp_of(path))
+        content = _CGNSContent(**vars(joined), stamp=stamp_of(path))
         known = {"periodic": periodic_of(pairs, joined.is_flat), "symmetry": symmetry_of(kinds), "kinds": kinds}
         source = Source(path, NAME, content, whole, ids, file_nodes=joined.node, in_file=joined.in_file, **known)
         return Mesh(mesh.points, mesh.cells, mesh.patches, source=source)
@@ -58,18 +57,15 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
     """Writes a copy of the file that the mesh was read from."""
-    source = own_source(path, mesh, NAME)
-    content: _CGNSContent = source.content
-    copy(source.path, path)
-    points = content.joined.in_file(np.asarray(mesh.points))
-    if np.array_equal(points, content.joined.points):
-        return
-    with opened(path, writes=True) as file:
+
+    def put(file: Any, points: np.ndarray, old: np.ndarray) -> None:
         for zone in open_zones(path, file)[0]:
             rows = slice(zone.first, zone.first + zone.count)
             for axis, values in enumerate(zone.coordinates()):
-                if not np.array_equal(points[rows, axis], content.joined.points[rows, axis]):
+                if not np.array_equal(points[rows, axis], old[rows, axis]):
                     values[...] = points[rows, axis].reshape(values.shape)
+
+    write_points(path, mesh, NAME, put)
 
 
 def open_zones(path: pathlib.Path, file: Any) -> tuple[list[Zone], int]:

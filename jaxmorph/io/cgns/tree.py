@@ -9,10 +9,15 @@ except ImportError as error:
 import contextlib
 import pathlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
+
+from jaxmorph import Mesh
+
 from .. import _netcdf
+from .._format import own_source
 from . import adf
 
 WHAT = "a CGNS file in HDF5 or ADF"
@@ -44,11 +49,27 @@ def opened(path: pathlib.Path, writes: bool = False, what: str = WHAT) -> Iterat
         raise ValueError(f"{path}: not {what}, or a damaged one ({detail}).") from error
 
 
-def copy(source: pathlib.Path, target: pathlib.Path, what: str = WHAT) -> None:
-    """Copies a file to be written in place; refuses other files' data before it opens any."""
-    with opened(source, what=what):
+def write_points(
+    path: pathlib.Path,
+    mesh: Mesh,
+    format_name: str,
+    put: Callable[[Any, np.ndarray, np.ndarray], None],
+    what: str = WHAT,
+) -> None:
+    """Copies the file that a mesh was read from, and puts the mesh's points into the copy.
+
+    `put` takes the root of the copy's tree, the points in the file's order, and the old points. It
+    is not called where no point has moved. A file with data in another one is refused before it is
+    copied.
+    """
+    source = own_source(path, mesh, format_name)
+    with opened(source.path, what=what):
         pass
-    shutil.copyfile(source, target)
+    shutil.copyfile(source.path, path)
+    points, old = source.content.in_file(np.asarray(mesh.points)), source.content.points
+    if not np.array_equal(points, old):
+        with opened(path, writes=True, what=what) as file:
+            put(file, points, old)
 
 
 def _refuse_foreign_data(path: pathlib.Path, file: Any) -> None:

@@ -12,7 +12,7 @@ from jaxmorph._host.cells.orders import GMSH, MESHIO, reordered
 from jaxmorph._host.cells.topology import DIMENSION
 
 from .._boundary import patch_faces
-from .._format import Arrays, Source, source_of
+from .._format import Arrays, FilePoints, Source, source_of
 from .._meshio import Block, Blocks, meshio, to_mesh
 from ..text.sections import Section, replace_numbers
 from .parts import TYPES, Elements, elements, entities, nodes
@@ -23,18 +23,13 @@ SPARSE = 10
 """Range of the tags of nodes, in numbers of nodes, up to which a table of them is made."""
 
 
-@dataclasses.dataclass(frozen=True)
-class _GmshContent:
-    """A file's section of nodes, places of each node's x, and points with a 2-D mesh's z."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class _GmshContent(FilePoints):
+    """A file's points, its section of nodes, and the place of each node's x."""
 
     section: Section
     form: Form
     places: np.ndarray
-    points: np.ndarray
-
-    def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Returns points with the z of the file where they have none."""
-        return np.concatenate([points, self.points[:, points.shape[1] :]], axis=1)
 
 
 def read(path: pathlib.Path) -> Mesh:
@@ -54,7 +49,7 @@ def read(path: pathlib.Path) -> Mesh:
             elif name in ("Nodes", "ParametricNodes"):
                 stream = Stream(section, form, np.float64)
                 tags, places = nodes(stream, is_parametric=name == "ParametricNodes")
-                vertices = tags, _GmshContent(section, form, places, stream.points(places))
+                vertices = tags, _GmshContent(stream.points(places), section, form, places)
             elif name == "Elements":
                 cells = elements(Stream(section, form), groups)
         except (ValueError, IndexError, OverflowError) as error:
