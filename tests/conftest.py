@@ -84,6 +84,18 @@ def pytest_collection_modifyitems(config, items):
                 item.add_marker("no_cover")
 
 
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    """Makes `folder`, which a file of tests may fill, the current folder."""
+    monkeypatch.chdir(folder)
+    return folder
+
+
 @pytest.fixture(autouse=True)
 def stack_limit():
     """gmsh lifts it for good, and the threads of processes that later tests start would have too little of it."""

@@ -1,9 +1,11 @@
 """Small meshes that many tests move: lattices, rings, bricks and bodies with named patches."""
 
+import contextlib
 import functools
 import pathlib
 
 import numpy as np
+import pytest
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -11,6 +13,18 @@ from jaxmorph._quality.distortion import IDEAL
 
 TETRAHEDRA = [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]]
 """The six tetrahedra of a cube, by corners 4 i + 2 j + k."""
+
+
+@contextlib.contextmanager
+def gmsh_session():
+    """Opens gmsh, silent, and closes it; skips the test where gmsh is not installed."""
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize(interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    try:
+        yield gmsh
+    finally:
+        gmsh.finalize()
 
 
 def lattice(*axes) -> np.ndarray:

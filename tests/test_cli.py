@@ -33,12 +33,6 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def here(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    return folder
-
-
 def deform(out: str, *motion: str) -> int:
     return main(["deform", "ring.su2", out, "--moving", "wall", "--fixed", "far", *motion])
 

@@ -16,12 +16,6 @@ MOVE = ["--moving", "wall", "--fixed", "far", "--translate", "0.2", "0", "--rota
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
 def sizes(monkeypatch):
     """How many points each chunk has that is prepared by the command line."""
     made, called = _method.chunks_of, []

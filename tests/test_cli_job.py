@@ -23,8 +23,7 @@ from jaxmorph.cli._job import text_of
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def folder(tmp_path):
     write_ring(tmp_path / "ring.su2")
     (tmp_path / "shift.csv").write_text("".join(f"{k},0.125,-0.25\n" for k in range(24)))
     return tmp_path

@@ -28,12 +28,6 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def here(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    return folder
-
-
 def modes(out: str, *flags: str) -> int:
     return main(["modes", "ring.su2", out, *SURFACE, "--mode", *flags])
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from meshes import gmsh_session
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -13,10 +14,8 @@ gmsh = pytest.importorskip("gmsh")
 
 @pytest.fixture(scope="module", autouse=True)
 def session():
-    gmsh.initialize(interruptible=False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    yield
-    gmsh.finalize()
+    with gmsh_session():
+        yield
 
 
 def disc(order: int, kind: str, *, is_complete: bool = True) -> None:

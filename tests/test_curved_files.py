@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from meshes import gmsh_session
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -56,22 +57,17 @@ def test_vtk_files_hold_what_vtk_reads_and_writes(tmp_path, name, ending):
 
 @pytest.mark.parametrize("name", ["quad16", "tetra35", "pyramid30", "wedge18", "hexahedron64", "hexahedron20"])
 def test_cgns_files_of_gmsh_have_the_curved_cell(tmp_path, name):
-    gmsh = pytest.importorskip("gmsh")
     pytest.importorskip("h5py")
     mesh, cell = bent(name), TYPES[name]
     family = {"quad": "Quadrangle", "tetra": "Tetrahedron", "wedge": "Prism"}.get(cell.shape, cell.shape.capitalize())
     x = np.zeros((len(mesh.points), 3))
     x[:, : cell.dimension] = mesh.points
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_session() as gmsh:
         kind = gmsh.model.mesh.getElementType(family, cell.order, not cell.is_complete)
         entity = gmsh.model.addDiscreteEntity(cell.dimension)
         gmsh.model.mesh.addNodes(cell.dimension, entity, 1 + np.arange(len(x)), x.ravel())
         gmsh.model.mesh.addElementsByType(entity, kind, [1], 1 + np.argsort(GMSH.places(name)))
         gmsh.write(str(tmp_path / "a.cgns"))
-    finally:
-        gmsh.finalize()
     read = io.read(tmp_path / "a.cgns")
     np.testing.assert_array_equal(read.points[read.cells[name]][0], mesh.points)
     io.write(tmp_path / "b.cgns", read.moved(read.points + 1))

@@ -78,6 +78,25 @@ def test_every_pair_is_decided_before_any_work(tmp_path, capsys, source, to):
     assert {path.name for path in tmp_path.iterdir()} <= {f"in{source}", f"out{to}"}
 
 
+@pytest.mark.parametrize(
+    ("ending", "kind"), [(".e", "an Exodus file"), (".med", "a MED file"), (".cgns", "a CGNS file")]
+)
+def test_a_format_of_copies_takes_its_own_whole_files(tmp_path, ending, kind):
+    path = tmp_path / f"a{ending}"
+    with pytest.raises(ValueError, match=rf"only a mesh that was read from an? {kind.split()[1]} file"):
+        io.write(path, bricks(2))
+    path.write_bytes(b"no file of this kind")
+    with pytest.raises(ValueError, match=rf"a\{ending}: not {kind}"):
+        io.read(path)
+    whole = written(tmp_path, ending)
+    if ending == ".e":
+        exodus.solid(whole, form="netcdf4")
+    with h5py.File(whole, "r+") as file:
+        file["other"] = h5py.ExternalLink("b.h5", "/points")
+    with pytest.raises(ValueError, match=r"is a link to b\.h5"):
+        io.read(whole)
+
+
 @pytest.mark.parametrize("ending", [".su2", ".msh"])
 def test_a_patch_that_faces_cannot_express_is_told_before_any_work(tmp_path, ending):
     mesh = bricks(2)

@@ -33,12 +33,6 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def here(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    return folder
-
-
 def deform(file, *words):
     motion = ["--displacement", "bump.dat", "--displacement-is", "displacement"]
     return main(["deform", file, f"out.{file[-3:]}", *motion, *words])

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from meshes import gmsh_session
 
 from jaxmorph import io
 
@@ -14,10 +15,8 @@ VARIANTS = ("plain", "all", "two groups", "parametric", "partitioned", "ghosts",
 
 @pytest.fixture(scope="module", autouse=True)
 def session():
-    gmsh.initialize(interruptible=False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    yield
-    gmsh.finalize()
+    with gmsh_session():
+        yield
 
 
 def write(path, dimension: int, version: float, binary: int, variant: str) -> None:

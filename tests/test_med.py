@@ -1,10 +1,9 @@
 """MED files as gmsh and meshio write them, and gmsh's view of what is written back."""
 
-import h5py
 import meshio
 import numpy as np
 import pytest
-from meshes import bricks
+from meshes import bricks, gmsh_session
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -12,10 +11,7 @@ from jaxmorph import io
 
 def box(path):
     """A box of tetrahedra with groups, one face in two of them."""
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_session() as gmsh:
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.8)
         gmsh.model.occ.addBox(0, 0, 0, 2, 1, 1)
         gmsh.model.occ.synchronize()
@@ -25,8 +21,6 @@ def box(path):
             gmsh.model.addPhysicalGroup(dimension, faces, tag, name)
         gmsh.model.mesh.generate(3)
         gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
 
 
 def test_groups_are_patches(tmp_path):
@@ -69,16 +63,7 @@ def test_two_dimensions(tmp_path):
 
 
 def test_what_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="only a mesh that was read from a MED file"):
-        io.write(tmp_path / "a.med", bricks(2))
-    (tmp_path / "a.med").write_bytes(b"no file of this kind")
-    with pytest.raises(ValueError, match=r"a\.med: not a MED file"):
-        io.read(tmp_path / "a.med")
     points = np.random.default_rng(0).normal(size=(10, 3))
     meshio.med.write(tmp_path / "b.med", meshio.Mesh(points, [("tetra10", [np.arange(10)])]))
     with pytest.raises(ValueError, match=r"b\.med: elements of type T10; linear ones are read"):
-        io.read(tmp_path / "b.med")
-    with h5py.File(tmp_path / "b.med", "r+") as file:
-        file["ENS_MAA/other"] = h5py.ExternalLink("c.med", "/ENS_MAA/mesh")
-    with pytest.raises(ValueError, match=r"is a link to c\.med"):
         io.read(tmp_path / "b.med")

@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from meshes import gmsh_session
 from oracles import jacobians_inside
 
 import jaxmorph as jm
@@ -108,10 +109,7 @@ def test_bounds_agree_with_dense_samples_near_the_limit(shape, order):
 @pytest.mark.parametrize("shape", GMSH)
 def test_gmsh_finds_the_least_value_between_the_bounds(shape):
     """gmsh bounds det J by its own Bernstein coefficients, in its own reference cell, with its own order of nodes."""
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_session() as gmsh:
         for order in (
             (1, 2, 3) if shape != "pyramid" else (1,)
         ):  # gmsh's det J of curved pyramids contradicts samples of them
@@ -126,8 +124,6 @@ def test_gmsh_finds_the_least_value_between_the_bounds(shape):
             assert (found.upper >= theirs - 1e-6).all()
             is_known = (found.lower > 0) | (found.upper < 0)
             assert is_known.mean() > 0.8
-    finally:
-        gmsh.finalize()
 
 
 def least_of_gmsh(gmsh, cell, nodes: np.ndarray) -> np.ndarray:

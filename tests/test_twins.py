@@ -1,6 +1,5 @@
 """Twins of the files that people have: each is read, moved, written, and read by another reader. Nothing else differs."""
 
-import contextlib
 import itertools
 
 import adf
@@ -9,6 +8,7 @@ import exodus
 import h5py
 import numpy as np
 import pytest
+from meshes import gmsh_session
 from su2 import BOX, CONTROL, PLAIN
 
 import jaxmorph as jm
@@ -50,17 +50,6 @@ def one_layer(path):
         ):
             cgns.condition(zone, name, places, name)
             cgns.node(cgns.node(base, name, "Family_t"), "FamilyBC", "FamilyBC_t", kind)
-
-
-@contextlib.contextmanager
-def gmsh_session():
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize(interruptible=False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    try:
-        yield gmsh
-    finally:
-        gmsh.finalize()
 
 
 def by_gmsh(**options):

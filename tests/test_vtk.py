@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from meshes import bricks
+from meshes import bricks, gmsh_session
 
 import jaxmorph as jm
 from jaxmorph import io
@@ -86,10 +86,7 @@ def test_what_vtk_writes_is_read_with_all_arrays(tmp_path, version, binary):
 @pytest.mark.parametrize("binary", [0, 1])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_what_gmsh_writes_is_read(tmp_path, dimension, binary):
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_session() as gmsh:
         make = gmsh.model.occ.addRectangle if dimension == 2 else gmsh.model.occ.addBox
         make(0, 0, 0, *(1,) * dimension)
         gmsh.model.occ.synchronize()
@@ -99,8 +96,6 @@ def test_what_gmsh_writes_is_read(tmp_path, dimension, binary):
         gmsh.option.setNumber("Mesh.SaveAll", 1)
         gmsh.write(str(tmp_path / "a.vtk"))
         count = len(gmsh.model.mesh.getElements(dimension)[1][0])
-    finally:
-        gmsh.finalize()
     read, grid = io.read(tmp_path / "a.vtk"), pyvista.read(tmp_path / "a.vtk")
     np.testing.assert_array_equal(read.points, grid.points[:, :dimension])
     (corners,) = read.cells.values()
