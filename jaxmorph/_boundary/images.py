@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import KDTree
 
+from .._host.package.orders import rows_in
 from .._kernels.values import as_jax
 from .pairing import Pairing
 from .symmetry import Plane, facing, tolerance
@@ -117,9 +118,8 @@ class Copies:
         faces[is_mirrored] = faces[is_mirrored][..., ::-1]  # counterclockwise again
         faces = faces.reshape(-1, corners.shape[1])
         place = self.places[self.kind, self.rows]
-        order = np.argsort(place)
         first = np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])
-        return order[np.searchsorted(place[order], faces[first])].astype(np.int32)
+        return rows_in(place, faces[first]).astype(np.int32)
 
 
 def copies(

@@ -118,6 +118,8 @@ def joined_faces(parts: list[Faces]) -> Faces:
 
     Two outer faces with equal nodes become an inner face.
     """
+    # Outer faces are padded to one width, so that `twins` pairs them. The first of two equal faces
+    # stays, with the owner of the second as its neighbour.
     labels = np.concatenate([part.labels for part in parts])
     sizes = np.concatenate([part.sizes for part in parts])
     owner = np.concatenate([part.owner for part in parts])

@@ -73,6 +73,8 @@ def tetrahedra(faces: Faces, cells: np.ndarray, points: np.ndarray) -> tuple[np.
 
 def spread(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lists the whole numbers of many ranges in a row, and the ranges to which they belong."""
+    # A count through all ranges is shifted in each: by the range's first number, less the numbers
+    # of the ranges before it.
     counts = last - first
     ends = np.cumsum(counts)
     which = np.repeat(np.arange(len(counts)), counts)

@@ -50,8 +50,9 @@ class Interpolation(AbstractRows):
     def with_table(self, count: int, parts: int) -> "Interpolation":
         if self.table is not None:
             return self
-        # An interpolation is remade by each `jit` boundary, its array of weights is not. So the array
-        # is the key. Its `id` may serve another array later: the weak reference drops the entry first.
+        # An interpolation is remade by each `jit` boundary, its array of weights is not. So the
+        # array is the key. Its `id` may serve another array later: the weak reference drops the
+        # entry first.
         key = id(self.weights), count, parts
         if key not in _made:
             _made[key] = self._tabled(count, parts), weakref.ref(self.weights, lambda _: _made.pop(key, None))

@@ -144,6 +144,9 @@ class SurfaceHalf:
             raise ValueError(
                 f"`nodes` holds {ids.dtype} of shape {ids.shape}; expected an id for each of {len(points)} points."
             )
+        # Each id is looked up among the half's sorted nodes; where another node stands, the point
+        # is none of the surface. `place` then turns the table round: rows of points by the half's
+        # nodes.
         order = np.argsort(self.nodes, kind="stable")
         at = np.minimum(np.searchsorted(self.nodes[order], ids), len(order) - 1)
         present = np.flatnonzero((self.nodes[order][at] == ids) & (ids >= 0))

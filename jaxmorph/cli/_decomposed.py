@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 import jaxmorph as jm
 from jaxmorph import io
+from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import Alone, Ranks, together
 
 from ._attempt import MORE
@@ -199,6 +200,5 @@ class Parts:
             raise ValueError(f"{name}: {error.renumbered(rows)}") from None
         points = jm.deform(plan, path[0]) if len(path) == 1 else jm.march(plan, path)[1]
         here = np.flatnonzero(np.isin(ids, half.moving))
-        order = np.argsort(half.moving)
-        of_moving = order[np.searchsorted(half.moving[order], ids[here])]
+        of_moving = rows_in(half.moving, ids[here])
         return in_double(base, np.asarray(points)[: len(ids)], here, path[-1][of_moving], half.plan.method.exact)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxmorph._boundary.outer_faces import outer_faces
 from jaxmorph._host.cells.pairs import sorted_columns
 from jaxmorph._host.cells.topology import CORNERS, solid
+from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import together
 from jaxmorph._mesh.mesh import Mesh
 
@@ -72,11 +73,7 @@ def _filtered(
 
 def joined(shares: Sequence[Any], names: np.ndarray) -> dict[str, np.ndarray]:
     """Joins the faces of all pieces, as rows of `names`."""
-    order = np.argsort(names, kind="stable")
-    return {
-        kind: order[np.searchsorted(names[order], np.concatenate([share[kind] for share in shares]))]
-        for kind in shares[0]
-    }
+    return {kind: rows_in(names, np.concatenate([share[kind] for share in shares])) for kind in shares[0]}
 
 
 def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,6 +81,8 @@ def owned(comm: Any, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Each id has a process that keeps its list, so that no process sees the nodes of all.
     """
+    # Keys go to their keeper, which finds the first of equal keys in the order of the processes.
+    # Its answers go back in the order in which it was asked.
     keeper = (keys if keys.ndim == 1 else keys[:, 0]) % comm.size
     asked = comm.alltoall([keys[keeper == rank] for rank in range(comm.size)])
     _, first, back, count = np.unique(
@@ -107,7 +106,6 @@ def agree(comm: Any, ids: np.ndarray, is_shared: np.ndarray, is_owner: np.ndarra
     known = comm.alltoall([(ids[rows], values[rows]) for rows in given])
     asked = comm.alltoall([ids[rows] for rows in wanted])
     names, rows = (np.concatenate([each[k] for each in known]) for k in range(2))
-    order = np.argsort(names)
-    answers = comm.alltoall([rows[order[np.searchsorted(names[order], each)]] for each in asked])
+    answers = comm.alltoall([rows[rows_in(names, each)] for each in asked])
     for places, answer in zip(wanted, answers, strict=True):
         values[places] = answer

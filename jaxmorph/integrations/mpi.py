@@ -17,6 +17,7 @@ from jaxtyping import ArrayLike, Bool, Float, Int, Real
 import jaxmorph as jm
 from jaxmorph._boundary.symmetry import check_dimension, on_facing
 from jaxmorph._host.package.arguments import check, shown
+from jaxmorph._host.package.orders import rows_in
 from jaxmorph._host.package.ranks import together
 
 from ._shared import agree, faces_of, joined, owned
@@ -225,10 +226,9 @@ def attach(
     _check_comm(comm)
     together(comm, lambda: check("half", half, jm.SurfaceHalf, attach))
     plan = together(comm, lambda: half.attach(np.asarray(points), np.asarray(nodes)))
-    ids, order = np.asarray(nodes), np.argsort(half.moving)
+    ids = np.asarray(nodes)
     moving = np.flatnonzero(np.isin(ids, half.moving))
-    rows = order[np.searchsorted(half.moving[order], ids[moving])]
-    return Piece(comm, plan, ids, moving, rows, *owned(comm, ids))
+    return Piece(comm, plan, ids, moving, rows_in(half.moving, ids[moving]), *owned(comm, ids))
 
 
 @dataclasses.dataclass(frozen=True)

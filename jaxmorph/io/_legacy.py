@@ -235,6 +235,8 @@ def _begins(cells: _Cells, types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if strange:
         told = ", ".join(f"{OTHERS.get(number, 'others')} (type {number})" for number in strange)
         raise ValueError(f"cells that are not supported: {told}. They would be lost")
+    # The sizes by type say where each cell begins. Before 5.1 a cell's number of nodes stands
+    # before its nodes, so places are shifted by one more for each cell.
     known = np.array(sorted(KINDS))
     sizes = np.array([NODES.get(KINDS[number], 1) for number in known])[np.searchsorted(known, types)]
     _measure_lagrange(cells, types, sizes)

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from jaxmorph import Mesh
 from jaxmorph._host.package.arguments import checked, finite_array, rows_of
 from jaxmorph._host.package.files import complete, input_path, output_path, read_arrays, real_array
+from jaxmorph._host.package.orders import rows_in
 
 from ._surface import read_table
 from .openfoam.field import is_foam_file, read_point_vectors
@@ -70,8 +71,7 @@ def read_sensitivity(
         if lacking.size:
             fault = f"{lacking.size} of the {len(moving)} moving nodes are missing (first {lacking[0]})"
             raise ValueError(f"{path}: {fault}; a surface's file has all of them, a volume's all {n} nodes.")
-        order = np.argsort(ids)
-        return values[order[np.searchsorted(ids[order], moving)]]
+        return values[rows_in(ids, moving)]
     missing = np.setdiff1d(np.arange(n), ids)
     if missing.size or len(ids) != n:
         fault = f"{missing.size} of {n} nodes are missing (first {missing[0]})" if missing.size else "nodes come twice"

@@ -43,6 +43,9 @@ def pattern(cells: list[np.ndarray], n: int, dimension: int) -> Pattern:
 
 
 def _rows(cells: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    # Each pair of corners of a cell adds a block at (row, column). The key row * n + column is one
+    # integer, so that unique keys are the matrix in CSR order, and their inverse the blocks'
+    # places.
     rows = [np.repeat(ids.T, ids.shape[1], axis=0).ravel() for ids in cells]
     columns = [np.tile(ids.T, (ids.shape[1], 1)).ravel() for ids in cells]
     keys = np.concatenate(rows).astype(np.int64) * n + np.concatenate(columns)

@@ -1,4 +1,4 @@
-"""Orders of points: canonical, and along Morton's curve."""
+"""Orders of points, canonical and along Morton's curve, and rows of ids."""
 
 import numpy as np
 
@@ -12,6 +12,12 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
     """Sorts points by their coordinates, so that results do not depend on the order given."""
     slack = SAME * float(np.ptp(points, axis=0).max())
     return np.lexsort([ranked(column, slack) for column in points.T[::-1]])
+
+
+def rows_in(ids: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Finds the row in `ids` (k,) of each of `wanted`, which are all among them."""
+    order = np.argsort(ids, kind="stable")
+    return order[np.searchsorted(ids[order], wanted)]
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:

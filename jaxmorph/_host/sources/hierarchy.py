@@ -74,6 +74,8 @@ class Share(AbstractReduction):
 def _own_images(points: np.ndarray, images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Finds each node's nearest mirror image: distance (infinite without images) and id."""
     distance, nearest = np.full(len(points), np.inf), np.arange(len(points))
+    # Sorted by number, the images of a node are neighbours. Two rows that are `shift` places apart
+    # are compared where their numbers are equal, for all shifts up to the largest group.
     order = np.argsort(images, kind="stable")
     for shift in range(1, int(np.bincount(np.unique(images, return_inverse=True)[1]).max())):
         for here, there in ((order[shift:], order[:-shift]), (order[:-shift], order[shift:])):

@@ -73,6 +73,8 @@ def near_walls(
 
 def _closest(nodes: np.ndarray, squared: np.ndarray, count: int) -> np.ndarray:
     """Picks each row's `count` nearest nodes (k, c), nearest first; ties by first node."""
+    # Sorted distances of equal rank are a tie: the rank grows where a distance is more than
+    # round-off above the one before it. Rank and node are one key, rank in the upper bits.
     order = np.argsort(squared, axis=1, kind="stable")
     nodes, squared = (np.take_along_axis(table, order, axis=1) for table in (nodes, squared))
     is_more = squared[:, 1:] > (1 + 2 * SAME) * squared[:, :-1]

@@ -176,6 +176,8 @@ def has_free_sides(surface: np.ndarray, is_free: np.ndarray, points: np.ndarray)
     except QhullError:
         return False
     size = np.linalg.norm(outward(surface[hull.simplices]), axis=1)
+    # Facets of one plane have equal rounded equations. Their areas add up to a side's, and only the
+    # largest sides are looked at.
     plane = np.unique(np.round(hull.equations, 6), axis=0, return_inverse=True)[1].ravel()
     area = np.bincount(plane, size)
     largest = np.argsort(ranked(-area, SAME * area.max()), kind="stable")[:SIDES]

@@ -118,6 +118,8 @@ def _beside(groups: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
     Faces of a consistent surface have opposite senses. Faces are numbered through all groups.
     """
+    # Every face lists its edges. Sorted by their nodes, lowest node first, equal edges are
+    # neighbours in the list. The sense of an edge is lost by that, so `turned` keeps it.
     edges, owners, start = [], [], 0
     for group in groups:
         count = group.shape[1]

@@ -10,7 +10,7 @@ from jaxtyping import Float
 import jaxmorph as jm
 
 from .. import mpi
-from .._shared import together
+from .._shared import rows_in, together
 from ._arrays import faces, reals
 from ._definition import Definition
 from ._follower import Follower, doubles
@@ -264,8 +264,7 @@ class USMesh:
             moving, weights = walls.moving(definition, is_own)
             half = walls.half(moving, self._options, grid.known)
             ids = grid.known.get("nodes", np.arange(len(grid.outside.points)))[moving]
-            order = np.argsort(ids)
-            return half, weights[order[np.searchsorted(ids[order], half.moving)]]
+            return half, weights[rows_in(ids, half.moving)]
 
         with doubles():
             half, weights = self.comm.bcast(together(self.comm, prepared))

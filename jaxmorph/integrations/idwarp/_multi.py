@@ -194,6 +194,9 @@ class _Zones:
 
     def own(self, indices: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
         """Finds the grid of the file's coordinates, and their numbers within the grid."""
+        # A coordinate's zone is found by the first node of each. Nodes of one grid are counted
+        # through its own zones: the shift is the zone's first node in the file less that in the
+        # grid.
         first, within = np.cumsum(self.counts) - self.counts, np.zeros_like(self.counts)
         for k in range(-1, len(self.names)):
             counts = self.counts[self.grid == k]

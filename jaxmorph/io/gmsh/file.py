@@ -72,6 +72,7 @@ def _numbered(cells: list[Elements], tags: np.ndarray) -> list[Elements]:
     A table from tags to places is fast, and too long where tags are far apart: there they are
     looked up in their order.
     """
+    # Either way a tag that is none gives some place, so the tag at the place is compared.
     least, most, numbered = int(tags.min()), int(tags.max()), []
     is_dense = most - least <= SPARSE * len(tags)
     order = np.arange(len(tags)) if is_dense else np.argsort(tags)

@@ -220,6 +220,8 @@ def _of_version_2(kind: str, corners: np.ndarray, table: np.ndarray) -> Elements
     groups: dict[int, np.ndarray | None] = {tag: np.flatnonzero(physical == tag) for tag in named}
     if len(named) < 2:
         return Elements(kind, corners, groups)
+    # An element's key is its entity and corners. Equal keys are one element, kept where it comes
+    # first; `new` is the row of each old element among the kept ones.
     keys = np.column_stack([entity, corners, physical])
     first, which = np.unique(keys[:, :-1], axis=0, return_index=True, return_inverse=True)[1:]
     if len(first) == len(keys) or len(np.unique(keys, axis=0)) < len(keys):
