@@ -54,10 +54,7 @@ class _Cells:
         return form_of(self.kind).space
 
     def excess(self, cells: Int[np.ndarray, " c"]) -> Float[np.ndarray, "t n c"]:
-        """Computes Bernstein coefficients of det J above the bound, in time by space.
-
-        Their round-off is subtracted.
-        """
+        """Computes Bernstein coefficients, in time by space, of det J less the bound."""
         form, still, ids = form_of(self.kind, True), form_of(self.kind), self.ids[:, cells]
         sign = np.where(still.mean(still.coefficients(nodes_of(self.undeformed, ids))) < 0, -1.0, 1.0)
         x = [np.concatenate(parts) for parts in zip(*(nodes_of(end, ids) for end in self.ends), strict=True)]

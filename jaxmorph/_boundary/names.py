@@ -21,10 +21,7 @@ SMALL = 1e4
 
 
 def checked_points(points: Any) -> np.ndarray:
-    """Returns coordinates (n, d) as a NumPy array of float32 or float64.
-
-    Raises `ValueError` for other values.
-    """
+    """Returns coordinates (n, d) as an array of floats. Raises `ValueError` for other values."""
     if isinstance(points, str | bytes) or points is None:
         raise ValueError(f"`prepare` takes a mesh or points first, not {points!r}. Call {USE}.")
     array = real_array("points", points, (None, 2), (None, 3))
@@ -80,10 +77,7 @@ def nodes_named(values: Any, name: str, mesh: Mesh | None, n: int) -> Int[np.nda
 
 
 def node_ids(values: Any, name: str, n: int) -> Int[np.ndarray, " k"]:
-    """Returns node ids as an array.
-
-    Raises `ValueError` unless `values` are ids of a mesh of `n` points.
-    """
+    """Returns node ids as an array. Raises `ValueError` unless they are of a mesh of `n` points."""
     if values is None or isinstance(values, Mesh | Plane):
         raise ValueError(f"`{name}` must be node ids or names of patches, not {shown(values)}. Call {USE}.")
     if n == 0:
@@ -112,10 +106,7 @@ def planes_named(symmetry: Any, points: np.ndarray, mesh: Mesh | None) -> tuple[
 
 
 def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
-    """Finds the planes in which a patch lies.
-
-    Raises `ValueError`, with the worst node, if there are none.
-    """
+    """Finds the planes of a patch. Raises `ValueError`, with the worst node, if there are none."""
     points, nodes = np.asarray(mesh.points), mesh.patch(name)
 
     def faces() -> Iterator[np.ndarray]:
@@ -127,10 +118,7 @@ def planes_of(mesh: Mesh, name: str) -> tuple[Plane, ...]:
 
 
 def slides(sliding: Any) -> tuple[Slide, ...]:
-    """Lists slides; a name becomes a slide along the patch's own faces.
-
-    Raises `ValueError` for other values.
-    """
+    """Lists slides; a name slides along its own faces. Raises `ValueError` for other values."""
     if isinstance(sliding, type):
         raise ValueError(f"`sliding` is the class {sliding.__name__}: call it, sliding=jm.Slide('shroud').")
     several = [sliding] if isinstance(sliding, Slide | str) else sliding

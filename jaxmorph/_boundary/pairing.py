@@ -64,20 +64,14 @@ class Pairing(eqx.Module):
         return dataclasses.replace(self, first=self.second, second=self.first, matrix=matrix, shift=shift)
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "Pairing":
-        """Renumbers the nodes: node k becomes `place[k]`.
-
-        Pairs with a node of place -1 are dropped.
-        """
+        """Renumbers node k to `place[k]`. Pairs with a node of place -1 are dropped."""
         first, second, alone = (place[np.asarray(nodes)] for nodes in (self.first, self.second, self.alone))
         is_complete = (first >= 0) & (second >= 0)
         first, second = first[is_complete], second[is_complete]
         return dataclasses.replace(self, first=first, second=second, alone=alone[alone >= 0])
 
     def at(self, points: Float[Array, "n d"]) -> "Pairing":
-        """Returns the pairs of other base points.
-
-        A translation follows the points, a rotation stays. Traced.
-        """
+        """Moves pairs to other base points: translations follow, rotations stay. Traced."""
         if self.is_rotation:
             return self
         difference = points[self.second] - points[self.first]
@@ -93,10 +87,7 @@ class Pairing(eqx.Module):
         return np.linalg.norm(points[self.first] @ self.matrix.T + self.shift - points[self.second], axis=1)
 
     def matched(self, base: Float[Array, "n d"], points: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Makes pairs match bit for bit if a translation matches them bit for bit at `base`.
-
-        Traced.
-        """
+        """Makes pairs match bit for bit if a translation does so at `base`. Traced."""
         if self.is_rotation:
             return points
         shift = jnp.asarray(self.shift, points.dtype)[None]
@@ -104,10 +95,7 @@ class Pairing(eqx.Module):
         return points.at[self.second].set(jnp.where(matched, points[self.first] + shift, points[self.second]))
 
     def alike(self, u: Float[Array, "n d"]) -> Float[Array, "n d"]:
-        """Makes the displacements of a pair equal after the transform: both nodes take the mean.
-
-        Traced.
-        """
+        """Makes displacements of a pair equal after the transform, by their mean. Traced."""
         matrix, keeps = jnp.asarray(self.matrix, u.dtype), jnp.asarray(self.keeps, u.dtype)
         mean = (u[self.first] + _product(u[self.second], matrix)) / 2
         u = u.at[self.first].set(mean).at[self.second].set(_product(mean, matrix.T))

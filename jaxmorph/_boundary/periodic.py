@@ -88,10 +88,7 @@ class Periodic:
 def paired(
     periodic: Periodic, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " l"], points: Float[np.ndarray, "n d"]
 ) -> Pairing:
-    """Pairs the nodes of two patches.
-
-    Raises `ValueError`, with the worst node, if the patches do not match.
-    """
+    """Pairs nodes of two patches. Raises `ValueError`, with the worst node, if they do not fit."""
     try:
         return _paired(periodic, first, second, points)
     except ValueError:

@@ -19,10 +19,7 @@ from .tracks import SMOOTH
 from .walls import AbstractWall, Flat, Round
 
 DEVIATION = 1e-5
-"""Distance within which a node lies on a surface, relative to the patch's extent.
-
-Files have few digits.
-"""
+"""Distance of nodes on a surface, relative to the patch's extent: files have few digits."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)

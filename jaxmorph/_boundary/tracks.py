@@ -38,10 +38,7 @@ class Track(eqx.Module):
         return all(wall.is_flat for wall in self.walls)
 
     def normals(self, points: Float[Array, "n d"]) -> Float[Array, "k w d"]:
-        """Computes, at every row, unit vectors at right angles that span the normals of the walls.
-
-        Traced.
-        """
+        """Computes, in each row, orthogonal unit vectors that span the walls' normals. Traced."""
         places = self.project(points[self.rows])
         first, *others = (wall.height(places)[1] for wall in self.walls)
         frame = [first]

@@ -30,10 +30,7 @@ class AbstractWall(Module):
         return jnp.abs(self.height(x)[0])
 
     def at(self, points: Float[Array, "n d"]) -> "AbstractWall":
-        """Returns the wall of other base points.
-
-        A given surface stays; a patch's own faces follow the points.
-        """
+        """Moves the wall to other base points: the patch's own faces follow, a surface stays."""
         return self
 
     def renumbered(self, place: Int[np.ndarray, " n"]) -> "AbstractWall":

@@ -29,10 +29,7 @@ def host_call(function: Callable[..., Any], result: jax.ShapeDtypeStruct, *argum
 
 
 def _called(*arguments: Any, function: Callable, shape: tuple, dtype: np.dtype, batch: tuple) -> np.ndarray:
-    """Calls the function for all elements of a batch.
-
-    Its axes come first, of size 1 in arguments that do not vary.
-    """
+    """Calls the function for a batch, whose axes come first, of size 1 where nothing varies."""
     results = np.empty((*batch, *shape), dtype)
     arrays = [np.asarray(argument) for argument in arguments]
     for place in np.ndindex(*batch):

@@ -57,10 +57,7 @@ ELEMENTWISE = {
     *("and", "eq", "ge", "gt", "le", "lt", "ne", "not", "or", "select_n"),
     *("bitcast_convert_type", "broadcast_in_dim", "convert_element_type", "shift_left", "shift_right_logical"),
 }
-"""Operations of a kernel.
-
-The names are JAX's own and may change: functions with other operations run as loops.
-"""
+"""Operations of a kernel, by names of JAX, which may change: other functions run as loops."""
 
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "closed_call": "call_jaxpr"}
 """Operations that hold a jaxpr, and the name of the parameter. These names may change too."""
@@ -250,10 +247,7 @@ def _only_added(jaxpr: Any) -> set[Any]:
 def fma(
     a: Float[Array, "*b"], b: Float[Array, "*b"], c: Float[Array, "*b"], negated: int | None = None
 ) -> Float[Array, "*b"]:
-    """Computes a b + c with one rounding, within a kernel.
-
-    Argument number `negated`, from 1 on, changes its sign.
-    """
+    """Computes a b + c with one rounding, in a kernel; argument `negated`, from 1, changes sign."""
     kind, letter = _KINDS[a.dtype.name]
     names = ["minus" if i == negated else f"${i}" for i in range(4)]
     code = f"fma.rn.{kind} {', '.join(names)};"
@@ -269,10 +263,7 @@ def rough_reciprocal(x: Float[Array, "*b"]) -> Float[Array, "*b"]:
 
 _KINDS = {"float64": ("f64", "d"), "float32": ("f32", "f")}
 _INLINE = "elementwise_inline_asm_p"
-"""The name of instructions in Pallas, which is experimental.
-
-If it changes, logarithms run as loops.
-"""
+"""The name of Pallas's instructions, which may change: logarithms then run as loops."""
 
 
 def _inline(code: str, constraints: str, *arrays: Array) -> Array:

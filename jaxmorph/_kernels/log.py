@@ -25,19 +25,13 @@ _INFINITY = 0x7FF0000000000000
 _SIGN = 0x8000000000000000
 
 _TWO_52 = 0x4330000000000000
-"""The bits of 2^52.
-
-With an integer k below 2^52 in the mantissa, they become the bits of 2^52 + k.
-"""
+"""The bits of 2^52; with an integer k < 2^52 in the mantissa, they are the bits of 2^52 + k."""
 
 _HALF_LOG_2 = (0.3465735901845619, 9.541074646352939e-11)
 """log(2) / 2 in two parts: the first ends in 21 zero bits, its products are exact."""
 
 _RECIPROCAL = (2.955511829448898, -2.889776453422684, 0.9349031257061479)
-"""1/d to 1.3e-3 for d in [1 + sqrt(1/2), 1 + sqrt(2)] / 2.
-
-1 - d y(d) is a Chebyshev polynomial of degree 3.
-"""
+"""1/d to 1.3e-3, d in [1 + sqrt(1/2), 1 + sqrt(2)] / 2: 1 - d y(d) is Chebyshev's of degree 3."""
 
 _ARTANH = (
     0.3333333333333335,
@@ -67,10 +61,7 @@ _SHORT_ARTANH = (
 
 @jax.custom_jvp
 def log(x: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
-    """Computes `jax.numpy.log` to one unit in the last place, with its special values.
-
-    They are those at 0, infinity, NaN and negative numbers.
-    """
+    """Computes `jax.numpy.log` to one unit in the last place, with all of its special values."""
     return _by_platform(_whole_range_log, jnp.log, x)
 
 
@@ -138,10 +129,7 @@ def _half_log(x, less: Array | float = 0.0):
 
 
 def _short_half_log(x):
-    """Computes log(x) / 2 to 3 units in the last place, with three operations fewer.
-
-    That is enough for a kernel.
-    """
+    """Computes log(x) / 2 to 3 units in the last place, three operations fewer: for kernels."""
     k, _, s = _reduced(x)
     return k * sum(_HALF_LOG_2) + s * _polynomial((1.0, *_ARTANH), s * s)
 

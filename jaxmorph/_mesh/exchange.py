@@ -59,10 +59,7 @@ class Grid:
 
 
 def of_meshio(mesh: Any) -> Grid:
-    """Reads points, cells and arrays of a meshio mesh.
-
-    Raises `ValueError` for cell types that are not supported.
-    """
+    """Reads points, cells and arrays of a meshio mesh. Raises `ValueError` for unknown types."""
     if not all(
         hasattr(mesh, name) for name in ("points", "cells", "point_data", "cell_data", "cell_sets", "field_data")
     ):
@@ -73,10 +70,7 @@ def of_meshio(mesh: Any) -> Grid:
 
 
 def of_pyvista(grid: Any) -> Grid:
-    """Reads points, cells and arrays of a grid of PyVista.
-
-    Raises `ValueError` for cell types that are not supported.
-    """
+    """Reads points, cells and arrays of a PyVista grid. Raises `ValueError` for unknown types."""
     numbers = np.asarray(grid.celltypes)
     kinds = {number: kind for kind, number in (VTK | VTK_QUADRATIC).items()} | {1: "vertex"}
     shapes = {number: shape for shape, number in VTK_LAGRANGE.items()}

@@ -66,10 +66,7 @@ class Faces:
         return corners
 
     def around(self, faces: np.ndarray, size: int) -> np.ndarray:
-        """Gathers `corners` of faces (k, m) as (m, size, k): operations run along k.
-
-        Corners begin at any first corner.
-        """
+        """Gathers `corners` of faces (k, m) as (m, size, k): operations then run along k."""
         # Corners 1 and -1 of a turned face change places, by three "exclusive or": that reverses a
         # triangle or a quad.
         faces = np.ascontiguousarray(faces.T)
@@ -114,10 +111,7 @@ def faces_of_cells(kind: str, corners: np.ndarray, cell: np.ndarray) -> Faces:
 
 
 def joined_faces(parts: list[Faces]) -> Faces:
-    """Joins faces whose cells are numbered throughout.
-
-    Two outer faces with equal nodes become an inner face.
-    """
+    """Joins faces whose cells are numbered throughout: two equal outer faces are an inner one."""
     # Outer faces are padded to one width, so that `twins` pairs them. The first of two equal faces
     # stays, with the owner of the second as its neighbour.
     labels = np.concatenate([part.labels for part in parts])

@@ -128,10 +128,7 @@ class InterpolatedField(AbstractField):
 
 
 def weighted_sum(rows: Interpolation, values: Float[Array, "b c"]) -> Float[Array, "n c"]:
-    """Applies the operator to values at the b surface nodes.
-
-    Without a table of `rows`, its transpose scatters.
-    """
+    """Applies the operator to values at b surface nodes; without a table its transpose scatters."""
     table = rows.table
     if table is None:
         none = jnp.zeros((0, WIDTH), jnp.int32)

@@ -57,10 +57,7 @@ def _fitted(plan: Plan, points: Any, surface: Float[Array, "o d"] | None = None,
 
 
 def base_points(plan: Plan, points: Any) -> Float[Array, "n d"]:
-    """Returns base coordinates in the precision of a plan.
-
-    Raises `ValueError` unless they have its shape.
-    """
+    """Returns base coordinates in a plan's precision. Raises `ValueError` for another shape."""
     points = jnp.asarray(points, plan.volume.points.dtype)
     if points.shape != plan.points.shape:
         raise ValueError(f"`points` has shape {points.shape}; this plan was made for {plan.points.shape}.")

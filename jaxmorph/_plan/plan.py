@@ -202,25 +202,16 @@ class Plan(Module):
 
     @checked
     def offset(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes what the coarse field leaves to the correction (eq. 5), at all surface nodes.
-
-        Traced in `u`.
-        """
+        """Computes what is left to the correction (eq. 5), at all surface nodes. Traced in `u`."""
         return _offset(self, u)
 
     @checked
     def of_surface(self, u: Real[ArrayLike, "m d"] | Sequence[Any]) -> Float[Array, "o d"]:
-        """Computes the displacements of all surface nodes from those of the moving nodes.
-
-        Traced.
-        """
+        """Computes displacements of all surface nodes from those that move. Traced."""
         return kept(self, extended(self, u))
 
     def __repr__(self) -> str:
-        """Describes the plan.
-
-        Its leaves may be concrete, stacked or traced arrays, shapes, or None.
-        """
+        """Describes the plan, whose leaves may be concrete, stacked or traced, shapes, or None."""
         points, nodes = self.volume.points, self.surface.nodes
         parts = [f"{self.n_moving} moving"]
         if hasattr(points, "shape") and hasattr(nodes, "shape"):

@@ -77,10 +77,7 @@ def prepare(
 
 
 def plan_of(boundary: Boundary, method: AbstractMethod | None) -> Plan:
-    """Prepares the plan of a checked boundary.
-
-    Warns of boundary faces in no list, and of lost precision.
-    """
+    """Prepares the plan of a checked boundary; warns of free faces and of lost precision."""
     boundary.warn_of_free_faces()
     boundary = between_planes(boundary, method)
     check_pairings(boundary.pairings, boundary.planes, float(np.ptp(boundary.points, axis=0).max()))

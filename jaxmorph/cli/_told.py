@@ -16,10 +16,7 @@ from ._summary import count
 
 
 def mesh_of(path: Path, zone: int | None) -> Mesh:
-    """Reads the mesh of a file, or zone number `zone` of an SU2 file.
-
-    Raises `ValueError` for a zone that the file has not.
-    """
+    """Reads a file's mesh, or an SU2 file's zone `zone`. Raises `ValueError` for an absent zone."""
     if zone is None:
         return io.read(path)
     meshes = io.read_zones(path)

@@ -290,10 +290,7 @@ def _check_comm(comm: Any) -> None:
 
 
 def _rows(values: Any, n: int) -> np.ndarray:
-    """Returns rows of the piece's points as an array.
-
-    Raises `ValueError` for what is no list of them.
-    """
+    """Returns rows of the piece's points. Raises `ValueError` for what is no list of them."""
     rows = np.asarray(values)
     if rows.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -309,10 +306,7 @@ def _rows(values: Any, n: int) -> np.ndarray:
 
 
 def _union(shares: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Joins ids and coordinates, each id once, ascending.
-
-    Raises `ValueError` where one has several places.
-    """
+    """Joins ids and coordinates, ascending. Raises `ValueError` for an id of several places."""
     ids, points = (np.concatenate([share[k] for share in shares]) for k in range(2))
     unique, first, back = np.unique(ids, return_index=True, return_inverse=True)
     apart = np.flatnonzero((points != points[first][back]).any(axis=1))

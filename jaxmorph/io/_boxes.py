@@ -120,10 +120,7 @@ def _keywords(source: Source) -> Sequence[Keyword]:
 
 
 def _extent(source: Source) -> tuple[int, int]:
-    """Finds where the section of boxes begins and ends in the text.
-
-    Where there is none, both are the end of the zone.
-    """
+    """Finds where the text's section of boxes begins and ends; both are the zone's end if none."""
     keywords = _keywords(source)
     section = [keyword for keyword in keywords if keyword.name.startswith(("FFD_", "BSPLINE_ORDER_"))]
     if not section:

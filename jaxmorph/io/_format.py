@@ -57,10 +57,7 @@ class Codec(Protocol):
         ...
 
     def write(self, path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-        """Writes a new file.
-
-        `cell_data` follows the order of `mesh.cells`, one type after the other.
-        """
+        """Writes a new file; `cell_data` follows the order of `mesh.cells`, type by type."""
         ...
 
 

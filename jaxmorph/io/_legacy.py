@@ -21,10 +21,7 @@ TYPES = {
     **{"long_long": "i8", "unsigned_long_long": "u8", "float": "f4", "double": "f8", "bit": "u1"},
     **{f"vtktype{sign}int{8 * size}": f"{sign[:1] or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
 }
-"""VTK's names of types.
-
-It writes its own type of ids as `vtktypeint64`, and reads `vtkIdType` as four bytes.
-"""
+"""VTK's names of types; it writes ids as `vtktypeint64`, and reads `vtkIdType` as four bytes."""
 
 CELLS_OF_ANY_ORDER = ("curve", "triangle", "quadrilateral", "tetrahedron", "hexahedron", "wedge")
 
@@ -91,10 +88,7 @@ class _Scanner:
         return text.decode(errors="replace")
 
     def words(self) -> list[str]:
-        """Returns the words of the next line that holds any, none at the end of the file.
-
-        Blocks of metadata are left out.
-        """
+        """Returns the words of the next line with any, without metadata; none at the end."""
         while self.at < len(self.data):
             words = self.line().split()
             if words == ["METADATA"]:
@@ -210,10 +204,7 @@ class _Cells:
 
 
 def _cells(scanner: _Scanner, count: int, size: int) -> _Cells:
-    """Reads the nodes of cells.
-
-    Before 5.1 the number of its nodes stands before each cell, from then on the offsets do.
-    """
+    """Reads the nodes of cells. A cell's number stands before it up to 5.0, then in offsets."""
     start = scanner.at
     words = scanner.words()
     if words[:1] != ["OFFSETS"]:

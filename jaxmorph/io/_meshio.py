@@ -40,10 +40,7 @@ class Blocks:
 
 
 def load(path: pathlib.Path, name: str, reader: Callable[[str], Any]) -> meshio.Mesh:
-    """Reads a file by `reader`, which prints nothing.
-
-    Any way in which it fails on a file becomes a `ValueError`.
-    """
+    """Reads a file by `reader`, without prints; each way in which it fails is a `ValueError`."""
     path.open("rb").close()
     output = io.StringIO()
     try:

@@ -13,10 +13,7 @@ COPIES = 12
 
 
 def block_ids(shape: tuple[int, ...], first: int) -> np.ndarray:
-    """Numbers a block's nodes by i, j[, k] from `first`, i running fastest.
-
-    Indices of one node are left out.
-    """
+    """Numbers a block's nodes by i, j[, k] from `first`, i fastest, without axes of one node."""
     ids = first + np.arange(np.prod(shape)).reshape(shape, order="F")
     return ids.reshape([size for size in shape if size > 1])
 

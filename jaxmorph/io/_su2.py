@@ -277,10 +277,7 @@ def _check_count(keyword: Keyword, stated: int, count: int, what: str) -> None:
 
 
 def _new_text(mesh: Mesh) -> Iterator[bytes]:
-    """Yields a new file in pieces.
-
-    Patches become markers, with the boundary faces between their nodes as elements.
-    """
+    """Yields a new file in pieces; patches become markers, of faces between their nodes."""
     points = np.asarray(mesh.points)
     n, d = points.shape
     markers = patch_faces(mesh)

@@ -86,10 +86,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes in double precision, .vtu compressed.
-
-    A mesh that came from such a file keeps its other cells and arrays.
-    """
+    """Writes in double precision, .vtu compressed; keeps the cells and arrays of its own file."""
     made, is_legacy = (
         mesh.to_meshio(point_data=dict(point_data), cell_data=dict(cell_data)),
         path.suffix.lower() == ".vtk",

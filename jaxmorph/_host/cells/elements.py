@@ -12,10 +12,7 @@ _COLLAPSED = {
     "wedge": (0, 1, 2, 2, 3, 4, 5, 5),
     "pyramid": (0, 1, 2, 3, 4, 4, 4, 4),
 }
-"""The corner of the cell for each corner of a square or cube.
-
-Pairs at one place make a wedge, four make a pyramid.
-"""
+"""Corners of the cell by those of a square or cube: pairs make a wedge, four make a pyramid."""
 
 
 @functools.cache

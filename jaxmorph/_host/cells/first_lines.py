@@ -62,10 +62,7 @@ def first_lines(cells: Mapping[str, np.ndarray], points: np.ndarray, wall: np.nd
 
 
 def areas(x: Any) -> Any:
-    """Computes area vectors (f, d) of faces (f, c, d), in 2-D as long as the edge.
-
-    Takes arrays of NumPy or JAX.
-    """
+    """Computes area vectors (f, d) of faces (f, c, d), 2-D: of the edge's length. NumPy or JAX."""
     if x.shape[2] == 2:
         along = x[:, 1] - x[:, 0]
         return along[:, ::-1] * np.array([[-1.0, 1.0]], dtype=x.dtype)

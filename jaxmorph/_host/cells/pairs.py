@@ -70,10 +70,7 @@ def unpaired(parts: Sequence[Sequence[np.ndarray]], n: int) -> list[list[np.ndar
 
 
 def is_among(faces: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Marks (f,) the faces (f, c) that equal one of the `others` (k, e).
-
-    No face comes twice in `others`.
-    """
+    """Marks (f,) the faces (f, c) that equal one of the `others` (k, e), which are distinct."""
     width = max(faces.shape[1], others.shape[1])
     both = np.full((len(faces) + len(others), width), -1, np.int64)
     both[: len(faces), : faces.shape[1]], both[len(faces) :, : others.shape[1]] = faces, others

@@ -30,10 +30,7 @@ VTK_QUADRATIC = {
     **{"line3": 21, "line4": 35, "triangle6": 22, "quad8": 23, "quad9": 28, "tetra10": 24, "pyramid13": 27},
     **{"wedge15": 26, "wedge18": 32, "hexahedron20": 25, "hexahedron27": 29},
 }
-"""VTK's number of each type of order 2, and of lines of order 3.
-
-Pyramids with more nodes VTK does not have.
-"""
+"""VTK's number of each type of order 2, and of lines of order 3. VTK lacks larger pyramids."""
 
 VTK_LAGRANGE = {"line": 68, "triangle": 69, "quad": 70, "tetra": 71, "hexahedron": 72, "wedge": 73}
 """VTK's number of cells of any order, which their number of nodes tells."""
@@ -98,10 +95,7 @@ FRAMES: dict[str, tuple[tuple[int, ...], ...]] = {
         *((4, 7, 5, 0), (5, 4, 6, 1), (6, 5, 7, 2), (7, 6, 4, 3)),
     ),
 }
-"""Corners with the ends of their edges, right-handed, by type: there corner Jacobians are taken.
-
-A simplex has one.
-"""
+"""Corners with the ends of their edges, right-handed, for corner Jacobians; a simplex has one."""
 
 SIDE_TYPES = {2: "line", 3: "triangle", 4: "quad"}
 """Types of faces by their number of corners."""

@@ -76,10 +76,7 @@ def overlapping_boxes(corners: np.ndarray, is_moving: np.ndarray) -> tuple[np.nd
 
 
 def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
-    """Orders faces as leaves of a balanced tree, halved along the widest axis.
-
-    Ids from k on are padding.
-    """
+    """Orders faces as leaves of a balanced tree, halved along the widest axis; padded from k on."""
     depth = (len(centres) - 1).bit_length()
     order = np.arange(1 << depth)[None]
     padded = np.concatenate([centres, np.repeat(centres[-1:], (1 << depth) - len(centres), axis=0)])
@@ -93,10 +90,7 @@ def _balanced(centres: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _meet(first: np.ndarray, second: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:
-    """Marks the pairs of faces (k, corners, d) that meet, and finds the point.
-
-    Faces in one plane do not count.
-    """
+    """Marks pairs of faces (k, corners, d) that meet, not in one plane, and finds the point."""
     meets, where = np.zeros(len(first), bool), np.full((len(first), first.shape[2]), np.nan)
     if first.shape[2] == 2:
         left = np.arange(len(first))

@@ -45,10 +45,7 @@ class Level:
     top: float
 
     def smoothed(self, right: np.ndarray) -> np.ndarray:
-        """Solves roughly for a right side (k,), by Chebyshev's second polynomial.
-
-        It damps the upper eigenvalues.
-        """
+        """Solves roughly for (k,), by Chebyshev's second polynomial for upper eigenvalues."""
         middle, half = (1 + 1 / SPREAD) * self.top / 2, (1 - 1 / SPREAD) * self.top / 2
         first = self.inverse * right / middle
         rate = 1 / (2 * middle / half - half / middle)
@@ -58,10 +55,7 @@ class Level:
 
 @dataclasses.dataclass(frozen=True)
 class Hierarchy:
-    """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996).
-
-    It has levels, and the solver of the `last` level.
-    """
+    """A V-cycle of smoothed aggregation (Vanek, Mandel and Brezina 1996), and its `last` solver."""
 
     levels: Sequence[Level]
     last: Callable[[np.ndarray], np.ndarray]
@@ -92,10 +86,7 @@ def hierarchy(matrix: Any, mode: np.ndarray) -> Hierarchy:
 
 
 def _last(matrix: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the last level's solver: a dense inverse.
-
-    It takes sparse factors if many unknowns were not joined.
-    """
+    """Makes the last level's solver: a dense inverse, or sparse factors if it is large."""
     if matrix.shape[0] <= COARSEST:
         return np.linalg.pinv(matrix.toarray(), hermitian=True).__matmul__
     return Factors(matrix)
@@ -109,10 +100,7 @@ def _level(level: Any) -> Level:
 
 
 def by_component(cycles: Sequence[Hierarchy]) -> Callable[[np.ndarray], np.ndarray]:
-    """Joins the cycles of all components.
-
-    The unknowns (k d,) run over nodes, then over the components of a node.
-    """
+    """Joins the cycles of all components; unknowns (k d,) run over nodes, then components."""
 
     def cycle(right):
         columns = np.ascontiguousarray(right.reshape(-1, len(cycles)).T)

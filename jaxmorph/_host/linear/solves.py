@@ -13,10 +13,7 @@ import numpy as np
 from scipy.sparse import linalg
 
 DIRECT = 12_000
-"""Unknowns up to which a 3-D system is factored.
-
-2-D systems always are: their factors stay sparse.
-"""
+"""Unknowns up to which a 3-D system is factored; 2-D systems always are: factors stay sparse."""
 
 
 def is_factored(unknowns: int, dimension: int) -> bool:

@@ -118,10 +118,7 @@ def _scalar(pairs, values, diagonal, n) -> sparse.csr_matrix:
 
 
 def _blocks(pairs, values, diagonal, rows, used) -> sparse.bsr_matrix:
-    """Assembles the matrix of the nodes `rows` block by block.
-
-    Unknowns that are not `used` have a one on the diagonal.
-    """
+    """Assembles the matrix of the nodes `rows` by blocks; the diagonal of others is one."""
     # The blocks of pairs, of their transposes and of the diagonal are listed one after the other,
     # and sorted by row and column. Rows and columns of unused unknowns are cleared.
     d = used.shape[1]
@@ -215,10 +212,7 @@ def _cycle(scaled: Any, scale: np.ndarray) -> Callable[[np.ndarray], np.ndarray]
 
 
 def _of_square(root: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Makes the solver of B^T B x = right for a sparse B (n, k).
-
-    It solves a larger system whose condition is not squared.
-    """
+    """Makes the solver of B^T B x = right for a sparse B (n, k), without squaring its condition."""
     n = root.shape[0]
     scale = 1 / np.sqrt(np.ravel(root.power(2).sum(axis=0)))
     scaled = root @ sparse.diags(scale)

@@ -101,10 +101,7 @@ def as_array(name: str, values: Any) -> np.ndarray:
 
 
 def rows_of(name: str, ids: Any, count: int) -> np.ndarray:
-    """Returns ids as an array.
-
-    Raises `ValueError` unless they are whole numbers from 0 to `count` - 1.
-    """
+    """Returns ids. Raises `ValueError` unless they are whole numbers from 0 to `count` - 1."""
     array = as_array(name, ids) if isinstance(ids, list | tuple | range) or has_type(ids) else None
     if array is not None and array.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -125,10 +122,7 @@ def check_patch(name: str, patch: Any) -> None:
 
 
 def real_array(name: str, values: Any, *shapes: tuple[int | None, ...]) -> np.ndarray:
-    """Returns an array of floats of one of the shapes, in which None is any length.
-
-    Floats keep their precision.
-    """
+    """Returns floats, in their precision, of one of the shapes, in which None is any length."""
     is_array = isinstance(values, list | tuple) or has_type(values)
     try:
         array = np.asarray(values) if is_array and not np.ma.is_masked(values) else None

@@ -46,10 +46,7 @@ class Alone:
 
 
 def together(ranks: Ranks, function: Callable[[], T]) -> T:
-    """Calls a function in every process.
-
-    If one process raises an error, all do, so that no process waits forever.
-    """
+    """Calls a function in every process. An error of one is raised in all, so that none waits."""
     result, error = None, None
     try:
         result = function()
@@ -75,10 +72,7 @@ class Agreement:
         self.ids, self.values = np.zeros(0, np.int64), np.zeros((0, 0))
 
     def __call__(self, ids: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Returns the common values (k, d) of ids (k,).
-
-        All processes call it, also without nodes.
-        """
+        """Returns common values (k, d) of ids (k,); all processes call it, also without nodes."""
         # The keeper of an id is the process `id % size`. Every process sends ids and values to
         # their keepers, which add new ids and answer with the values that they keep.
         keeper = ids % self.ranks.size

@@ -7,10 +7,7 @@ from typing import Any
 
 
 def read(name: str, content: bytes) -> dict[str, Any]:
-    """Reads a table from a file's content.
-
-    Raises `ValueError` for content that is no TOML, or nested too deep.
-    """
+    """Reads a table from content. Raises `ValueError` for what is no TOML, or nested too deep."""
     try:
         text = content.decode()
         return tomllib.loads(text.replace("\r\n", "\n"))

@@ -63,10 +63,7 @@ class AbstractSeparated(AbstractReduction):
 
 
 class AbstractSearchPoints(abc.ABC):
-    """Places in a leaf's box, in local coordinates from -1 to 1.
-
-    The mesh points closest to them become sources.
-    """
+    """Places in a leaf's box, from -1 to 1; the mesh points closest to them become sources."""
 
     @abc.abstractmethod
     def local(self, dimension: int) -> np.ndarray:

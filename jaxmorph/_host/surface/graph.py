@@ -60,10 +60,7 @@ class Graph:
 
 
 def graph_of(surface: np.ndarray) -> Graph:
-    """Builds the Delaunay graph of a surface (b, d).
-
-    Raises `ValueError` for one without extent in some direction.
-    """
+    """Builds the Delaunay graph of a surface (b, d). Raises `ValueError` for a flat one."""
     dimension, slack = surface.shape[1], roundoff(surface)
     surface = surface.astype(np.float64, copy=False)
     centre, size = surface.min(axis=0), np.ptp(surface, axis=0).max() or 1.0
@@ -112,10 +109,7 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
 
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:
-    """Lists distinct nodes in canonical order.
-
-    Of coincident nodes it lists the first, which is a moving one if there is any.
-    """
+    """Lists distinct nodes in canonical order: of coincident ones the first, or a moving one."""
     groups = Tree(unit).query_pairs(closest, output_type="ndarray")
     keep = np.ones(len(unit), dtype=bool)
     keep[groups.max(axis=1) if len(groups) else []] = False

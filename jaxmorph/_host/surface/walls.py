@@ -69,10 +69,7 @@ def _in_order(faces: np.ndarray) -> np.ndarray:
 
 
 def seen_from_outside(points: np.ndarray, faces: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Reverses all faces of a closed boundary that encloses a negative area or volume.
-
-    Its cells are numbered clockwise.
-    """
+    """Reverses all faces of a closed boundary around a negative volume: cells run clockwise."""
     origin, enclosed = points.mean(axis=0), 0.0
     for corners in faces.values():
         x = points[corners] - origin
@@ -104,10 +101,7 @@ def _by_faces(points: np.ndarray, moving: int, groups: list[np.ndarray]) -> np.n
 
 
 def outward(corners: np.ndarray) -> np.ndarray:
-    """Computes outward normals (k, d) of faces (k, corners, d).
-
-    A normal is as long as the face's area, or its length in 2-D.
-    """
+    """Computes outward normals (k, d) of faces (k, corners, d), as long as the area (2-D: edge)."""
     if corners.shape[1] == 2:
         return normals(corners)
     return np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1]) / 2

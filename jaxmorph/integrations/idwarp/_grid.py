@@ -169,10 +169,7 @@ def _in_space(mesh: jm.Mesh, path: str) -> jm.Mesh:
 
 
 def communicator(comm: Any) -> Any:
-    """Returns the communicator, that of all processes by default.
-
-    Raises `ValueError` for anything else.
-    """
+    """Returns the communicator, by default of all processes. Raises `ValueError` otherwise."""
     if comm is not None and not hasattr(comm, "allgather"):
         raise ValueError(f"`comm` must be a communicator of mpi4py, MPI.COMM_WORLD for example, not {comm!r}.")
     return mpi.MPI.COMM_WORLD if comm is None else comm

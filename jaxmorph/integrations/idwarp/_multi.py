@@ -140,10 +140,7 @@ class MultiUSMesh:
         return change
 
     def writeGrid(self, baseName: str = "IDWarpMulti") -> None:
-        """Writes `baseName`.cgns, a copy of the file with all grids as they moved.
-
-        IDWarp writes a file for each.
-        """
+        """Writes one `baseName`.cgns with all grids as they moved; IDWarp writes several."""
         shares = [self.comm.gather(mesh.getCommonGrid().reshape(-1, 3)) for mesh in self.meshes]
 
         def write() -> None:

@@ -62,10 +62,7 @@ def changed(options: Mapping[str, Any], name: str, value: Any) -> dict[str, Any]
 
 
 def name_of(name: str) -> str:
-    """Finds an option by its name in whatever case.
-
-    Raises `ValueError` for a name that IDWarp does not have.
-    """
+    """Finds an option by its name in any case. Raises `ValueError` for an unknown name."""
     known = {option.lower(): option for option in OPTIONS}
     if not isinstance(name, str) or name.lower() not in known:
         raise ValueError(f"`options`: IDWarp has no option {name}; it has {', '.join(OPTIONS)}.")

@@ -64,10 +64,7 @@ class Walls:
         return nodes[is_on] if is_on.mean() >= PART else nodes[:0]
 
     def half(self, moving: np.ndarray, options: Mapping[str, Any], known: Mapping[str, Any]) -> jm.SurfaceHalf:
-        """Prepares the surface.
-
-        Other patches are fixed, except symmetry, periodic and overset patches.
-        """
+        """Prepares the surface; all patches but symmetry, periodic and overset are fixed."""
         periodic = io.periodic(self.mesh)
         loose = {*self.flat, *self.free, *(str(name) for each in periodic for name in (each.patch, each.partner))}
         fixed = self.mesh.patch(*(name for name in self.mesh.patches if name not in loose))
@@ -79,10 +76,7 @@ class Walls:
 
 
 def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:
-    """Sorts the patches of a mesh.
-
-    Raises `ValueError`, with the patches there are, for a name that is none of them.
-    """
+    """Sorts the patches of a mesh. Raises `ValueError`, with the names, for an unknown one."""
     kinds = _kinds(mesh)
     specified, flat = (_named(mesh, options[name], name) for name in ("specifiedSurfaces", "symmetrySurfaces"))
     walls = tuple(name for name, kind in kinds.items() if kind == "wall") if specified is None else specified

@@ -31,10 +31,7 @@ class Form:
 
 
 def form_of(path: pathlib.Path, data: bytes) -> Form:
-    """Reads `$MeshFormat`.
-
-    Raises `ValueError` where anything but sections of comments stands before it.
-    """
+    """Reads `$MeshFormat`. Raises `ValueError` where other sections than comments come first."""
     at, number = 0, 1
     while (line := data[at : data.find(b"\n", at) + 1 or None]).strip() == b"$Comments":
         ended = re.compile(rb"^[ \t]*\$EndComments[ \t\r]*$", re.MULTILINE).search(data, at)
