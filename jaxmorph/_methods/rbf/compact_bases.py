@@ -25,7 +25,7 @@ class AbstractCompactBasis(AbstractBasis):
     needed.
     """
 
-    support_radius: eqx.AbstractVar[Float[Array, ""]]
+    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     @abc.abstractmethod
@@ -69,8 +69,6 @@ class WendlandC0(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
-
     @staticmethod
     def value(xi):
         return (1 - xi) ** 2
@@ -91,8 +89,6 @@ class WendlandC2(AbstractCompactBasis):
     **Raises:** `ValueError` for a radius that is not positive and finite.
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
-
     @staticmethod
     def value(xi):
         inner = 1 - xi
@@ -109,8 +105,6 @@ class WendlandC4(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
-
     @staticmethod
     def value(xi):
         return (1 - xi) ** 6 * (35 / 3 * xi**2 + 6 * xi + 1)
@@ -125,8 +119,6 @@ class WendlandC6(AbstractCompactBasis):
 
     xi is the distance over `support_radius`, a length in the mesh's units (Wendland 1995).
     """
-
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):
@@ -143,8 +135,6 @@ class CompactC0(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
     der Schoot and Bijl 2007).
     """
-
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):
@@ -164,8 +154,6 @@ class CompactC1(AbstractCompactBasis):
     der Schoot and Bijl 2007).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
-
     @staticmethod
     def value(xi):
         return 1 + xi**2 * (80 / 3 - 40 * xi + 15 * xi**2 - 8 / 3 * xi**3 + 20 * jnp.log(xi))
@@ -184,8 +172,6 @@ class CompactC2a(AbstractCompactBasis):
     der Schoot and Bijl 2007).
     """
 
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
-
     @staticmethod
     def value(xi):
         return 1 - xi**2 * (30 + 10 * xi - 45 * xi**2 + 6 * xi**3 + 60 * xi * jnp.log(xi))
@@ -203,8 +189,6 @@ class CompactC2b(AbstractCompactBasis):
     xi is the distance over `support_radius`, a length in the mesh's units (Wu 1995; de Boer, van
     der Schoot and Bijl 2007).
     """
-
-    support_radius: Float[Array, ""] = eqx.field(converter=length("support_radius"))
 
     @staticmethod
     def value(xi):
