@@ -1,4 +1,4 @@
-"""The problem that `improve` solves: nodes that are held, nodes that are led, and the energy of the cells."""
+"""The problem of `improve`: nodes that are held, nodes that are led, and the cells' energy."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from .ways import Ways
 
 @dataclasses.dataclass(frozen=True)
 class Constraints:
-    """The nodes that are `held`, and the `tracks` and `pairings` along which other boundary nodes are led."""
+    """Nodes that are `held`, and `tracks` and `pairings` that lead other boundary nodes."""
 
     held: np.ndarray
     tracks: tuple[Track, ...]
@@ -36,7 +36,7 @@ class Constraints:
 
 
 def constraints_of_mesh(mesh: Mesh, fixed, symmetry, sliding, periodic) -> Constraints:
-    """Finds the constraints of a mesh; without `fixed`, all boundary nodes that do not slide are held."""
+    """Finds a mesh's constraints; without `fixed`, boundary nodes that do not slide are held."""
     walls, pairings = walls_of(mesh, symmetry, sliding, periodic, () if fixed is None else fixed)
     tracks, edges = tracks_of(walls, (), np.asarray(mesh.points))
     ways = [nodes for _, nodes in walls]
@@ -86,7 +86,10 @@ def prepared(
 
 
 def _leads(pairings: Sequence[Pairing], free: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Finds the node with which every node moves. Clears `free` for nodes whose partners are held."""
+    """Finds the node with which every node moves.
+
+    Clears `free` for nodes whose partners are held.
+    """
     leads = np.arange(len(free))
     for pairing in pairings:
         leads[pairing.second] = leads[pairing.first]
@@ -107,7 +110,7 @@ def _cells(mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def _boundary(mesh: Mesh, ways: Sequence[np.ndarray]) -> np.ndarray:
-    """Lists the nodes of patches and outer faces, without patches and faces that lie in one of the `ways`."""
+    """Lists nodes of patches and outer faces, but of those that lie in one of the `ways`."""
     sides = [np.asarray(nodes)[None] for nodes in mesh.patches.values()]
     sides += boundary_faces(solid(mesh.cells, mesh.points.shape[1]), len(mesh.points)).values()
     for nodes in ways:

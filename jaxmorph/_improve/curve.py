@@ -1,4 +1,4 @@
-"""Curving: the wall's nodes of a mesh of high order go onto a curved surface, and the inside follows."""
+"""Curving: wall nodes of a mesh of high order go onto a curved surface, the inside follows."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -35,24 +35,26 @@ def curve(
     method: AbstractMethod | None = None,
     symmetry: Plane | str | Sequence[Plane | str] = (),
 ) -> Mesh:
-    """Puts the nodes of a wall onto a curved surface; the nodes of the cells between the boundaries follow.
+    """Puts the nodes of a wall onto a curved surface; the nodes between the boundaries follow.
 
-    This makes a curved mesh of a straight one: `elevate` gives a mesh of linear cells the nodes. Whether a curved cell is valid
-    is told by `quality` of the result, or by `proof`.
+    This makes a curved mesh of a straight one: `elevate` gives a mesh of linear cells the nodes.
+    Whether a curved cell is valid is told by `quality` of the result, or by `proof`.
 
     **Arguments:**
 
     - `mesh`: a mesh of order 2 to 4.
-    - `surface`: where the wall is. A function takes the nodes (m, d) of the wall to their places on it (m, d). An array (m, d)
-      has these places, in the order of `mesh.patch(moving)`. A `Mesh` finer than the wall has it as its cells of dimension
-      d - 1, else as its whole boundary; nodes go to the nearest place on its linear faces.
+    - `surface`: where the wall is. A function takes the nodes (m, d) of the wall to their places on
+      it (m, d). An array (m, d) has these places, in the order of `mesh.patch(moving)`. A `Mesh`
+      finer than the wall has it as its cells of dimension d - 1, else as its whole boundary; nodes
+      go to the nearest place on its linear faces.
     - `moving`: the patches of the wall, or node ids (m,).
     - `fixed`, `method`, `symmetry`: those of `prepare`.
 
     **Returns:** the mesh with other points.
 
-    **Raises:** `ValueError` for a mesh of linear cells alone, and for places of another shape or that are not finite. Also
-    for a surface that is farther from a node than the wall's face is long. A warning tells of cells that were invalid before.
+    **Raises:** `ValueError` for a mesh of linear cells alone, and for places of another shape or
+    that are not finite. Also for a surface that is farther from a node than the wall's face is
+    long. A warning tells of cells that were invalid before.
     """
     if not mesh.is_curved:
         raise ValueError(
@@ -100,7 +102,7 @@ def _nearest(surface: Mesh, wall: np.ndarray) -> np.ndarray:
 
 
 def _check_reach(mesh: Mesh, nodes: np.ndarray, u: np.ndarray) -> None:
-    """Raises `ValueError` for places that are farther from their nodes than faces there are long."""
+    """Raises `ValueError` for places farther from their nodes than faces there are long."""
     points, reach = np.asarray(mesh.points), np.zeros(len(mesh.points))
     outer = outer_faces(mesh)
     for ids in () if outer is None else outer.corners.values():

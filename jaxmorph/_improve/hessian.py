@@ -21,11 +21,14 @@ from .._quality.vector import Vector, cross, divide, dot, norm
 Scalar = Float[Array, "s k"]
 Matrix = list[list[Scalar]]
 SWEEPS = 5
-"""Sweeps of Jacobi rotations in 3-D: four or five converge to round-off. In 2-D one rotation is exact."""
+"""Sweeps of Jacobi rotations in 3-D: four or five converge to round-off.
+
+In 2-D one rotation is exact.
+"""
 
 
 def symmetric_eigen(matrix: Matrix) -> tuple[list[Scalar], list[Vector]]:
-    """Computes eigenvalues and eigenvectors of symmetric matrices (d, d), given by their entries, by Jacobi's method."""
+    """Computes eigenvalues and eigenvectors of symmetric matrices (d, d) by Jacobi's method."""
     d = len(matrix)
     start = tuple(tuple(row) for row in matrix)
     zero, one = jnp.zeros_like(matrix[0][0]), jnp.ones_like(matrix[0][0])
@@ -50,7 +53,7 @@ def _rotated(state):
 
 
 def _angle(difference: Scalar, twice: Scalar) -> tuple[Scalar, Scalar]:
-    """Computes cosine and sine of the rotation, by at most 45 degrees, that clears the entry off the diagonal."""
+    """Computes cosine and sine of a rotation, up to 45 degrees, that clears an entry."""
     root = jnp.sqrt(difference**2 + twice**2)
     tangent = divide(twice, jnp.abs(difference) + root, 0.0) * jnp.where(difference < 0, -1, 1)
     c = 1 / jnp.sqrt(1 + tangent**2)
@@ -78,7 +81,7 @@ def rotations(stretch: list[Vector]) -> tuple[list[Vector], list[Scalar], list[V
 
 
 def _descending(values: list[Scalar], vectors: list[Vector]) -> list[Vector]:
-    """Sorts eigenvectors by falling eigenvalue, and turns the last eigenvector to make them right-handed."""
+    """Sorts eigenvectors by falling eigenvalue; turns the last one to be right-handed."""
     order = jnp.argsort(-jnp.stack(values), axis=0)
     stacked = [jnp.stack(components) for components in zip(*(v.components for v in vectors), strict=True)]
     picked = [jnp.take_along_axis(component, order, axis=0) for component in stacked]
@@ -92,7 +95,7 @@ def _image(columns: list[Vector], x: Vector) -> Vector:
 
 
 def _unit(a: Vector, otherwise: Vector, noise: Scalar) -> Vector:
-    """Computes the direction of a vector, or `otherwise` if the vector is no longer than `noise`."""
+    """Computes a vector's direction, or `otherwise` if it is no longer than `noise`."""
     length = norm(a)
     inverse = divide(jnp.ones_like(length), length, 0.0)
     parts = zip(a.components, otherwise.components, strict=True)
@@ -111,10 +114,10 @@ def _across(a: Vector) -> Vector:
 def convex(
     energy: Callable[[Scalar, Scalar], Scalar], sigma: list[Scalar], floor: Any
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Computes second derivatives of energy(|T|^2 / d, det T) by entries of U^T T V, with eigenvalues of at least `floor`.
+    """Computes second derivatives of energy(|T|^2 / d, det T) by the entries of U^T T V.
 
-    It returns three matrices (d, d): derivatives by entries (i, i) and (j, j), by (i, j) twice, and
-    by (i, j) and (j, i).
+    Eigenvalues are at least `floor`. It returns three matrices (d, d): derivatives by entries
+    (i, i) and (j, j), by (i, j) twice, and by (i, j) and (j, i).
     """
     d = len(sigma)
     curvature = _hessian(lambda s: energy(*_measures(s)), jnp.stack(sigma))

@@ -30,10 +30,13 @@ from .newton import Distortion, HessianSolver, ProjectedNewton
 from .ways import Ways
 
 QUARTER = 0.05
-"""Least cosine between a wall's normals where a node starts and where it ends. Below it, the end is no minimum."""
+"""Least cosine between a wall's normals where a node starts and where it ends.
+
+Below it, the end is no minimum.
+"""
 
 SHARPEST, GENTLER, STAGES = 1e-3, 0.3, 5
-"""Softness of the barrier in the last stage, its largest factor from stage to stage, and most stages."""
+"""Softness of the barrier in the last stage, its largest factor per stage, and most stages."""
 
 
 class Improvement(Module):
@@ -94,7 +97,7 @@ def improve(
     max_steps: int = Options.max_steps,
     progress: Callable[[float, float], None] | None = None,
 ) -> Improvement:
-    """Moves the inner nodes of a mesh to where the cells are least distorted, and untangles inverted cells.
+    """Moves inner nodes to where cells are least distorted, and untangles inverted cells.
 
     The target of a cell is its shape on the undeformed mesh, `mesh.points`, so that boundary layers
     keep their anisotropy. The energy of a cell is the mean over its corners of
@@ -153,7 +156,10 @@ def improve(
 
 
 def improve_of(plan: Plan, mesh: Mesh, points: Float[Array, "n d"]) -> Improvement:
-    """Improves the deformed mesh of a plan. Surface nodes stay, or move along the plan's walls, planes and pairs."""
+    """Improves the deformed mesh of a plan.
+
+    Surface nodes stay, or move along the plan's walls, planes and pairs.
+    """
     return _improved(mesh, points, constraints_of_plan(plan, mesh), Options())
 
 

@@ -1,4 +1,4 @@
-"""Newton's method for the distortion of a mesh: a line search of optimistix, and Hessians made positive cell by cell."""
+"""Newton's method for a mesh's distortion: optimistix's line search, positive Hessians of cells."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,14 +21,14 @@ from .hessian import blocks
 from .ways import Ways
 
 SHIFT = 1e-12
-"""Added to the diagonal of a Hessian in coordinates of order one, which may be singular where cells are inverted."""
+"""Added to a Hessian's diagonal (order one): it may be singular where cells are inverted."""
 
 NEAR = 1.0
-"""Largest derivative, in coordinates of order one, at which the whole Hessian is taken, for quadratic convergence."""
+"""Largest derivative (order one) at which the whole Hessian is taken: quadratic convergence."""
 
 
 class Distortion(eqx.Module):
-    """The energy of a mesh by the free nodes' motion y (n, d) from their start, in units of `scale`.
+    """A mesh's energy by the free nodes' motion y (n, d) from their start, in units of `scale`.
 
     `ways` lead the nodes of walls and periodic pairs; None without walls and pairs.
     """
@@ -59,7 +59,7 @@ class Distortion(eqx.Module):
         return total
 
     def shift(self) -> Float[Array, " n"]:
-        """Computes the term (n,) on the diagonal: 1 for nodes that rest or follow a partner, `SHIFT` for all other nodes."""
+        """Computes the diagonal's term (n,): 1 for nodes at rest or led, `SHIFT` for others."""
         moves = self.free & (self.scale > 0)
         moves = moves if self.ways is None else moves & ~self.ways.follows
         return jnp.where(moves, SHIFT, 1.0).astype(self.scale.dtype)
@@ -73,7 +73,7 @@ class Distortion(eqx.Module):
         return jnp.min(jnp.stack(least))
 
     def blocks(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any = 0.0) -> Float[Array, "d d pairs"]:
-        """Computes second derivatives for all pairs of corners of a cell, then, with `ways`, of single nodes.
+        """Computes second derivatives for pairs of a cell's corners; with `ways`, of single nodes.
 
         The eigenvalues of a sample are at least `floor`.
         """
@@ -108,7 +108,7 @@ class Distortion(eqx.Module):
         return jnp.concatenate(parts, axis=2)
 
     def _alone(self, y: Float[Array, "n d"], base: Float[Array, "n d"], floor: Any) -> Float[Array, "n d d"]:
-        """Computes second derivatives of single nodes: one along the normals of walls, and the walls' curvature."""
+        """Computes second derivatives of single nodes: one along normals, and walls' curvature."""
         assert self.ways is not None
         added = self.ways.off
         if self.ways.is_linear:
@@ -137,7 +137,7 @@ def _stretch(edges: list[Vector], goal: Target) -> list[Vector]:
 
 
 def _shares(kind: str) -> Float[Array, "s c e"]:
-    """Computes the coefficients of the corners in the edges of all samples: `frames` is linear in the corners."""
+    """Computes the corners' coefficients in all samples' edges: `frames` is linear in corners."""
     edges = measures.frames(kind, [Vector([jnp.asarray(row)] * DIMENSION[kind]) for row in np.eye(CORNERS[kind])])
     return jnp.stack([edge[0] for edge in edges], axis=2)
 
@@ -173,7 +173,7 @@ class _Inverse(lx.AbstractLinearOperator):
 
 
 class HessianSolver(lx.AbstractLinearSolver):
-    """A solver with the Hessian of the energy at a minimum, on the host, for implicit differentiation.
+    """A solver with the energy's Hessian at a minimum, on the host: implicit differentiation.
 
     Its operator is the derivative of the energy's gradient, as optimistix builds it.
     """
@@ -209,7 +209,7 @@ def _(operator):
 
 
 class ProjectedNewton(optx.AbstractQuasiNewton):
-    """Newton's method; far from a minimum, without the negative curvature of the samples, so that steps descend.
+    """Newton's method; far from a minimum without negative curvature, so that steps descend.
 
     Teran et al., Robust quasistatic finite elements and flesh simulation, SCA 2005.
     """

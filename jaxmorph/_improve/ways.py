@@ -1,4 +1,4 @@
-"""Ways of boundary nodes that are not held: along planes and walls, and together with their periodic partners."""
+"""Ways of boundary nodes that are not held: along planes and walls, and with periodic partners."""
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ from .._boundary.tracks import Track
 
 
 class Ways(eqx.Module):
-    """Leads nodes along their walls, and the second node of a periodic pair as its first node moves.
+    """Leads nodes along walls, and the second node of a periodic pair as its first moves.
 
     - `tracks`, `pairings`: of node ids.
     - `follows` (n,): True for the second node of a pair.

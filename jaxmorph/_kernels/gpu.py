@@ -156,7 +156,7 @@ def fused_sum(
 
 
 def _layout(n: int, count: int) -> tuple[int, int, int, int]:
-    """Lays `n` points and `count` sources out: block, warps, number of blocks, sources of a part."""
+    """Lays out `n` points and `count` sources: block, warps, count of blocks, sources of a part."""
     block, warps = (BLOCK, WARPS) if n >= FEW else (min(FEW_BLOCK, 1 << int(math.log2(n))), FEW_WARPS)
     blocks = -(-n // block)
     return block, warps, blocks, count if n >= FEW else max(LEAST_SHARE, -(-count * blocks // PROGRAMS))

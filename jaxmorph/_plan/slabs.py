@@ -1,7 +1,8 @@
 """A direct call on a CPU in slabs of points, which all cores compute beside each other.
 
-XLA splits the loop over a program's blocks among threads operation by operation, and they wait for each other at each. Programs
-of one slab each have nothing to wait for: JAX runs programs that it has begun on threads of its own.
+XLA splits the loop over a program's blocks among threads operation by operation, and they wait for
+each other at each. Programs of one slab each have nothing to wait for: JAX runs programs that it
+has begun on threads of its own.
 """
 
 from typing import Any
@@ -22,18 +23,19 @@ MOST = 64
 """Slabs of all points, and shares of a sum: more cores than these would not make a call faster."""
 
 STEP = 1536
-"""Slabs begin at multiples of this, as blocks of points do: results in a block depend on its size, by a last bit."""
+"""Slabs begin at multiples of this, as blocks do: a block's size changes its last bits."""
 
 
 def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
-    """Divides points into slabs: the first row of each, and how many rows; none where calls are traced or points few.
+    """Divides points into slabs: first rows and counts; none for traced calls or few points.
 
-    All have one size, and so one program; some overlap. The number of cores does not change them: results have equal bits.
+    All have one size, and so one program; some overlap. The number of cores does not change them:
+    results have equal bits.
     """
     if count < 2 * LEAST or not is_direct(arguments):
         return []
-    # Every slab ends with the points that are left over when all are divided into steps, as the last slab has to. What a slab
-    # overlaps its successor by is cut off.
+    # Every slab ends with the points that are left over when all are divided into steps, as the
+    # last slab has to. What a slab overlaps its successor by is cut off.
     rest, number = count % STEP, min(MOST, count // LEAST // 2 * 2)
     stride = -(-(count - rest) // (number * STEP)) * STEP
     size = stride + rest
@@ -41,7 +43,7 @@ def slabs(count: int, *arguments: Any) -> list[tuple[np.ndarray, int]]:
 
 
 def shares(plan: Any, *arguments: Any) -> int:
-    """Counts the shares of a plan's points in a sum, which the number of cores does not change; 1 where calls are traced."""
+    """Counts shares of a plan's points in a sum, for any number of cores; 1 if traced."""
     surface = len(plan.surface.points)  # each share has a sum for all of it
     number = min(MOST, len(plan.points) // max(LEAST, 2 * surface)) // 2 * 2
     return number if number and is_direct(plan, arguments) else 1

@@ -14,15 +14,15 @@ BLOCK = 1 << 16
 """Cells that are measured together."""
 
 CACHED = 1 << 12
-"""Cells that NumPy measures together: what it computes on the way stays in the processor's cache."""
+"""Cells that NumPy measures together: intermediate values stay in the processor's cache."""
 
 
 def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) -> Any:
-    """Applies `function`, which computes with NumPy or `jax.numpy`, to some cells at a time: memory is that of one block.
+    """Applies `function`, of NumPy or `jax.numpy`, to blocks of cells: memory is that of one.
 
-    The last axis of each of `rows` runs over cells, and so does that of what `function` returns. Reverse mode computes
-    each block anew. A block has `size` cells. By default it has `CACHED` for NumPy and `BLOCK` for JAX, fewer of
-    cells with many values.
+    The last axis of each of `rows` runs over cells, and so does that of what `function` returns.
+    Reverse mode computes each block anew. A block has `size` cells. By default it has `CACHED` for
+    NumPy and `BLOCK` for JAX, fewer of cells with many values.
     """
     leaves = jax.tree.leaves(rows)
     width = max(math.prod(leaf.shape[:-1]) for leaf in leaves)  # many values a cell, fewer cells

@@ -1,11 +1,13 @@
 """Measures of a cell, from the coordinates of its corners.
 
-Each function takes the cell's type and `x`, the corners of k cells: one vector for each corner, numbered as VTK numbers
-them. Corners are relative to the first one. For the measures without a unit they are divided by the cell's size, so
-that products of lengths stay within float32. The formulas read as for one cell.
+Each function takes the cell's type and `x`, the corners of k cells: one vector for each corner,
+numbered as VTK numbers them. Corners are relative to the first one. For the measures without a unit
+they are divided by the cell's size, so that products of lengths stay within float32. The formulas
+read as for one cell.
 
-The definitions are those of Verdict, the library behind VTK's cell quality (Stimpson et al., The Verdict geometric
-quality library, SAND2007-1751). They are written so that every derivative is finite, on cells of no size too.
+The definitions are those of Verdict, the library behind VTK's cell quality (Stimpson et al., The
+Verdict geometric quality library, SAND2007-1751). They are written so that every derivative is
+finite, on cells of no size too.
 """
 
 import functools
@@ -36,12 +38,12 @@ _PARALLEL = {
 
 
 def pick(x: Sequence[Vector], table: tuple[tuple[int, ...], ...]) -> list[Vector]:
-    """Gathers one vector for each column of a table of corners: every face's first corner, every face's second, ..."""
+    """Gathers one vector for each column of corners: every face's first corner, second, ..."""
     return [stack([x[i] for i in column]) for column in zip(*table, strict=True)]
 
 
 def faces_by_size(kind: str) -> list[tuple[tuple[int, ...], ...]]:
-    """Groups the faces of a type by the number of their corners; a cell of a surface is its own face."""
+    """Groups a type's faces by their number of corners; a surface cell is its own face."""
     faces = FACES[kind] if DIMENSION[kind] == 3 else (tuple(range(len(FACES[kind]))),)
     return [tuple(face for face in faces if len(face) == size) for size in sorted({len(face) for face in faces})]
 
@@ -52,13 +54,13 @@ def _edges(x: Sequence[Vector], kind: str) -> Vector:
 
 
 def principal_axes(kind: str, x: Sequence[Vector]) -> list[Vector]:
-    """Computes the vectors between the middles of opposite sides of a quad or a hexahedron, times 2 and 4."""
+    """Computes vectors between the middles of opposite sides: of quads times 2, of hexahedra 4."""
     picked = [pick(x, pairs) for pairs in _PARALLEL[kind]]
     return [total(end - start) for start, end in picked]
 
 
 def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
-    """Computes area vectors (f, k) of the faces, of the edges for a 2-D cell: outward for a right-handed cell."""
+    """Computes area vectors (f, k) of faces, 2-D: edges, outward for a right-handed cell."""
     if DIMENSION[kind] == 3:
         groups = faces_by_size(kind)
         areas = [area_vector(pick(x, group)) for group in groups]
@@ -74,7 +76,7 @@ def face_areas(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def area_vector(corners: Sequence[Vector]) -> Vector:
-    """Computes half the cross product of the diagonals, of two sides for a triangle; one component in 2-D."""
+    """Computes half the cross product of diagonals (triangle: two sides); a number in 2-D."""
     if len(corners) == 3:
         return cross(corners[1] - corners[0], corners[2] - corners[0]) * 0.5
     return cross(corners[2] - corners[0], corners[3] - corners[1]) * 0.5
@@ -85,7 +87,7 @@ def _area(kind: str, x: Sequence[Vector]) -> Vector:
 
 
 def _normal(kind: str, x: Sequence[Vector]) -> Vector:
-    """Computes the unit normal of a triangle or quad; +1 in 2-D, so that areas there have a sign."""
+    """Computes the unit normal of a triangle or quad; +1 in 2-D, where areas have a sign."""
     area = _area(kind, x)
     return Vector([namespace(area[0]).ones_like(area[0])]) if len(area) == 1 else _unit(area)
 
@@ -95,10 +97,11 @@ def _unit(a: Vector) -> Vector:
 
 
 def volume(kind: str, x: Sequence[Vector]) -> Scalar:
-    """Computes the signed volume, the signed area in 2-D, the area of a surface in 3-D, the length of a line.
+    """Computes signed volume, 2-D: signed area; in 3-D a surface's area; a line's length.
 
-    Faces of four corners are bilinear: their flux is that of the mean of the corners, and the volume that of the
-    trilinear (isoparametric) cell. Of a cell of high order it is the integral of its Jacobian.
+    Faces of four corners are bilinear: their flux is that of the mean of the corners, and the
+    volume that of the trilinear (isoparametric) cell. Of a cell of high order it is the integral of
+    its Jacobian.
     """
     if kind in HIGH_ORDER:
         values, weights = jacobians(kind, x)[0], jacobian_samples(kind)[1]
@@ -117,9 +120,10 @@ def volume(kind: str, x: Sequence[Vector]) -> Scalar:
 
 
 def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
-    """Computes the edges that leave each corner, each (s, k); for a hexahedron also the principal axes at its centre.
+    """Computes the edges that leave each corner, (s, k) each; also a hexahedron's axes.
 
-    Of a cell of high order they are the tangents, the columns of its Jacobian matrix, on a lattice and at Gauss points.
+    Of a cell of high order they are the tangents, the columns of its Jacobian matrix, on a lattice
+    and at Gauss points.
     """
     if kind in HIGH_ORDER:
         return _tangents(jacobian_samples(kind)[0], x)
@@ -131,10 +135,10 @@ def frames(kind: str, x: Sequence[Vector]) -> list[Vector]:
 
 
 def jacobians(kind: str, x: Sequence[Vector]) -> tuple[Float[Either, "s k"], Float[Either, "s k"]]:
-    """Computes the Jacobians at the corners, and for a hexahedron also at its centre, as Verdict samples them.
+    """Computes Jacobians at corners, and a hexahedron's at its centre, as Verdict does.
 
-    Each comes with the bound that turns an error of the coordinates into one of the Jacobian: the sum over the edges of
-    the product of the others' lengths.
+    Each comes with the bound that turns an error of the coordinates into one of the Jacobian: the
+    sum over the edges of the product of the others' lengths.
     """
     edges = frames(kind, x)
     lengths = [norm(edge) for edge in edges]
@@ -154,7 +158,7 @@ def _tangents(derivatives: np.ndarray, x: Sequence[Vector]) -> list[Vector]:
 
 
 def linear_cells_at_nodes(kind: str, x: Sequence[Vector]) -> tuple[str, list[Vector]]:
-    """Computes what a linear cell would be with the tangents at each node of a cell of high order: s k cells, node by node."""
+    """Computes linear cells of the tangents at high-order nodes: s k cells, node by node."""
     tangents = _tangents(derivatives_at_nodes(kind), x)
     origin, corners = tangents[0] * 0, []
     for place in PLACES[SHAPES[kind]]:
@@ -165,7 +169,7 @@ def linear_cells_at_nodes(kind: str, x: Sequence[Vector]) -> tuple[str, list[Vec
 
 
 def openings(kind: str, x: Sequence[Vector]) -> Float[Either, "s k"]:
-    """Computes the largest Jacobians that the corners could have, by the lengths of their edges; 0 for a simplex."""
+    """Computes the largest Jacobians that corners could have by edge lengths; simplex: 0."""
     lengths = [constant(norm(edge)) for edge in frames(kind, x)]
     product = functools.reduce(namespace(lengths[0]).multiply, lengths)
     return product * (kind in HIGH_ORDER or (len(FRAMES[kind]) > 1 and kind != "triangle"))
@@ -180,11 +184,12 @@ def _append(a: Vector, row: Vector) -> Vector:
 def skewness(kind: str, x: Sequence[Vector], maximum: Largest = largest) -> Scalar:
     """Measures the skewness: 0 for the ideal cell, 1 for a degenerate one.
 
-    It is the `maximum` of several terms, which may be a smooth stand-in. Quad and hexahedron: Verdict's `skew`, the
-    largest |cos| of the angles between the principal axes (Taylor and Flanagan, SAND87-0525). The others: Verdict's
-    `equiangle_skew`, the largest deviation of an angle of a face from the equiangular one, over the largest there can
-    be. For a tetrahedron the angles between faces count too. For a cell of high order it is the largest of the linear
-    cells with its tangents at its nodes.
+    It is the `maximum` of several terms, which may be a smooth stand-in. Quad and hexahedron:
+    Verdict's `skew`, the largest |cos| of the angles between the principal axes (Taylor and
+    Flanagan, SAND87-0525). The others: Verdict's `equiangle_skew`, the largest deviation of an
+    angle of a face from the equiangular one, over the largest there can be. For a tetrahedron the
+    angles between faces count too. For a cell of high order it is the largest of the linear cells
+    with its tangents at its nodes.
     """
     if kind in HIGH_ORDER:
         shape, cells = linear_cells_at_nodes(kind, x)
@@ -215,10 +220,11 @@ def _deviations(angles: Float[Either, "a k"], ideal: float) -> list[Float[Either
 def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
     """Measures the aspect ratio: 1 for the ideal cell, infinite for a flat one.
 
-    Triangle: longest edge / (2 sqrt 3 inradius). Quad: longest edge times perimeter / (4 area). Tetrahedron: longest
-    edge / (2 sqrt 6 inradius). Hexahedron: longest over shortest principal axis, Verdict's `max_edge_ratio`. Wedge and
-    pyramid: longest over shortest edge, Verdict's `edge_ratio`. For a cell of high order it is the largest of the linear cells
-    with its tangents at its nodes.
+    Triangle: longest edge / (2 sqrt 3 inradius). Quad: longest edge times perimeter / (4 area).
+    Tetrahedron: longest edge / (2 sqrt 6 inradius). Hexahedron: longest over shortest principal
+    axis, Verdict's `max_edge_ratio`. Wedge and pyramid: longest over shortest edge, Verdict's
+    `edge_ratio`. For a cell of high order it is the largest of the linear cells with its tangents
+    at its nodes.
     """
     if kind in HIGH_ORDER:
         shape, cells = linear_cells_at_nodes(kind, x)
@@ -236,7 +242,7 @@ def aspect_ratio(kind: str, x: Sequence[Vector]) -> Scalar:
 
 
 def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, Scalar] | None]:
-    """Computes the terms of the aspect ratio: edges or axes, and a signed size with a sum of sides where there is one.
+    """Computes the aspect ratio's terms: edges or axes, and a signed size with a sum of sides.
 
     The ratio is the longest over the shortest edge, or the longest times the sum over the size.
     """
@@ -251,16 +257,17 @@ def aspect_terms(kind: str, x: Sequence[Vector]) -> tuple[Vector, tuple[Scalar, 
 
 
 def non_orthogonality(area: Vector, between: Vector, surface: bool) -> Scalar:
-    """Computes the angle in degrees between the area vector of a face and the line from the cell's centre to its neighbour's.
+    """Computes the angle (degrees) between a face's area vector and the line between the centres.
 
-    This is OpenFOAM's definition. On a surface in 3-D the sides of an edge are not told apart: 0 to 90 degrees.
+    This is OpenFOAM's definition. On a surface in 3-D the sides of an edge are not told apart: 0 to
+    90 degrees.
     """
     degrees = angle(area, between) * (180 / math.pi)
     return namespace(degrees).minimum(degrees, 180 - degrees) if surface else degrees
 
 
 def relative_corners(x: list[Vector]) -> tuple[list[Vector], Float[Either, " k"]]:
-    """Computes the corners relative to the first, and the cell's size, which is not differentiated."""
+    """Computes corners relative to the first, and the cell's size, not differentiated."""
     relative = [corner - x[0] for corner in x]
     size = reach(relative)
     return relative, namespace(size).where(size > 0, size, 1)

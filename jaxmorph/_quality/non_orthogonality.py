@@ -26,8 +26,8 @@ def non_orthogonality(
 ) -> Either:
     """Computes the largest angle over the inner faces of each cell, 0 for a cell without any.
 
-    `maximum` may be a smooth stand-in. Centres are kept relative to the first corner of their cell, so that their
-    differences do not lose digits.
+    `maximum` may be a smooth stand-in. Centres are kept relative to the first corner of their cell,
+    so that their differences do not lose digits.
     """
     xp = namespace(points)
     cells = {kind: ids[: CORNERS[SHAPES[kind]]] for kind, ids in cells.items()}  # of a curved cell the corners

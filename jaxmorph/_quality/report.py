@@ -23,12 +23,14 @@ SMALL_IS_BAD = ("volume", "jacobian", "volume_ratio", "jacobian_ratio", "pyramid
 
 @runtime_checkable
 class Report(Protocol):
-    """Judges the cells of a mesh by measures: `QualityReport` by the corners of cells, `FaceQuality` by their faces.
+    """Judges cells by measures: `QualityReport` by the cells' corners, `FaceQuality` by faces.
 
     - `rule`: by what a cell is inverted.
-    - `is_inverted`, `counted`: masks (k,) of inverted cells, and of cells that count; `count` is the number of these.
+    - `is_inverted`, `counted`: masks (k,) of inverted cells, and of cells that count; `count` is
+      the number of these.
     - `volume`, `centroid`: how large the cells are (k,), and where (k, d).
-    - `min`, `mean`, `max`: a measure over the cells that count, by its name; the mean is weighted by volume.
+    - `min`, `mean`, `max`: a measure over the cells that count, by its name; the mean is weighted
+      by volume.
     - `worst`: ids of the worst cells by a measure; without one, inverted cells come first.
     """
 
@@ -51,7 +53,7 @@ class Report(Protocol):
 
 
 def ranked(values: Any, by: str, counted: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
-    """Sorts the ids of the cells that count by a measure, the worst first; NaN is worse than any, and `first` cells come first."""
+    """Sorts counting cells by a measure, worst first; NaN is worst, `first` cells come first."""
     badness = np.asarray(values, dtype=float) * (-1.0 if by in SMALL_IS_BAD else 1.0)
     badness = np.where(np.isnan(badness), np.inf, badness)
     ids = np.flatnonzero(counted)
@@ -60,7 +62,7 @@ def ranked(values: Any, by: str, counted: np.ndarray, first: np.ndarray | None =
 
 
 def table_of(report: Report, heading: str, names: tuple[str, ...]) -> str:
-    """Writes a table: a line for each measure, with its least, mean and largest value, its worst cell and where it is."""
+    """Writes a table of measures: least, mean and largest value, the worst cell and its place."""
     lines = [heading, f"{'':<17}{'min':>10}{'mean':>10}{'max':>10}  {'worst':<8}near"]
     for name in names:
         cell = report.worst(1, by=name)[0]
@@ -88,32 +90,39 @@ def place_of(report: Report, cell: int | np.integer) -> str:
 
 
 class QualityReport(Module):
-    """Reports the quality of each cell: arrays with one entry a cell, one type of cells after another, as in `mesh.cells`.
+    """Reports each cell's quality: arrays of one entry a cell, type after type, as `mesh.cells`.
 
     The cells are k in number. Lengths have the unit of the points, volumes its square or cube.
 
-    - `volume`: signed volume (trilinear cells), in 2-D the signed area, also as `area`. For a surface in 3-D the area,
-      without sign. Positive for cells numbered as VTK numbers them.
-    - `skewness`: 0 ideal, 1 degenerate. Quad and hexahedron: Verdict's `skew`, the largest |cos| of the angle between
-      principal axes. Triangle, tetrahedron, pyramid, wedge: Verdict's `equiangle_skew`.
-    - `aspect_ratio`: 1 ideal, inf for a flat cell. Triangle, quad, tetrahedron: Verdict's `aspect_ratio`; hexahedron
-      its `max_edge_ratio`; pyramid and wedge longest over shortest edge.
-    - `jacobian`: the smallest Jacobian at the corners (and at the centre of a hexahedron), Verdict's `jacobian`. Its
-      sign is turned for cells that are left-handed on the undeformed mesh: negative where a cell is not convex. For a
-      simplex twice its area or six times its volume; at a pyramid the four corners of the base.
-    - `non_orthogonality`: OpenFOAM's, in degrees: the angle between a face's area vector and the line between the centres of
-      its two cells. A cell has the largest angle of its inner faces, 0 without neighbours.
-    - `volume_ratio`: volume over undeformed volume, for a simplex det F of its deformation. 1 where that was zero.
-    - `jacobian_ratio`: smallest corner Jacobian over its initial value, at the corners that had the sign of their cell
-      on the undeformed mesh and were not flat there. 1 where none had.
-    - `is_inverted`: either ratio is not positive; NaN coordinates count as inverted. Without `points`, see `quality`.
-    - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh: the cell is not judged.
-      In float32 the round-off of the coordinates hides the sign of the thinnest cells at a wall.
+    - `volume`: signed volume (trilinear cells), in 2-D the signed area, also as `area`. For a
+      surface in 3-D the area, without sign. Positive for cells numbered as VTK numbers them.
+    - `skewness`: 0 ideal, 1 degenerate. Quad and hexahedron: Verdict's `skew`, the largest |cos| of
+      the angle between principal axes. Triangle, tetrahedron, pyramid, wedge: Verdict's
+      `equiangle_skew`.
+    - `aspect_ratio`: 1 ideal, inf for a flat cell. Triangle, quad, tetrahedron: Verdict's
+      `aspect_ratio`; hexahedron its `max_edge_ratio`; pyramid and wedge longest over shortest edge.
+    - `jacobian`: the smallest Jacobian at the corners (and at the centre of a hexahedron),
+      Verdict's `jacobian`. Its sign is turned for cells that are left-handed on the undeformed
+      mesh: negative where a cell is not convex. For a simplex twice its area or six times its
+      volume; at a pyramid the four corners of the base.
+    - `non_orthogonality`: OpenFOAM's, in degrees: the angle between a face's area vector and the
+      line between the centres of its two cells. A cell has the largest angle of its inner faces, 0
+      without neighbours.
+    - `volume_ratio`: volume over undeformed volume, for a simplex det F of its deformation. 1 where
+      that was zero.
+    - `jacobian_ratio`: smallest corner Jacobian over its initial value, at the corners that had the
+      sign of their cell on the undeformed mesh and were not flat there. 1 where none had.
+    - `is_inverted`: either ratio is not positive; NaN coordinates count as inverted. Without
+      `points`, see `quality`.
+    - `is_degenerate`: no corner's Jacobian had a sign beyond round-off on the undeformed mesh: the
+      cell is not judged. In float32 the round-off of the coordinates hides the sign of the thinnest
+      cells at a wall.
     - `centroid`: mean of the corners (k, d): where the cell is.
 
-    Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers over the cells of
-    the highest dimension alone; boundary elements have entries but do not count. Means are weighted by area or volume,
-    sum(skewness * area) / area. `str(report)`, `worst` and `raise_if_inverted` speak on the host.
+    Counts, means and extremes (`inverted`, `mean_skewness`, `max_skewness`, ...) are traced numbers
+    over the cells of the highest dimension alone; boundary elements have entries but do not count.
+    Means are weighted by area or volume, sum(skewness * area) / area. `str(report)`, `worst` and
+    `raise_if_inverted` speak on the host.
     """
 
     rule: ClassVar[str] = "corner Jacobians"
@@ -148,7 +157,7 @@ class QualityReport(Module):
 
     @checked
     def mean(self, name: str, *, weighted: bool = True) -> Float[Array, "..."]:
-        """Averages the measure called `name` over the cells, weighted by area or volume unless `weighted` is False."""
+        """Averages the measure `name` over cells, weighted by size unless `weighted` is False."""
         if weighted:
             return self._over_cells(_weighted_mean, self._measure(name), self.volume)
         return self._over_cells(lambda xp, values: xp.mean(values, axis=-1), self._measure(name))
@@ -205,12 +214,13 @@ class QualityReport(Module):
 
     @checked
     def worst(self, k: int = 5, *, by: str | None = None) -> np.ndarray:
-        """Lists the ids of the worst cells on the host, the worst first; `report.centroid[ids]` is where they are.
+        """Lists ids of the worst cells on the host, worst first, at `report.centroid[ids]`.
 
         **Arguments:**
 
         - `k`: how many cells, default 5.
-        - `by`: the measure to rank by. By default inverted cells come first, then the most skewed ones.
+        - `by`: the measure to rank by. By default inverted cells come first, then the most skewed
+          ones.
 
         **Raises:** `ValueError` for a measure that is not known.
         """
@@ -219,7 +229,7 @@ class QualityReport(Module):
         return ranked(values, by or "skewness", self.counted, None if by else np.asarray(self.is_inverted))[:k]
 
     def raise_if_inverted(self) -> None:
-        """Raises `ValueError` on the host where cells are inverted: how many, and where the first one is.
+        """Raises `ValueError` on the host for inverted cells: how many, and where the first is.
 
         It does not work inside `jit`: there `report.inverted` is a value like any other.
         """
@@ -243,7 +253,7 @@ class QualityReport(Module):
 
     @property
     def counted(self) -> Bool[np.ndarray, " k"]:
-        """Cells that count (a mask on the host): cells of the highest dimension, no boundary elements."""
+        """Marks cells that count, on the host: highest dimension, no boundary elements."""
         top = {kind for kind, _ in self._top()}
         return np.concatenate([np.full(count, kind in top) for kind, count in self.types])
 
@@ -253,7 +263,7 @@ class QualityReport(Module):
         return sum(count for _, count in self._top())
 
     def _over_cells(self, reduce: Callable, *values: Either) -> Array:
-        """Reduces values over the cells that count, the last axis; by NumPy where they can be read, which compiles nothing."""
+        """Reduces values over counting cells, the last axis; readable ones by NumPy, uncompiled."""
         mask = self.counted
         known = on_host(values)
         values = tuple(np.asarray(each) for each in values) if known else values
@@ -262,9 +272,10 @@ class QualityReport(Module):
 
 
 def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:
-    """Averages by volume; an infinite value makes the mean infinite, without a derivative, unless its cell has no volume."""
+    """Averages by volume; infinite values give infinity, but for cells without volume."""
     weight, infinite = xp.abs(volume), xp.isinf(values)
     total = xp.sum(weight, axis=-1)
-    # a product with an infinite value, or with one that does not count, would have a derivative by the volume
+    # a product with an infinite value, or with one that does not count, would have a derivative by
+    # the volume
     mean = xp.sum(xp.where(infinite | (weight == 0), 0, values) * weight, axis=-1) / xp.where(total == 0, 1, total)
     return xp.where(xp.any(infinite & (weight > 0), axis=-1), xp.inf, mean)

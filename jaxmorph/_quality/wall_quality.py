@@ -76,7 +76,8 @@ def wall_quality(
     Traced over `points`: `jit`, `grad` and `vmap` work. The ids are found on the host at each call,
     from cells and coordinates that may not be traced: close over the mesh.
 
-    Of curved cells all nodes count: the first grid line of a node ends at the next node of its cell.
+    Of curved cells all nodes count: the first grid line of a node ends at the next node of its
+    cell.
 
     **Arguments:**
 

@@ -1,11 +1,13 @@
-"""Bernstein form of polynomials on products of simplices: a square is line times line, a wedge triangle times line.
+"""Bernstein form of polynomials on products of simplices: a square is a product of two lines.
 
-On a simplex with barycentric coordinates lambda, a polynomial of degree q is the sum over |alpha| = q of
-b_alpha multinomial(alpha) lambda^alpha. The terms are positive and add up to 1. So the polynomial lies between its least and
-its largest coefficient, and the coefficients at corners are its values there.
+On a simplex with barycentric coordinates lambda, a polynomial of degree q is the sum over |alpha| =
+q of b_alpha multinomial(alpha) lambda^alpha. The terms are positive and add up to 1. So the
+polynomial lies between its least and its largest coefficient, and the coefficients at corners are
+its values there.
 
-A space is a tuple with (dimension, degree) of each factor. Coefficients of a product are in C order of its factors' indices.
-Scaled coefficients are b_alpha multinomial(alpha): their products are those of ordinary polynomials.
+A space is a tuple with (dimension, degree) of each factor. Coefficients of a product are in C order
+of its factors' indices. Scaled coefficients are b_alpha multinomial(alpha): their products are
+those of ordinary polynomials.
 """
 
 import functools
@@ -46,7 +48,7 @@ def multinomials(space: Space) -> np.ndarray:
 
 @functools.cache
 def rows_of_products(first: Space, second: Space) -> np.ndarray:
-    """Lists the row in the product's space of each product of two terms: (terms of the second, terms of the first)."""
+    """Lists the product space's row for each product of terms: (second's, first's)."""
     table = np.zeros((1, 1), dtype=np.int64)
     for (dimension, low), (_, high) in zip(first, second, strict=True):
         place = {tuple(row): i for i, row in enumerate(indices(dimension, low + high).tolist())}
@@ -80,9 +82,10 @@ def terms(space: Space, places: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def children(dimension: int) -> np.ndarray:
-    """Lists the corners (2^dimension, corners, corners) of a simplex's parts, in its barycentric coordinates.
+    """Lists the corners (2^dimension, corners, corners) of a simplex's parts, barycentric.
 
-    The parts have half its edges: one at each corner, and what is left inside, four tetrahedra in an octahedron.
+    The parts have half its edges: one at each corner, and what is left inside, four tetrahedra in
+    an octahedron.
     """
     unit = np.eye(dimension + 1)
     own = [[(unit[i] + unit[j]) / 2 for j in range(dimension + 1)] for i in range(dimension + 1)]
@@ -97,10 +100,11 @@ def children(dimension: int) -> np.ndarray:
 
 @functools.cache
 def halving(dimension: int, degree: int) -> np.ndarray:
-    """Computes the matrix (2^dimension n, n) from the coefficients of one factor to those on its parts.
+    """Computes the matrix (2^dimension n, n) from a factor's coefficients to its parts'.
 
-    A coefficient on a part is the blossom at the part's corners, each as often as its index says: de Casteljau's algorithm.
-    No entry is negative, each row adds up to 1, and all are multiples of powers of 1/2.
+    A coefficient on a part is the blossom at the part's corners, each as often as its index says:
+    de Casteljau's algorithm. No entry is negative, each row adds up to 1, and all are multiples of
+    powers of 1/2.
     """
     matrix = np.ones((2**dimension, 1, 1))
     for high in range(1, degree + 1):
@@ -120,7 +124,7 @@ def halving(dimension: int, degree: int) -> np.ndarray:
 
 
 def halved(space: Space, coefficients: Either) -> Either:
-    """Computes coefficients on the 2^d parts of a cell: (n, k) to (n, 2^d k), one part after another."""
+    """Computes coefficients on a cell's 2^d parts: (n, k) to (n, 2^d k), part after part."""
     xp, k = namespace(coefficients), coefficients.shape[-1]
     values = coefficients.reshape(*(len(indices(*factor)) for factor in space), k)
     for axis, factor in enumerate(space):
@@ -132,14 +136,14 @@ def halved(space: Space, coefficients: Either) -> Either:
 
 
 def contracted(matrix: np.ndarray, values: Either, axis: int = 0) -> Either:
-    """Multiplies values by a matrix along an axis, which becomes the first one; in full precision on every device."""
+    """Multiplies values by a matrix along an axis, which comes first; in full precision."""
     if namespace(values) is np:
         return np.tensordot(matrix, values, (1, axis))
     return namespace(values).tensordot(matrix, values, (1, axis), precision="highest")
 
 
 def multiplied(first: Space, second: Space, a: list[Any], b: list[Any], product: Any) -> list[Any]:
-    """Multiplies polynomials whose scaled coefficients are arrays (n, k), one for each component of a vector.
+    """Multiplies polynomials given by scaled coefficients (n, k), one array a component.
 
     `product` is bilinear: two lists of components to one list.
     """

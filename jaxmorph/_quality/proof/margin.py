@@ -34,21 +34,26 @@ def proven_margin(
     depth: int = 0,
     sharpness: float | None = None,
 ) -> Float[Array, " k"]:
-    """Computes a lower bound on det J of each whole cell, over its mean on the undeformed mesh: above 0 no cell folds.
+    """Bounds det J of whole cells from below, over its undeformed mean: above 0 no cell folds.
 
-    It is the least Bernstein coefficient, `Proof.margin` but for round-off. Traced: `jit`, `grad` and `vmap` work over
-    `points` and `base`. All cells are cut alike, since what is traced cannot depend on the sign.
+    It is the least Bernstein coefficient, `Proof.margin` but for round-off. Traced: `jit`, `grad`
+    and `vmap` work over `points` and `base`. All cells are cut alike, since what is traced cannot
+    depend on the sign.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
     - `points`: where the nodes are now (n, d), in the unit of `mesh.points`.
-    - `base`: where they came from (n, d). The bound then holds during the whole straight motion. Default: none.
-    - `depth`: how often each cell is cut, default 0. A cut makes 8 parts in 3-D, 4 in 2-D, with `base` twice as many.
-    - `sharpness`: makes the bound smooth in the points. It is then lower, by log(coefficients) / sharpness at most, so above 0
-      it still is a proof. A hexahedron has 27 coefficients. Default None: the least coefficient itself.
+    - `base`: where they came from (n, d). The bound then holds during the whole straight motion.
+      Default: none.
+    - `depth`: how often each cell is cut, default 0. A cut makes 8 parts in 3-D, 4 in 2-D, with
+      `base` twice as many.
+    - `sharpness`: makes the bound smooth in the points. It is then lower, by log(coefficients) /
+      sharpness at most, so above 0 it still is a proof. A hexahedron has 27 coefficients. Default
+      None: the least coefficient itself.
 
-    **Returns:** one number for each cell (k,), one type of cells after another. Boundary elements have infinity.
+    **Returns:** one number for each cell (k,), one type of cells after another. Boundary elements
+    have infinity.
 
     **Raises:** `ValueError` as `proof` does, and for a `sharpness` that is not positive.
     """

@@ -19,7 +19,7 @@ from .report import Proof
 from .search import ROOM, bounds
 
 DEPTH = 4
-"""Default of `proof`: cells are cut into parts of a sixteenth of their edges where the sign is open."""
+"""Default of `proof`: parts of a sixteenth of a cell's edges where the sign is open."""
 
 
 @checked
@@ -30,31 +30,35 @@ def proof(
     base: Real[ArrayLike, "n d"] | Sequence[Any] | None = None,
     depth: int = DEPTH,
 ) -> Proof:
-    """Proves that cells fold nowhere inside: bounds on det J of each whole cell, at `points` or during a motion.
+    """Proves that cells fold nowhere inside: bounds det J, at `points` or during a motion.
 
-    `quality` judges corners, between which a hexahedron or a curved cell may fold. Here det J is written in the Bernstein
-    basis, whose least coefficient is a lower bound on it. Where that is negative and no corner is, the cell is cut into
-    parts, whose bounds are closer. A bound includes round-off, so that `valid` is a proof for the coordinates as they are.
+    `quality` judges corners, between which a hexahedron or a curved cell may fold. Here det J is
+    written in the Bernstein basis, whose least coefficient is a lower bound on it. Where that is
+    negative and no corner is, the cell is cut into parts, whose bounds are closer. A bound includes
+    round-off, so that `valid` is a proof for the coordinates as they are.
 
-    A cell counts in the handedness that it has on the undeformed mesh, `mesh.points`. Without `points` and `base` that mesh is
-    judged by itself, and the handedness is the one that `quality` takes.
+    A cell counts in the handedness that it has on the undeformed mesh, `mesh.points`. Without
+    `points` and `base` that mesh is judged by itself, and the handedness is the one that `quality`
+    takes.
 
     It runs on the host, in double precision. `proven_margin` is traced.
 
-    Sources: Johnen, Remacle, Geuzaine, Geometrical validity of curvilinear finite elements, J. Comput. Phys. 233, 2013.
+    Sources: Johnen, Remacle, Geuzaine, Geometrical validity of curvilinear finite elements, J.
+    Comput. Phys. 233, 2013.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
     - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default `mesh.points`.
-    - `base`: where they came from (n, d). The bounds then hold at every instant of the straight motion from `base` to
-      `points`. Default: none, only `points` is judged.
-    - `depth`: how often a cell is cut where its sign is open, default 4. Each cut halves all edges, and the time.
+    - `base`: where they came from (n, d). The bounds then hold at every instant of the straight
+      motion from `base` to `points`. Default: none, only `points` is judged.
+    - `depth`: how often a cell is cut where its sign is open, default 4. Each cut halves all edges,
+      and the time.
 
     **Returns:** a `Proof`.
 
-    **Raises:** `ValueError` for a mesh without cells of its own dimension, for a shape of `points` or `base` other than that of
-    `mesh.points`, and for traced points.
+    **Raises:** `ValueError` for a mesh without cells of its own dimension, for a shape of `points`
+    or `base` other than that of `mesh.points`, and for traced points.
     """
     whole("depth", depth, 0)
     given = {"points": mesh.points if points is None else points} | ({} if base is None else {"base": base})

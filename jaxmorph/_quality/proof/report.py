@@ -17,23 +17,29 @@ WORST = 5
 class Proof:
     """Proves of each of k cells that it folds nowhere inside, or shows where it folds.
 
-    det J is that of the map from the reference cell, in the cell's own handedness: positive where the cell is not folded.
-    Cells stand one type after another, as in `mesh.cells`.
+    det J is that of the map from the reference cell, in the cell's own handedness: positive where
+    the cell is not folded. Cells stand one type after another, as in `mesh.cells`.
 
     - `lower`, `upper`: the least det J of the cell is between these, round-off included.
-    - `size`: mean of det J over the undeformed cell, without sign: its volume over the volume of the reference cell.
-    - `margin`: `lower` over `size`. It is 1 for an undeformed simplex, parallelogram or parallelepiped.
+    - `size`: mean of det J over the undeformed cell, without sign: its volume over the volume of
+      the reference cell.
+    - `margin`: `lower` over `size`. It is 1 for an undeformed simplex, parallelogram or
+      parallelepiped.
     - `is_valid`: `lower` is positive, so the cell folds nowhere.
-    - `is_invalid`: `upper` is negative, and so is det J, evaluated at `reference`. Coordinates that are NaN count as well.
-    - `is_unknown`: neither. `is_flat`: those of them whose det J touches zero to round-off, which no depth decides.
+    - `is_invalid`: `upper` is negative, and so is det J, evaluated at `reference`. Coordinates that
+      are NaN count as well.
+    - `is_unknown`: neither. `is_flat`: those of them whose det J touches zero to round-off, which
+      no depth decides.
     - `reference`, `near`: where det J is `upper`, in the reference cell and in space (k, d).
-    - `time`: when, from 0 at `base` to 1 at `points`; None without `base`. Bounds then hold for the whole motion.
+    - `time`: when, from 0 at `base` to 1 at `points`; None without `base`. Bounds then hold for the
+      whole motion.
     - `types`: type and number of cells; `depth`: how often cells were cut where the sign was open.
     - `ids`: the file's number of each cell, `Mesh.cell_ids`, by which tables and messages name it.
     - `counted`: False for boundary elements, which have no det J; their numbers are NaN.
 
-    Reference cells have corners at 0 and 1: a triangle or tetrahedron is below the diagonal, a pyramid's apex is above its first
-    corner. A piece of a polyhedron is valid or unknown: a polyhedron whose piece is folded may itself be sound.
+    Reference cells have corners at 0 and 1: a triangle or tetrahedron is below the diagonal, a
+    pyramid's apex is above its first corner. A piece of a polyhedron is valid or unknown: a
+    polyhedron whose piece is folded may itself be sound.
     """
 
     lower: Float[np.ndarray, " k"]
@@ -92,7 +98,7 @@ class Proof:
 
     @checked
     def worst(self, k: int = WORST) -> np.ndarray:
-        """Lists the ids of the worst cells: invalid ones, then unknown ones, then those of the smallest margin.
+        """Lists the ids of the worst cells: invalid, then unknown, then of the smallest margin.
 
         **Raises:** `ValueError` for a `k` that is negative or no whole number.
         """
@@ -103,7 +109,7 @@ class Proof:
         return ids[np.lexsort((np.where(np.isnan(value), -np.inf, value), rank))][:k]
 
     def raise_if_unproven(self) -> None:
-        """Raises `ValueError` where a cell is invalid or unknown: how many, and where the first one is."""
+        """Raises `ValueError` for invalid or unknown cells: how many, and where the first is."""
         if self.valid == self.count:
             return
         first = self.worst(1)[0]

@@ -15,11 +15,12 @@ ROOM = 1 << 16
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bounds:
-    """Bounds (k,) on the least value of k polynomials: none is less than `lower`, and each has the value `upper` at `at`.
+    """Bounds (k,) of k polynomials' least values: `lower`, and the value `upper` at `at`.
 
     - `at`: places (f, k) among the factors of the space.
     - `lower`, `upper`: beyond round-off.
-    - `is_flat`: the least coefficient and the least value are zero to round-off: no subdivision decides the sign.
+    - `is_flat`: the least coefficient and the least value are zero to round-off: no subdivision
+      decides the sign.
     """
 
     lower: Float[np.ndarray, " k"]
@@ -31,7 +32,7 @@ class Bounds:
 def bounds(
     space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Float[np.ndarray, " k"], depth: int
 ) -> Bounds:
-    """Bounds polynomials by their coefficients, with parts of a 2^depth-th of the cell's edges where the sign needs them."""
+    """Bounds polynomials by coefficients, on parts of a 2^depth-th where the sign needs them."""
     k = coefficients.shape[1]
     search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((_dimension(space), k)))
     corners = [np.concatenate([np.zeros((1, m)), np.eye(m)])[:, :, None] for m, _ in space]
@@ -47,7 +48,7 @@ def _dimension(space: Space) -> int:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Parts:
-    """Parts of cells: their coefficients (n, p), the cell of each, and the corners (m + 1, m, p) of each factor."""
+    """Parts of cells: coefficients (n, p), cells, and each factor's corners (m + 1, m, p)."""
 
     coefficients: Float[np.ndarray, "n p"]
     cell: Int[np.ndarray, " p"]
@@ -77,7 +78,7 @@ class _Parts:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Search:
-    """Holds what is known of each cell: the least coefficient of its parts, the least value found, and where."""
+    """Knowledge of each cell: its parts' least coefficient, the least value, and its place."""
 
     space: Space
     depth: int
@@ -87,10 +88,11 @@ class _Search:
     at: np.ndarray
 
     def look(self, parts: _Parts, level: int) -> None:
-        """Looks at the coefficients of parts, and into those whose sign is open; a cell with a negative value needs no more."""
+        """Looks at coefficients of parts, and cuts those of open sign; negative cells are done."""
         cell, least = parts.cell, parts.coefficients.min(axis=0)
         lowest, slack = self._compare(parts), self.round_off[cell]
-        # where a corner is zero to round-off, closer bounds cannot be positive: only what may be negative is of interest
+        # where a corner is zero to round-off, closer bounds cannot be positive: only what may be
+        # negative is of interest
         is_open = (least < -slack) | ((least <= slack) & (lowest > slack))
         is_open &= ~(self.upper[cell] < -slack)
         if level == self.depth:
@@ -101,7 +103,7 @@ class _Search:
             self.look(parts[rows[start : start + size]].halved(self.space), level + 1)
 
     def _compare(self, parts: _Parts) -> Float[np.ndarray, " p"]:
-        """Compares the values at corners with the least ones found, and returns the least of each part."""
+        """Compares values at corners with the least found; returns the least of each part."""
         values = parts.coefficients[bernstein.corners(self.space)]
         corner, least = values.argmin(axis=0), values.min(axis=0)
         before = self.upper.copy()
@@ -112,5 +114,5 @@ class _Search:
 
     @functools.cached_property
     def _size(self) -> int:
-        """How many parts are cut together."""
+        """The number of parts that are cut together."""
         return max(1, ROOM // (bernstein.count(self.space) * 2 ** _dimension(self.space)))

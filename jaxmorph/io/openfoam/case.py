@@ -1,6 +1,7 @@
-"""OpenFOAM's cases: `constant/polyMesh`, ascii or binary, plain or compressed (doc.openfoam.com, mesh description).
+"""OpenFOAM's cases: `constant/polyMesh`, ascii or binary, plain or compressed (doc.openfoam.com).
 
-Only `points` is written: into a time folder of the case, or into a copy of the case. The case itself stays as it is.
+Only `points` is written: into a time folder of the case, or into a copy of the case. The case
+itself stays as it is.
 """
 
 import contextlib
@@ -35,7 +36,7 @@ COPIED = ("constant", "system", "0", "0.orig")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _CaseContent:
-    """Keeps the file of points, its values, the folder of the faces, and the two planes of a 2-D or axisymmetric case.
+    """A case's file of points, its values, the folder of faces, and the planes of a 2-D case.
 
     `shared` are the points (k,) of the file that other parts of a decomposed case have too.
     """
@@ -47,7 +48,10 @@ class _CaseContent:
     shared: np.ndarray
 
     def in_file(self, points: np.ndarray) -> np.ndarray:
-        """Computes the points (N, 3) of the file, both planes' of one in 2-D. Raises `ValueError` where the axis does not stay."""
+        """Computes the points (N, 3) of the file, both planes' of one in 2-D.
+
+        Raises `ValueError` where the axis does not stay.
+        """
         return points if self.plane is None else self.plane.in_space(self.points, points)
 
     @functools.cached_property
@@ -57,14 +61,16 @@ class _CaseContent:
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """Reads the mesh of a case, of one of its time folders, or of a folder polyMesh; nodes in the order of the file.
+    """Reads the mesh of a case, a time folder, or a folder polyMesh; nodes in file order.
 
-    `patches` are those of `boundary`, `groups` of their `inGroups`. Cells with more or other faces than the standard types are
-    cut into tetrahedra between their own nodes. Of a case with `empty` patches the plane in front is the mesh, in two coordinates.
-    So it is with `wedge` patches, at places along the axis and distances from it; nodes on the axis are the patch `axis`.
+    `patches` are those of `boundary`, `groups` of their `inGroups`. Cells with more or other faces
+    than the standard types are cut into tetrahedra between their own nodes. Of a case with `empty`
+    patches the plane in front is the mesh, in two coordinates. So it is with `wedge` patches, at
+    places along the axis and distances from it; nodes on the axis are the patch `axis`.
 
-    Of a decomposed case `path` may be a folder `processor3`. Faces to other processors are no boundary, `processorXtoY` is no
-    patch. Faces of a cyclic patch whose partners are on another processor stay in their cyclic patch.
+    Of a decomposed case `path` may be a folder `processor3`. Faces to other processors are no
+    boundary, `processorXtoY` is no patch. Faces of a cyclic patch whose partners are on another
+    processor stay in their cyclic patch.
     """
     here, topology = _folders(path)
     boundary = patches(load(topology, "boundary"))
@@ -128,7 +134,7 @@ def check(path: pathlib.Path, mesh: Mesh) -> None:
 
 
 def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays) -> None:
-    """Writes `points` in a time folder of the case, or a new case: `constant`, `system`, `0` and `0.orig` with other points."""
+    """Writes `points` in a time folder, or a new case: `constant`, `system`, `0`, `0.orig`."""
     points = file_points(mesh)
     source = source_of(mesh, NAME)
     assert source is not None
@@ -137,7 +143,7 @@ def write(path: pathlib.Path, mesh: Mesh, point_data: Arrays, cell_data: Arrays)
 
 
 def file_points(mesh: Mesh) -> np.ndarray:
-    """Computes the points (N, 3) of the file of a mesh that was read from a case: both planes' of one in 2-D.
+    """Computes the file's points (N, 3) of a mesh that was read from a case: in 2-D both planes'.
 
     It raises `ValueError` where cyclic patches do not match any more.
     """
@@ -150,7 +156,7 @@ def file_points(mesh: Mesh) -> np.ndarray:
 
 
 def write_points(path: pathlib.Path, mesh: Mesh, points: np.ndarray) -> None:
-    """Writes a case, or a time folder of one, as `write` does, with these points (N, 3) of the file."""
+    """Writes a case, or a time folder, as `write` does, with the file's points (N, 3)."""
     source = source_of(mesh, NAME)
     assert source is not None
     content: _CaseContent = source.content
@@ -263,7 +269,7 @@ def _in_space(topology: Topology, points: np.ndarray) -> tuple[Mesh, np.ndarray 
 
 
 def _joined_ids(mesh: Mesh, ids: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Returns the case's number of each cell of the mesh; None where the mesh has them in that order."""
+    """Returns the case's number of each cell of the mesh; None where the order is equal."""
     joined = np.concatenate([ids[kind] for kind in mesh.cells])
     return None if (joined[1:] > joined[:-1]).all() else joined
 
@@ -303,7 +309,7 @@ def _in_sector(
 
 
 def _folders(path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
-    """Finds the folder of the points and that of the faces: for a time folder often the latter is the case's."""
+    """Finds the folder of the points, and that of the faces, which is often the case's."""
     if path.name == "polyMesh":
         here = path
     elif (path / "constant" / "polyMesh").is_dir():

@@ -1,4 +1,4 @@
-"""Cyclic patches: pairs of patches whose faces lie in each other after one translation or one rotation."""
+"""Cyclic patches: pairs whose faces match after one translation or one rotation."""
 
 import pathlib
 
@@ -7,18 +7,21 @@ import numpy as np
 from .file import Patch, load, patches
 
 TOLERANCE = 1e-4
-"""Distance by which paired faces may miss each other, relative to their size: OpenFOAM's own `matchTolerance`."""
+"""Distance of paired faces, relative to their size: OpenFOAM's own `matchTolerance`."""
 
 
 def cyclic_pairs(boundary: list[Patch]) -> list[tuple[Patch, Patch]]:
-    """Lists the pairs of cyclic patches of a case. Those whose faces need not match (cyclicAMI, cyclicACMI) are none."""
+    """Lists the pairs of cyclic patches of a case.
+
+    Those whose faces need not match (cyclicAMI, cyclicACMI) are none.
+    """
     by_name = {patch.name: patch for patch in boundary}
     pairs = [(each, by_name[each.neighbour]) for each in by_name.values() if each.neighbour in by_name]
     return [(a, b) for a, b in pairs if "cyclic" == a.type == b.type and a.start < b.start and a.count == b.count > 0]
 
 
 def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> None:
-    """Raises `ValueError` where the cyclic patches of a case matched with the `old` points, and do not with the `new` ones."""
+    """Raises `ValueError` where cyclic patches matched with `old` points, but not with `new`."""
     pairs = cyclic_pairs(patches(load(topology, "boundary")))
     if not pairs or np.array_equal(old, new):
         return
@@ -38,7 +41,7 @@ def check_cyclic(topology: pathlib.Path, old: np.ndarray, new: np.ndarray) -> No
 
 
 def _faces(points: np.ndarray, labels: np.ndarray, starts: np.ndarray, patch: Patch) -> tuple[np.ndarray, np.ndarray]:
-    """Computes the middles (k, 3) and the sizes (k,) of a patch's faces; a size is the root of an area."""
+    """Computes middles (k, 3) and sizes (k,), roots of areas, of a patch's faces."""
     begins = np.asarray(starts[patch.start : patch.start + patch.count + 1], dtype=np.int64)
     corners = points[labels[begins[0] : begins[-1]]]
     begins, sizes = begins[:-1] - begins[0], np.diff(begins)
@@ -51,7 +54,7 @@ def _faces(points: np.ndarray, labels: np.ndarray, starts: np.ndarray, patch: Pa
 
 
 def _misses(first: tuple, second: tuple, turned: bool) -> np.ndarray:
-    """Measures by how much (k,) each face misses its partner, relative to its size, after the best translation or rotation."""
+    """Measures how far (k,) faces miss partners, by size, after the best transform."""
     (middles, sizes), (partners, others) = first, second
     arms, ends = middles - middles.mean(axis=0), partners - partners.mean(axis=0)
     if turned:

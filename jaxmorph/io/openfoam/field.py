@@ -26,9 +26,10 @@ def is_foam_file(path: pathlib.Path) -> bool:
 
 
 def read_point_vectors(path: pathlib.Path, mesh: Mesh) -> Float[np.ndarray, "n d"]:
-    """Reads a `pointVectorField` for the nodes of a mesh that was read from a case; in 2-D both planes' vectors are added.
+    """Reads a `pointVectorField` for the nodes of a case's mesh; in 2-D both planes add up.
 
-    It raises `ValueError` for other classes of fields, other numbers of points, and meshes from elsewhere.
+    It raises `ValueError` for other classes of fields, other numbers of points, and meshes from
+    elsewhere.
     """
     source = source_of(mesh, NAME)
     if source is None:

@@ -28,7 +28,7 @@ PARENTHESES = bytes.maketrans(b"()", b"  ")
 
 @dataclasses.dataclass(frozen=True)
 class List:
-    """Locates a list in a file: `count` elements (-1: not said) from `start`; `uniform` holds one for all."""
+    """Locates a list: `count` elements (-1: not said) from `start`; `uniform` holds one for all."""
 
     count: int
     start: int
@@ -37,7 +37,7 @@ class List:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FoamFile:
-    """Holds one file of a mesh: `raw` as it is on disk, `data` unpacked, its header, and where that ends."""
+    """A file of a mesh: `raw` as on disk, `data` unpacked, its header, and the header's end."""
 
     path: pathlib.Path
     raw: bytes
@@ -50,7 +50,7 @@ class FoamFile:
         return self.header.get("format", "ascii") == "binary"
 
     def dtype(self, what: str) -> np.dtype:
-        """Returns the type of a binary `label` or `scalar`: width and byte order from the header's `arch`.
+        """Returns the type of a binary `label` or `scalar`, by the header's `arch`.
 
         Without it they are 32 and 64 bits, little-endian.
         """
@@ -74,7 +74,7 @@ class FoamFile:
         return List(count if match[2] else 0, match.end(), match[2] == b"{")
 
     def numbers(self, what: str, width: int = 1) -> np.ndarray:
-        """Reads the file's list of `label`s or `scalar`s, `width` in each element: (count, width), int32 or float64."""
+        """Reads the list of `label`s or `scalar`s: (count, width), as int32 or float64."""
         items = self.list_at(self.end)
         kind = np.dtype(np.int64 if what == "label" else np.float64)
         if items.uniform and items.count * width * 8 > UNIFORM + 10 * len(self.raw):
@@ -107,7 +107,7 @@ class FoamFile:
         return (np.tile(values, items.count) if items.uniform else values), end + 1
 
     def faces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Reads the labels of all faces in a row, and where each face begins among them (one more at the end)."""
+        """Reads the labels of all faces, and where each face begins (one more at the end)."""
         if not self.is_binary:
             return self._text_faces()
         if "Compact" not in self.header.get("class", ""):
@@ -120,7 +120,7 @@ class FoamFile:
         return labels.astype(_narrow(labels)), starts
 
     def _separate_faces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Reads a binary list of lists, as older versions write it: each face with its number of labels, one after the other."""
+        """Reads a binary list of lists of older versions: faces with their counts, in turn."""
         items = self.list_at(self.end)
         at, parts = items.start, [np.zeros(0, self.dtype("label"))]
         for _ in range(items.count):
@@ -169,7 +169,7 @@ class FoamFile:
         return values[keep], np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
 
     def _table(self, items: List, stop: int) -> np.ndarray | None:
-        """Reads labels (faces, corners) of a text whose faces are all of one size; None for any other."""
+        """Reads labels (faces, corners) of a text of faces of one size; None for any other."""
         done, labels = 0, np.zeros((0, 0), np.int32)
         for part in map(_one_size, chunks(self.data, items.start, stop)):
             if not done and len(part) and items.count * part.shape[1] <= len(self.data):
@@ -189,7 +189,7 @@ class FoamFile:
 
 
 def _one_size(chunk: bytes) -> np.ndarray:
-    """Reads labels (faces, corners) of a piece of text with whole faces, all of one size; empty for any other."""
+    """Reads labels (faces, corners) of whole faces of one size in a text; empty for others."""
     faces = chunk.count(b"(")
     labels = parse(chunk.translate(PARENTHESES), np.int64)
     width, rest = divmod(len(labels), max(faces, 1))
@@ -210,7 +210,8 @@ def _end_of_space(data: bytes, at: int) -> int:
 def load(folder: pathlib.Path, name: str) -> FoamFile:
     """Opens the file of that name in a folder, plain or with the ending .gz.
 
-    It raises `FileNotFoundError` where there is neither, `ValueError` for a file without OpenFOAM's header.
+    It raises `FileNotFoundError` where there is neither, `ValueError` for a file without OpenFOAM's
+    header.
     """
     path = folder / name
     if not path.is_file() and path.with_name(f"{name}.gz").is_file():
@@ -240,8 +241,9 @@ def _unpacked(path: pathlib.Path, raw: bytes) -> bytes:
 class Patch:
     """An entry of `boundary`: `count` faces from `start` on.
 
-    `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`. `refers` is the cyclic patch of which a
-    `processorCyclic` one holds faces. Both are "" for a patch without. `part` is the processor on the other side, or -1.
+    `groups` has it in its `inGroups`, and `neighbour` is its `neighbourPatch`. `refers` is the
+    cyclic patch of which a `processorCyclic` one holds faces. Both are "" for a patch without.
+    `part` is the processor on the other side, or -1.
     """
 
     name: str
@@ -260,10 +262,10 @@ class Patch:
 
 
 def patches(file: FoamFile) -> list[Patch]:
-    """Reads the patches of a file `boundary`: `2 ( inlet { type patch; nFaces 4; startFace 8; } wall { ... } )`.
+    """Reads a `boundary`'s patches: `2 ( inlet { type patch; nFaces 4; startFace 8; } ... )`.
 
-    It raises `ValueError` for an entry without type, nFaces or startFace, and where the number before the list is not that of
-    its entries.
+    It raises `ValueError` for an entry without type, nFaces or startFace, and where the number
+    before the list is not that of its entries.
     """
     words = _words(file.data[file.end :])
     stated = int(words[0]) if words and words[0].isdecimal() and len(words[0]) <= DIGITS else None
@@ -284,7 +286,7 @@ def patches(file: FoamFile) -> list[Patch]:
 
 
 def _end_of_body(words: list[str], start: int) -> int | None:
-    """Returns the place of the brace that closes the one at `start`; None where either is missing."""
+    """Returns the place of the brace that closes the one at `start`; None if either lacks."""
     depth = 0
     for place in range(start, len(words)):
         depth += {"{": 1, "}": -1}.get(words[place], 0)
@@ -299,7 +301,10 @@ def _words(data: bytes) -> list[str]:
 
 
 def _entries(body: list[str]) -> dict[str, list[str]]:
-    """Lists the words of each entry `key word word;` by its key. Those of a dictionary in it are among its words."""
+    """Lists the words of each entry `key word word;` by its key.
+
+    Those of a dictionary in it are among its words.
+    """
     entries: dict[str, list[str]] = {}
     key, depth = None, 0
     for word in body:

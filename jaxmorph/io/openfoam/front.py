@@ -26,12 +26,12 @@ class Front:
         return at[self.front[at] == nodes]
 
     def edges(self, faces: np.ndarray) -> np.ndarray:
-        """Returns the edges (k, 2) of the front in which faces (k, c) that join the two planes end."""
+        """Returns the front's edges (k, 2) in which faces (k, c) between the planes end."""
         return self.ids(faces).reshape(-1, 2)
 
 
 def behind(faces: Faces, front: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """Finds, for each node, the one marked in `back` to which an edge leads from it, where `front` marks it; -1 elsewhere."""
+    """Finds the `back` node that an edge joins to each `front` node; -1 elsewhere."""
     corner = faces.labels
     # the last label of a face is followed by its first
     after = np.empty_like(corner)

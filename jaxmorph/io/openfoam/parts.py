@@ -1,4 +1,4 @@
-"""Decomposed cases: folders `processor0`, `processor1`, ..., each with its part of the mesh, read and written one by one."""
+"""Decomposed cases: folders `processor0`, `processor1`, ..., each read and written by itself."""
 
 import contextlib
 import dataclasses
@@ -28,12 +28,14 @@ COLLATED = re.compile(r"s\d*(_\d+-\d+)?")
 """The end of the names of folders that hold several parts, after `processor`."""
 
 AGREE = 1e-5
-"""Distance between the places that parts give a shared point, relative to the coordinates: what single precision leaves."""
+"""Distance between a shared point's places, relative to coordinates: single precision."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Side:
-    """The outside of one part of a mesh: what the whole mesh's surface is gathered from. All ids are the whole mesh's.
+    """The outside of one part of a mesh: what the whole mesh's surface is gathered from.
+
+    All ids are the whole mesh's.
 
     - `nodes` (k,), `points` (k, d): ids, ascending, and coordinates of the nodes on boundary faces.
     - `faces`: boundary faces (f, corners) by type. Faces to other parts are not among them.
@@ -55,12 +57,13 @@ class Side:
 
 
 class Decomposed:
-    """Reads and writes a decomposed OpenFOAM case part by part: memory is that of the surface and of one part.
+    """Reads and writes a decomposed OpenFOAM case part by part, in the memory of one part.
 
     ```python
     case = io.Decomposed("case")
     surface = case.surface()
-    half = jm.prepare_surface(surface, "wall", "inlet", nodes=io.global_nodes(surface), faces=surface.cells)
+    known = {"nodes": io.global_nodes(surface), "faces": surface.cells}
+    half = jm.prepare_surface(surface, "wall", "inlet", **known)
     with case.writing("moved") as writer:
         for k in range(len(case)):
             part = case.read(k)
@@ -146,13 +149,14 @@ class Decomposed:
 
     @checked
     def surface(self, sides: Sequence[Side] | None = None) -> Mesh:
-        """Joins the outsides of all parts: the boundary faces of the whole mesh as cells, its patches, no other nodes.
+        """Joins all parts' outsides: boundary faces of the mesh as cells, patches, their nodes.
 
         **Arguments:**
 
         - `sides`: what `side` gives of all parts. Default: they are read, one after the other.
 
-        **Returns:** a `Mesh` for `prepare_surface(..., nodes=io.global_nodes(surface), faces=surface.cells)`.
+        **Returns:** a `Mesh` for `prepare_surface(..., nodes=io.global_nodes(surface),
+        faces=surface.cells)`.
 
         **Raises:** `ValueError` where a node lies at different places in different parts.
         """
@@ -201,15 +205,16 @@ class Decomposed:
     @checked
     @contextlib.contextmanager
     def writing(self, path: str | os.PathLike[str], ranks: Ranks | None = None) -> Iterator["Writer"]:
-        """Writes a new case whose parts come one by one; it appears when it is complete, and not at all on failure.
+        """Writes a new case part by part; it appears when complete, and not at all on failure.
 
-        It has the `constant`, `system`, `0` and `0.orig` of the case and of each part, with other points. The undivided mesh in
-        `constant/polyMesh` would have the old points: it is left out.
+        It has the `constant`, `system`, `0` and `0.orig` of the case and of each part, with other
+        points. The undivided mesh in `constant/polyMesh` would have the old points: it is left out.
 
         **Arguments:**
 
         - `path`: the new folder.
-        - `ranks`: the communicator of an MPI run whose processes write together. Default: one process.
+        - `ranks`: the communicator of an MPI run whose processes write together. Default: one
+          process.
         """
         ranks, target = Alone() if ranks is None else ranks, pathlib.Path(path)
         with contextlib.ExitStack() as stack:
@@ -266,12 +271,13 @@ class Writer:
     written: set[int]
 
     def add(self, k: int | None, moved: Mesh | None) -> None:
-        """Writes part `k`, which is `moved`. A point that parts share gets the coordinates of the first one that has it.
+        """Writes part `k`, which is `moved`.
 
-        The processes of an MPI run call it together, as often as each other: with None where one has no part left.
+        A point that parts share gets the coordinates of the first one that has it. The processes of
+        an MPI run call it together, as often as each other: with None where one has no part left.
 
-        **Raises:** `ValueError` where cyclic patches do not match any more, for a mesh that is not part `k`, and one that does not
-        fit to the others.
+        **Raises:** `ValueError` where cyclic patches do not match any more, for a mesh that is not
+        part `k`, and one that does not fit to the others.
         """
 
         def shared() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -314,7 +320,7 @@ class Writer:
 
 @checked
 def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
-    """Returns the whole mesh's number of each node of a part of a decomposed OpenFOAM case, from `pointProcAddressing`.
+    """Returns the whole mesh's number of each node of an OpenFOAM part (`pointProcAddressing`).
 
     Nodes that parts share have one number. In 2-D it is that of the point in front.
 
@@ -324,7 +330,8 @@ def global_nodes(mesh: Mesh) -> Int[np.ndarray, " n"]:
 
     **Returns:** ids (n,) for `half.attach(mesh.points, ids)`.
 
-    **Raises:** `ValueError` for other meshes, and where `pointProcAddressing` is missing or is of another mesh.
+    **Raises:** `ValueError` for other meshes, and where `pointProcAddressing` is missing or is of
+    another mesh.
     """
     if isinstance(mesh.source, Source) and mesh.source.content is None and mesh.source.node_ids is not None:
         return np.asarray(mesh.source.node_ids)  # the surface of a case, which nothing can be written from

@@ -17,7 +17,7 @@ TOLERANCE = 1e-6
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Layer(Front):
-    """Pairs the nodes of two planes: `front` and `back`, row by row one behind the other; `axes` are the two along them.
+    """Pairs of nodes of two planes: `front` and `back`, row by row; `axes` are along them.
 
     Node i of the 2-D mesh is `front[i]`; ids ascend, so nodes keep the order of the file.
     """
@@ -31,7 +31,7 @@ class Layer(Front):
         return np.ascontiguousarray(points[self.front][:, self.axes])
 
     def in_space(self, old: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        """Places both planes of `old` at `plane`; a node behind one that has not moved stays where it is."""
+        """Places both planes of `old` at `plane`; a node behind an unmoved one stays."""
         new = old.copy()
         rows = np.ix_(self.front, np.array(self.axes))
         moved = plane != old[rows]
@@ -41,7 +41,7 @@ class Layer(Front):
         return new
 
     def added(self, values: np.ndarray) -> np.ndarray:
-        """Adds the values (N, 3) of both planes to (n, 2), as both move: the transpose of `in_space`."""
+        """Adds values (N, 3) of both planes to (n, 2): the transpose of `in_space`."""
         return (values[self.front] + values[self.back])[:, self.axes]
 
 
@@ -85,10 +85,10 @@ def layer(faces: Faces, points: np.ndarray, empty: np.ndarray) -> Layer:
 def plane_cells(
     faces: Faces, points: np.ndarray, empty: np.ndarray, plane: Layer | Sector
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Polyhedra | None]:
-    """Makes triangles and quads of the front, in the order of their cells; a face of more corners becomes triangles.
+    """Makes triangles and quads of the front in cell order; larger faces become triangles.
 
-    It also gives the ids of their cells by type, and the whole cells where some are cut. It raises `ValueError` where the front
-    has not one face a cell.
+    It also gives the ids of their cells by type, and the whole cells where some are cut. It raises
+    `ValueError` where the front has not one face a cell.
     """
     is_front = np.zeros(len(points), bool)
     is_front[plane.front] = True
@@ -113,7 +113,7 @@ def plane_cells(
 
 
 def _edges(faces: Faces, empty: np.ndarray, is_front: np.ndarray, plane: Layer | Sector) -> Faces:
-    """Makes the edges of the front, one for each face across the layer, with its cell on the left."""
+    """Makes the front's edges, one a face across the layer, with its cell on the left."""
     across = np.ones(len(faces.owner), bool)
     across[empty] = False
     chosen = np.flatnonzero(across)
@@ -126,7 +126,8 @@ def _edges(faces: Faces, empty: np.ndarray, is_front: np.ndarray, plane: Layer |
     )
     if not (np.array_equal(face[leaves], chosen) and np.array_equal(face[enters], chosen)):
         raise ValueError(f"patches of type {plane.patch_type}, but there are faces that do not join the two planes.")
-    # seen from its cell, such a face runs along the front against the sense of the cell's face in the front
+    # seen from its cell, such a face runs along the front against the sense of the cell's face in
+    # the front
     ends = np.stack([label[rows[leaves]], label[after[enters]]], axis=1)
     neighbour = np.full(len(faces.owner), -1)
     neighbour[: len(faces.neighbour)] = faces.neighbour

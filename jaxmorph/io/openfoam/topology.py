@@ -15,11 +15,12 @@ from .file import Patch, load
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Topology:
-    """Holds cells and their ids by type as `standard_cells` gives them, and the nodes of each patch.
+    """Cells and their ids by type, as `standard_cells` has them, and each patch's nodes.
 
-    Faces of a `processorCyclic` patch are those of the cyclic patch that it refers to. `between` (k, corners) are the faces to
-    other parts of a decomposed case, -1 behind the last corner. `lowest` and `highest` are the ends of the nodes' numbers. `faces`
-    is None where cells and patches say it all: not in 2-D, and not with polyhedra.
+    Faces of a `processorCyclic` patch are those of the cyclic patch that it refers to. `between`
+    (k, corners) are the faces to other parts of a decomposed case, -1 behind the last corner.
+    `lowest` and `highest` are the ends of the nodes' numbers. `faces` is None where cells and
+    patches say it all: not in 2-D, and not with polyhedra.
     """
 
     cells: dict[str, np.ndarray]
@@ -85,8 +86,9 @@ def _faces(folder: pathlib.Path) -> Faces:
 def _check_labels(folder: pathlib.Path, labels: np.ndarray, owner: np.ndarray, neighbour: np.ndarray) -> None:
     """Raises `ValueError` for labels that cannot be, before one of them sizes an array.
 
-    Each cell has four faces and each face two cells at most; each node is in three corners of faces or more. Outer faces
-    have no neighbour: older versions write -1 for them, at the end of the list.
+    Each cell has four faces and each face two cells at most; each node is in three corners of faces
+    or more. Outer faces have no neighbour: older versions write -1 for them, at the end of the
+    list.
     """
     inner = int((neighbour >= 0).sum())
     if (neighbour[:inner] < 0).any() or (neighbour < -1).any() or (inner < len(neighbour) < len(owner)):
@@ -112,7 +114,7 @@ def _check_labels(folder: pathlib.Path, labels: np.ndarray, owner: np.ndarray, n
 
 
 def _check(folder: pathlib.Path, boundary: list[Patch], faces: Faces) -> None:
-    """Raises `ValueError` where the patches are not the faces after the inner ones, each in one patch."""
+    """Raises `ValueError` where patches are not the faces after inner ones, each in one."""
     for patch in boundary:
         if patch.count < 0 or patch.start < 0 or patch.start + patch.count > len(faces.owner):
             ends = f"{patch.start} to {patch.start + patch.count - 1}"

@@ -1,4 +1,4 @@
-"""OpenFOAM's axisymmetric cases: one layer of cells between two `wedge` planes that meet at the axis, as a mesh in (x, r)."""
+"""OpenFOAM's axisymmetric cases: one layer of cells between `wedge` planes, as (x, r)."""
 
 import dataclasses
 from typing import ClassVar
@@ -14,15 +14,16 @@ TOLERANCE = 1e-6
 APART = 1e-3
 """Distance that the places of two partners may be apart, as a share of the mesh's extent."""
 ROUNDING = 1e-12
-"""Distance that a node of the axis may have left it, as a share of the mesh's extent: it is written on the axis."""
+"""Distance of a node off its axis, relative to the mesh's extent: it is written on the axis."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sector(Front):
-    """Pairs the nodes of two wedge planes: `front` and `back`, row by row one behind the other, the same on the axis.
+    """Pairs of nodes of two wedge planes: `front` and `back`, row by row, equal on the axis.
 
-    Node i of the 2-D mesh is `front[i]`, at its place along the `axis` and its distance from it, along `out` in front and
-    `out_behind` behind, from the point `origin`. Ids ascend, so nodes keep the order of the file.
+    Node i of the 2-D mesh is `front[i]`, at its place along the `axis` and its distance from it,
+    along `out` in front and `out_behind` behind, from the point `origin`. Ids ascend, so nodes keep
+    the order of the file.
     """
 
     front: np.ndarray
@@ -43,7 +44,10 @@ class Sector(Front):
         return self.front == self.back
 
     def in_space(self, old: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        """Moves both planes of `old` as `plane` has moved. Raises `ValueError` where the axis does not stay."""
+        """Moves both planes of `old` as `plane` has moved.
+
+        Raises `ValueError` where the axis does not stay.
+        """
         along, outward = (plane - self.in_plane(old)).T[:, :, None]
         limit = ROUNDING * np.ptp(old, axis=0).max()
         off = np.flatnonzero(self.on_axis & ~(np.abs(outward[:, 0]) <= limit))
@@ -59,43 +63,29 @@ class Sector(Front):
         return new
 
     def added(self, values: np.ndarray) -> np.ndarray:
-        """Adds the values (N, 3) of both planes to (n, 2), as both move: the transpose of `in_space`."""
+        """Adds values (N, 3) of both planes to (n, 2): the transpose of `in_space`."""
         front, back = values[self.front], np.where(self.on_axis[:, None], 0, values[self.back])
         return np.stack([(front + back) @ self.axis, front @ self.out + back @ self.out_behind], axis=1)
 
 
 def sector(faces: Faces, first: np.ndarray, second: np.ndarray, points: np.ndarray) -> tuple[Sector, bool]:
-    """Finds the planes of two wedge patches from their nodes; tells whether the first one is in front.
+    """Finds the planes of two wedge patches by their nodes, and whether the first is in front.
 
-    It raises `ValueError` where they are not planes at an angle, or their nodes are not pairs that edges join.
+    It raises `ValueError` where they are not planes at an angle, or their nodes are not pairs that
+    edges join.
     """
     size = np.ptp(points, axis=0).max()
     first, second = np.unique(first), np.unique(second)
     if len(np.union1d(first, second)) < len(points):
         raise ValueError("patches of type wedge, but there are nodes off both: there is more than one layer of cells.")
-    normals = []
-    for nodes in (first, second):
-        middle = points[nodes].mean(axis=0)
-        normals.append(np.linalg.svd(points[nodes] - middle, full_matrices=False)[2][-1])
-        if np.abs((points[nodes] - middle) @ normals[-1]).max() > TOLERANCE * size:
-            raise ValueError("a patch of type wedge does not lie in a plane.")
-    axis = np.cross(*normals)
-    if not np.linalg.norm(axis) > 1e-9:
-        raise ValueError("two patches of type wedge are parallel; a case in two dimensions has patches of type empty.")
-    axis = axis / np.linalg.norm(axis) * np.sign(axis[np.abs(axis).argmax()])
-    sharp = np.round(axis)
-    axis = sharp if np.abs(axis - sharp).max() < TOLERANCE else axis
-    heights = [normal @ points[nodes].mean(axis=0) for normal, nodes in zip(normals, (first, second), strict=True)]
-    origin = np.linalg.lstsq(np.stack([*normals, axis]), np.array([*heights, 0.0]), rcond=None)[0]
-    origin = np.where(np.abs(origin) < TOLERANCE * size, 0, origin)
+    axis, origin = _axis((first, second), points, size)
     outward = []
     for nodes in (first, second):
         arm = points[nodes].mean(axis=0) - origin
         arm = arm - (arm @ axis) * axis
         outward.append(arm / np.linalg.norm(arm))
-    is_first = (
-        np.cross(outward[1], outward[0]) @ axis > 0
-    )  # farther around the axis: seen from outside, (x, r) is right-handed
+    # the plane farther around the axis is in front: seen from outside, (x, r) is right-handed
+    is_first = np.cross(outward[1], outward[0]) @ axis > 0
     front, back = (first, second) if is_first else (second, first)
     out, out_behind = outward if is_first else outward[::-1]
     on = np.zeros((2, len(points)), dtype=bool)
@@ -114,3 +104,22 @@ def sector(faces: Faces, first: np.ndarray, second: np.ndarray, points: np.ndarr
     if distance > APART * size:
         raise ValueError(f"patches of type wedge, but nodes of their planes are up to {distance:.3g} apart along them.")
     return Sector(front, partner, axis, origin, out, out_behind), bool(is_first)
+
+
+def _axis(patches: tuple[np.ndarray, np.ndarray], points: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Finds the line in which the planes of two patches meet: its direction, and a point on it."""
+    normals = []
+    for nodes in patches:
+        middle = points[nodes].mean(axis=0)
+        normals.append(np.linalg.svd(points[nodes] - middle, full_matrices=False)[2][-1])
+        if np.abs((points[nodes] - middle) @ normals[-1]).max() > TOLERANCE * size:
+            raise ValueError("a patch of type wedge does not lie in a plane.")
+    axis = np.cross(*normals)
+    if not np.linalg.norm(axis) > 1e-9:
+        raise ValueError("two patches of type wedge are parallel; a case in two dimensions has patches of type empty.")
+    axis = axis / np.linalg.norm(axis) * np.sign(axis[np.abs(axis).argmax()])
+    sharp = np.round(axis)
+    axis = sharp if np.abs(axis - sharp).max() < TOLERANCE else axis
+    heights = [normal @ points[nodes].mean(axis=0) for normal, nodes in zip(normals, patches, strict=True)]
+    origin = np.linalg.lstsq(np.stack([*normals, axis]), np.array([*heights, 0.0]), rcond=None)[0]
+    return axis, np.where(np.abs(origin) < TOLERANCE * size, 0, origin)
