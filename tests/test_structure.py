@@ -199,17 +199,33 @@ def sentences(text: str) -> list[str]:
     return found
 
 
+def docstrings(file: pathlib.Path) -> list[ast.Constant]:
+    """Lists the docstrings of a file, also those below constants."""
+    nodes = [node.value for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Expr)]
+    return [node for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+
+
 def test_sentences_of_docstrings_are_short():
     wrong = []
     for file in FILES:
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-            text = node.value.value if is_text and isinstance(node.value.value, str) else ""
-            for sentence in sentences(text):
+        for node in docstrings(file):
+            for sentence in sentences(node.value):
                 count = sum(bool(re.search(r"[A-Za-z]", word)) for word in sentence.split())
                 if count > LONGEST:
                     wrong.append(f"{file.relative_to(ROOT)}:{node.lineno}: {count} words: {sentence}")
     assert not wrong, "\n".join(wrong)
+
+
+def test_prose_is_narrow():
+    """Lines of docstrings and comments have at most 100 characters; lines of code may have more."""
+    wide = []
+    for file in FILES:
+        lines = file.read_text(encoding="utf-8").splitlines()
+        prose = {at for at, line in enumerate(lines, start=1) if line.lstrip().startswith("#")}
+        for node in docstrings(file):
+            prose |= set(range(node.lineno, node.end_lineno + 1))
+        wide += [f"{file.relative_to(ROOT)}:{at}" for at in sorted(prose) if len(lines[at - 1]) > 100]
+    assert not wide, "\n".join(wide)
 
 
 def long_ones() -> list[str]:

@@ -24,43 +24,47 @@ from .report import QualityReport
 from .vector import Vector, corners, mean
 
 FLAT = 1e-4
-"""Sine of the angle at a corner up to which it counts as flat; in 3-D the Jacobian over the product of its edges' lengths."""
+"""Sine of a corner's angle up to which it is flat; 3-D: Jacobian over its edges' product."""
 
 
 @checked
 def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = None) -> QualityReport:
-    """Measures every cell of a mesh at `points`, judged relative to the undeformed mesh, `mesh.points`.
+    """Measures a mesh's cells at `points`, judged relative to the undeformed `mesh.points`.
 
-    Traced: `jit`, `grad` and `vmap` work over `points`, and over a mesh given as an argument. Derivatives are finite on
-    degenerate cells too.
+    Traced: `jit`, `grad` and `vmap` work over `points`, and over a mesh given as an argument.
+    Derivatives are finite on degenerate cells too.
 
-    With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has lost the sign it had
-    on the undeformed mesh. Cells of mixed handedness are fine. So are corners that had no sign, or the wrong one (a quad
-    not convex from the start). A corner has no sign within the round-off of the coordinates. One of a cell that is no
-    simplex has none either where it is flat or collapsed: its Jacobian is 1e-4 of the product of its edges or less.
+    With `points`, a cell is inverted where its volume, or the Jacobian at one of its corners, has
+    lost the sign it had on the undeformed mesh. Cells of mixed handedness are fine. So are corners
+    that had no sign, or the wrong one (a quad not convex from the start). A corner has no sign
+    within the round-off of the coordinates. One of a cell that is no simplex has none either where
+    it is flat or collapsed: its Jacobian is 1e-4 of the product of its edges or less.
 
-    Without `points`, the mesh is judged by itself. Cells numbered the other way round than their neighbours (a matter
-    of ids, not of coordinates) are turned. A cell is then inverted where its volume or a corner's Jacobian has another
-    sign than the volume that the connected part of the mesh encloses. For cells that are themselves traced (a mesh
-    given to `jit` as an argument) numbering is taken as it is.
+    Without `points`, the mesh is judged by itself. Cells numbered the other way round than their
+    neighbours (a matter of ids, not of coordinates) are turned. A cell is then inverted where its
+    volume or a corner's Jacobian has another sign than the volume that the connected part of the
+    mesh encloses. For cells that are themselves traced (a mesh given to `jit` as an argument)
+    numbering is taken as it is.
 
-    Neighbours are found on the host from the ids, under `jit` when it traces: 0.2 s for 350,000 tetrahedra. With traced
-    cells the device finds them, which takes ten times longer on a CPU: close over the mesh instead.
+    Neighbours are found on the host from the ids, under `jit` when it traces: 0.2 s for 350,000
+    tetrahedra. With traced cells the device finds them, which takes ten times longer on a CPU:
+    close over the mesh instead.
 
     **Arguments:**
 
     - `mesh`: the mesh with its cells; `mesh.points` is undeformed.
-    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default: none, the mesh is judged by
-      itself.
+    - `points`: where the nodes are now (n, d), in the unit of `mesh.points`. Default: none, the
+      mesh is judged by itself.
 
     **Returns:** a `QualityReport` of arrays, one entry for each cell, in the dtype of `points`.
 
-    **Raises:** `ValueError` for a mesh without cells, and when the shape of `points` differs from that of
-    `mesh.points`.
+    **Raises:** `ValueError` for a mesh without cells, and when the shape of `points` differs from
+    that of `mesh.points`.
     """
     current = places(mesh, points)
     kinds, cells = tuple(mesh.cells), tuple(mesh.cells.values())
-    # what is known when a caller traces is computed there and then, not folded into the caller's program
+    # what is known when a caller traces is computed there and then, not folded into the caller's
+    # program
     with jax.ensure_compile_time_eval():
         links = link(mesh.cells, signs=points is None)
         standards = None if points is None else standards_of(mesh, current.dtype)
@@ -78,7 +82,8 @@ def quality(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None = 
 def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool[Array, " k"]:
     """Marks the inverted cells at `points`: a cheaper `quality(mesh, points).is_inverted`.
 
-    Traced, and cheapest in a `jit` that closes over the mesh: the undeformed mesh is then measured once.
+    Traced, and cheapest in a `jit` that closes over the mesh: the undeformed mesh is then measured
+    once.
 
     **Arguments:**
 
@@ -101,7 +106,7 @@ def inverted(mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any]) -> Bool
 def places(
     mesh: Mesh, points: Real[ArrayLike, "n d"] | Sequence[Any] | None, name: str = "points"
 ) -> Float[Array, "n d"]:
-    """Returns the points at which cells are judged: `points`, or where the mesh has them; `name` is the argument's."""
+    """Returns the points to judge: `points`, or the mesh's; `name` is the argument's."""
     if not isinstance(mesh, Mesh):
         raise ValueError(f"the first argument must be a Mesh: quality(mesh, points), not {type(mesh).__name__}.")
     if not sum(len(corners) for corners in mesh.cells.values()):
@@ -135,7 +140,7 @@ def link(cells: dict[str, Any], signs: bool) -> Links:
 
 
 def own_signs(mesh: Mesh) -> dict[str, np.ndarray]:
-    """Finds on the host the sign that each cell's volume should have, by the numbering of the cells alone."""
+    """Finds on the host the sign that each cell's volume should have, by numbering alone."""
     cells = {kind: np.asarray(ids) for kind, ids in mesh.cells.items()}
     points = np.asarray(mesh.points, dtype=float)
     volumes = {kind: in_blocks(np, functools.partial(_volume, kind, points), ids.T) for kind, ids in cells.items()}
@@ -154,7 +159,7 @@ class Standard(NamedTuple):
 
 
 def standards_of(mesh: Mesh, dtype: Any) -> tuple[Standard, ...]:
-    """Computes the state of the undeformed mesh, one `Standard` for each type of cells, in the precision `dtype`."""
+    """Computes the undeformed state, one `Standard` a type of cells, in precision `dtype`."""
     kinds, cells, points = tuple(mesh.cells), tuple(mesh.cells.values()), jnp.asarray(mesh.points, dtype)
     if not on_host(cells, points):
         return _standards(kinds, cells, points)
@@ -183,7 +188,7 @@ def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"
 
 
 def _least(jacobians: Float[Either, "s k"], sign: Either, judged: Bool[Either, "s k"]) -> Float[Either, " k"]:
-    """Computes the smallest Jacobian, in the cell's own handedness, among the corners that are judged."""
+    """Computes the least Jacobian, in the cell's handedness, of the corners judged."""
     xp = namespace(jacobians)
     return smallest(xp.where(judged, sign[None] * jacobians, xp.inf))
 
@@ -267,7 +272,7 @@ def _shape(kind: str, x: list[Vector]) -> dict[str, Either]:
 
 
 def _enclosed_signs(volumes: dict[str, Either], links: Links, d: int) -> dict[str, Either]:
-    """Takes the sign of each cell from the volume that its part of the mesh encloses, which no inner node can change.
+    """Takes each cell's sign from the volume of its part of the mesh, fixed by the boundary.
 
     Cells of less than d dimensions are measured without a sign.
     """
@@ -287,7 +292,7 @@ def _enclosed_signs(volumes: dict[str, Either], links: Links, d: int) -> dict[st
 
 
 def _judge(volume: Either, jacobians: Either, standard: Standard) -> dict[str, Either]:
-    """Judges cells relative to the undeformed mesh, by the corners that had the sign of their cell there."""
+    """Judges cells relative to the undeformed mesh, by corners with their cell's sign there."""
     xp = namespace(volume)
     volume_ratio = xp.where(standard.is_flat, 1, volume) / standard.volume
     least = _least(jacobians, standard.sign, standard.is_judged)

@@ -24,7 +24,7 @@ except ImportError as error:
 Window = tuple[tuple[float, float], tuple[float, float]]
 
 THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
-"""Widths in typographic points: a line between cells takes a sixth of its cell, so that layers do not turn black; a wall."""
+"""Line widths in points: of cells a sixth of the cell, so that layers stay light; of walls."""
 
 NARROW = 0.8
 """Cells narrower than this, in typographic points, show their colour and no line."""
@@ -34,7 +34,7 @@ FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """Holds the cells of a 2-D mesh in the order of `mesh.linear.cells`: four corners each, repeated in triangles and lines.
+    """A 2-D mesh's cells as in `mesh.linear.cells`: four corners, repeated in triangles and lines.
 
     `whole` is the cell of the file that each one is, or is a piece of.
     """
@@ -69,7 +69,7 @@ class Cells:
         return seen_in(self.corners, window)
 
     def edges(self, cells: Int[np.ndarray, " s"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lists the edges (e, 2) of some cells, how often each comes, and the width (e,) of its narrowest cell.
+        """Lists edges (e, 2) of cells, their counts, and the width (e,) of the narrowest cell.
 
         Edges between two pieces of one polygon are left out.
         """
@@ -107,7 +107,7 @@ def fill(ax: Axes, corners: Float[np.ndarray, "k 4 2"], **style: Any) -> PolyCol
 def draw_lines(
     ax: Axes, cells: Cells, seen: Int[np.ndarray, " s"], window: Window, colour: str, least: float | int = 0
 ) -> None:
-    """Draws the lines between cells, thinner where cells are thin, and none where they are narrower than `least`."""
+    """Draws lines between cells, thinner where these are thin, none below `least`."""
     edges, _, narrowest = cells.edges(seen)
     to_points = 72 * ax.get_window_extent().width / ax.figure.dpi / (window[0][1] - window[0][0])
     chosen = narrowest * to_points >= least
@@ -117,14 +117,14 @@ def draw_lines(
 
 
 def draw_walls(ax: Axes, cells: Cells, colour: str) -> None:
-    """Draws the edges with a cell on one side: an odd number of times among all, since a cell of type line has it twice."""
+    """Draws edges with a cell on one side: an odd count, for a line's cell has it twice."""
     edges, counts, _ = cells.edges(np.arange(len(cells.ids)))
     lines = list(cells.points[edges[counts % 2 == 1]])
     ax.add_collection(LineCollection(lines, colors=colour, linewidths=WALL, capstyle="round"), autolim=False)
 
 
 def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = False, above: float = 0.1) -> Axes:
-    """Returns the axes given, or those of a new figure of the shape of its window, with `above` inches for what stands on top."""
+    """Returns the given axes, or new ones of their window's shape, `above` inches on top."""
     if ax is not None:
         return ax
     if window is None:

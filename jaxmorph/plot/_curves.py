@@ -1,4 +1,4 @@
-"""Draws numbers as curves: histograms of quality, and the error on the surface against the number of sources."""
+"""Curves: histograms of quality, and the error on the surface by the number of sources."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -20,9 +20,10 @@ from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE
 
 @checked
 def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewness", ax: Axes | None = None) -> Axes:
-    """Draws how many cells have which value of a measure, for several reports by name: `{"before": ..., "after": ...}`.
+    """Draws histograms of a measure for reports by name: `{"before": ..., "after": ...}`.
 
-    Counts are on a logarithmic scale: the worst cells are few. Cells of the boundary do not count, nor do infinite values.
+    Counts are on a logarithmic scale: the worst cells are few. Cells of the boundary do not count,
+    nor do infinite values.
 
     **Arguments:**
 
@@ -60,10 +61,10 @@ def _of_cells(report: jm.QualityReport, measure: str) -> Float[np.ndarray, " k"]
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceErrors:
-    """Holds what reduced radial basis functions miss on a moving surface, one entry for each reduction: see `surface_errors`.
+    """Misses of reduced radial functions on a moving surface, by reduction: `surface_errors`.
 
-    `sources` counts moving and fixed sources. `largest` and `mean` are the distances of moving nodes from where they should be,
-    relative to the largest displacement.
+    `sources` counts moving and fixed sources. `largest` and `mean` are the distances of moving
+    nodes from where they should be, relative to the largest displacement.
     """
 
     sources: Int[np.ndarray, " r"]
@@ -73,21 +74,22 @@ class SurfaceErrors:
 
 @checked
 def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.AbstractReduction]) -> SurfaceErrors:
-    """Measures, on the host, how far a plan's radial basis functions miss a displacement `u` (m, d) without a correction.
+    """Measures, on the host, how far a plan's radial functions alone miss `u` (m, d).
 
-    The basis, the polynomial and the reduction of the fixed nodes are the plan's. Each reduction costs one dense solve, and
-    needs no volume mesh.
+    The basis, the polynomial and the reduction of the fixed nodes are the plan's. Each reduction
+    costs one dense solve, and needs no volume mesh.
 
     **Arguments:**
 
     - `plan`: a plan with radial basis functions.
     - `u`: displacements (m, d) of the moving nodes, in the mesh's unit.
-    - `reductions`: reductions of the moving nodes, such as `[jm.KDTree(leaves) for leaves in (1, 4, 16, 64)]`.
+    - `reductions`: reductions of the moving nodes, such as `[jm.KDTree(leaves) for leaves in (1, 4,
+      16, 64)]`.
 
     **Returns:** a `SurfaceErrors`.
 
-    **Raises:** `ValueError` for a plan without radial basis functions, for a `u` that is not (m, d) or is zero, and for no
-    `reductions`. Also what `prepare` raises for one of them.
+    **Raises:** `ValueError` for a plan without radial basis functions, for a `u` that is not (m, d)
+    or is zero, and for no `reductions`. Also what `prepare` raises for one of them.
     """
     rbf = radial_basis_functions(plan)
     points, m = np.asarray(plan.points), plan.n_moving
@@ -117,8 +119,9 @@ def surface_errors(plan: jm.Plan, u: Float[Any, "m d"], reductions: Sequence[jm.
 def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | None = None) -> Axes:
     """Draws how an optimisation went on, or the error on the surface against the number of sources.
 
-    Of a `History` the objective over its first value is drawn against the iterations, with its constraints and measures.
-    Errors are those of families of reductions by name: `{"k-d tree": ...}`.
+    Of a `History` the objective over its first value is drawn against the iterations, with its
+    constraints and measures. Errors are those of families of reductions by name: `{"k-d tree":
+    ...}`.
 
     The largest error is a line, the mean is dashed, both on logarithmic scales.
 
@@ -175,7 +178,7 @@ def _iterations(history: History, ax: Axes | None) -> Axes:
 
 
 def _round_numbers(numbers: Int[np.ndarray, " k"]) -> list[int]:
-    """Returns 1, 2 and 5 times powers of ten among numbers; one more at each end where there are fewer than two."""
+    """Returns 1, 2 and 5 times powers of ten among numbers; one more at each end if few."""
     rounded = np.array([factor * 10**power for power in range(10) for factor in (1, 2, 5)])
     first, last = np.searchsorted(rounded, numbers.min()), np.searchsorted(rounded, numbers.max(), side="right")
     if last - first < 2:

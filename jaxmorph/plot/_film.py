@@ -21,7 +21,7 @@ Picture = UInt8[np.ndarray, "h w 3"]
 
 @checked
 def swing(points: Float[Any, "n d"], extreme: Float[Any, "n d"], *, frames: int = 24) -> Float[np.ndarray, "f n d"]:
-    """Computes one period of a mode: nodes go to `extreme` and as far to the other side, in straight lines, as a sine of time.
+    """Computes a period of a mode: nodes go to `extreme` and back through it, as a sine of time.
 
     `deform` is linear in the displacement, so these are the meshes of the mode at each amplitude.
 
@@ -52,22 +52,25 @@ def animate(
 ) -> pathlib.Path:
     """Makes a film of a mesh that moves, one picture for each frame.
 
-    An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"), plot.swing(mesh.points, extreme))`.
-    All frames are seen as the first one is; in 3-D with room for the others unless `draw` places the camera. The size is that of
-    the figure or of the plotter's window. A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the system's
-    or imageio-ffmpeg's.
+    An example is `animate("mode.gif", lambda points: plot.surface(mesh, points, patch="wing"),
+    plot.swing(mesh.points, extreme))`. All frames are seen as the first one is; in 3-D with room
+    for the others unless `draw` places the camera. The size is that of the figure or of the
+    plotter's window. A `.gif` repeats for ever and needs nothing more; a `.mp4` needs ffmpeg, the
+    system's or imageio-ffmpeg's.
 
     **Arguments:**
 
     - `path`: the file to write, ending in .gif or .mp4.
-    - `draw`: makes the picture of points (n, d), and returns its axes or its plotter, as all pictures here do.
+    - `draw`: makes the picture of points (n, d), and returns its axes or its plotter, as all
+      pictures here do.
     - `frames`: points (n, d) at successive times, as `swing` or `march` give them; 2 or more.
     - `rate`: frames a second. Default 12.
 
     **Returns:** the path of the file, which is there whole or not at all.
 
-    **Raises:** `ValueError` for another ending, a folder that is not there, and a rate that is not positive. Also for fewer than
-    2 frames, or frames of different shapes. `ImportError` for what is missing.
+    **Raises:** `ValueError` for another ending, a folder that is not there, and a rate that is not
+    positive. Also for fewer than 2 frames, or frames of different shapes. `ImportError` for what is
+    missing.
     """
     path = output_path(path, ".gif", ".mp4")
     frames = [np.asarray(points) for points in frames]
@@ -88,7 +91,7 @@ def animate(
 
 
 def _view(first: Any, draw: Callable, frames: list[np.ndarray]) -> Any:
-    """Chooses how all frames are seen: as the first one is, in 3-D with room for those where nodes are farthest from it."""
+    """Chooses the view of all frames: the first one's; in 3-D with room for the farthest nodes."""
     if isinstance(first, Axes):
         return first.get_xlim(), first.get_ylim()
     if not hasattr(first, "screenshot"):
@@ -138,7 +141,7 @@ def _gif(path: pathlib.Path, pictures: list[Picture], rate: float | int) -> None
 
 
 def _mp4() -> Callable[[pathlib.Path, list[Picture], float], None]:
-    """Finds ffmpeg, the system's or the one that imageio-ffmpeg brings, and returns the writer of an MP4."""
+    """Finds the system's ffmpeg, or imageio-ffmpeg's, and returns the writer of an MP4."""
     program = shutil.which("ffmpeg")
     if program is None:
         try:

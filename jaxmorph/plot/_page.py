@@ -48,26 +48,27 @@ def page(
     label: str | None = None,
     patch: str | None = None,
 ) -> pathlib.Path:
-    """Makes an interactive page (.html) of the outside of a 3-D mesh, or of one patch, with a slider from undeformed to deformed.
+    """Makes an interactive page (.html) of a 3-D mesh's outside or patch, with a slider.
 
-    Any browser with WebGL opens it from disk, without a network: all it needs is in the one file, 1.2 MB more than the surface
-    takes. The mouse turns, moves and zooms. Between the two ends of the slider nodes go in straight lines.
+    Any browser with WebGL opens it from disk, without a network: all it needs is in the one file,
+    1.2 MB more than the surface takes. The mouse turns, moves and zooms. Between the two ends of
+    the slider nodes go in straight lines.
 
     **Arguments:**
 
     - `path`: the file to write, ending in .html.
     - `mesh`: the undeformed mesh.
     - `points`: deformed positions (n, 3) of its nodes.
-    - `values`: one for each cell, which colours it wherever the slider stands. Default: the length of each node's
-      displacement, in the mesh's units.
+    - `values`: one for each cell, which colours it wherever the slider stands. Default: the length
+      of each node's displacement, in the mesh's units.
     - `limits`: the values at the light and at the dark end of the colours, as in `mesh`.
     - `label`: names the values.
     - `patch`: the patch to show. Default: the whole outside.
 
     **Returns:** the path of the file, which is there whole or not at all.
 
-    **Raises:** `ValueError` as `surface` does, and for another ending or a folder that is not there. `ImportError` where k3d is
-    missing.
+    **Raises:** `ValueError` as `surface` does, and for another ending or a folder that is not
+    there. `ImportError` where k3d is missing.
     """
     path = output_path(path, ".html", ".htm")
     try:
@@ -105,14 +106,14 @@ def page(
 
 
 def _with_words(code: str, words: dict[str, str]) -> str:
-    """Puts texts into a script as data: JSON in ASCII without `<`, all in one pass, so that no text is looked into."""
+    """Puts texts into a script as JSON in ASCII without `<`, in one pass over the script."""
     data = {name: json.dumps(text).replace("<", "\\u003c") for name, text in words.items()}
     return re.sub("|".join(words), lambda match: data[match[0]], code)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Surface:
-    """Holds what is drawn, in single precision round the middle: corners before and after, triangles, edges, colours."""
+    """A drawing round its middle: corners before and after, triangles, edges, colours."""
 
     before: Float[np.ndarray, "p 3"]
     after: Float[np.ndarray, "p 3"]
@@ -146,7 +147,7 @@ class _Surface:
         )
 
     def camera(self) -> list[float | int]:
-        """Returns its position, what it looks at, upwards: far enough away to see both ends of the motion."""
+        """Returns its position, target and upwards: both ends of the motion are in sight."""
         corners = np.concatenate([self.before, self.after])
         middle, size = (corners.min(axis=0) + corners.max(axis=0)) / 2, np.linalg.norm(np.ptp(corners, axis=0))
         distance = size / 2 / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))

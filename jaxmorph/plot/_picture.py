@@ -28,7 +28,7 @@ def picture(
     moving: Int[np.ndarray, " m"],
     reports: Reports | None = None,
 ) -> None:
-    """Writes a picture of a mesh before and after: in 2-D the skewness near the moving nodes, in 3-D their surface.
+    """Writes a mesh before and after: in 2-D the skewness at moving nodes, in 3-D their surface.
 
     A mesh in 3-D that is one cell wide, and moves in its plane, is drawn as one in 2-D.
 
@@ -103,7 +103,7 @@ def _window(points: Float[np.ndarray, "k 2"]) -> Window:
 
 
 def _in_plane(before: jm.Mesh, points: Float[np.ndarray, "n 3"]) -> tuple[jm.Mesh, np.ndarray, np.ndarray] | None:
-    """Returns a 3-D mesh one cell wide, which moves in its plane, as the 2-D mesh of one of its sides; None for another mesh.
+    """Returns one side of a 3-D mesh one cell wide, moving in its plane, as 2-D mesh; or None.
 
     With it come the moved points in 2-D, and the ids of the nodes on this side.
     """

@@ -56,7 +56,7 @@ def mesh(
     window: Window | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draws the cells of a 2-D mesh, coloured by a value for each cell, and its boundary in a stronger line.
+    """Draws a 2-D mesh's cells, coloured by a value each, and its boundary in a stronger line.
 
     Cells too narrow for a line show their colour alone. Polygons are drawn whole.
 
@@ -64,19 +64,22 @@ def mesh(
 
     - `mesh`: a mesh in 2-D.
     - `points`: positions (n, 2) of its nodes; the mesh's own by default.
-    - `values`: one for each cell, as `quality` gives. Where the file has polyhedra or polygons, one for each whole cell will do, as
-      `face_quality` gives. Without values only the lines are drawn.
-    - `limits`: the values at the light and at the dark end of the colours; (1, 0) for a measure that is small where cells are bad.
-      Default: those of all values in the window, without outliers on 1 % of the area, for which the bar has an arrow.
+    - `values`: one for each cell, as `quality` gives. Where the file has polyhedra or polygons, one
+      for each whole cell will do, as `face_quality` gives. Without values only the lines are drawn.
+    - `limits`: the values at the light and at the dark end of the colours; (1, 0) for a measure
+      that is small where cells are bad. Default: those of all values in the window, without
+      outliers on 1 % of the area, for which the bar has an arrow.
     - `label`: what the values are, beside the colour bar.
-    - `bar`: False leaves out the colour bar. For several axes that share one: `figure.colorbar(ax.collections[0], ax=axes)`.
-    - `window`: ((left, right), (bottom, top)); by default the bodies and some room round them. `whole(mesh.points)` shows all.
+    - `bar`: False leaves out the colour bar. For several axes that share one:
+      `figure.colorbar(ax.collections[0], ax=axes)`.
+    - `window`: ((left, right), (bottom, top)); by default the bodies and some room round them.
+      `whole(mesh.points)` shows all.
     - `ax`: matplotlib's axes; new ones by default, in a figure of the window's shape.
 
     **Returns:** the axes.
 
-    **Raises:** `ValueError` for a mesh in 3-D, for points of another shape than the mesh's, for another number of values than of
-    cells, and for a `label` without values.
+    **Raises:** `ValueError` for a mesh in 3-D, for points of another shape than the mesh's, for
+    another number of values than of cells, and for a `label` without values.
     """
     cells = Cells.of(mesh, points)
     if values is None and label is not None:
@@ -105,7 +108,7 @@ def mesh(
 def before_after(
     mesh: jm.Mesh, points: Float[Any, "n 2"], *, window: Window | None = None, ax: Axes | None = None
 ) -> Axes:
-    """Draws the deformed 2-D mesh in blue over the undeformed bodies, which are filled in light orange.
+    """Draws the deformed 2-D mesh in blue over the undeformed bodies in light orange.
 
     **Arguments:**
 
@@ -137,7 +140,7 @@ def graph(
     interior: bool = False,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draws the Delaunay graph of a plan's surface, displaced by `u` if given (figure 2 of the paper).
+    """Draws the Delaunay graph of a plan's surface, displaced by `u` if given (paper, figure 2).
 
     Moving nodes are orange, fixed nodes blue. The legend names what the window shows.
 
@@ -145,8 +148,10 @@ def graph(
 
     - `plan`: a plan in 2-D, with any method.
     - `u`: displacements (m, 2) of the moving nodes. Default None: the undeformed graph.
-    - `window`: ((left, right), (bottom, top)); the moving nodes and some room by default. `whole(plan.points)` shows all.
-    - `interior`: True shows the nodes of the volume too, where the plan's method puts them. Default False.
+    - `window`: ((left, right), (bottom, top)); the moving nodes and some room by default.
+      `whole(plan.points)` shows all.
+    - `interior`: True shows the nodes of the volume too, where the plan's method puts them. Default
+      False.
     - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes `ax`, or new ones.
@@ -174,7 +179,7 @@ def graph(
 
 
 def flat(points: Any, other: str | None = None) -> Float[np.ndarray, "n 2"]:
-    """Checks that points are 2-D; the `ValueError` for others names the `other` function, for 3-D."""
+    """Checks that points are 2-D; the `ValueError` names the `other` function, for 3-D."""
     points = finite(points)
     if points.ndim != 2 or points.shape[1] != 2:
         see = "" if other is None else f"; see `{other}`"
@@ -200,7 +205,7 @@ def whole(points: Float[Any, "n 2"]) -> Window:
 
 
 def _bodies(mesh: jm.Mesh, *states: Any) -> Window:
-    """Finds the window round the bodies of a mesh in all `states` of the points; all of it where there is none."""
+    """Finds the window round a mesh's bodies in all `states`; all of it without bodies."""
     base = np.asarray(mesh.points)
     states = tuple(base if points is None else np.asarray(points) for points in states)
     everything, nodes = np.concatenate(states), bodies(base, mesh.patches)

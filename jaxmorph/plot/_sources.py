@@ -1,4 +1,4 @@
-"""Draws the nodes of a surface that carry the radial basis functions, and the leaves of the k-d tree (figure 1 of the paper)."""
+"""Drawings of the sources among a surface's nodes, and of k-d tree leaves (paper, figure 1)."""
 
 import dataclasses
 import itertools
@@ -26,21 +26,23 @@ def sources(
     window: Window | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draws the sources among the nodes of a boundary, with the leaves' boxes of a `KDTree` (figure 1 of the paper).
+    """Draws the sources of a boundary, with a `KDTree`'s boxes (paper, figure 1).
 
     **Arguments:**
 
     - `surface`: a plan, whose own sources and boxes are shown; or points (m, 2).
     - `reduction`: chooses the sources among points; not for a plan, which has its own.
-    - `fixed`: True shows the sources and boxes of a plan's fixed nodes too. They may be far away. Default False.
-    - `search_points`: True marks the places in each box at which a source was looked for. Default False.
+    - `fixed`: True shows the sources and boxes of a plan's fixed nodes too. They may be far away.
+      Default False.
+    - `search_points`: True marks the places in each box at which a source was looked for. Default
+      False.
     - `window`: ((left, right), (bottom, top)); all that is drawn by default.
     - `ax`: matplotlib's axes; new ones by default.
 
     **Returns:** the axes.
 
-    **Raises:** `ValueError` for points in 3-D, for a plan whose method has no radial basis functions, for points without a
-    `reduction` and for a plan with one.
+    **Raises:** `ValueError` for points in 3-D, for a plan whose method has no radial basis
+    functions, for points without a `reduction` and for a plan with one.
     """
     picture = _picture(surface, reduction, fixed, dimension=2)
     drawn = np.concatenate([picture.nodes, picture.boxes.reshape(-1, 2)])
@@ -71,12 +73,13 @@ def sources_3d(
     search_points: bool = False,
     plotter: Any = None,
 ) -> Any:
-    """Draws the sources of a surface in 3-D: nodes as grey points, sources as orange spheres, each box by its twelve edges.
+    """Draws sources in 3-D: nodes as grey points, sources as orange spheres, boxes by edges.
 
     **Arguments:**
 
     - `surface`, `reduction`, `fixed`, `search_points`: those of `sources`, in 3-D.
-    - `plotter`: pyvista's; a new one by default. A plotter from `plot.surface` shows the sources on the body.
+    - `plotter`: pyvista's; a new one by default. A plotter from `plot.surface` shows the sources on
+      the body.
 
     **Returns:** the plotter, or a new one, off screen.
 
@@ -102,7 +105,7 @@ def sources_3d(
 
 @dataclasses.dataclass(frozen=True)
 class _Picture:
-    """Holds what is drawn: coordinates of nodes and sources, the lower and upper corner of each leaf's box, search points."""
+    """A drawing: coordinates of nodes and sources, corners of leaves' boxes, search points."""
 
     nodes: Float[np.ndarray, "n d"]
     sources: Float[np.ndarray, "s d"]
@@ -147,7 +150,7 @@ def radial_basis_functions(plan: jm.Plan) -> jm.RBF:
 
 
 def of_plan(plan: jm.Plan, fixed: bool = True) -> tuple[list[tuple[np.ndarray, jm.AbstractReduction]], np.ndarray]:
-    """Returns moving and fixed nodes with their reductions; and the sources, without their images in symmetry planes."""
+    """Returns moving and fixed nodes with their reductions; and sources, without images."""
     rbf, points, sources = radial_basis_functions(plan), np.asarray(plan.points, dtype=float), plan.sources
     on_wall, other = points[np.asarray(plan.moving)], points[np.asarray(plan.fixed)]
     reduction = rbf.reduction.given(on_wall, other) if isinstance(rbf.reduction, jm.KDTree) else rbf.reduction

@@ -46,9 +46,10 @@ def surface(
     patch: str | None = None,
     plotter: Any = None,
 ) -> Any:
-    """Draws the outside of a 3-D mesh, or one patch of it, each face coloured by the value of its cell.
+    """Draws a 3-D mesh's outside, or one patch, each face coloured by its cell's value.
 
-    A surface without values is lit. With values it is not, so that its colours are those of the bar.
+    A surface without values is lit. With values it is not, so that its colours are those of the
+    bar.
 
     **Arguments:**
 
@@ -56,18 +57,21 @@ def surface(
     - `patch`: the patch to draw. Default: the whole outside.
     - `plotter`: pyvista's; a new one, off screen, by default.
 
-    **Returns:** the plotter, or a new one, off screen: `plotter.screenshot(path)` writes the picture.
+    **Returns:** the plotter, or a new one, off screen: `plotter.screenshot(path)` writes the
+    picture.
 
-    **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, for a `patch` that is not known, and where there is no face.
+    **Raises:** `ValueError` as `mesh` does, for a mesh in 2-D, for a `patch` that is not known, and
+    where there is no face.
     """
     return _draw(outside(mesh, points, values, patch), limits, label, bar, plotter)
 
 
 @checked
 def before_after_3d(mesh: jm.Mesh, points: Float[Any, "n 3"], *, patch: str | None = None, plotter: Any = None) -> Any:
-    """Draws the undeformed outside of a 3-D mesh, or of a patch, in orange, and the deformed one in blue (figure 7a of the paper).
+    """Draws a 3-D mesh's outside or patch: undeformed orange, deformed blue (paper, figure 7a).
 
-    Both are translucent, so that each is seen through the other. Faces that hardly move are grey, and drawn once.
+    Both are translucent, so that each is seen through the other. Faces that hardly move are grey,
+    and drawn once.
 
     **Arguments:**
 
@@ -109,12 +113,14 @@ def cut(
     bar: bool = True,
     plotter: Any = None,
 ) -> Any:
-    """Draws the cells of a 3-D mesh where a plane cuts them, seen along its normal; polyhedra whole, walls in a stronger line.
+    """Draws the cells of a 3-D mesh that a plane cuts, along its normal; walls in stronger lines.
 
     **Arguments:**
 
-    - `plane`: a `Plane`. Where it meets a body the picture is of the body and some room round it, else of all that is cut.
-    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: those of `surface`. A plotter that is given shows all.
+    - `plane`: a `Plane`. Where it meets a body the picture is of the body and some room round it,
+      else of all that is cut.
+    - `mesh`, `points`, `values`, `limits`, `label`, `bar`, `plotter`: those of `surface`. A plotter
+      that is given shows all.
 
     **Returns:** the plotter, or a new one, off screen.
 
@@ -155,7 +161,7 @@ def _cropped(section: Any, body: np.ndarray | None, axes: Sequence[np.ndarray]) 
 
 
 def _outlines(section: Any) -> Any:
-    """Returns the edges of the cells of a section for pyvista, but those that a cell has twice: between two pieces of it."""
+    """Returns a section's cell edges for pyvista, without those between two pieces of a cell."""
     labels, starts = corners_of(section)
     after = np.roll(labels, -1)
     after[starts[1:] - 1] = labels[starts[:-1]]
@@ -167,14 +173,14 @@ def _outlines(section: Any) -> Any:
 
 
 def corners_of(faces: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the corners of pyvista's faces in a row, and where each face begins (one more at the end)."""
+    """Returns the corners of pyvista's faces, and where each face begins (one more at the end)."""
     cells = faces.cast_to_unstructured_grid().GetCells()
     labels, starts = (pyvista().convert_array(part()) for part in (cells.GetConnectivityArray, cells.GetOffsetsArray))
     return labels, starts
 
 
 def outside(mesh: jm.Mesh, points: Any, values: Any, patch: str | None) -> Any:
-    """Returns the outer faces, or the faces of a patch, for pyvista; `node` is the id of each point.
+    """Returns outer faces, or a patch's faces, for pyvista; `node` is the id of each point.
 
     Faces of polyhedra are whole. `ValueError` where there are none.
     """
@@ -204,7 +210,7 @@ def _skin(grid: Any) -> Any:
 
 
 def _polygons(mesh: jm.Mesh, grid: Any) -> Any:
-    """Returns the outer faces of polyhedra as the file has them, each with the mean value of its cell's pieces."""
+    """Returns polyhedra's outer faces as in the file, with the mean of their cell's pieces."""
     assert mesh.polyhedra is not None
     whole = mesh.polyhedra.faces
     outer = np.flatnonzero(np.append(whole.neighbour, np.full(len(whole.owner) - len(whole.neighbour), -1)) < 0)
@@ -271,7 +277,7 @@ def _draw(
 
 
 def _viewer(part: Any) -> np.ndarray:
-    """Chooses the direction towards the viewer: not into a surface that is open at one side, as a half wing at its root is."""
+    """Chooses the viewer's direction: not into a surface open at a side, as a half wing's root."""
     only_rim = dict.fromkeys(("feature_edges", "manifold_edges", "non_manifold_edges"), False)
     viewer, rim = np.array(VIEWER), np.asarray(part.extract_feature_edges(**only_rim).points, dtype=float)
     if not len(rim):

@@ -20,19 +20,19 @@ LIGHT, BODY, RULE = "#f7cfae", "#c4cad3", "#dddddd"
 """A light orange for what was, the fill of what is not mesh, the lines of a diagram."""
 
 COLOURS = "YlOrBr"
-"""For qualities: light where a cell is good, so that its outline is seen; ordered by lightness alone."""
+"""For qualities: light where a cell is good, so that its outline is seen; by lightness."""
 
 DISPLACEMENT = "YlGnBu"
 """For lengths of displacements: of another hue, ordered by lightness too."""
 
 WIDTH, TALLEST = 5.0, 5.0
-"""Width and largest height of a new figure in inches: text of 10 points is read at a column's 3.5 inches too."""
+"""A new figure's width and largest height in inches: 10 points are legible at 3.5 inches too."""
 
 OUTLIERS, FAR = 0.01, 0.3
-"""Values of this share of what is seen are beyond an end of the colours, where they would stretch them by more than that."""
+"""Share of values that may lie beyond the colours, and the stretch from which they do."""
 
 STILL = 0.01
-"""What moves by less than this share of the largest displacement counts as still in a picture."""
+"""Share of the largest displacement below which a node counts as still in a picture."""
 
 
 def finite(points: Any) -> np.ndarray:
@@ -52,7 +52,7 @@ def whole_of(mesh: jm.Mesh) -> np.ndarray:
 
 
 def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
-    """Returns one value for each cell of `mesh.linear`: pieces have that of their polyhedron, polygon or curved cell.
+    """Returns a value for each cell of `mesh.linear`: pieces have that of their whole cell.
 
     Raises `ValueError` for another number of values than of cells, and of whole cells.
     """
@@ -69,7 +69,7 @@ def cell_values(mesh: jm.Mesh, values: Any) -> np.ndarray:
 
 
 def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Limits | None]:
-    """Returns the colour map and its limits, ascending: the map is turned round where the dark end is the smaller one.
+    """Returns the colour map and its limits, ascending; reversed where the dark end is smaller.
 
     Raises `ValueError` unless the limits are two finite numbers that differ.
     """
@@ -82,7 +82,7 @@ def colour_scale(limits: Limits | None, colours: str = COLOURS) -> tuple[str, Li
 
 
 def usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"]) -> Limits:
-    """Returns the least and the largest value, without outliers: values of 1 % of the area that would pale all others."""
+    """Returns the least and largest value without outliers: 1 % of the area would pale others."""
     chosen = np.isfinite(values)
     values, sizes = values[chosen].astype(float), np.abs(sizes[chosen])
     if not len(values):
@@ -100,13 +100,13 @@ def usual_limits(values: Real[np.ndarray, " k"], sizes: Float[np.ndarray, " k"])
 
 
 def beyond(values: Real[np.ndarray, " k"], limits: Limits) -> tuple[bool, bool]:
-    """Tells whether there are values below and above the limits."""
+    """Checks for values below, and above, the limits."""
     chosen = values[np.isfinite(values)]
     return bool((chosen < limits[0]).any()), bool((chosen > limits[1]).any())
 
 
 def bodies(points: Float[np.ndarray, "n d"], patches: Any) -> np.ndarray:
-    """Lists the nodes of bodies: patches with a node inside the box round all points, which touch at most two sides of the box."""
+    """Lists nodes of bodies: patches with a node inside all points' box, on two sides at most."""
     low, high = points.min(axis=0), points.max(axis=0)
     near = 1e-6 * (high - low)
     found = [np.zeros(0, int)]

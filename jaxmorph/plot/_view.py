@@ -10,7 +10,7 @@ from ._cells import TextPath, findfont
 from ._style import DARK
 
 VIEWER = -1.0, -2.5, 1.8
-"""The direction towards the viewer: x to the right, y away, z up; mirrored where it would look into an open surface."""
+"""The direction towards the viewer: x right, y away, z up; mirrored for an open surface."""
 
 WINDOW = 1200, 900
 """Width of a picture in pixels, and its largest height."""
@@ -19,7 +19,7 @@ TEXT = 30
 """Height of letters in pixels."""
 
 EDGE, BELOW, LEGEND, BAR = 0.025, 0.12, 0.06, 0.25
-"""Margins, relative to the width: at each side, below for axes and scale, above for a legend, right for a colour bar."""
+"""Margins relative to width: sides; below for axes, scale; above a legend; right a colour bar."""
 
 
 def add_bar(plotter: Any, label: str, beyond: dict[str, str]) -> None:
@@ -51,7 +51,10 @@ def new_plotter() -> Any:
 
 
 def _add_axes(plotter: Any) -> None:
-    """Draws the directions of x, y and z, and a bar of a round length: both follow the camera. In perspective no bar."""
+    """Draws the directions of x, y and z, and a bar of a round length: both follow the camera.
+
+    In perspective no bar.
+    """
     from vtkmodules.vtkRenderingAnnotation import vtkAxisActor2D
 
     axes = plotter.add_axes(xlabel="x", ylabel="y", zlabel="z", color=DARK, line_width=3)
@@ -95,7 +98,7 @@ def _round_length(largest: float) -> float:
 
 
 def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER, shown: np.ndarray | None = None) -> None:
-    """Turns the camera to points, by default all that was drawn, and gives the window their shape."""
+    """Turns the camera to points, by default all drawn, and gives the window their shape."""
     shown = content(plotter) if shown is None else shown
     plotter.window_size = fitted_window(plotter, shown, viewer)
     set_view(plotter, whole_view(shown, plotter.window_size, viewer, margins(plotter)))
@@ -132,7 +135,8 @@ def whole_view(
 ) -> Float[np.ndarray, " 10"]:
     """Places a camera: its position, what it looks at, upwards, half the height that it sees.
 
-    It has no perspective. All points are in a window of this width and height, within the margins that are left free.
+    It has no perspective. All points are in a window of this width and height, within the margins
+    that are left free.
     """
     axes, tall = np.stack(view_axes(viewer)), window[1] / window[0]
     seen, (left, right, below, above) = points @ axes.T, free
@@ -157,7 +161,7 @@ def set_view(plotter: Any, view: Float[np.ndarray, " 10"], is_parallel: bool = T
 
 
 def view_axes(viewer: Sequence[float] | np.ndarray = VIEWER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns unit vectors towards the viewer, to the right, and upwards in the picture: z, or y for one who looks along z."""
+    """Returns unit vectors to the viewer, right, and up in the picture: z, or y seen along z."""
     towards = np.array(viewer) / np.linalg.norm(viewer)
     across = np.cross((0, 0, 1) if abs(towards[2]) < 0.99 else (0, 1, 0), towards)
     across /= np.linalg.norm(across)

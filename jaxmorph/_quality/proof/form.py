@@ -1,13 +1,16 @@
-"""The Bernstein form of det J: for each type of cells, tables that turn its nodes into coefficients.
+"""The Bernstein form of det J: tables, by type of cells, that turn nodes into coefficients.
 
-A cell is the image of a reference cell, a product of simplices. The columns of J are derivatives of that map, with Bernstein
-coefficients that are differences of control points. Coefficients of det J are mixed determinants of those, with positive weights.
+A cell is the image of a reference cell, a product of simplices. The columns of J are derivatives of
+that map, with Bernstein coefficients that are differences of control points. Coefficients of det J
+are mixed determinants of those, with positive weights.
 
-A pyramid is taken as the image of a cube whose top face shrinks to the apex: (r, s, t) to (r (1 - t), s (1 - t), t). There its
-functions are polynomials (Bergot, Cohen, Durufle, J. Sci. Comput. 42, 2010). Two columns have the factor 1 - t, which is
-divided out: what is left is det J in the reference pyramid.
+A pyramid is taken as the image of a cube whose top face shrinks to the apex: (r, s, t) to (r (1 -
+t), s (1 - t), t). There its functions are polynomials (Bergot, Cohen, Durufle, J. Sci. Comput. 42,
+2010). Two columns have the factor 1 - t, which is divided out: what is left is det J in the
+reference pyramid.
 
-Sources: Johnen, Remacle, Geuzaine, Geometrical validity of curvilinear finite elements, J. Comput. Phys. 233, 2013.
+Sources: Johnen, Remacle, Geuzaine, Geometrical validity of curvilinear finite elements, J. Comput.
+Phys. 233, 2013.
 """
 
 import dataclasses
@@ -32,7 +35,7 @@ FACTORS = {
     "wedge": (2, 1),
     "hexahedron": (1, 1, 1),
 }
-"""Dimensions of the simplices whose product is the reference cell; a pyramid's cube is collapsed."""
+"""Dimensions of simplices whose product is the reference cell; a pyramid is a collapsed cube."""
 
 TIME = (1, 1)
 """The factor of a straight motion: linear in time."""
@@ -40,13 +43,14 @@ TIME = (1, 1)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Form:
-    """Holds the tables of one type of cells; with a time, that of cells whose nodes move along straight lines.
+    """Tables of one type of cells; with a time, those of cells whose nodes move straight.
 
     - `shape`: the type of the linear cell.
     - `spaces`: the space of each column of J; `matrices` make its scaled coefficients of the nodes.
     - `map_space`, `control`: those of the cell's map.
     - `space`: the space of det J.
-    - `has_time`: whether time is the first factor; the nodes are then those at the start and those at the end.
+    - `has_time`: whether time is the first factor; the nodes are then those at the start and those
+      at the end.
     """
 
     shape: str
@@ -69,7 +73,7 @@ class Form:
         return Form(self.shape, spaces, matrices, (TIME, *self.map_space), control, True)
 
     def columns(self, x: list[Either]) -> list[list[Either]]:
-        """Computes scaled coefficients of the columns of J from the nodes: a list of components (nodes, k)."""
+        """Computes scaled coefficients of the columns of J: a list of components (nodes, k)."""
         matrices = [matrix.astype(x[0].dtype) for matrix in self.matrices]
         return [[bernstein.contracted(matrix, component) for component in x] for matrix in matrices]
 
@@ -88,10 +92,11 @@ class Form:
         return self.determinant(self.columns(x))
 
     def round_off(self, x: list[np.ndarray], columns: list[list[np.ndarray]]) -> Float[np.ndarray, " k"]:
-        """Bounds the round-off error of all coefficients of det J, and of what `halved` makes of them.
+        """Bounds the round-off of all coefficients of det J, and of what `halved` makes of them.
 
-        A coefficient is a mean of determinants |a| |b| |c| at most. Each column has the error of a difference of nodes, in
-        which the cell's reach counts, and each of the sums below has one ulp for each of its terms.
+        A coefficient is a mean of determinants |a| |b| |c| at most. Each column has the error of a
+        difference of nodes, in which the cell's reach counts, and each of the sums below has one
+        ulp for each of its terms.
         """
         lengths = []
         for space, column in zip(self.spaces, columns, strict=True):
@@ -105,13 +110,13 @@ class Form:
 
     @functools.cached_property
     def _growth(self) -> float:
-        """The largest sum of entries in a row of the matrices that make coefficients of the columns."""
+        """The largest row sum of the matrices that make coefficients of the columns."""
         each = zip(self.spaces, self.matrices, strict=True)
         rows = [np.abs(matrix).sum(axis=1) / bernstein.multinomials(space) for space, matrix in each]
         return float(max(row.max() for row in rows))
 
     def mean(self, coefficients: Either) -> Float[Either, " k"]:
-        """Computes the mean of det J over the reference cell: the cell's volume over that of the reference cell."""
+        """Computes det J's mean over the reference cell: the ratio of the cells' volumes."""
         shares = np.full(bernstein.count(self.space), 1 / bernstein.count(self.space))
         if self.shape == "pyramid":  # a layer at t has the share 3 (1 - t)^2
             below, ((_, q), n) = bernstein.count(self.space[:-1]), (self.space[-1], self.space[-1][1] + 1)
@@ -120,18 +125,18 @@ class Form:
         return bernstein.contracted(shares[None].astype(coefficients.dtype), coefficients)[0]
 
     def places(self, x: list[np.ndarray], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "k d"]:
-        """Computes where the map of k cells with nodes x takes a place among the factors, one for each cell."""
+        """Computes where the map of k cells takes a place among the factors of each."""
         weights = bernstein.terms(self.map_space, at) * bernstein.multinomials(self.map_space)[:, None]
         return np.stack([((self.control @ component) * weights).sum(axis=0) for component in x], axis=1)
 
     def values(self, columns: list[list[np.ndarray]], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, " k"]:
-        """Evaluates det J at a place among the factors of each of k cells, as the determinant of the columns there."""
+        """Evaluates det J at a place among the factors of k cells each, from the columns there."""
         each = zip(self.spaces, columns, strict=True)
         weights = [(bernstein.terms(space, at), column) for space, column in each]
         return products.determinant([[(b * weight).sum(axis=0) for b in column] for weight, column in weights])
 
     def inside(self, at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, "f k"]:
-        """Moves places off a pyramid's apex, where det J depends on the direction, by a millionth of its height."""
+        """Moves places off a pyramid's apex, where det J has directions, by a millionth."""
         is_last = np.arange(len(at)) == len(at) - 1
         return np.where((self.shape == "pyramid") & is_last[:, None], np.minimum(at, 1 - 1e-6), at)
 
@@ -164,7 +169,7 @@ def form_of(kind: str, has_time: bool = False) -> Form:
 
 
 def _control(cell: Lagrange, space: Space) -> np.ndarray:
-    """Finds the matrix (n, nodes) from nodes to Bernstein coefficients of the map: control points."""
+    """Finds the matrix (n, nodes) from nodes to the map's Bernstein coefficients."""
     places = cell.reference.T.copy()
     modes = np.eye(bernstein.count(space))
     if cell.shape == "pyramid":
@@ -180,7 +185,7 @@ def _control(cell: Lagrange, space: Space) -> np.ndarray:
 
 
 def _pyramid_modes(order: int) -> np.ndarray:
-    """Computes Bernstein coefficients (n, modes) on the cube of a pyramid's functions r^i s^j (1 - t)^max(i, j) t^k."""
+    """Computes coefficients (n, modes) of a pyramid's r^i s^j (1 - t)^max(i, j) t^k on the cube."""
     line = ((1, order),)
 
     def power(i: int, j: int = 0) -> np.ndarray:  # t^i (1 - t)^j, times (t + 1 - t)^(order - i - j)
@@ -208,12 +213,15 @@ def _derivative(space: Space, control: np.ndarray, factor: int, axis: int) -> tu
 
 
 def _divided(space: Space, matrix: np.ndarray) -> tuple[Space, np.ndarray]:
-    """Divides a polynomial, given by scaled coefficients, by 1 - t, where t is the last factor's coordinate."""
+    """Divides a polynomial of scaled coefficients by 1 - t; t is the last factor's coordinate."""
     *others, (m, degree) = space
     lower = (*others, (m, degree - 1))
     return lower, matrix[bernstein.rows_of_products(lower, (*((m, 0) for m, _ in others), (1, 1)))[0]]
 
 
 def nodes_of(points: Any, ids: Any) -> list[Any]:
-    """Gathers the nodes of cells relative to the first one: a list of components (nodes, k). `ids` are (nodes, k)."""
+    """Gathers the nodes of cells relative to the first one: a list of components (nodes, k).
+
+    `ids` are (nodes, k).
+    """
     return [component[ids] - component[ids[:1]] for component in (points[:, axis] for axis in range(points.shape[1]))]
