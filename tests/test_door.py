@@ -244,8 +244,3 @@ def test_first_mistakes(mistake):
 def test_choose_takes_names():
     motions = np.random.default_rng(0).normal(size=(1, 24, 2)) * 1e-3
     assert jm.choose(MESH, "body", "far", motions, leaves=(4,), methods={}).plan.n_moving == 24
-
-
-def test_a_plan_goes_through_jit():
-    u = np.full((24, 2), 0.01)
-    np.testing.assert_allclose(jax.jit(jm.deform)(PLAN, u), jm.deform(PLAN, u), atol=1e-14)
