@@ -253,6 +253,29 @@ def test_graph_has_the_edges_of_a_triangulation():
     np.testing.assert_allclose(moving.get_xdata(), points[np.asarray(plan.moving), 0] + 1e-3)
 
 
+@pytest.mark.parametrize("inches", [3.5, 5])
+def test_legends_hide_nothing_at_the_width_of_a_column(airfoil, inches):
+    """Each stands above its axes, within the figure, and the axes stay larger than the legend."""
+    plan = jm.prepare(airfoil, "airfoil", "farfield", method=jm.RBF(reduction=jm.KDTree(4)))
+    window, errors = (
+        plot.whole(airfoil.points),
+        plot.surface_errors(plan, 0.1 * plan.points[plan.moving], [jm.KDTree(2)]),
+    )
+    for draw in (
+        lambda ax: plot.before_after(airfoil, airfoil.points, ax=ax),
+        lambda ax: plot.graph(plan, window=window, ax=ax),
+        lambda ax: plot.sources(plan, search_points=True, ax=ax),
+        lambda ax: plot.histogram({"undeformed": jm.quality(airfoil)}, ax=ax),
+        lambda ax: plot.convergence({"k-d tree": errors, "farthest points": errors}, ax=ax),
+    ):
+        ax = draw(plt.subplots(figsize=(inches, 2.6), layout="constrained")[1])
+        ax.figure.canvas.draw()
+        legend, drawn = ax.get_legend().get_window_extent(), ax.get_window_extent()
+        assert legend.y0 >= drawn.y1 - 1
+        assert -3 <= legend.x0 < legend.x1 <= ax.figure.bbox.x1 + 3
+        assert max(drawn.size / ax.figure.bbox.size) > 0.4
+
+
 def test_histogram_counts_every_cell(airfoil):
     before = jm.quality(airfoil)
     after = jm.quality(airfoil, airfoil.points @ np.array([[1, 0.3], [0, 1]]))
@@ -304,6 +327,16 @@ def test_surface_takes_the_colours_of_its_cells():
     assert (picture[[0, -1]] == 255).all()  # the body is inside
     assert (picture[:, [0, -1]] == 255).all()
     assert (picture.std(axis=2) > 10).any(axis=1).mean() > 0.7  # and fills the height
+
+
+def test_the_bar_in_3d_has_round_numbers_and_its_whole_label():
+    """VTK takes an ASCII bar for a border between columns of text."""
+    mesh = bricks()
+    plotter = plot.surface(mesh, values=np.linspace(0.013, 0.871, 27), label="|V/V0 - 1|")
+    (bar,) = plotter.scalar_bars.values()
+    np.testing.assert_allclose(np.asarray(bar.GetCustomLabels()), [0.2, 0.4, 0.6, 0.8])
+    assert bar.GetTitle().strip() == "\u2223V/V0 - 1\u2223"
+    plotter.close()
 
 
 def test_surface_of_a_patch_of_a_moved_mesh():

@@ -139,11 +139,12 @@ def test_errors_on_the_surface_are_those_of_scipy():
     assert found.largest[0] < 1e-12 < found.mean[1]
 
     axis = plot.convergence({"k-d tree": found})
-    largest, mean = axis.lines
+    largest, mean, *styles = axis.lines
+    assert [line.get_linestyle() for line in (largest, mean)] == [line.get_linestyle() for line in styles]
     np.testing.assert_array_equal(largest.get_xdata(), np.sort(found.sources))
     np.testing.assert_array_equal(largest.get_ydata(), found.largest[np.argsort(found.sources)])
     np.testing.assert_array_equal(mean.get_ydata(), found.mean[np.argsort(found.sources)])
-    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["k-d tree, largest", "k-d tree, mean"]
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["k-d tree", "largest", "mean"]
     axis.figure.canvas.draw()
     ticks = [int(label.get_text()) for label in axis.get_xticklabels()]
     assert len(ticks) >= 2

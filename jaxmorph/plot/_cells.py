@@ -1,6 +1,7 @@
 """The cells of a 2-D mesh as they are drawn: fills, lines between them, walls."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ try:
     from matplotlib.font_manager import findfont as findfont
     from matplotlib.patches import Patch as Patch
     from matplotlib.textpath import TextPath as TextPath
+    from matplotlib.ticker import MaxNLocator as MaxNLocator
 except ImportError as error:
     raise ImportError("jaxmorph.plot needs matplotlib and pyvista: pip install 'jaxmorph[plot]'") from error
 
@@ -28,6 +30,9 @@ THINNEST, THICKEST, WALL = 0.01, 0.5, 1.4
 
 NARROW = 0.8
 """Cells narrower than this, in typographic points, show their colour and no line."""
+
+UNLABELLED = 0.775
+"""The part of a figure's width that axes have until their labels are laid out."""
 
 FOUR_CORNERS = {"line": [0, 1, 1, 0], "triangle": [0, 1, 2, 2], "quad": [0, 1, 2, 3]}
 
@@ -134,6 +139,21 @@ def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = F
     scale = min((WIDTH - beside) / width, (TALLEST - below) / height)
     size = scale * width + beside, max(scale * height + below, 1.5)
     return plt.subplots(figsize=size, layout="constrained")[1]
+
+
+def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
+    """Puts the legend above the axes, where it hides nothing, in as few rows as the figure's width has room for."""
+    handles = ax.get_legend_handles_labels()[0] if handles is None else handles
+    size, count = plt.rcParams["font.size"], len(handles)
+    widths = [2.8 * size + TextPath((0, 0), str(each.get_label()), size=size).get_extents().width for each in handles]
+    room = 72 * ax.figure.get_size_inches()[0] * min(ax.get_position().width / UNLABELLED, 1) - size
+    # a column holds the entries of `rows` places in a row, and is as wide as its widest
+    rows = 1
+    while rows < count and sum(max(widths[k : k + rows]) for k in range(0, count, rows)) > room:
+        rows += 1
+    tight: dict[str, Any] = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 1.0, "frameon": False}
+    columns = -(-count // rows)
+    ax.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, fontsize=size, **tight)
 
 
 def show(ax: Axes, window: Window) -> Axes:

@@ -13,7 +13,7 @@ from jaxmorph._plan.prepare import boundary_of, plan_of
 from jaxmorph._quality.report import MEASURES
 from jaxmorph.shapes import History
 
-from ._cells import Axes, given_or_new
+from ._cells import Axes, given_or_new, legend_above
 from ._sources import of_plan, radial_basis_functions
 from ._style import BLUE, DARK, GREEN, GREY, ORANGE, RULE
 
@@ -49,7 +49,7 @@ def histogram(reports: Mapping[str, jm.QualityReport], *, measure: str = "skewne
     ax.set_ylim(bottom=0.5)  # below a single cell
     ax.set_xlabel(measure.replace("_", " "))
     ax.set_ylabel("cells")
-    ax.legend()
+    legend_above(ax)
     return ax
 
 
@@ -142,8 +142,10 @@ def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | Non
     colours, markers = (BLUE, ORANGE, GREEN, DARK, GREY), "osD^v"
     for k, (name, each) in enumerate(errors.items()):
         order, style = np.argsort(each.sources, kind="stable"), {"color": colours[k % 5], "marker": markers[k % 5]}
-        ax.loglog(each.sources[order], each.largest[order], "-", label=f"{name}, largest", **style)
-        ax.loglog(each.sources[order], each.mean[order], "--", label=f"{name}, mean", fillstyle="none", **style)
+        ax.loglog(each.sources[order], each.largest[order], "-", label=name, **style)
+        ax.loglog(each.sources[order], each.mean[order], "--", fillstyle="none", **style)
+    for line, marks, name in (("-", "full", "largest"), ("--", "none", "mean")):
+        ax.plot([], [], f"o{line}", color=GREY, fillstyle=marks, label=name)
     ticks = _round_numbers(np.concatenate([each.sources for each in errors.values()]))
     ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
     ax.set_xticks([], minor=True)
@@ -153,7 +155,7 @@ def convergence(errors: Mapping[str, SurfaceErrors] | History, *, ax: Axes | Non
     ax.set_ylabel("error on the surface /\nlargest displacement")
     ax.grid(color=RULE)
     ax.set_axisbelow(True)
-    ax.legend()
+    legend_above(ax)
     return ax
 
 
@@ -173,7 +175,7 @@ def _iterations(history: History, ax: Axes | None) -> Axes:
     ax.locator_params("x", integer=True)
     ax.grid(color=RULE)
     ax.set_axisbelow(True)
-    ax.legend()
+    legend_above(ax)
     return ax
 
 

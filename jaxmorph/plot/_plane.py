@@ -20,6 +20,7 @@ from ._cells import (
     draw_walls,
     fill,
     given_or_new,
+    legend_above,
     seen_in,
     show,
 )
@@ -120,14 +121,14 @@ def before_after(
     """
     before, after = Cells.of(mesh, None), Cells.of(mesh, points)
     window = _bodies(mesh, None, points) if window is None else window
-    ax = show(given_or_new(ax, window), window)
+    ax = show(given_or_new(ax, window, above=0.35), window)
     ax.set_facecolor(LIGHT)  # where there was no mesh
     fill(ax, before.corners[before.inside(window)], facecolors="white")
     draw_lines(ax, after, after.inside(window), window, BLUE)
     draw_walls(ax, before, ORANGE)
     draw_walls(ax, after, BLUE)
-    handles = [Patch(facecolor=face, edgecolor=edge) for face, edge in ((LIGHT, ORANGE), ("white", BLUE))]
-    ax.legend(handles, ["undeformed", "deformed"], loc="upper right", framealpha=1)
+    colours = (LIGHT, ORANGE, "undeformed"), ("white", BLUE, "deformed")
+    legend_above(ax, [Patch(facecolor=face, edgecolor=edge, label=name) for face, edge, name in colours])
     return ax
 
 
@@ -165,7 +166,7 @@ def graph(
     if u is not None:
         points = np.asarray(jm.deform(plan, finite_array("u", u, (plan.n_moving, 2))))
     window = _round(points[moving], points) if window is None else window
-    ax = show(given_or_new(ax, window), window)
+    ax = show(given_or_new(ax, window, above=0.35), window)
     if interior:
         ax.plot(*np.delete(points, nodes, axis=0).T, ".", color=GREY, markersize=2, zorder=1)
     edges = np.unique(np.sort(simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
@@ -174,7 +175,7 @@ def graph(
         label = name if len(seen_in(points[ids][:, None], window)) else None
         ax.plot(*points[ids].T, ".", color=colour, markersize=5, label=label, zorder=3)
     if ax.get_legend_handles_labels()[1]:
-        ax.legend(loc="upper right", framealpha=1)
+        legend_above(ax)
     return ax
 
 

@@ -10,10 +10,10 @@ from jaxtyping import Float
 import jaxmorph as jm
 
 from .._host.package.arguments import checked
-from ._cells import Axes, Window, given_or_new, show
+from ._cells import Axes, Window, given_or_new, legend_above, show
 from ._plane import ROOM, flat, whole
 from ._style import BLUE, GREEN, GREY, ORANGE, finite
-from ._view import add_legend, aim, new_plotter, pyvista
+from ._view import add_legend, aim, aim_again, new_plotter, pyvista
 
 
 @checked
@@ -59,8 +59,7 @@ def sources(
     if search_points and picture.leaves:
         style = {"color": BLUE, "markersize": 7, "markeredgewidth": 1.5, "zorder": 4}
         ax.plot(*picture.searched.T, "+", label=f"{len(picture.searched)} search points", **style)
-    tight: dict[str, Any] = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 1.0, "frameon": False}
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4 if len(ax.figure.axes) == 1 else 3, **tight)
+    legend_above(ax)
     return ax
 
 
@@ -98,8 +97,7 @@ def sources_3d(
             plotter.add_points(picture.searched, color=BLUE, point_size=12, **balls)
             legend.append((f"{len(picture.searched)} search points", BLUE))
     add_legend(plotter, legend)
-    if new:
-        aim(plotter)
+    (aim if new else aim_again)(plotter)
     return plotter
 
 

@@ -270,7 +270,7 @@ def _draw(
     light = LIT if lighting and not has_values else {"lighting": False}  # it would change the colours, and the bar not
     plotter.add_mesh(part, show_scalar_bar=False, **LINES | {"show_edges": show_edges}, **light, **style)
     if has_values and bar:
-        add_bar(plotter, label or "", {f"{side}_label": sign for side, sign in ends})
+        add_bar(plotter, label or "", limits, {f"{side}_label": sign for side, sign in ends})
     if new:
         aim(plotter, _viewer(part))
     return plotter

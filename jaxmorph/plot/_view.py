@@ -1,16 +1,20 @@
 """Windows, cameras, bars, legends, axes and scales of pictures in 3-D."""
 
+import weakref
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ._cells import TextPath, findfont
+from ._cells import MaxNLocator, TextPath, findfont
 from ._style import DARK
 
 VIEWER = -1.0, -2.5, 1.8
 """The direction towards the viewer: x right, y away, z up; mirrored for an open surface."""
+
+AIMED: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
+"""The view that `aim` gave each plotter, and its direction."""
 
 WINDOW = 1200, 900
 """Width of a picture in pixels, and its largest height."""
@@ -18,14 +22,18 @@ WINDOW = 1200, 900
 TEXT = 30
 """Height of letters in pixels."""
 
-EDGE, BELOW, LEGEND, BAR = 0.025, 0.12, 0.06, 0.25
-"""Margins relative to width: sides; below for axes, scale; above a legend; right a colour bar."""
+EDGE, BELOW, LEGEND, BAR = 0.025, 0.13, 0.06, 0.25
+"""Margins, relative to the width: at each side, below for axes and scale, above for a legend, right for a colour bar."""
 
 
-def add_bar(plotter: Any, label: str, beyond: dict[str, str]) -> None:
-    size = {"height": 0.6, "width": 0.05, "position_x": 0.85, "position_y": 0.2}
-    bar = plotter.add_scalar_bar(f"{label}\n", vertical=True, n_labels=5, fmt="%.3g", color=DARK, **size, **beyond)
+def add_bar(plotter: Any, label: str, limits: tuple[float | int, float | int], beyond: dict[str, str]) -> None:
+    """Draws a colour bar at the right, with round numbers; `_add_axes` places it above the bar of a length."""
+    title = label.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
+    bar = plotter.add_scalar_bar(f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond)
     bar.SetUnconstrainedFontSize(True)
+    ticks = np.asarray(MaxNLocator(5).tick_values(*limits))
+    bar.SetUseCustomLabels(True)
+    bar.SetCustomLabels(pyvista().convert_array(ticks[(limits[0] <= ticks) & (ticks <= limits[1])]))
     bar.SetTextPad(8)
     for text in (bar.GetTitleTextProperty(), bar.GetLabelTextProperty(), bar.GetAnnotationTextProperty()):
         text.SetFontSize(TEXT)
@@ -82,9 +90,13 @@ def _add_axes(plotter: Any) -> None:
         for coordinate, x in ends:
             coordinate.SetCoordinateSystemToNormalizedViewport()
             coordinate.SetValue(x, 0.075 * width / height)
+        low = (BELOW + EDGE) * width / height
+        for bar in plotter.scalar_bars.values():
+            bar.SetPosition(1 - 0.6 * BAR, low)
+            bar.SetHeight(min(0.93 - low, 0.6 * WINDOW[1] / height))
         scale.SetTitle(f"{length:g}")
         scale.SetVisibility(bool(plotter.camera.parallel_projection))
-        plotter.renderer.axes_widget.SetViewport(-0.04, -0.05 * width / height, 0.16, 0.15 * width / height)
+        plotter.renderer.axes_widget.SetViewport(-0.035, -0.045 * width / height, 0.145, 0.135 * width / height)
         for text in texts:
             text.SetFontSize(round(TEXT * width / WINDOW[0]))
 
@@ -102,6 +114,14 @@ def aim(plotter: Any, viewer: Sequence[float] | np.ndarray = VIEWER, shown: np.n
     shown = content(plotter) if shown is None else shown
     plotter.window_size = fitted_window(plotter, shown, viewer)
     set_view(plotter, whole_view(shown, plotter.window_size, viewer, margins(plotter)))
+    AIMED[plotter] = view_of(plotter), viewer
+
+
+def aim_again(plotter: Any) -> None:
+    """Makes room for what was added to a plotter, unless its camera is not where `aim` left it."""
+    view, viewer = AIMED.get(plotter, (None, VIEWER))
+    if view is not None and np.array_equal(view, view_of(plotter)):
+        aim(plotter, viewer)
 
 
 def fitted_window(
