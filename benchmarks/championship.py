@@ -261,19 +261,19 @@ def draw(rows: list[dict], file: pathlib.Path) -> None:
         if each["inverted"] == 0:
             skewness[names.index(each["method"]), motions.index((each["case"], each["motion"]))] = each["max_skewness"]
     least = np.nanmin(np.where(np.isnan(skewness).all(axis=0), 1, skewness), axis=0)
-    figure, ax = plt.subplots(figsize=(12, 5), layout="constrained")
+    figure, ax = plt.subplots(figsize=(8, 10), layout="constrained")
     ax.set_facecolor("#444444")
-    image = ax.imshow(skewness / least, cmap="YlOrRd", vmin=1, vmax=2, aspect="auto")
+    image = ax.imshow((skewness / least).T, cmap="YlOrRd", vmin=1, vmax=2, aspect="auto")
     for i, j in np.argwhere(skewness == least):
-        ax.text(j, i, "1", ha="center", va="center", fontsize=7)
+        ax.text(i, j, "1", ha="center", va="center", fontsize=9)
     starts = [j for j, (case, _) in enumerate(motions) if j and case != motions[j - 1][0]]
     for start in starts:
-        ax.axvline(start - 0.5, color="black", linewidth=1)
-    ax.set_yticks(range(len(names)), names, fontsize=8)
-    labels = [f"{case}: {motion}" for case, motion in motions]
-    ax.set_xticks(range(len(motions)), labels, rotation=90, fontsize=7)
-    figure.colorbar(image, extend="max", label="largest skewness / the motion's best")
-    figure.savefig(file, dpi=90)
+        ax.axhline(start - 0.5, color="black", linewidth=1)
+    ax.set_xticks(range(len(names)), names, rotation=90)
+    ax.xaxis.tick_top()
+    ax.set_yticks(range(len(motions)), [f"{case}: {motion}" for case, motion in motions], fontsize=9)
+    figure.colorbar(image, extend="max", aspect=50, label="largest skewness / the motion's best")
+    figure.savefig(file, dpi=100)
 
 
 def save(rows: list[dict], file: pathlib.Path) -> None:

@@ -111,13 +111,12 @@ def main() -> None:
             ]
             table(rows, ("reduction", *(f"{count} asked" for count in COUNTS)))
     if asked.picture:
-        figure, axes = plt.subplots(1, 2, figsize=(11, 4.5), sharey=True, layout="constrained")
+        figure, axes = plt.subplots(1, 2, figsize=(8, 4), sharey=True, layout="constrained")
         for ax, (name, each) in zip(axes, found.items(), strict=True):
             plot.convergence(each, ax=ax)
-            ax.set_title(f"{name}, {len(parts[name][0])} nodes on the wall")
-            ax.legend(fontsize=7, ncols=2)
+            ax.set_xlabel(f"sources, of the {len(parts[name][0])} nodes on the {name}")
         axes[1].set_ylabel("")
-        figure.savefig(asked.picture, dpi=90)
+        figure.savefig(asked.picture, dpi=120)
 
 
 if __name__ == "__main__":

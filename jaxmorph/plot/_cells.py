@@ -146,7 +146,7 @@ def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     size, count = plt.rcParams["font.size"], len(handles)
     widths = [2.8 * size + TextPath((0, 0), str(each.get_label()), size=size).get_extents().width for each in handles]
-    room = 72 * ax.figure.get_size_inches()[0] * min(ax.get_position().width / UNLABELLED, 1) - size
+    room = 72 / ax.figure.dpi * ax.figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size
     # a column holds the entries of `rows` places in a row, and is as wide as its widest
     rows = 1
     while rows < count and sum(max(widths[k : k + rows]) for k in range(0, count, rows)) > room:
