@@ -1,10 +1,14 @@
 """The documentation: its code runs and prints what it says, its parts from elsewhere are there, its reference is complete."""
 
 import importlib
+import os
 import pathlib
 import re
+import subprocess
+import sys
 import types
 
+import foam
 import jax
 import pytest
 from documents import ROOT, blocks_and_output
@@ -22,6 +26,9 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page"}
     for code, output in blocks_and_output(page):
+        for package in ("openmdao", "mpi4py"):
+            if package in code:
+                pytest.importorskip(package)
         with jax.numpy_rank_promotion("allow"):  # as users have it
             exec(code, names)
         said = capsys.readouterr().out
@@ -29,6 +36,37 @@ def test_code_runs_and_prints_what_the_page_says(page, tmp_path, monkeypatch, ca
             assert re.sub(NUMBER, "#", said).split() == re.sub(NUMBER, "#", output).split()
             numbers = [[float(number) for number in re.findall(NUMBER, text)] for text in (said, output)]
             assert numbers[0] == pytest.approx(numbers[1], rel=0.05, abs=1e-6)  # below: rounding
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tool", ["SU2", "OpenFOAM"])
+def test_what_one_types_first_prints_what_the_page_says(tool, tmp_path):
+    """Each line of the page is printed, in this order; times differ, and numbers little."""
+    text = (PAGES / "first_ten_minutes.md").read_text().partition(f"\n## {tool}\n")[2].partition("\n## ")[0]
+    commands = re.findall(r"```sh\n(.*?)```\n\n```text\n(.*?)```", text, flags=re.DOTALL)
+    assert commands
+    environment = dict(os.environ)
+    if tool == "OpenFOAM":
+        foam.need_openfoam()
+        environment = foam.ENVIRONMENT | {"FOAM_TUTORIALS": str(foam.EXAMPLES)}
+    own = 'jaxmorph() { "$PYTHON" -m jaxmorph "$@"; }; python() { "$PYTHON" "$@"; }\n'
+    environment |= {"PYTHON": sys.executable, "PYTHONPATH": str(ROOT)}
+    for typed, seen in commands:
+        arguments = ["bash", "-ec", own + typed]
+        said = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+        left = iter([re.sub(r" \(\S+ s\)$", "", line).split() for line in said.stdout.splitlines()])
+        for line in seen.splitlines():
+            words = re.sub(r" \(\S+ s\)$", "", line).split()
+            if words != ["..."]:
+                assert any(alike(words, each) for each in left), f"{line}\n\n{said.stdout}"
+
+
+def alike(words, others):
+    """Tells whether two lines have the same words, and numbers within a hundredth."""
+    if re.sub(NUMBER, "#", " ".join(words)) != re.sub(NUMBER, "#", " ".join(others)):
+        return False
+    numbers = [[float(number) for number in re.findall(NUMBER, " ".join(line))] for line in (words, others)]
+    return numbers[0] == pytest.approx(numbers[1], rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["jaxmorph", "shapes", "io", "plot", "cases"])

@@ -274,7 +274,10 @@ class USMesh:
 
     def _solver(self) -> SolverOrder:
         if self._order is None:
-            raise ValueError("the solver's order is not known: call setExternalMeshIndices, or pass solverVec=False.")
+            raise ValueError(
+                "the solver's order is not known: call setExternalMeshIndices, or take the order of the file, by getCommonGrid "
+                "and solverVec=False."
+            )
         return self._order
 
     def _rows(self, name: str, values: Any) -> np.ndarray:
