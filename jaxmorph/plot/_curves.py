@@ -165,12 +165,13 @@ def _iterations(history: History, ax: Axes | None) -> Axes:
     ax, steps, values = given_or_new(ax), np.arange(len(history)), history.values
     first = values[0] if np.isfinite(values[0]) and values[0] else 1.0
     ax.plot(steps, values / first, "o-", color=ORANGE, label="objective over the first" if first != 1 else "objective")
-    for name in history.names:
+    for k, name in enumerate(history.names):
         column = history.column(name)
+        style = {"color": (BLUE, GREEN, DARK, GREY)[k % 4], "linestyle": ("-", "--")[k // 4 % 2]}
         if column.ndim == 1:
-            ax.plot(steps, column, ".-", label=name)
+            ax.plot(steps, column, marker=".", label=name, **style)
         else:  # of several the one nearest to its bound
-            ax.plot(steps, column.min(axis=1), ".-", label=f"smallest of {name}")
+            ax.plot(steps, column.min(axis=1), marker=".", label=f"smallest of {name}", **style)
     ax.set_xlabel("iteration")
     ax.locator_params("x", integer=True)
     ax.grid(color=RULE)
