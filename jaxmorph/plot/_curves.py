@@ -167,7 +167,7 @@ def _iterations(history: History, ax: Axes | None) -> Axes:
     ax.plot(steps, values / first, "o-", color=ORANGE, label="objective over the first" if first != 1 else "objective")
     for k, name in enumerate(history.names):
         column = history.column(name)
-        style = {"color": (BLUE, GREEN, DARK, GREY)[k % 4], "linestyle": ("-", "--")[k // 4 % 2]}
+        style: dict[str, Any] = {"color": (BLUE, GREEN, DARK, GREY)[k % 4], "linestyle": ("-", "--")[k // 4 % 2]}
         if column.ndim == 1:
             ax.plot(steps, column, marker=".", label=name, **style)
         else:  # of several the one nearest to its bound
