@@ -94,14 +94,20 @@ def notebook(file: pathlib.Path) -> dict[str, str | bytes]:
     resources = {"unique_key": file.stem, "output_files_dir": f"{file.stem}_files"}
     exporter = MarkdownExporter(preprocessors=["nbconvert.preprocessors.CoalesceStreamsPreprocessor"])
     cells = nbformat.read(file, as_version=4)
+    films: dict[str, str | bytes] = {}
     for cell in cells.cells:
         if cell.cell_type == "markdown":
             cell.source = linked(cell.source, f"notebooks/{file.name}", f"notebooks/{file.stem}.md")
+        for output in cell.get("outputs", []):
+            if film := output.get("data", {}).get("image/gif"):  # nbconvert would print the name of its class
+                name = f"{file.stem}_files/film{len(films)}.gif"
+                films[name] = base64.b64decode(film)
+                output["data"] = {"text/markdown": f"![Output of the cell above]({name})"}
     body, outputs = exporter.from_notebook_node(cells, resources=resources)
     title, text = body.strip().split("\n", 1)
     body = f"{title}\n\n*`notebooks/{file.name}`, as it ran.*\n{text}"
     body = re.sub(r"!\[(?:png|jpeg|gif)\]", "![Output of the cell above]", body)
-    return {f"{file.stem}.md": body} | outputs["outputs"]
+    return {f"{file.stem}.md": body} | outputs["outputs"] | films
 
 
 def gallery(files: list[pathlib.Path]) -> str:

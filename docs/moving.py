@@ -39,7 +39,7 @@ def wing():
         plot.surface(mesh, points, patch="wing", plotter=plotter)
         plotter.window_size = 1000, 900
         plotter.camera_position = [(-0.98, -2.2, 2.05), (0.62, 0.4, 0.05), (0, 0, 1)]
-        plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, 0.44
+        plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, 0.5
         pixels = plotter.screenshot(return_img=True)
         plotter.close()
         return pixels
