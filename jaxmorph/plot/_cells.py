@@ -142,7 +142,7 @@ def given_or_new(ax: Axes | None, window: Window | None = None, *, bar: bool = F
 
 
 def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
-    """Puts the legend above the axes, where it hides nothing, in as few rows as the figure's width has room for."""
+    """Puts the legend above the axes, in as few rows as the figure's width has room for."""
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     size, count = plt.rcParams["font.size"], len(handles)
     widths = [2.8 * size + TextPath((0, 0), str(each.get_label()), size=size).get_extents().width for each in handles]

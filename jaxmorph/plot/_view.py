@@ -23,11 +23,14 @@ TEXT = 30
 """Height of letters in pixels."""
 
 EDGE, BELOW, LEGEND, BAR = 0.025, 0.13, 0.06, 0.25
-"""Margins, relative to the width: at each side, below for axes and scale, above for a legend, right for a colour bar."""
+"""Margins relative to width: sides; below for axes, scale; above a legend; right a colour bar."""
 
 
 def add_bar(plotter: Any, label: str, limits: tuple[float | int, float | int], beyond: dict[str, str]) -> None:
-    """Draws a colour bar at the right, with round numbers; `_add_axes` places it above the bar of a length."""
+    """Draws a colour bar with round numbers at the right.
+
+    `_add_axes` places it above the bar of a length.
+    """
     title = label.replace("|", "\u2223")  # VTK begins a column at an ASCII bar
     bar = plotter.add_scalar_bar(f"{title}\n", vertical=True, fmt="%.6g", color=DARK, width=0.05, **beyond)
     bar.SetUnconstrainedFontSize(True)
