@@ -84,7 +84,10 @@ def stiffened(plain: Minimum, base: Float[Array, "n d"], search: Search) -> Mini
 
 @compiled
 def _climbed(distortion: Distortion, y, base, search: Search):
-    """Raises the stiffness rung by rung until the worst sample leaves no room for the next."""
+    """Raises the stiffness rung by rung until the worst sample leaves no room for the next.
+
+    Returns the rung where the smallest determinant is largest, and the steps of all rungs.
+    """
     distortion, enough = distortion.movable(), jnp.stack([jnp.maximum(search.tolerance, CLOSE)] * 2)
 
     def rung(y):
@@ -95,17 +98,20 @@ def _climbed(distortion: Distortion, y, base, search: Search):
         return dataclasses.replace(distortion, stiffness=RUNG**rung)
 
     def goes_on(state):
-        y, now, _, stage = state
+        y, now, *_, stage = state
         return (rung(y) > now) & (stage < RUNGS)
 
     def climb(state):
-        y, _, count, stage = state
+        y, _, best, count, stage = state
         now = rung(y)
         y, steps = _minimise(stiff(now), y, base, search, (True, enough))
-        return y, now, count + steps, stage + 1
+        here = y, now, distortion.least(y, base)
+        best = jax.tree.map(lambda new, old: jnp.where(here[2] > best[2], new, old), here, best)
+        return y, now, best, count + steps, stage + 1
 
-    start = y, jnp.asarray(-jnp.inf, base.dtype), jnp.asarray(0), jnp.asarray(0)
-    y, now, count, _ = jax.lax.while_loop(goes_on, climb, start)
+    none = jnp.asarray(-jnp.inf, base.dtype)
+    start = y, none, (y, none, distortion.least(y, base)), jnp.asarray(0), jnp.asarray(0)
+    _, _, (y, now, _), count, _ = jax.lax.while_loop(goes_on, climb, start)
     return stiff(now), y, count
 
 
