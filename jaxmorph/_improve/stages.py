@@ -170,5 +170,3 @@ def judged(plain: Distortion, minimum: Minimum, base: Float[Array, "n d"]):
         least = jnp.min(along, where=distortion.free[:, None], initial=1.0)
         slope = jnp.where(least > QUARTER, slope, jnp.inf)
     return value, slope, points
-
-
