@@ -37,7 +37,7 @@ def elevate(mesh: Mesh, order: int) -> Mesh:
     keys = {kind: _keys(np.asarray(ids), targets[kind]) for kind, ids in mesh.cells.items()}
     # a new node is known by its corners and their weights, in ascending order: cells that share a
     # face agree on it
-    every = np.concatenate([each.reshape(-1, each.shape[2]) for each in keys.values()])
+    every = np.concatenate([key.reshape(-1, key.shape[2]) for key in keys.values()])
     nodes, number = np.unique(every, axis=0, return_inverse=True)
     n, number = len(mesh.points), number.ravel()
     cells, first = {}, 0
@@ -90,7 +90,7 @@ def _weights(cell: Lagrange) -> np.ndarray:
         left = p - x[2]
         base = [(left - x[0]) * (left - x[1]), x[0] * (left - x[1]), x[0] * x[1], (left - x[0]) * x[1]]
         return np.stack([*base, x[2] * left], axis=1)
-    factors = [(p - each, each) for each in x]
+    factors = [(p - share, share) for share in x]
     signs = [(0, 0), (1, 0), (1, 1), (0, 1)]
     signs = signs if d == 2 else [(*sign, z) for z, sign in itertools.product((0, 1), signs)]
     return np.stack([np.prod([factors[axis][s] for axis, s in enumerate(sign)], axis=0) for sign in signs], axis=1)

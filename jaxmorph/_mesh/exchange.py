@@ -118,7 +118,7 @@ def block_of(kind: str, ids: Any) -> tuple[str, np.ndarray]:
     ids, shape = np.asarray(ids), SHAPES[kind]
     if kind == shape or kind in VTK_QUADRATIC or shape not in VTK_LAGRANGE:
         return kind, reordered(kind, ids, None, MESHIO)
-    return next(name for name, each in LAGRANGE.items() if each == shape), reordered(kind, ids, None, VTK_ORDER)
+    return next(name for name, lagrange in LAGRANGE.items() if lagrange == shape), reordered(kind, ids, None, VTK_ORDER)
 
 
 def _refuse_unknown(kinds) -> None:

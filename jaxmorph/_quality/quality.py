@@ -173,8 +173,8 @@ def _standards(kinds: tuple[str, ...], cells: tuple[Any, ...], points: Float[Eit
 
 
 def _standards_by(xp: Any, kinds, cells, points) -> tuple[Standard, ...]:
-    each = zip(kinds, cells, strict=True)
-    return tuple(in_blocks(xp, functools.partial(_standard, kind, points), ids.T) for kind, ids in each)
+    pairs = zip(kinds, cells, strict=True)
+    return tuple(in_blocks(xp, functools.partial(_standard, kind, points), ids.T) for kind, ids in pairs)
 
 
 def _standard(kind: str, points: Float[Either, "n d"], ids: Shaped[Either, "c k"]) -> Standard:
@@ -229,9 +229,9 @@ def _flags(
         relative, _ = measures.relative_corners(corners(points, ids.T))
         return _judge(measures.volume(kind, relative), measures.jacobians(kind, relative)[0], standard)["is_inverted"]
 
-    each = zip(kinds, cells, standards, strict=True)
+    triples = zip(kinds, cells, standards, strict=True)
     return xp.concatenate(
-        [in_blocks(xp, functools.partial(judged, kind), ids.T, standard) for kind, ids, standard in each]
+        [in_blocks(xp, functools.partial(judged, kind), ids.T, standard) for kind, ids, standard in triples]
     )
 
 

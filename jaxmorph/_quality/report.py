@@ -266,8 +266,8 @@ class QualityReport(Module):
         """Reduces values over counting cells, the last axis; readable ones by NumPy, uncompiled."""
         mask = self.counted
         known = on_host(values)
-        values = tuple(np.asarray(each) for each in values) if known else values
-        counted = values if mask.all() else [each[..., np.flatnonzero(mask)] for each in values]
+        values = tuple(np.asarray(array) for array in values) if known else values
+        counted = values if mask.all() else [array[..., np.flatnonzero(mask)] for array in values]
         return jnp.asarray(reduce(np if known else jnp, *counted))
 
 

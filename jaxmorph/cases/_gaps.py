@@ -105,7 +105,7 @@ def bodies(
     it.
     """
     left, right, bottom, top = finite_array("box", box, (4,)).tolist()
-    sides = {name: finite_array(f"boxes[{name!r}]", each, (4,)).tolist() for name, each in boxes.items()}
+    sides = {name: finite_array(f"boxes[{name!r}]", box, (4,)).tolist() for name, box in boxes.items()}
     ends = []
     if not (left < right and bottom < top and spacing > 0):
         raise ValueError(f"a box has x and y from least to largest and a positive spacing, not {box} and {spacing}.")

@@ -91,7 +91,7 @@ class Gates:
     def limits(self) -> dict[str, float]:
         """Limits by the names of their flags: the preset's limits, replaced by limits of flags."""
         fields = dataclasses.fields(self)
-        flags = {each.name: getattr(self, each.name) for each in fields if each.name not in ("preset", "proven")}
+        flags = {field.name: getattr(self, field.name) for field in fields if field.name not in ("preset", "proven")}
         flags[PROVEN] = 0.0 if self.proven else None
         limits = PRESETS.get(self.preset or "", {}) | {
             name: limit for name, limit in flags.items() if limit is not None

@@ -108,17 +108,17 @@ def _project(request: SU2, config: su2.Config, out: Output) -> int:
     file = request.sensitivity or _source(config)
     with out.progress(f"reading {file.name}"):
         _check_text(file)
-        given = io.read_sensitivity(file, mesh, moving=nodes)
+        sensitivity = io.read_sensitivity(file, mesh, moving=nodes)
     wall, kind = np.asarray(mesh.points, float)[nodes], "surface"
-    if len(given) == len(mesh.points):
+    if len(sensitivity) == len(mesh.points):
         kind, choice = "volume", _method(request, config)
         with out.progress("preparing"):
             plan = jm.prepare(mesh, config.moving, config.fixed, method=choice.method, symmetry=config.symmetry)
         with out.progress("pulling back"):
-            given = np.asarray(jm.pullback(plan, np.zeros(wall.shape), given))
+            sensitivity = np.asarray(jm.pullback(plan, np.zeros(wall.shape), sensitivity))
     out.say(f"reading  {file.name}: dJ/d(nodes) of the {kind}", sensitivity=str(file), kind=kind)
     project = jax.jit(lambda gradient: shapes.project(config.shape, wall, config.shape.neutral(), gradient))
-    gradient = np.asarray(project(given), float)
+    gradient = np.asarray(project(sensitivity), float)
     out.say(f"\n{'dJ/d(value)':>16}")
     for k in steepest(gradient):
         out.say(f"{gradient[k]:>16.6g}  {config.names[k]}")

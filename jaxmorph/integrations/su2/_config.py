@@ -157,12 +157,12 @@ def _shape(
     first = np.cumsum([0, *sizes])[:-1].astype(int)
     relaxed = options.number("OPT_RELAX_FACTOR", options.text("OPT_RELAX_FACTOR", "1"))
     # SU2 relaxes amplitudes, not the vectors of control points without a direction
-    scales = [each.scale * (relaxed if each.size == 1 else 1) for each in listed]
-    rest = [1.0 / scale if each.kind == "SCALE" else 0.0 for each, scale in zip(listed, scales, strict=True)]
+    scales = [variable.scale * (relaxed if variable.size == 1 else 1) for variable in listed]
+    rest = [1.0 / scale if variable.kind == "SCALE" else 0.0 for variable, scale in zip(listed, scales, strict=True)]
     names = [
-        f"{each.kind}[{k}]" + (f"[{part}]" if each.size > 1 else "")
-        for k, each in enumerate(listed)
-        for part in range(each.size)
+        f"{variable.kind}[{k}]" + (f"[{part}]" if variable.size > 1 else "")
+        for k, variable in enumerate(listed)
+        for part in range(variable.size)
     ]
     parts: list[AbstractPart] = []
     if listed:

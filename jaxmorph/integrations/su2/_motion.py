@@ -138,7 +138,7 @@ def simple_parts(
     """
     parts: list[AbstractPart] = []
     for side in (UPPER, LOWER, BOTH):
-        members = [k for k, each in enumerate(listed) if each.kind == "HICKS_HENNE" and _side(each) == side]
+        members = [k for k, variable in enumerate(listed) if variable.kind == "HICKS_HENNE" and _side(variable) == side]
         if members and normals is not None:
             parts.append(_bumps([listed[k].numbers[1] for k in members], first[members], side, normals))
     for variable, row in zip(listed, first.tolist(), strict=True):

@@ -210,10 +210,10 @@ class Zone:
         for _, connectivity in children(self.group, "ZoneGridConnectivity_t"):
             for label in ("GridConnectivity1to1_t", "GridConnectivity_t"):
                 for name, interface in children(connectivity, label):
-                    properties = [each for _, each in children(interface, "GridConnectivityProperty_t")]
-                    turns = [each for group in properties for _, each in children(group, "Periodic_t")]
+                    groups = [group for _, group in children(interface, "GridConnectivityProperty_t")]
+                    turns = [turn for group in groups for _, turn in children(group, "Periodic_t")]
                     parts, donor = dict(interface.items()), donors.get(word(interface).rpartition("/")[2])
-                    what = [each for each in ("PointRange", "PointList") if {each, f"{each}Donor"} <= parts.keys()]
+                    what = [kind for kind in ("PointRange", "PointList") if {kind, f"{kind}Donor"} <= parts.keys()]
                     if not turns or not what or donor is None:
                         continue
                     place = word(parts["GridLocation"]) if "GridLocation" in parts else "Vertex"
@@ -223,7 +223,9 @@ class Zone:
                     ):
                         chosen = np.atleast_2d(data(parts[part])).astype(np.int64)
                         sides.append(np.unique(zone._nodes(name, place, chosen, what[0] == "PointRange", corners)))
-                    values = {key: data(each).astype(float).ravel() for key, each in children(turns[0], "DataArray_t")}
+                    values = {
+                        key: data(array).astype(float).ravel() for key, array in children(turns[0], "DataArray_t")
+                    }
                     centre, angles = (values.get(key, np.zeros(3)) for key in ("RotationCenter", "RotationAngle"))
                     yield Connection(name, sides[0], sides[1], centre, angles)
 
