@@ -185,7 +185,7 @@ def _cells(grid: Grid) -> dict[str, np.ndarray]:
 
 
 def _sets(grid: Grid) -> dict[str, np.ndarray]:
-    """Makes patches of named cell sets, without those of full dimension: regions of the volume."""
+    """Makes patches of named cell sets, without sets of full dimension: regions of the volume."""
     levels, patches = grid.levels, {}
     for name, members in grid.cell_sets.items():
         for (_, corners), level, inside in zip(grid.blocks, levels, members, strict=True):
