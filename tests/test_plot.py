@@ -18,11 +18,7 @@ from scipy.spatial import ConvexHull
 import jaxmorph as jm
 from jaxmorph import cases, io, plot
 
-
-@pytest.fixture(autouse=True)
-def close_figures():
-    yield
-    plt.close("all")
+pytestmark = pytest.mark.usefixtures("closed_figures")
 
 
 @pytest.fixture(scope="module")

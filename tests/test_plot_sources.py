@@ -15,11 +15,7 @@ from scipy.spatial import cKDTree
 import jaxmorph as jm
 from jaxmorph import plot
 
-
-@pytest.fixture(autouse=True)
-def close_figures():
-    yield
-    plt.close("all")
+pytestmark = pytest.mark.usefixtures("closed_figures")
 
 
 def circle(radius, n, half=False):
