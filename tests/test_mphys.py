@@ -15,9 +15,6 @@ om = pytest.importorskip("openmdao.api")
 pytest.importorskip("mphys")
 # MPhys's variables are distributed, also where there is one process
 pytestmark = [pytest.mark.filterwarnings("ignore"), pytest.mark.usefixtures("here")]
-    pytest.mark.filterwarnings("ignore"),
-    pytest.mark.usefixtures("here"),
-]  # MPhys's variables are distributed, also where there is one process
 
 
 def wing(x, p):
