@@ -28,7 +28,7 @@ def by_hand(surface, sources, values, points):
         before.append(node)
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.nightly)])
 def test_as_the_paper_tells_it(dimension):
     mesh = body(dimension)
     method = jm.SurfaceReconstruction(few(), jm.Multiscale())

@@ -58,7 +58,14 @@ def test_values_are_scipys(name):
     np.testing.assert_allclose(box.at(x)(control), moved - x, atol=1e-13)
 
 
-@pytest.mark.parametrize("name", BOXES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bspline-2",
+        "mixed-3",
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in BOXES if name not in ("bspline-2", "mixed-3")),
+    ],
+)
 def test_the_transpose_and_derivatives(name):
     origin, axes, counts, degree = BOXES[name]
     box, rng = shapes.FreeForm(origin, axes, counts, degree=degree), np.random.default_rng(2)

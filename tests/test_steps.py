@@ -52,8 +52,11 @@ CASES = [
     ("full", False),
     ("reduced", False),
 ]
+BREADTH = {"near-wall", "full"}
 every_march = pytest.mark.parametrize(
-    ("name", "rebuild"), CASES, ids=[f"{name}{'-rebuilt' * again}" for name, again in CASES]
+    ("name", "rebuild"),
+    [pytest.param(*case, marks=[pytest.mark.nightly] if case[0] in BREADTH else []) for case in CASES],
+    ids=[f"{name}{'-rebuilt' * again}" for name, again in CASES],
 )
 
 
