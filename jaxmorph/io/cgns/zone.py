@@ -12,6 +12,7 @@ from jaxmorph._host.cells.orders import CGNS_ORDER, reordered
 from jaxmorph._mesh.polyhedra import Polyhedra
 
 from .._structured import block_cells, block_ids, block_sides
+from ..text.digits import decoded
 from .polyhedra import Block, Ragged, polyhedra
 
 TYPES = {2: "vertex", 3: "line", 5: "triangle", 7: "quad", 10: "tetra", 12: "pyramid", 14: "wedge", 17: "hexahedron"}
@@ -46,7 +47,7 @@ def children(group: Any, label: str) -> Iterator[tuple[str, Any]]:
 
 
 def text(value: Any) -> str:
-    return bytes(value).split(b"\0")[0].decode(errors="replace").strip() if not isinstance(value, str) else value
+    return decoded(bytes(value).split(b"\0")[0]).strip() if not isinstance(value, str) else value
 
 
 def data(group: Any) -> np.ndarray:

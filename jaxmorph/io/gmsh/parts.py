@@ -60,8 +60,6 @@ def nodes(stream: Stream, *, is_parametric: bool) -> Nodes:
     version = stream.form.version
     if version < 4:
         total = stream.announced()
-        if version < 2 and stream.rows is not None:  # its rows do not say that they have parameters
-            is_parametric = len(stream.rows.counts) > 1 and stream.rows.counts[1] > 4
         blocks = [_with_parameters(stream, total) if is_parametric else _records(stream, total, 3)]
     else:
         count, total, *_ = stream.take("n", 4 if version > 4 else 2).tolist()

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..text.digits import decoded
 from ..text.sections import Section
 
 WHOLE = 2.0**53
@@ -90,7 +91,7 @@ def physical_names(section: Section) -> dict[tuple[int, int], str]:
     names = {}
     for match in filter(None, matches):
         text = match[3] if match[3] is not None else match[4]
-        names[int(match[1]), int(match[2])] = text.decode(errors="replace")
+        names[int(match[1]), int(match[2])] = decoded(text)
     return names
 
 
