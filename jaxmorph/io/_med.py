@@ -13,6 +13,7 @@ from jaxmorph._mesh.exchange import PREFIX
 from ._format import Arrays, Source, StampedPoints, stamp_of, unchanged_source
 from ._meshio import meshio, to_mesh
 from .cgns.tree import opened, write_points
+from .text.digits import decoded
 
 NAME = "MED"
 WHAT = "a MED file"
@@ -96,6 +97,6 @@ def _groups(file: Any, name: str, kind: str) -> Iterator[tuple[str, list[int]]]:
     groups: dict[str, list[int]] = {}
     for family in families.get(kind, {}).values():
         for characters in family["GRO"]["NOM"][()] if "GRO" in family else ():
-            group = bytes(np.asarray(characters, np.uint8)).split(b"\0")[0].decode(errors="replace").strip()
+            group = decoded(bytes(np.asarray(characters, np.uint8)).split(b"\0")[0]).strip()
             groups.setdefault(group, []).append(int(family.attrs["NUM"]))
     yield from groups.items()

@@ -1,6 +1,7 @@
 """Patches by what becomes of their nodes: they move, slide in symmetry planes, or are fixed."""
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -93,12 +94,12 @@ def walls_of(mesh: jm.Mesh, options: Mapping[str, Any]) -> Walls:
 
 
 def _kinds(mesh: jm.Mesh) -> dict[str, str]:
-    """Sorts patches into wall, symmetry, overset, others: by kind in the file, else by name."""
-    words = {"sym": "symmetry", "wall": "wall", "overset": "overset"}
+    """Sorts patches into overset, wall, symmetry, others: by kind in the file, else by name."""
+    words = {"overset": "overset", "wall": "wall", r"(?<![a-z])(bc)?sym": "symmetry"}
     kinds = {}
     for name in mesh.patches:
         text = mesh.kinds.get(name, name).lower()
-        kinds[name] = next((kind for word, kind in words.items() if word in text), "")
+        kinds[name] = next((kind for word, kind in words.items() if re.search(word, text)), "")
         if not kinds[name] and "overset" in name.lower():  # no type of CGNS says so
             kinds[name] = "overset"
     return kinds

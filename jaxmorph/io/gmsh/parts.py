@@ -56,7 +56,7 @@ def entities(stream: Stream, *, is_partitioned: bool) -> Groups:
 
 
 def nodes(stream: Stream, *, is_parametric: bool) -> Nodes:
-    """Reads the nodes of `$Nodes`, or of version 2's `$ParametricNodes`."""
+    """Reads the nodes of `$Nodes`, of version 2's `$ParametricNodes`, or of version 1's `$NOD`."""
     version = stream.form.version
     if version < 4:
         total = stream.announced()
@@ -151,7 +151,7 @@ def elements(stream: Stream, groups: Groups) -> list[Elements]:
 
 def _kind(number: int) -> str:
     if number not in TYPES:
-        raise ValueError(f"elements of type {number}")
+        raise ValueError(f"elements of type {number}; those of order 3 and 4 are read with all inner nodes")
     kind = TYPES[number]
     if kind != "vertex" and kind not in NODES:
         raise ValueError(f"elements of type {number}, {kind}; elements of order 1 to 4 are read")
@@ -159,30 +159,32 @@ def _kind(number: int) -> str:
 
 
 def _lines(stream: Stream) -> list[Elements]:
-    """Reads lines of number, type, number of tags, tags and nodes: version 2 in text."""
+    """Reads lines of number, type, tags and nodes: version 2 in text, and version 1.
+
+    In version 2 the number of tags comes before them, in version 1 that of nodes behind two tags.
+    """
     assert stream.rows is not None
     values, counts, first = stream.rows.values, stream.rows.counts, stream.rows.first
     if not len(counts) or counts[0] != 1 or values[0] != len(counts) - 1:
         raise stream.section.error(f"{len(counts) - 1} lines of elements, not as many as announced.", 0)
-    counts, first = counts[1:], first[1:]
-    if (counts < 3).any():
-        raise stream.section.error(
-            "an element has a number, a type, and a number of tags.", 1 + int((counts < 3).argmax())
-        )
-    numbers, tags = values[first + 1], values[first + 2]
+    counts, first, is_first = counts[1:], first[1:], stream.form.version < 2
+    head = 5 if is_first else 3
+    if (counts < head).any():
+        line = 1 + int((counts < head).argmax())
+        raise stream.section.error("an element has a number, a type, and numbers of tags or of nodes.", line)
+    numbers, tags = values[first + 1], np.zeros_like(first) if is_first else values[first + 2]
     known, place = np.unique(numbers, return_inverse=True)
-    wanted = 3 + tags + np.array([CORNERS_OF[_kind(number)] for number in known.tolist()], np.int64)[place]
+    wanted = head + tags + np.array([CORNERS_OF[_kind(number)] for number in known.tolist()], np.int64)[place]
     wrong = np.flatnonzero((counts != wanted) | (tags < 0))
     if len(wrong):
         raise stream.section.error(f"{counts[wrong[0]]} numbers, {wanted[wrong[0]]} expected.", 1 + int(wrong[0]))
     result = []
     for number in dict.fromkeys(numbers.tolist()):
         rows = np.flatnonzero(numbers == number)
-        corners = (first + 3 + tags)[rows][:, None] + np.arange(CORNERS_OF[TYPES[number]])
-        table = np.stack(
-            [np.where(tags[rows] > k, values[first[rows] + 3 + np.minimum(k, tags[rows])], 0) for k in (0, 1)]
-        )
-        result.append(_of_version_2(TYPES[number], values[corners], table))
+        corners = (first + head + tags)[rows][:, None] + np.arange(CORNERS_OF[TYPES[number]])
+        table = [np.where(tags[rows] > k, values[first[rows] + 3 + np.minimum(k, tags[rows])], 0) for k in (0, 1)]
+        table = [values[first[rows] + 2 + k] for k in (0, 1)] if is_first else table
+        result.append(_of_version_2(TYPES[number], values[corners], np.stack(table)))
     return result
 
 
