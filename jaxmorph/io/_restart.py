@@ -8,7 +8,7 @@ from jaxtyping import Float
 MAGIC = 535532
 """The first number of the file, in four bytes of either order."""
 HEADER = 5
-"""Whole numbers at the begin: `MAGIC`, the number of columns, the number of nodes, and two zeros."""
+"""Whole numbers at the beginning: `MAGIC`, the counts of columns and nodes, and two zeros."""
 WIDTH = 33
 """Bytes of a column's name."""
 

@@ -1,4 +1,4 @@
-"""IDWarp's mesh objects for complex steps: imaginary parts are steps, and derivatives times them."""
+"""IDWarp's mesh objects for complex steps: what is imaginary is a step, or a change by it."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -27,8 +27,8 @@ class USMesh_C(USMesh):
     def setSurfaceCoordinates(self, coordinates: Any) -> None:
         """Sets the surface's points and steps, as `getSurfaceCoordinates` orders them."""
         values = np.asarray(coordinates, complex)
-        super().setSurfaceCoordinates(values.real)
-        self._step = self._rows("coordinates", values.imag)
+        super().setSurfaceCoordinates(np.real(values))
+        self._step = self._rows("coordinates", np.imag(values))
 
     def warpMesh(self) -> None:
         """Moves the mesh from its first place to where the surface is, with the steps."""

@@ -199,7 +199,7 @@ class USMesh:
         """
         if fileName is None:
             raise ValueError("`fileName` is missing: name a new file or folder; what the mesh was read from is kept.")
-        self._grid.write(fileName, self._moved.real)
+        self._grid.write(fileName, np.real(self._moved))
 
     def getOption(self, name: str) -> Any:
         """Returns an option, whose name may be in any case."""

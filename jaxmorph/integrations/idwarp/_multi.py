@@ -149,7 +149,7 @@ class MultiUSMesh:
 
         The default name is IDWarpMulti.
         """
-        shares = [self.comm.gather(mesh.getCommonGrid().real.reshape(-1, 3)) for mesh in self.meshes]
+        shares = [self.comm.gather(np.real(mesh.getCommonGrid()).reshape(-1, 3)) for mesh in self.meshes]
 
         def write() -> None:
             mesh = self._whole.mesh

@@ -15,7 +15,7 @@ from ._part import AbstractPart
 from ._variables import Variable
 
 UPPER, LOWER, ONE = 1, 0, 2
-"""Sides of an airfoil, as the first parameter has them; SU2 moves the upper side where it is `ONE`."""
+"""Sides of an airfoil, as the first parameter has them; for `ONE` SU2 moves the upper side."""
 SIDED = ("HICKS_HENNE", "CST", "NACA_4DIGITS", "PARABOLIC")
 """Kinds that ask on which side of an airfoil a node is."""
 TAIL = 0.99
@@ -25,7 +25,7 @@ EPS = 1e-16
 
 
 class Bumps(AbstractPart):
-    """Bumps sin(pi t^(ln 0.5 / ln c))^3 across a chord of length 1, times a factor for each node."""
+    """Bumps sin(pi t^(ln 0.5 / ln c))^3 across a chord of length 1, times a factor by node."""
 
     rows: tuple[int, ...] = eqx.field(static=True)
     centres: Float[Array, " k"]
@@ -41,7 +41,10 @@ class Bumps(AbstractPart):
 
 
 class Kulfan(AbstractPart):
-    """Class and shape functions along x, on one side; `orders` are (k, n) of each Bernstein polynomial."""
+    """Class and shape functions along x, on one side.
+
+    `orders` are k and n of each Bernstein polynomial.
+    """
 
     rows: tuple[int, ...] = eqx.field(static=True)
     orders: tuple[tuple[int, int], ...] = eqx.field(static=True)

@@ -121,7 +121,11 @@ def _moved(variable: Variable, values, control, fixed: Fixed, length: float) -> 
 
 
 def _turned(variable: Variable, values, control) -> Float[Array, "..."]:
-    """Turns all control points; those of a control surface but its outermost two planes, the other way."""
+    """Turns control points.
+
+    A control surface turns the other way, without the last two planes of i and the two outer ones
+    of j on each side.
+    """
     d, axis, about = control.shape[-1], _axis(variable), np.array(variable.numbers[: control.shape[-1]])
     points, angle = control.reshape(-1, d), jnp.deg2rad(values[0])
     chosen = np.ones(control.shape[:-1], bool)
@@ -173,7 +177,7 @@ def _chosen(index: Sequence[float], counts: tuple[int, ...], fixed: Fixed) -> Bo
 
 
 def _both_sides(index: Sequence[float], counts: tuple[int, ...], fixed: Fixed) -> Float[np.ndarray, "..."]:
-    """Counts how often a nacelle's control points move: with those at the opposite angle, as SU2 has it."""
+    """Counts how often control points of a nacelle move: those at the opposite angle do too."""
     i, j, k = (int(value) for value in index)
     times = np.zeros(counts)
     for opposite in [j] if j == counts[1] - 1 - j else [j, counts[1] - 1 - j if j >= 0 else 0]:

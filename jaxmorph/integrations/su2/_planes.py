@@ -1,4 +1,4 @@
-"""What stays: control points behind which a wall leaves its box, and heights above symmetry planes."""
+"""What stays: planes of control points, so that no wall tears, and nodes in symmetry planes."""
 
 from collections.abc import Sequence
 

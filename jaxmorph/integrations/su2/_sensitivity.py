@@ -1,4 +1,4 @@
-"""Sensitivities as SU2's adjoint solvers leave them: which file, by nodes, by the angle of attack."""
+"""Sensitivities as SU2's adjoint solvers leave them: by nodes, and by the angle of attack."""
 
 import dataclasses
 import os
