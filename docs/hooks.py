@@ -154,7 +154,7 @@ def main_part(picture: Image.Image) -> Image.Image:
 def commands() -> str:
     """Returns the page of the command line: the help of `jaxmorph`, then of each command, whole."""
     top = printed("--help")
-    names = re.findall(r"^    ([a-z]+)(?: |$)", top, flags=re.MULTILINE)
+    names = re.findall(r"^    ([a-z0-9]+)(?: |$)", top, flags=re.MULTILINE)
     parts = ["# Commands\n\nWhat `jaxmorph --help` and the help of each command print.", block("jaxmorph", top)]
     for name in names:
         text = printed(name, "--help")
