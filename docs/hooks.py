@@ -177,6 +177,8 @@ def mathml(source, language, css_class, options, md, **_) -> str:
     """Returns an equation in LaTeX as MathML, with its number at the right."""
     number = re.search(r"\\tag\{(\w+)\}", source)
     equation = convert(source.replace(number[0], "") if number else source, display="block")
+    # of a least value the index stands below
+    equation = re.sub(r"<msub>(<mo>min</mo>)(<mi>\w</mi>|<mrow>.*?</mrow>)</msub>", r"<munder>\1\2</munder>", equation)
     return f'<div class="{css_class}">{equation}<span>{f"({number[1]})" if number else ""}</span></div>'
 
 
