@@ -7,6 +7,7 @@ import exodus
 import foam
 import h5py
 import meshio
+import mfem_meshes
 import numpy as np
 import pytest
 from foam import PATCHES, mixed
@@ -42,6 +43,8 @@ def written(folder: pathlib.Path, ending: str) -> pathlib.Path:
         corners = np.asarray(mesh.cells["hexahedron"])
         blocks, sets = [("box", "hexahedron", corners)], [("floor", mesh.patch("floor"))]
         exodus.write(path, np.asarray(mesh.points), blocks, node_sets=sets)
+    elif ending == ".mesh":
+        path.write_text(mfem_meshes.straight(mesh, "floor"))
     elif ending == ".xyz":
         grid = np.stack(np.meshgrid(*(np.linspace(0, 1, 3),) * 3, indexing="ij"))
         write_plot3d(path, [grid], "text")

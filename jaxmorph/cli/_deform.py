@@ -23,7 +23,8 @@ from ._output import Output, title
 from ._requests import Deform
 from ._summary import Summary, coordinates, count
 from ._tables import gate_facts, gate_table, table
-from ._told import check_files, described, mesh_of, wrapped, write_job
+from ._told import check_files, described, mesh_of, say_proven, wrapped, write_job
+from ._way import Way
 
 Judgement = tuple[Judged, Summary, list[str]]
 """The moved mesh as it was judged, its sum, and one sentence for each fault."""
@@ -49,12 +50,13 @@ def deform(request: Deform, out: Output) -> int:
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     attempt, choice, chunks = _attempt(request, mesh, out)
     _foresee(attempt, choice, out)
-    points, judging, inspection, boundary = _moved(attempt, chunks, out)
+    way, judging, inspection, boundary = _moved(attempt, chunks, out)
     with out.progress("judging the cells"):
         judged, after, bad = judging.result()
-        wall = _wall_numbers(attempt, points)
+        wall = _wall_numbers(attempt, way.ends[-1])
         tables = [table(attempt.before, after, _rows(wall, inspection)), gate_table(attempt.before, after)]
     out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
+    say_proven(after, way.is_straight, request.steps, out)
     if boundary.nodes:
         wrapped(out, f"boundary: {boundary}")
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
@@ -115,7 +117,7 @@ def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
 
 def _moved(
     attempt: Attempt, chunks: Chunks, out: Output
-) -> tuple[np.ndarray, Beside[Judgement], jm.Inspection, jm.BoundaryQuality]:
+) -> tuple[Way, Beside[Judgement], jm.Inspection, jm.BoundaryQuality]:
     """Moves the points, inspects the motion, warns of contradictions, and judges the boundary.
 
     The cells are judged beside the inspection.
@@ -126,15 +128,15 @@ def _moved(
     with out.progress("judging the cells"):
         attempt.summing.result()  # it raises for limits on measures that the cells do not have
     with out.progress(f"deforming in {count(steps, 'step')}") as stage:
-        points = attempt.points(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
-    judging = Beside(attempt.judge, points)
+        way = attempt.way(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
+    judging, points = Beside(attempt.judge, way), way.ends[-1]
     with out.progress("inspecting the motion"):
         u, mesh = attempt.motion.path(attempt.wall, 1)[-1], attempt.patches.mesh
         moved = points[nodes] if steps == 1 and plan.points.dtype == points.dtype else None
         inspection = inspected(plan, u, mesh, nodes, moved)
         for warning in inspection.warnings:
             out.warn(warning)
-        return points, judging, inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
+        return way, judging, inspection, jm.boundary_quality(plan, points[nodes]).renumbered(nodes)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -131,7 +131,7 @@ class Form:
         weights = bernstein.terms(self.map_space, at) * bernstein.multinomials(self.map_space)[:, None]
         return np.stack([((self.control @ component) * weights).sum(axis=0) for component in x], axis=1)
 
-    def values(self, columns: list[list[np.ndarray]], at: Float[np.ndarray, "f k"]) -> Float[np.ndarray, " k"]:
+    def values(self, columns: list[list[Either]], at: Float[Either, "f k"]) -> Float[Either, " k"]:
         """Evaluates det J at a place among the factors of k cells each, from the columns there."""
         pairs = zip(self.spaces, columns, strict=True)
         weights = [(bernstein.terms(space, at), column) for space, column in pairs]

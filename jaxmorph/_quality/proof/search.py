@@ -12,6 +12,9 @@ from .bernstein import Space
 ROOM = 1 << 16
 """Coefficients that are computed together: they stay in the processor's cache."""
 
+FEW = 64
+"""Open parts of a cell up to which they are cut beyond the depth, at most twice as often."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bounds:
@@ -32,7 +35,10 @@ class Bounds:
 def bounds(
     space: Space, coefficients: Float[np.ndarray, "n k"], round_off: Float[np.ndarray, " k"], depth: int
 ) -> Bounds:
-    """Bounds polynomials by coefficients, on parts of a 2^depth-th where the sign needs them."""
+    """Bounds polynomials by coefficients, on parts of a 2^depth-th where the sign needs them.
+
+    Of a cell with few open parts these are cut further.
+    """
     k = coefficients.shape[1]
     search = _Search(space, depth, round_off, np.full(k, np.inf), np.full(k, np.inf), np.zeros((_dimension(space), k)))
     corners = [np.concatenate([np.zeros((1, m)), np.eye(m)])[:, :, None] for m, _ in space]
@@ -95,10 +101,11 @@ class _Search:
         # negative is of interest
         is_open = (least < -slack) | ((least <= slack) & (lowest > slack))
         is_open &= ~(self.upper[cell] < -slack)
-        if level == self.depth:
-            is_open[:] = False
+        if level >= self.depth:
+            is_open &= (level < 2 * self.depth) & (np.bincount(cell[is_open], minlength=len(self.lower))[cell] <= FEW)
         np.minimum.at(self.lower, cell[~is_open], least[~is_open])
         rows, size = np.flatnonzero(is_open), self._size
+        rows = rows[np.argsort(cell[rows], kind="stable")]  # parts of a cell are counted together
         for start in range(0, len(rows), size):
             self.look(parts[rows[start : start + size]].halved(self.space), level + 1)
 
