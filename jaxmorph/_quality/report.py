@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import checked, whole
 from .._kernels.module import Module
-from .._kernels.values import Either, is_known, largest, on_host, smallest
+from .._kernels.values import array, Either, is_known, largest, on_host, smallest
 
 MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
@@ -268,7 +268,7 @@ class QualityReport(Module):
         known = on_host(values)
         values = tuple(np.asarray(each) for each in values) if known else values
         counted = values if mask.all() else [each[..., np.flatnonzero(mask)] for each in values]
-        return jnp.asarray(reduce(np if known else jnp, *counted))
+        return array(reduce(np if known else jnp, *counted))
 
 
 def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:

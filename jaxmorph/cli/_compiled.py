@@ -7,6 +7,8 @@ import platform
 
 import jax
 
+from jaxmorph._kernels.kept import keep
+
 LIMIT = 256 * 2**20
 """Bytes that the folder holds at most; the program that was used longest ago goes first."""
 
@@ -14,14 +16,19 @@ SWITCH = "JAXMORPH_CACHE"
 """The environment variable that turns it off."""
 
 
-def begin() -> None:
-    """Switches double precision on, and the cache of compiled code."""
+def begin(is_own: bool) -> None:
+    """Switches double precision on, and the cache of compiled code.
+
+    `is_own` says that the process runs this command alone.
+    """
     jax.config.update("jax_enable_x64", True)
-    keep_compiled()
+    keep_compiled(is_own)
 
 
-def keep_compiled() -> None:
+def keep_compiled(is_own: bool = False) -> None:
     """Turns on JAX's persistent compilation cache in the user's cache folder.
+
+    A process of its own also keeps whole programs there.
 
     Nothing is kept if `JAXMORPH_CACHE` is `off`, if JAX has a folder already, if the folder cannot
     be written to, or without the packages that find and lock it.
@@ -47,6 +54,8 @@ def keep_compiled() -> None:
         jax.config.update(
             "jax_persistent_cache_min_compile_time_secs", 0
         )  # reading takes a tenth of the shortest compilation
+        if is_own:
+            keep(str(folder), LIMIT)
 
 
 def _machine() -> str:
