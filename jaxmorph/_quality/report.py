@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import checked, whole
 from .._kernels.module import Module
-from .._kernels.values import array, Either, is_known, largest, on_host, smallest
+from .._kernels.values import Either, array, is_known, largest, on_host, smallest
 
 MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from .._host.package.arguments import checked, whole
+from .._kernels.values import as_jax, on_host
 from .._plan.deform import pullback as to_nodes
 from .._plan.plan import Plan
 from .._plan.steps import replay
-from .._kernels.values import as_jax, on_host
 from ._arguments import Numbers, check_parameters, positions
 from ._shape import AbstractLinearShape
 
