@@ -14,7 +14,7 @@ import pathlib
 import pickle
 import secrets
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -35,10 +35,8 @@ SETTINGS = ("JAX", "XLA")
 HOST = "callback"
 """A word of programs that call Python, at an address of this process."""
 
-SHORTEST = "jax_persistent_cache_min_compile_time_secs"
-"""JAX's setting for the compilations that its own cache keeps."""
-
 _folder: Any = None
+_aside: Callable[[], contextlib.AbstractContextManager] = contextlib.nullcontext
 _programs: "dict[str, Program]" = {}
 
 
@@ -88,13 +86,14 @@ class _Pickler(pickle.Pickler):
         return NotImplemented
 
 
-def keep(folder: str, limit: int) -> None:
+def keep(folder: str, limit: int, aside: Callable[[], contextlib.AbstractContextManager]) -> None:
     """Keeps programs in JAX's folder of compiled code, together with it at most `limit` bytes.
 
     It is for a process that runs one command. Code that changes while a process lives would not be
-    noticed.
+    noticed. Within `aside()`, JAX's own cache keeps nothing.
     """
-    global _folder
+    global _folder, _aside
+    _aside = aside
     try:  # private names of JAX: without them nothing is kept
         from jax._src.lru_cache import LRUCache
         from jaxlib import lapack
@@ -199,7 +198,7 @@ def _made(key: str, function: Callable, arguments: tuple, options: dict[str, Any
     # program: a new name is in no cache.
     flat.__name__ = f"{function.__name__}_{secrets.token_hex(4)}"
     lowered = jax.jit(flat, compiler_options=options).lower(*arrays)
-    with _outside_of_cache():
+    with _aside():
         compiled = lowered.compile()
     if HOST not in lowered.as_text():
         _write(key, (len(arrays), len(jax.tree.leaves(lowered.out_info))), compiled, form)
@@ -214,17 +213,6 @@ def _write(key: str, counts: tuple[int, int], compiled: Any, form: Any) -> None:
         file = io.BytesIO()
         _Pickler(file).dump((counts, serialize_executable.serialize(compiled)[0], form))
         _folder.put(key, file.getvalue())
-
-
-@contextlib.contextmanager
-def _outside_of_cache() -> Iterator[None]:
-    """Lets JAX's own cache keep nothing."""
-    before = jax.config.values[SHORTEST]
-    jax.config.update(SHORTEST, float("inf"))
-    try:
-        yield
-    finally:
-        jax.config.update(SHORTEST, before)
 
 
 def _is_array(leaf: Any) -> bool:

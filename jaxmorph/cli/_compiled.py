@@ -1,9 +1,11 @@
 """JAX as the commands use it: double precision, and compiled code that is kept between runs."""
 
+import contextlib
 import hashlib
 import os
 import pathlib
 import platform
+from collections.abc import Iterator
 
 import jax
 
@@ -14,6 +16,9 @@ LIMIT = 256 * 2**20
 
 SWITCH = "JAXMORPH_CACHE"
 """The environment variable that turns it off."""
+
+SHORTEST = "jax_persistent_cache_min_compile_time_secs"
+"""JAX's setting for the shortest compilation that its cache keeps."""
 
 
 def begin(is_own: bool) -> None:
@@ -51,11 +56,19 @@ def keep_compiled(is_own: bool = False) -> None:
     if os.access(folder, os.W_OK):
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_compilation_cache_max_size", LIMIT)
-        jax.config.update(
-            "jax_persistent_cache_min_compile_time_secs", 0
-        )  # reading takes a tenth of the shortest compilation
+        jax.config.update(SHORTEST, 0)  # reading takes a tenth of the shortest compilation
         if is_own:
-            keep(str(folder), LIMIT)
+            keep(str(folder), LIMIT, _aside)
+
+
+@contextlib.contextmanager
+def _aside() -> Iterator[None]:
+    """Lets JAX's cache keep nothing."""
+    jax.config.update(SHORTEST, float("inf"))
+    try:
+        yield
+    finally:
+        jax.config.update(SHORTEST, 0)
 
 
 def _machine() -> str:
