@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._host.cells.topology import DIMENSION
 from .._host.package.arguments import checked, whole
 from .._kernels.module import Module
-from .._kernels.values import Either, is_known, largest, on_host, smallest
+from .._kernels.values import Either, array, is_known, largest, on_host, smallest
 
 MEASURES = (
     *("skewness", "aspect_ratio", "non_orthogonality", "volume"),
@@ -267,9 +267,9 @@ class QualityReport(Module):
         """Reduces values over counting cells, the last axis; readable ones by NumPy, uncompiled."""
         mask = self.counted
         known = on_host(values)
-        values = tuple(np.asarray(array) for array in values) if known else values
-        counted = values if mask.all() else [array[..., np.flatnonzero(mask)] for array in values]
-        return jnp.asarray(reduce(np if known else jnp, *counted))
+        values = tuple(np.asarray(each) for each in values) if known else values
+        counted = values if mask.all() else [each[..., np.flatnonzero(mask)] for each in values]
+        return array(reduce(np if known else jnp, *counted))
 
 
 def _weighted_mean(xp: Any, values: Either, volume: Either) -> Either | np.generic:
