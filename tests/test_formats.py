@@ -76,7 +76,7 @@ def test_every_pair_is_decided_before_any_work(tmp_path, capsys, source, to):
     else:
         io.write(out, moved)
         np.testing.assert_array_equal(io.read(out).points, moved.points)
-    one_way = (".cgns", "", ".med", ".e", ".xyz")
+    one_way = (".cgns", "", ".med", ".e", ".xyz", ".mesh")
     assert bool(refusal) == (to in one_way and source != to)
     assert {path.name for path in tmp_path.iterdir()} <= {f"in{source}", f"out{to}"}
 

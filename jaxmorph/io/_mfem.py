@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import pathlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -109,9 +109,9 @@ class _Elements:
 
 
 def read(path: pathlib.Path) -> Mesh:
-    """Reads cells, nodes, and patches: the attributes of boundary elements, and their named sets.
+    """Reads cells, nodes, and patches: the attributes of boundary elements.
 
-    The patch of attribute 3 is `boundary_3`.
+    The patch of attribute 3 is `boundary_3`; named sets of attributes are groups of patches.
     """
     text = path.read_bytes()
     parts = _sections(path, text)
@@ -135,9 +135,11 @@ def read(path: pathlib.Path) -> Mesh:
     kept = Section(path, text[:start] + space.section.text[start:stop] + text[stop:], start, stop)
     content = _Content(kept, space, values, node, points, curved)
     ids = np.concatenate([each.rows for each in cells])
-    source = Source(path, NAME, content, cell_ids=None if (np.diff(ids) == 1).all() else ids)
+    patches = _patches(sides, of_sides)
+    groups = _groups(parts.get("boundary_attribute_sets"), patches)
+    source = Source(path, NAME, content, groups=groups, cell_ids=None if (np.diff(ids) == 1).all() else ids)
     try:
-        return Mesh(points, nodes, _patches(parts.get("boundary_attribute_sets"), sides, of_sides), source=source)
+        return Mesh(points, nodes, patches, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -289,18 +291,24 @@ def _lexicographic(cells: list[_Elements], nodes: dict[str, np.ndarray]) -> np.n
     return np.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
 
 
-def _patches(section: Section | None, sides: list[_Elements], nodes: list[np.ndarray]) -> dict[str, np.ndarray]:
-    attributes = np.unique(np.concatenate([np.zeros(0, np.int64), *(each.attributes for each in sides)])).tolist()
-    named = {f"boundary_{attribute}": [attribute] for attribute in attributes}
-    if section is not None:
-        text = section.text[section.start : section.stop].decode(errors="replace")
-        for name, numbers in re.findall(r'"([^"]*)"([\s\d]*)', text):
-            named[name] = [int(word) for word in numbers.split()[1:]]
-    pairs = list(zip(sides, nodes, strict=True))
-    empty = np.zeros(0, np.int64)
+def _patches(sides: list[_Elements], nodes: list[np.ndarray]) -> dict[str, np.ndarray]:
+    """Collects the nodes of boundary elements by their attribute."""
+    found: dict[int, list[np.ndarray]] = {}
+    for each, ids in zip(sides, nodes, strict=True):
+        for attribute in np.unique(each.attributes).tolist():
+            found.setdefault(attribute, []).append(ids[each.attributes == attribute].ravel())
+    return {f"boundary_{attribute}": np.concatenate(found[attribute]) for attribute in sorted(found)}
+
+
+def _groups(section: Section | None, patches: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Reads the named sets of attributes: a name in quotes, a number, and as many attributes."""
+    text = "" if section is None else section.text[section.start : section.stop].decode(errors="replace")
+    sets = {
+        name: {f"boundary_{word}" for word in words.split()[1:]}
+        for name, words in re.findall(r'"([^"]*)"([\s\d]*)', text)
+    }
     return {
-        name: np.unique(np.concatenate([empty, *(ids[np.isin(each.attributes, group)].ravel() for each, ids in pairs)]))
-        for name, group in named.items()
+        name: members for name, each in sets.items() if (members := tuple(patch for patch in patches if patch in each))
     }
 
 

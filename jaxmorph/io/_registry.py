@@ -64,7 +64,7 @@ def read(path: str | os.PathLike[str]) -> Mesh:
 
     - SU2's markers, gmsh's physical groups, CGNS's families or boundary conditions, MED's groups,
       OpenFOAM's patches;
-    - MFEM's attributes of boundary elements, `boundary_3` for attribute 3, and their named sets;
+    - MFEM's attributes of boundary elements, `boundary_3` for attribute 3; named sets are groups;
     - Exodus's side sets and node sets, and its blocks of shells, beams or points beside larger
       cells;
     - the sides of PLOT3D's blocks, or those that a file beside it names. It is called as the grid
@@ -117,10 +117,10 @@ def write(
     The mesh may be one read from a file and then `moved`. Written to the format it came from,
     everything but the coordinates is kept, byte for byte in SU2, gmsh, MFEM, OpenFOAM and PLOT3D
     files. An unmoved mesh gives the same file. Coordinates read back bit for bit, rounded once
-    where the file is in single precision, and to round-off in MFEM files of order 3 and 4. Between
-    formats, and for generated meshes, points, cells and patches are written. SU2 and gmsh express a
-    patch by the boundary faces between its nodes. CGNS, MFEM, MED, Exodus, PLOT3D and OpenFOAM take
-    back only meshes that came from them.
+    where the file is in single precision, and to round-off in MFEM's files of order 3 and 4.
+    Between formats, and for generated meshes, points, cells and patches are written. SU2 and gmsh
+    express a patch by the boundary faces between its nodes. CGNS, MFEM, MED, Exodus, PLOT3D and
+    OpenFOAM take back only meshes that came from them.
 
     A mesh from an OpenFOAM case goes into a time folder of the case (`case/0.5`: its
     `polyMesh/points`), or into a new folder. The new folder is a copy of the case's `constant`,

@@ -150,11 +150,13 @@ def elements(stream: Stream, groups: Groups) -> list[Elements]:
 
 
 def _kind(number: int) -> str:
-    if number not in TYPES:
-        raise ValueError(f"elements of type {number}; those of order 3 and 4 are read with all inner nodes")
-    kind = TYPES[number]
+    kind = TYPES.get(number, "")
     if kind != "vertex" and kind not in NODES:
-        raise ValueError(f"elements of type {number}, {kind}; elements of order 1 to 4 are read")
+        name = f"type {number}, {kind}" if kind else f"type {number}"
+        raise ValueError(
+            f"elements of {name}; read are those of order 1 to 4, from order 3 on with all inner nodes: "
+            "Mesh.SecondOrderIncomplete=0 makes them"
+        )
     return kind
 
 
