@@ -25,6 +25,9 @@ from .._quality.quality import quality
 from .constraints import Constraints, constraints_of_mesh, constraints_of_plan, prepared
 from .stages import Minimum, Search, judged, softened, stiffened
 
+SAME = 1e-6
+"""Difference of two margins that is round-off."""
+
 
 class Improvement(Module):
     """Result of `improve`: traced arrays, and a line about them by `str`.
@@ -32,6 +35,8 @@ class Improvement(Module):
     - `points`: the improved points (n, d).
     - `before`, `after`: number of inverted cells before and after, as `quality` counts them.
     - `unproven`: number of cells that may fold inside: `proven_margin` at depth 1 is not positive.
+    - `from_start`: number of `unproven` cells that are not proven on the undeformed mesh either, and
+      whose margin there was no larger: the motion has not harmed them.
     - `energy`: mean distortion of a cell, 0 if all cells have the shape and size of their targets.
     - `residual`: largest derivative of the summed distortion, with `worst` the stiffened sum, with
       respect to a node's place, in units of the node's smallest cell. It is far below 1 at a
@@ -44,6 +49,7 @@ class Improvement(Module):
     before: Int[Array, ""]
     after: Int[Array, ""]
     unproven: Int[Array, ""]
+    from_start: Int[Array, ""]
     energy: Float[Array, ""]
     residual: Float[Array, ""]
     steps: Int[Array, ""]
@@ -53,6 +59,8 @@ class Improvement(Module):
         how = "at a minimum" if float(self.residual) < 1e-2 else f"stopped early, residual {float(self.residual):.1g}"
         unproven = int(self.unproven)
         proven = "proven to fold nowhere inside" if unproven == 0 else f"proven to fold nowhere but for {unproven}"
+        if int(self.from_start):
+            proven += f" ({int(self.from_start)} of them as on the undeformed mesh or better)"
         return (
             f"{int(self.before)} of {self.cells} cells were inverted, {int(self.after)} are now, {proven}; "
             f"mean distortion {float(self.energy):.3g} after {int(self.steps)} steps, {how}"
@@ -183,10 +191,13 @@ def _ended(mesh: Mesh, start: Array, plain: Minimum, minimum: Minimum) -> tuple[
     moved = jnp.where(distortion.free[:, None], improved.astype(start.dtype), start)
     moved = moved if distortion.ways is None else distortion.ways.matched(start, moved)
     before, after = (quality(mesh, at) for at in (start, moved))
-    unproven = jnp.sum(~(proven_margin(mesh, moved, depth=1) > 0))
+    margin = proven_margin(mesh, moved, depth=1)
+    with jax.ensure_compile_time_eval():
+        own = proven_margin(mesh, mesh.points, depth=1)
+    unproven, as_before = ~(margin > 0), (own <= 0) & (margin >= own - SAME)
     steps, residual = jnp.asarray(minimum.steps), jnp.max(jnp.abs(slope))
-    found = Improvement(moved, before.inverted, after.inverted, unproven, energy / cells, residual, steps, cells)
-    return found, after.min_jacobian_ratio
+    counts = before.inverted, after.inverted, jnp.sum(unproven), jnp.sum(unproven & as_before)
+    return Improvement(moved, *counts, energy / cells, residual, steps, cells), after.min_jacobian_ratio
 
 
 def _check(mesh: Mesh, points, fixed, options: Options) -> None:
