@@ -35,7 +35,7 @@ class Rows(eqx.Module):
         return total
 
     def _dense(self, control: Float[Array, "n c"]) -> Float[Array, "m c"]:
-        # one matrix product along the first direction, then weighted sums along all further directions
+        # one matrix product along the first direction, then weighted sums along the others
         first, *others = self.weights
         values = (first @ control.reshape(self.counts[0], -1)).reshape(len(first), *self.counts[1:], control.shape[1])
         for w in others:
