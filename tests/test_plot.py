@@ -7,6 +7,8 @@ import matplotlib
 
 matplotlib.use("Agg")
 
+import itertools
+
 import foam
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -70,7 +72,7 @@ def assert_inside(ax):
     assert drawn.y1 <= height
     labels = [text.get_window_extent() for text in ax.get_xticklabels() if text.get_text()]
     shown = [box for box in labels if ax.bbox.x0 - 1 <= (box.x0 + box.x1) / 2 <= ax.bbox.x1 + 1]
-    assert all(left.x1 < right.x0 for left, right in zip(shown[:-1], shown[1:], strict=True))
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(shown))
 
 
 def test_walls_are_drawn_stronger_than_the_lines_between_cells():
