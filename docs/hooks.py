@@ -147,7 +147,7 @@ def main_part(picture: Image.Image) -> Image.Image:
         widest = np.argmax(ends - begins)
         box = [0, 0, *picture.size]
         box[axis], box[axis + 2] = int(begins[widest]), int(ends[widest])
-        picture = picture.crop(tuple(box))
+        picture = picture.crop((box[0], box[1], box[2], box[3]))
     return picture
 
 

@@ -8,6 +8,8 @@ import matplotlib
 
 matplotlib.use("Agg")
 
+import itertools
+
 import foam
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
