@@ -5,6 +5,7 @@ import os
 import pathlib
 import subprocess
 import sys
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -63,7 +64,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def result(function, *arguments):
+def result(function, *arguments) -> Any:
     found = kept.kept(function, (arguments, {}), (False, True), dict)
     return None if found is None else found()
 
