@@ -18,8 +18,8 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jaxlib
 import numpy as np
+from jaxlib import version
 
 from .values import array
 
@@ -42,9 +42,15 @@ _programs: "dict[str, Program]" = {}
 
 @dataclasses.dataclass(frozen=True)
 class _Shape:
-    """Stands for an array among arguments."""
+    """Stands for an array among arguments: shape and type, and whether the type may give way."""
 
     text: str
+    is_weak: bool
+
+    @classmethod
+    def of(cls, leaf: Any) -> "_Shape":
+        kind = jax.typeof(leaf)
+        return cls(str(kind), bool(getattr(kind, "weak_type", False)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,7 +133,7 @@ def kept(
 def _key(function: Callable, arguments: tuple, state: tuple[bool, ...]) -> str:
     """Computes the name of a program. Raises `_UnkeptError` for the user's own functions."""
     file = io.BytesIO()
-    shapes = jax.tree.map(lambda leaf: _Shape(str(jax.typeof(leaf))) if _is_array(leaf) else leaf, arguments)
+    shapes = jax.tree.map(lambda leaf: _Shape.of(leaf) if _is_array(leaf) else leaf, arguments)
     try:
         _Pickler(file).dump((_name(function), state, shapes))
     except (pickle.PicklingError, TypeError, AttributeError) as error:
@@ -146,7 +152,7 @@ def _name(obj: Any) -> str:
 @functools.cache
 def _world() -> bytes:
     """Describes what all programs depend on: files of packages, versions, and settings."""
-    facts = [sys.version, jax.__version__, jaxlib.__version__, jax.default_backend()]
+    facts = [sys.version, jax.__version__, version.__version__, jax.default_backend()]
     facts += [f"{name}={value}" for name, value in sorted(jax.config.values.items())]
     facts += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(SETTINGS)]
     own = pathlib.Path(__file__).parents[1]
