@@ -1,4 +1,4 @@
-"""Measures of a block of faces, which one core computes: centres, area vectors, pyramids, skewness."""
+"""Measures of a block of faces, which one core computes."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -46,6 +46,7 @@ class OfFaces(NamedTuple):
 
 
 def of_faces(block: Block, centres: Columns, areas: Columns, middle: Columns, points: Columns) -> OfFaces:
+    """Measures a block of faces between cells with given middles."""
     centre, area = centres[:, block.rows], areas[:, block.rows]
     skewness, cosine = _across(block, centre, area, middle, points)
     inner = cosine[block.behind >= 0]

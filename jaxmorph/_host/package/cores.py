@@ -47,6 +47,10 @@ class Tree(KDTree):
         """Finds the nearest points of the tree, as `scipy.spatial.KDTree.query` does."""
         return super().query(x, *arguments, workers=cores() if len(x) > FEW else 1, **keywords)
 
+    def alone(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:
+        """Finds the nearest points as `query` does, with one core: other cores search elsewhere."""
+        return super().query(x, *arguments, **keywords)
+
 
 class Beside(Generic[T]):
     """A call that runs in a thread of its own, beside what comes next; `result` waits for it.
@@ -104,7 +108,10 @@ def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]
             yield ahead.popleft().result()
 
 
-def by_blocks(function: Callable[[slice], Any], count: int, size: int = BLOCK) -> None:
-    """Calls `function` with the slices of `count` rows, on all cores: it fills rows of results."""
-    for _ in in_order(function, (slice(start, min(start + size, count)) for start in range(0, count, size))):
+def by_blocks(function: Callable[[slice], Any], count: int) -> None:
+    """Calls `function` with slices of `count` rows, on all cores: it fills the rows of results.
+
+    The number of cores does not change the slices.
+    """
+    for _ in in_order(function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))):
         pass
