@@ -8,7 +8,6 @@ import matplotlib
 
 matplotlib.use("Agg")
 
-import itertools
 
 import foam
 import jax.numpy as jnp
