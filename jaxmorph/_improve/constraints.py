@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._boundary.boundary import walls_of
+from .._boundary.arguments import walls_of
 from .._boundary.pairing import Pairing
 from .._boundary.smooth_faces import smoothed
 from .._boundary.tracks import Track, check_repeated, tracks_of
