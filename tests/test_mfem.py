@@ -122,6 +122,7 @@ def test_a_mesh_in_space_that_lies_in_a_plane_has_two_coordinates(tmp_path):
         (("1 2 1 4 2", "1 2 1 4"), "line 8: an element of type 2 has 3 corners"),
         (("1 2 1 4 2", "1 1 1 4"), "cells of 2-D alone, or of 3-D alone, expected"),
         (("elements\n3", "elements\n4"), "a number of elements expected, and as many rows"),
+        ((mfem_meshes.FLAT, "MFEM mesh v1.0\n"), "no elements, boundary, vertices in this file; it is cut short"),
         (("boundary\n", "frontier\n"), "no boundary in this file"),
         (
             ("Ordering: 1", "Ordering: 7"),

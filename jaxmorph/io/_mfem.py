@@ -166,7 +166,7 @@ def _sections(path: pathlib.Path, text: bytes) -> dict[str, Section]:
     plain = re.sub(rb"(?m)^[ \t]*#[^\r\n]*", lambda comment: b" " * len(comment[0]), text)
     words = list(re.finditer(rb"(?m)^[ \t]*([a-z_]+)[ \t]*\r?$", plain))
     ends = [*(word.start() for word in words[1:]), len(plain)]
-    parts = {word[1].decode(): Section(path, plain, word.end(), end) for word, end in zip(words, ends, strict=True)}
+    parts = {word[1].decode(): Section(path, plain, word.end(), end) for word, end in zip(words, ends, strict=False)}
     missing = [name for name in ("elements", "boundary", "vertices") if name not in parts]
     if missing:
         raise ValueError(f"{path}: no {', '.join(missing)} in this file; it is cut short.")
