@@ -197,8 +197,13 @@ def _shape(
     sizes = [variable.size for variable in listed]
     relaxed = options.number("OPT_RELAX_FACTOR", options.text("OPT_RELAX_FACTOR", "1"))
     # SU2 relaxes amplitudes, not the vectors of control points without a direction, nor camber
-    scales = [each.scale * (relaxed if each.size == 1 and each.kind != "HICKS_HENNE_CAMBER" else 1) for each in listed]
-    rest = [1 / scale if each.kind.startswith("SCALE") else 0.0 for each, scale in zip(listed, scales, strict=True)]
+    scales = [
+        variable.scale * (relaxed if variable.size == 1 and variable.kind != "HICKS_HENNE_CAMBER" else 1)
+        for variable in listed
+    ]
+    rest = [
+        1 / scale if variable.kind.startswith("SCALE") else 0.0 for variable, scale in zip(listed, scales, strict=True)
+    ]
     names = [
         f"{variable.kind}[{k}]" + (f"[{part}]" if variable.size > 1 else "")
         for k, variable in enumerate(listed)
