@@ -157,7 +157,9 @@ def test_tags_far_apart_take_no_memory(tmp_path, version, binary):
 
 
 @pytest.mark.parametrize(("version", "binary"), FORMS)
-@pytest.mark.parametrize("variant", ["plain", "partitioned", "parametric"])
+@pytest.mark.parametrize(
+    "variant", ["plain", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("partitioned", "parametric"))]
+)
 def test_a_damaged_file_is_refused_or_read_as_it_is(tmp_path, version, binary, variant):
     """A byte or a line less anywhere is a `ValueError` that names the file, or changes nothing but groups and digits."""
     write(tmp_path / "whole.msh", 2, version, binary, variant)

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Integer, PyTree, Real
 
-from .._boundary.boundary import Boundary, find_boundary, renumbered
+from .._boundary.arguments import find_boundary
+from .._boundary.boundary import Boundary, renumbered
 from .._boundary.images import Images, images_of
 from .._boundary.kinds import by_kinds
 from .._boundary.pairing import check_pairings

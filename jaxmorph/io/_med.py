@@ -47,11 +47,11 @@ def read(path: pathlib.Path) -> Mesh:
         of_nodes = step["NOE"]["FAM"][()] if "FAM" in step["NOE"] else np.zeros(len(points), int)
         sets: dict[str, Any] = {}
         for group, numbers in _groups(file, name, "ELEME"):
-            sets[group] = [np.flatnonzero(np.isin(each, numbers)) for each in families]
+            sets[group] = [np.flatnonzero(np.isin(family, numbers)) for family in families]
         flags = {}
         for group, numbers in _groups(file, name, "NOEUD"):
             flags[PREFIX + urllib.parse.quote(group)] = np.isin(of_nodes, numbers).astype(int)
-    if any(len(each) != len(corners) for each, (_, corners) in zip(families, blocks, strict=True)):
+    if any(len(family) != len(corners) for family, (_, corners) in zip(families, blocks, strict=True)):
         raise ValueError(f"{path}: not {WHAT}, or a damaged one (families of other elements than there are).")
     content = StampedPoints(points, stamp_of(path))
     mesh = meshio.Mesh(points, blocks, point_data=flags, cell_sets=sets)

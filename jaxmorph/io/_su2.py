@@ -166,12 +166,12 @@ def _keywords(path: pathlib.Path, text: bytes) -> Iterator[Keyword]:
 
 
 def _only(path: pathlib.Path, keywords: list[Keyword], name: str) -> Keyword:
-    named = [keyword for keyword in keywords if keyword.name == name]
-    if not named:
+    matches = [keyword for keyword in keywords if keyword.name == name]
+    if not matches:
         raise ValueError(f"{path}: no {name}= in this file; it is not an SU2 mesh, or it is cut short.")
-    if len(named) > 1:
-        raise named[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
-    return named[0]
+    if len(matches) > 1:
+        raise matches[1].section.error(f"a second {name}=; zones of a file begin with IZONE=.")
+    return matches[0]
 
 
 def _points(keyword: Keyword, d: int) -> Iterator[np.ndarray]:

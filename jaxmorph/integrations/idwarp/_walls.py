@@ -49,7 +49,7 @@ class Walls:
             if on:
                 nodes = np.unique(np.concatenate(on))
                 return nodes, definition.weights(points[nodes])[0]
-        low, high = (tuple(np.round(each(definition.points, axis=0), 6)) for each in (np.min, np.max))
+        low, high = (tuple(np.round(extreme(definition.points, axis=0), 6)) for extreme in (np.min, np.max))
         raise ValueError(
             f"no patch of the mesh lies on the surface that is defined, {len(definition.points)} points between {low} and {high}: "
             f"its unit, or its place, is not that of the mesh, whose patches are {', '.join(self.mesh.patches)}."
@@ -67,7 +67,7 @@ class Walls:
     def half(self, moving: np.ndarray, options: Mapping[str, Any], known: Mapping[str, Any]) -> jm.SurfaceHalf:
         """Prepares the surface; all patches but symmetry, periodic and overset are fixed."""
         periodic = io.periodic(self.mesh)
-        loose = {*self.flat, *self.free, *(str(name) for each in periodic for name in (each.patch, each.partner))}
+        loose = {*self.flat, *self.free, *(str(name) for pair in periodic for name in (pair.patch, pair.partner))}
         fixed = self.mesh.patch(*(name for name in self.mesh.patches if name not in loose))
         free = np.setdiff1d(self.mesh.patch(*self.free), np.concatenate([fixed, moving]))
         kinds = {"symmetry": self.symmetry, "periodic": periodic, "free": free}

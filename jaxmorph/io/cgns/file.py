@@ -117,20 +117,22 @@ def pairs_of(
     zones: list[Zone], contents: list[Content], patches: dict[str, list[np.ndarray]]
 ) -> list[tuple[str, str, Connection]]:
     """Adds the sides of periodic interfaces to the patches, and lists their names in pairs."""
-    named = {zone.name: (zone, content) for zone, content in zip(zones, contents, strict=True)}
-    every = [(zone, each) for zone in zones for each in connections(zone, named)]
+    donors = {zone.name: (zone, content) for zone, content in zip(zones, contents, strict=True)}
+    every = [(zone, interface) for zone in zones for interface in connections(zone, donors)]
     names, pairs = [], []
-    for zone, each in every:
-        is_taken = each.name in patches or sum(each.name == other.name for _, other in every) > 1
-        names.append(f"{zone.name}/{each.name}" if is_taken else each.name)
-        patches[names[-1]] = [each.nodes]
-    for (_, each), name in zip(every, names, strict=True):
-        partner = [n for (_, other), n in zip(every, names, strict=True) if np.array_equal(other.nodes, each.others)]
+    for zone, interface in every:
+        is_taken = interface.name in patches or sum(interface.name == other.name for _, other in every) > 1
+        names.append(f"{zone.name}/{interface.name}" if is_taken else interface.name)
+        patches[names[-1]] = [interface.nodes]
+    for (_, interface), name in zip(every, names, strict=True):
+        partner = [
+            n for (_, other), n in zip(every, names, strict=True) if np.array_equal(other.nodes, interface.others)
+        ]
         if not partner:
             partner = [f"{name} donor"]
-            patches[partner[0]] = [each.others]
+            patches[partner[0]] = [interface.others]
         if not any({name, partner[0]} == {first, second} for first, second, _ in pairs):
-            pairs.append((name, partner[0], each))
+            pairs.append((name, partner[0], interface))
     return pairs
 
 
@@ -140,10 +142,10 @@ def periodic_of(pairs: list[tuple[str, str, Connection]], is_flat: bool) -> tupl
     Translation or angle is that of the nodes, for files differ in its sign.
     """
     made = []
-    for first, second, each in pairs:
-        turns = bool(each.angles.any())
-        about = np.pad(each.centre, (0, 3))[: 2 if is_flat else 3] if turns else None
-        made.append(jm.Periodic(first, second, about=about, axis=each.angles if turns and not is_flat else None))
+    for first, second, interface in pairs:
+        turns = bool(interface.angles.any())
+        about = np.pad(interface.centre, (0, 3))[: 2 if is_flat else 3] if turns else None
+        made.append(jm.Periodic(first, second, about=about, axis=interface.angles if turns and not is_flat else None))
     return tuple(made)
 
 
@@ -169,7 +171,9 @@ def _whole(zones: list[Content], node: np.ndarray) -> tuple[Polyhedra, np.ndarra
                 cell = start + block.cell
             ids.setdefault(block.kind, []).append(cell)
     faces = joined_faces([dataclasses.replace(part, labels=node[part.labels]) for part in parts])
-    return Polyhedra(faces, np.concatenate(cut)), np.concatenate([each for kind in sorted(ids) for each in ids[kind]])
+    return Polyhedra(faces, np.concatenate(cut)), np.concatenate(
+        [numbers for kind in sorted(ids) for numbers in ids[kind]]
+    )
 
 
 def _outer(zone: Zone, points: np.ndarray, blocks: list[Block]) -> list[np.ndarray]:

@@ -15,7 +15,9 @@ def kinds_of(file: Any, zones: list[Zone]) -> dict[str, str]:
     families = {}
     for _, base in children(file, "CGNSBase_t"):
         for name, family in children(base, "Family_t"):
-            families[name] = [word(each) for _, each in children(family, "FamilyBC_t") if " data" in each]
+            families[name] = [
+                word(condition) for _, condition in children(family, "FamilyBC_t") if " data" in condition
+            ]
     types: dict[str, list[str]] = {}
     for zone in zones:
         for patch, _, condition in conditions(zone):

@@ -144,17 +144,19 @@ def elements(stream: Stream, groups: Groups) -> list[Elements]:
         rows = stream.take(kind_of_number, count * width).reshape(count, width)
         result.append(Elements(kind, rows[:, 1:], dict.fromkeys(groups.get(entity, ()))))
     stream.end()
-    if sum(len(each.corners) for each in result) != total:
+    if sum(len(block.corners) for block in result) != total:
         raise ValueError(f"not the {total} elements that $Elements announces")
     return result
 
 
 def _kind(number: int) -> str:
-    if number not in TYPES:
-        raise ValueError(f"elements of type {number}; those of order 3 and 4 are read with all inner nodes")
-    kind = TYPES[number]
+    kind = TYPES.get(number, "")
     if kind != "vertex" and kind not in NODES:
-        raise ValueError(f"elements of type {number}, {kind}; elements of order 1 to 4 are read")
+        name = f"type {number}, {kind}" if kind else f"type {number}"
+        raise ValueError(
+            f"elements of {name}; read are those of order 1 to 4, from order 3 on with all inner nodes: "
+            "Mesh.SecondOrderIncomplete=0 makes them"
+        )
     return kind
 
 
@@ -206,8 +208,8 @@ def _numbered(stream: Stream) -> list[Elements]:
         raise ValueError("more elements than announced")
     result = []
     for kind in dict.fromkeys(kind for kind, _, _ in blocks):
-        of_kind = [(corners, table) for each, corners, table in blocks if each == kind]
-        corners, table = np.concatenate([each for each, _ in of_kind]), np.hstack([each for _, each in of_kind])
+        of_kind = [(corners, table) for other, corners, table in blocks if other == kind]
+        corners, table = np.concatenate([rows for rows, _ in of_kind]), np.hstack([tags for _, tags in of_kind])
         result.append(_of_version_2(kind, corners, table))
     return result
 
@@ -218,9 +220,9 @@ def _of_version_2(kind: str, corners: np.ndarray, table: np.ndarray) -> Elements
     In version 2 an element of two groups stands twice, with the second group: it is read once.
     """
     physical, entity = np.abs(table[0]), table[1]
-    named = np.unique(physical[physical > 0]).tolist()
-    groups: dict[int, np.ndarray | None] = {tag: np.flatnonzero(physical == tag) for tag in named}
-    if len(named) < 2:
+    tags = np.unique(physical[physical > 0]).tolist()
+    groups: dict[int, np.ndarray | None] = {tag: np.flatnonzero(physical == tag) for tag in tags}
+    if len(tags) < 2:
         return Elements(kind, corners, groups)
     # An element's key is its entity and corners. Equal keys are one element, kept where it comes
     # first; `new` is the row of each old element among the kept ones.

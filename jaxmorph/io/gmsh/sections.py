@@ -55,7 +55,7 @@ def form_of(path: pathlib.Path, data: bytes) -> Form:
     except (ValueError, IndexError) as error:
         raise ValueError(f"{path}: version, 0 or 1, and the size of a number expected after $MeshFormat.") from error
     known = next(
-        (each for each, low, high in ((2.0, 2, 3), (4.0, 4, 4.1), (4.1, 4.1, 4.2)) if low <= version < high), None
+        (form for form, low, high in ((2.0, 2, 3), (4.0, 4, 4.1), (4.1, 4.1, 4.2)) if low <= version < high), None
     )
     if known is None or binary not in (0, 1) or size not in (4, 8):
         raise ValueError(f"{path}: .msh of version {version:g}, {binary}, {size}; 1, 2, 4.0 and 4.1 are read.")
