@@ -1,13 +1,13 @@
 """Pictures, judged by what was drawn: numbers of polygons, their places and their colours."""
 
 import importlib
+import itertools
 import sys
 
 import matplotlib
 
 matplotlib.use("Agg")
 
-import itertools
 
 import foam
 import jax.numpy as jnp
@@ -20,11 +20,7 @@ from scipy.spatial import ConvexHull
 import jaxmorph as jm
 from jaxmorph import cases, io, plot
 
-
-@pytest.fixture(autouse=True)
-def close_figures():
-    yield
-    plt.close("all")
+pytestmark = pytest.mark.usefixtures("closed_figures")
 
 
 @pytest.fixture(scope="module")

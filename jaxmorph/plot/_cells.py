@@ -151,7 +151,9 @@ def legend_above(ax: Axes, handles: Sequence[Any] | None = None) -> None:
     """Puts the legend above the axes, in as few rows as the figure's width has room for."""
     handles = ax.get_legend_handles_labels()[0] if handles is None else handles
     size, count = plt.rcParams["font.size"], len(handles)
-    widths = [2.8 * size + TextPath((0, 0), str(each.get_label()), size=size).get_extents().width for each in handles]
+    widths = [
+        2.8 * size + TextPath((0, 0), str(handle.get_label()), size=size).get_extents().width for handle in handles
+    ]
     room = 72 / ax.figure.dpi * ax.figure.bbox.width * min(ax.get_position().width / UNLABELLED, 1) - size
     # a column holds the entries of `rows` places in a row, and is as wide as its widest
     rows = 1
