@@ -23,7 +23,8 @@ from ._output import Output, title
 from ._requests import Deform
 from ._summary import Summary, coordinates, count
 from ._tables import gate_facts, gate_table, table
-from ._told import check_files, described, mesh_of, wrapped, write_job
+from ._told import check_files, described, mesh_of, say_proven, wrapped, write_job
+from ._way import Way
 from ._writing import Writing
 
 Judgement = tuple[Judged, Summary, list[str]]
@@ -50,13 +51,13 @@ def deform(request: Deform, out: Output) -> int:
 def _deform(request: Deform, mesh: Mesh, out: Output) -> int:
     attempt, choice, chunks = _attempt(request, mesh, out)
     _foresee(attempt, choice, out)
-    nodes, plan, points = _moved(attempt, chunks, out)
-    judging = Beside(attempt.judge, points)
-    with Writing(_write, attempt, points, judging) as writing:
-        inspection, boundary = _inspected(attempt, nodes, plan, points, out)
+    nodes, plan, way = _moved(attempt, chunks, out)
+    judging = Beside(attempt.judge, way)
+    with Writing(_write, attempt, way.ends[-1], judging) as writing:
+        inspection, boundary = _inspected(attempt, nodes, plan, way.ends[-1], out)
         with out.progress("judging the cells"):
             judgement = judging.result()
-        _tell(attempt, judgement, inspection, boundary, out)
+        _tell(attempt, way, judgement[1], inspection, boundary, out)
         bad = judgement[2]
         _write_beside(attempt, judgement[0], out)
         if bad and not request.allow_inverted:
@@ -117,15 +118,15 @@ def _foresee(attempt: Attempt, choice: NamedMethod, out: Output) -> None:
         out.warn(f"{size} may not fit into memory; {other} --dtype float32 need less.")
 
 
-def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, jm.Plan, np.ndarray]:
-    """Moves the points; returns the first chunk's nodes and plan, and all points."""
+def _moved(attempt: Attempt, chunks: Chunks, out: Output) -> tuple[np.ndarray, jm.Plan, Way]:
+    """Moves the points; returns the first chunk's nodes and plan, and the way of all points."""
     steps = attempt.request.steps
     with out.progress("preparing"):
         nodes, plan = next(chunks)
     with out.progress("judging the cells"):
         attempt.summing.result()  # it raises for limits on measures that the cells do not have
     with out.progress(f"deforming in {count(steps, 'step')}") as stage:
-        return nodes, plan, attempt.points(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
+        return nodes, plan, attempt.way(itertools.chain([(nodes, plan)], chunks), steps, stage.done)
 
 
 def _inspected(
@@ -142,13 +143,18 @@ def _inspected(
 
 
 def _tell(
-    attempt: Attempt, judgement: Judgement, inspection: jm.Inspection, boundary: jm.BoundaryQuality, out: Output
+    attempt: Attempt,
+    way: Way,
+    after: Summary,
+    inspection: jm.Inspection,
+    boundary: jm.BoundaryQuality,
+    out: Output,
 ) -> None:
     """Prints tables of quality before and after."""
-    judged, after, _ = judgement
-    wall = _wall_numbers(attempt, judged.points)
+    wall = _wall_numbers(attempt, way.ends[-1])
     tables = [table(attempt.before, after, _rows(wall, inspection)), gate_table(attempt.before, after)]
     out.say("\n" + "\n\n".join(filter(None, tables)) + "\n")
+    say_proven(after, way.is_straight, attempt.request.steps, out)
     if boundary.nodes:
         wrapped(out, f"boundary: {boundary}")
         measures = {name: getattr(boundary, name) for name in boundary.nodes}
