@@ -1,5 +1,6 @@
 """Work on several cores: their number, results that do not depend on it, and errors from threads."""
 
+import dataclasses
 import os
 import threading
 
@@ -12,9 +13,12 @@ from cases import body, motion
 from meshes import grid, lattice
 
 import jaxmorph as jm
+from jaxmorph._host.cells import pairs
 from jaxmorph._host.package import cores
+from jaxmorph._host.surface.neighbours import near_walls
 from jaxmorph._methods.blocks import is_rows
 from jaxmorph._plan import slabs
+from jaxmorph._quality import batches, sides
 
 METHODS = {
     "default": None,
@@ -42,9 +46,13 @@ def fine():
 
 @pytest.fixture
 def few_points(monkeypatch):
-    """Slabs, and searches by threads, of few points."""
+    """Slabs, searches by threads and blocks of few points, faces and cells."""
     monkeypatch.setattr(slabs, "LEAST", 1024)
     monkeypatch.setattr(cores, "FEW", 64)
+    monkeypatch.setattr(cores, "BLOCK", 512)
+    monkeypatch.setattr(pairs, "BLOCK", 512)
+    monkeypatch.setattr(sides, "BLOCK", 512)
+    monkeypatch.setattr(batches, "CACHED", 512)
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -171,3 +179,78 @@ def test_more_points_than_a_thread_searches_alone_get_equal_neighbours(few_point
     monkeypatch.setenv(cores.SWITCH, "3")
     for first, other in zip(alone, tree.query(points + 0.3, k=3), strict=True):
         np.testing.assert_array_equal(first, other)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_quality_has_equal_bits_on_any_number_of_cores(few_points, monkeypatch, dimension):
+    mesh = jm.cases.naca4(points=3000) if dimension == 2 else body(2)
+    random, base = np.random.default_rng(0), np.asarray(mesh.points)
+    points, found = base + 1e-3 * random.normal(size=base.shape), []
+    wall = next(iter(mesh.patches))
+    for count in ("1", "2", "3"):
+        monkeypatch.setenv(cores.SWITCH, count)
+        faces = jm.face_quality(mesh, points)
+        measures = jm.quality(mesh, points), jm.quality(mesh), jm.wall_quality(mesh, wall, points)
+        found.append([*jax.tree.leaves(measures), *(getattr(faces, field.name) for field in dataclasses.fields(faces))])
+    assert len(faces.volume) > 512
+    for others in found[1:]:
+        for first, other in zip(found[0], others, strict=True):
+            np.testing.assert_array_equal(first, other)
+
+
+@pytest.mark.parametrize("count", ["1", "3"])
+def test_results_come_in_order_and_few_are_ahead(monkeypatch, count):
+    monkeypatch.setenv(cores.SWITCH, count)
+    begun = []
+    results = cores.in_order(lambda piece: begun.append(piece) or piece**2, range(100))
+    assert [next(results) for _ in range(5)] == [0, 1, 4, 9, 16]
+    assert len(begun) <= 5 + int(count) * (cores.AHEAD + 1)
+    assert list(results) == [k**2 for k in range(5, 100)]
+    with pytest.raises(ZeroDivisionError):
+        list(cores.in_order(lambda piece: 1 // (7 - piece), range(20)))
+    assert list(cores.in_order(abs, [])) == []
+
+
+@pytest.mark.parametrize("count", [3, 7, 300, 5000])
+def test_blocks_hold_every_row_once(few_points, monkeypatch, count):
+    monkeypatch.setenv(cores.SWITCH, "3")
+    seen = np.zeros(count, dtype=int)
+    cores.by_blocks(lambda rows: np.add.at(seen, rows, 1), count)
+    np.testing.assert_array_equal(seen, 1)
+
+
+@pytest.mark.parametrize("number", ["1", "2", "5"])
+def test_faces_have_equal_twins_on_any_number_of_cores(few_points, monkeypatch, number):
+    monkeypatch.setenv(cores.SWITCH, number)
+    faces = np.sort(np.random.default_rng(0).integers(0, 24, (4000, 3)), axis=1)
+    same: dict[tuple, list[int]] = {}
+    for row, face in enumerate(map(tuple, faces.tolist())):
+        same.setdefault(face, []).append(row)
+    expected = np.full(len(faces), -1)
+    for rows in same.values():
+        if len(rows) == 2:
+            expected[rows] = rows[::-1]
+    assert (expected >= 0).any()
+    np.testing.assert_array_equal(pairs.twins(list(faces.T)), expected)
+
+
+@pytest.mark.parametrize("number", ["1", "3"])
+def test_the_nearest_wall_is_found_among_the_boxes_of_all(few_points, monkeypatch, number):
+    monkeypatch.setenv(cores.SWITCH, number)
+    random = np.random.default_rng(0)
+    surface = random.uniform(size=(600, 3))
+    wall = np.repeat(np.arange(6), 100).astype(np.int32)
+    for label in range(6):  # the sides of a cube
+        surface[wall == label, label // 2] = label % 2
+    points, reach = random.uniform(size=(2000, 3)), np.repeat([0.3, 0.1, 0.4, 0.2, 0.25, 0.05], 100)
+    near, rows = near_walls(surface, wall, reach, points, 3)
+    distance = np.linalg.norm(points[:, None] - surface[None], axis=2)
+    nearest = np.where(distance < reach, distance, np.inf).argmin(axis=1)
+    own = np.take_along_axis(distance, nearest[:, None], axis=1)[:, 0]
+    others = np.where(wall == wall[nearest][:, None], np.inf, distance)
+    is_near = (own < reach[nearest]) & (own <= others.min(axis=1))
+    np.testing.assert_array_equal(np.sort(near), np.flatnonzero(is_near))
+    np.testing.assert_array_equal(rows[:, 0], nearest[near])
+    far = 8 * reach[nearest[near]]
+    expected = np.where(others[near].min(axis=1) < far, others[near].argmin(axis=1), rows[:, 0])
+    np.testing.assert_array_equal(rows[:, 3], expected)

@@ -15,11 +15,13 @@ import pytest
 
 import jaxmorph as jm
 from jaxmorph import cases, io
+from jaxmorph.io._format import Source
 
 MPI = pytest.importorskip("mpi4py.MPI")
 pytest.importorskip("h5py")
 idwarp = pytest.importorskip("jaxmorph.integrations.idwarp")
 USMesh, MultiUSMesh = idwarp.USMesh, idwarp.MultiUSMesh
+walls_of = pytest.importorskip("jaxmorph.integrations.idwarp._walls").walls_of
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PLANES = {
     1: [[[0, 0, 0], [1, 0, 0]]],
@@ -611,3 +613,18 @@ def test_two_processes_have_what_one_has(grids, tmp_path):
     old, new = io.Decomposed(tmp_path / "case"), io.Decomposed(tmp_path / "moved")
     assert len(old) == len(new) == 2
     assert np.abs(np.asarray(new.read(1).points) - np.asarray(old.read(1).points)).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "becomes"),
+    [("sym_overset", "", "free"), ("asymmetric_part", "", ""), ("symm", "", "flat"), ("sym", "overset", "free"),
+     ("overset", "BCSymmetryPlane", "flat"), ("near_overset", "UserDefined", "free"), ("side", "symmetryPlane", "flat")],
+)  # fmt: skip
+def test_patches_are_sorted_by_kind_then_by_name(name, kind, becomes):
+    """What the file says counts; a name counts by the beginnings of its words."""
+    points = np.stack(np.meshgrid([0.0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+    source = Source(pathlib.Path("a.cgns"), "CGNS", None, kinds={name: kind} if kind else {})
+    mesh = jm.Mesh(points, {"hexahedron": np.array([[0, 4, 6, 2, 1, 5, 7, 3]])}, {name: np.array([0, 2, 4, 6])}, source)
+    options = {"specifiedSurfaces": None, "symmetrySurfaces": None, "symmetryPlanes": None}
+    walls = walls_of(mesh, options)
+    assert {part for part in ("flat", "free") if name in getattr(walls, part)} == ({becomes} - {""})

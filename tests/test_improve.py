@@ -363,22 +363,6 @@ def test_progress_and_choice_of_fixed_nodes():
     assert said[-1][0] < said[0][0]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"points": np.zeros((3, 2))}, "shape"),
-        ({"fixed": [99]}, "1 ids in `fixed` are not in"),
-        ({"size_weight": 2.0}, "`size_weight` must be a real number of 0 or more and up to 1"),
-        ({"max_steps": 0}, "at least 1"),
-        ({"mesh": jm.Mesh(np.zeros((4, 2)), {})}, "nothing to improve"),
-    ],
-)
-def test_wrong_input_is_named(change, message):
-    mesh = change.pop("mesh", unit_grid(2))
-    with pytest.raises(ValueError, match=message):
-        jm.improve(mesh, change.pop("points", mesh.points), **change)
-
-
 def rotated(mesh, degrees):
     base = mesh.points[mesh.patch("airfoil")]
     return jm.shapes.rotate(base, -np.deg2rad(degrees), [0.25, 0]) - base

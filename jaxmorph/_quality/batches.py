@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._host.package.cores import spread
+from .._host.package.cores import in_order
 
 BLOCK = 1 << 16
 """Cells that are measured together."""
 
-CACHED = 1 << 12
+CACHED = 1 << 13
 """Cells that NumPy measures together: intermediate values stay in the processor's cache."""
 
 
@@ -36,7 +36,7 @@ def in_blocks(xp: Any, function: Callable, *rows: Any, size: int | None = None) 
     blocks = -(-k // block)
     if xp is np:
         parts = [slice(i * block, (i + 1) * block) for i in range(blocks)]
-        results = [result for some in spread(lambda some: list(map(one, some)), parts) for result in some]
+        results = list(in_order(one, parts))
         return jax.tree.map(lambda *parts: np.concatenate(parts, axis=-1), *results)
     every = jnp.minimum(jnp.arange(blocks * block), k - 1)  # the last cell fills the last block
     results = jax.lax.map(jax.checkpoint(one), every.reshape(blocks, block))

@@ -1,23 +1,18 @@
 """Quality of cells from their faces, as OpenFOAM's checkMesh measures it."""
 
 import dataclasses
-from collections.abc import Sequence
+import functools
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from .._host.cells.adjacency import handedness, neighbours
-from .._host.linear.products import cross, dot
 from .._host.package.arguments import checked
 from .._mesh.mesh import Mesh
+from .block_measures import FLOOR, fill, of_faces, pyramids
 from .face_report import FaceQuality
-from .sides import Block, Group, Sides
-
-Columns = Any
-"""Components of vectors: a sequence of columns, or an array whose first axis runs over them."""
-
-FLOOR = 1e-300
+from .sides import Group, Sides
 
 
 @checked
@@ -80,26 +75,19 @@ class _Shape:
         faces, sums = [], np.zeros((d, sides.total))
         for group in sides.groups:
             centre, area = np.empty((2, d, len(group.owner)))
-            for block in group.blocks():
-                x = _corners(columns, block)
-                middle, vector = _edge(x) if d == 2 else _polygon(x)
-                centre[:, block.rows], area[:, block.rows] = middle, vector
+            for block, _ in group.measured(functools.partial(fill, centre=centre, area=area, points=columns)):
                 for _, cells in block.views:
-                    for total, component in zip(sums, middle, strict=True):
+                    for total, component in zip(sums, centre[:, block.rows], strict=True):
                         np.add.at(total, cells, component)
             faces.append((group, centre, area))
         sums /= np.maximum(sides.counts, 1)
         moments, volumes = np.zeros_like(sums), np.zeros(sides.total)
         for group, centres, areas in faces:
-            for block in group.blocks():
-                centre, area = centres[:, block.rows], areas[:, block.rows]
-                for sign, cells in block.views:
-                    middle = [mean.take(cells) for mean in sums]
-                    volume = sign * dot(area, [c - m for c, m in zip(centre, middle, strict=True)])
+            for block, parts in group.measured(lambda block, of=(centres, areas): pyramids(block, *of, sums)):
+                for (_, cells), (volume, first) in zip(block.views, parts, strict=True):
                     np.add.at(volumes, cells, volume)
-                    volume /= d + 1
-                    for axis in range(d):
-                        np.add.at(moments[axis], cells, volume * (d * centre[axis] + middle[axis]))
+                    for total, component in zip(moments, first, strict=True):
+                        np.add.at(total, cells, component)
         moments /= np.where(volumes == 0, FLOOR, volumes)
         return cls(faces, moments, volumes)
 
@@ -121,20 +109,17 @@ def _of_shape(
     least, heights, seen = np.full(total, np.inf), np.zeros(total), np.zeros((d, total))
     cosines = np.zeros(2)  # their sum and their number
     for group, centres, areas in shape.faces:
-        for block in group.blocks():
-            centre, area = centres[:, block.rows], areas[:, block.rows]
-            size, skew, inner = _size(area), *_across(block, centre, area, shape.middle, columns)
-            is_inner = block.behind >= 0
-            cosines += len(block.views) * np.array([inner[is_inner].sum(), is_inner.sum()])
-            for sign, cells in block.views:
-                height = sign * dot(area, _arm(centre, shape.middle, cells))
-                is_wrong[cells[~(height >= -noise * size)]] = True
+        measure = functools.partial(of_faces, centres=centres, areas=areas, middle=shape.middle, points=columns)
+        for block, found in group.measured(measure):
+            cosines += len(block.views) * found.cosines
+            for (_, cells), height in zip(block.views, found.heights, strict=True):
+                is_wrong[cells[~(height >= -noise * found.size)]] = True
                 np.minimum.at(least, cells, height)
                 np.add.at(heights, cells, np.abs(height))
-                np.minimum.at(cosine, cells, inner)
-                np.maximum.at(skewness, cells, skew)
-                for column, component in zip(seen, area, strict=True):
-                    np.add.at(column, cells, np.abs(component))
+                np.minimum.at(cosine, cells, found.cosine)
+                np.maximum.at(skewness, cells, found.skewness)
+                for column, component in zip(seen, found.area, strict=True):
+                    np.add.at(column, cells, component)
     counted = counts > 0
     pyramid = least / np.maximum(heights / np.maximum(counts, 1), FLOOR)
     return FaceQuality(
@@ -151,74 +136,11 @@ def _of_shape(
     )
 
 
-def _across(
-    block: Block, centre: Columns, area: Columns, middle: Columns, points: Columns
-) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, " b"]]:
-    """Computes the skewness of faces, and cosines of area vectors with lines of centres."""
-    owner, behind = block.owner, block.behind
-    arm, size = _arm(centre, middle, owner), _size(area)
-    across = [m.take(behind) - m.take(owner) for m in middle]  # anything where there is no cell behind
-    cosine = np.clip(dot(area, across) / np.maximum(size * _size(across), FLOOR), -1, 1)
-    inside = True
-    if not block.is_shared:
-        inside = behind >= 0
-        cosine = np.where(inside, cosine, 1)
-        normal = [a / np.maximum(size, FLOOR) for a in area]
-        height = dot(normal, arm)
-        across = [np.where(inside, a, height * n) for a, n in zip(across, normal, strict=True)]
-    along = dot(area, across)
-    share = dot(area, arm) / np.where(along == 0, FLOOR, along)
-    by = [a - share * b for a, b in zip(arm, across, strict=True)]
-    miss = _size(by)
-    corners, reach = _corners(points, block), 0.0
-    for k in range(len(block.group.corners)):
-        arms = [x[k] - c for x, c in zip(corners, centre, strict=True)]
-        reach = np.maximum(reach, np.abs(dot(by, arms)))
-    least = np.where(inside, 0.2, 0.4) * _size(across)
-    skewness = miss / np.maximum(np.maximum(reach / np.maximum(miss, FLOOR), least), FLOOR)
-    return np.where(block.group.is_between[block.rows], 0, skewness), cosine
-
-
-def _arm(centre: Columns, middle: Columns, cells: np.ndarray) -> Columns:
-    return [c - m.take(cells) for c, m in zip(centre, middle, strict=True)]
-
-
-def _size(vectors: Columns) -> Float[np.ndarray, " b"]:
-    return np.sqrt(dot(vectors, vectors))
-
-
 def _aspect_ratio(seen: Float[np.ndarray, "d k"], volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     ratio = seen.max(axis=0) / np.maximum(seen.min(axis=0), FLOOR)
     if len(seen) == 2:
         return ratio
     return np.maximum(ratio, seen.sum(axis=0) / 6 / np.maximum(np.abs(volume) / 3, FLOOR) ** (2 / 3))
-
-
-def _corners(points: Columns, block: Block) -> list[list[Float[np.ndarray, " b"]]]:
-    """Gathers the coordinates of the faces' corners: by axis, then by corner."""
-    corners = block.corners
-    return [[column.take(ids) for ids in corners] for column in points]
-
-
-def _edge(x: Sequence[Columns]) -> tuple[Columns, Columns]:
-    """Computes the middles of edges, and their area vectors: as long as the edge."""
-    along = [last - first for first, last in x]
-    return [(first + last) / 2 for first, last in x], [along[1], -along[0]]
-
-
-def _polygon(x: Sequence[Columns]) -> tuple[Columns, Columns]:
-    """Computes centres and area vectors, by triangles about the mean of the corners."""
-    count, mean = len(x[0]), [sum(corners) / len(corners) for corners in x]
-    arms = [[m - corners[k] for m, corners in zip(mean, x, strict=True)] for k in range(count)]
-    area, moment, total = [0.0] * 3, [0.0] * 3, FLOOR
-    for k, arm in enumerate(arms):
-        after = arms[(k + 1) % count]
-        normal = cross(arm, after)
-        weight = _size(normal)
-        total = total + weight
-        area = [a + n for a, n in zip(area, normal, strict=True)]
-        moment = [m + weight * (a + b) for m, a, b in zip(moment, arm, after, strict=True)]
-    return [m - first / (3 * total) for m, first in zip(mean, moment, strict=True)], [a / 2 for a in area]
 
 
 def _turns(mesh: Mesh, volume: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"] | None:

@@ -1,15 +1,20 @@
 """Faces of a mesh, and the cells beside them: what measures by faces need of the ids."""
 
 import dataclasses
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Int
 
 from .._host.cells.pairs import columns_of, is_among, sorted_columns, twins
 from .._host.cells.topology import DIMENSION, FACES
+from .._host.package.cores import by_blocks, in_order
 from .._mesh.faces import Faces
 from .._mesh.mesh import Mesh
+
+T = TypeVar("T")
 
 BLOCK = 1 << 14
 """Faces measured together: their columns stay in a core's cache."""
@@ -40,6 +45,10 @@ class Group:
             for at in range(start, end, BLOCK):
                 yield Block(self, slice(at, min(at + BLOCK, end)), end <= self.shared)
 
+    def measured(self, function: Callable[["Block"], T]) -> Iterator[tuple["Block", T]]:
+        """Yields all blocks in order, each with its `function`, which all cores compute."""
+        return in_order(lambda block: (block, function(block)), self.blocks())
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Block:
@@ -53,11 +62,11 @@ class Block:
     def corners(self) -> Int[np.ndarray, "c b"]:
         return self.group.corners[:, self.rows].astype(np.intp)
 
-    @property
+    @functools.cached_property
     def owner(self) -> Int[np.ndarray, " b"]:
         return self.group.owner[self.rows].astype(np.intp)
 
-    @property
+    @functools.cached_property
     def behind(self) -> Int[np.ndarray, " b"]:
         return self.group.behind[self.rows].astype(np.intp)
 
@@ -125,11 +134,17 @@ def _paired(mesh: Mesh, columns: list[np.ndarray], owner: Int[np.ndarray, " t"])
     partner = twins(sorted_columns(columns, len(columns))).astype(np.int32)
     first = np.flatnonzero(partner > np.arange(len(partner), dtype=np.int32)).astype(np.int32)
     second = partner[first]
-    is_same = _is_reversed([column[first] for column in columns], [column[second] for column in columns])
+    is_same = np.empty(len(first), dtype=bool)
+
+    def compare(rows: slice) -> None:
+        pairs = ([column[side[rows]] for column in columns] for side in (first, second))
+        is_same[rows] = _is_reversed(*pairs)
+
+    by_blocks(compare, len(first))
     is_alone = np.ones(len(owner), dtype=bool)
     is_alone[first[is_same]] = is_alone[second[is_same]] = False
     rows = np.concatenate([first[is_same], np.flatnonzero(is_alone).astype(np.int32)])
-    corners, beyond = np.stack([column[rows] for column in columns]), partner[rows]
+    corners, beyond = np.stack(list(in_order(lambda column: column[rows], columns))), partner[rows]
     behind = np.where(beyond < 0, np.int32(-1), owner[beyond])
     shared = int(is_same.sum())
     return Group(corners, owner[rows], behind, shared, _to_others(mesh, corners, shared))

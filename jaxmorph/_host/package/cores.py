@@ -1,10 +1,11 @@
 """The cores that this process may use, and work on several of them at once."""
 
+import collections
 import contextvars
-import itertools
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Generic, TypeVar
 
 from scipy.spatial import KDTree
@@ -16,6 +17,12 @@ SWITCH = "JAXMORPH_CPUS"
 
 FEW = 4096
 """Points of a search up to which threads cost more than they gain."""
+
+BLOCK = 1 << 16
+"""Rows that one core computes at a time."""
+
+AHEAD = 2
+"""Pieces of work for each core that are begun before a result is asked for."""
 
 
 def cores() -> int:
@@ -39,6 +46,10 @@ class Tree(KDTree):
     def query(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Finds the nearest points of the tree, as `scipy.spatial.KDTree.query` does."""
         return super().query(x, *arguments, workers=cores() if len(x) > FEW else 1, **keywords)
+
+    def alone(self, x: Any, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:
+        """Finds the nearest points as `query` does, with one core: other cores search elsewhere."""
+        return super().query(x, *arguments, **keywords)
 
 
 class Beside(Generic[T]):
@@ -76,10 +87,31 @@ class Beside(Generic[T]):
         return self._value
 
 
-def spread(function: Callable[[list], T], pieces: list) -> list[T]:
-    """Divides pieces of work among the cores; lists `function` of each core's pieces, in order."""
+def in_order(function: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]:
+    """Yields `function` of each piece of work, in order, while all cores compute what comes next.
+
+    NumPy and SciPy release Python's lock for all that takes long, but `ufunc.at` and `unique`.
+    """
+    pieces = list(pieces)
     number = min(cores(), len(pieces))
-    ends = [len(pieces) * k // number for k in range(number + 1)]
-    first, *others = (pieces[start:end] for start, end in itertools.pairwise(ends))
-    calls = [Beside(function, some) for some in others]
-    return [function(first), *(call.result() for call in calls)]
+    if number <= 1:
+        yield from map(function, pieces)
+        return
+    # Few pieces are ahead of what is asked for, so that memory is that of a few results.
+    with ThreadPoolExecutor(number) as pool:
+        ahead: collections.deque[Future[T]] = collections.deque()
+        for piece in pieces:
+            ahead.append(pool.submit(contextvars.copy_context().run, function, piece))
+            if len(ahead) > AHEAD * number:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
+
+
+def by_blocks(function: Callable[[slice], Any], count: int) -> None:
+    """Calls `function` with slices of `count` rows, on all cores: it fills the rows of results.
+
+    The number of cores does not change the slices.
+    """
+    for _ in in_order(function, (slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK))):
+        pass

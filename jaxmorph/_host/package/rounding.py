@@ -58,20 +58,24 @@ def nearest_of(points: np.ndarray, chosen: np.ndarray, ids: np.ndarray) -> np.nd
 
 def nearest_few(points: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarray:
     """Finds each point's `count` nearest `chosen` places (k, count), nearest first, then lowest."""
+    return few_by(Tree(chosen), points, count, max(roundoff(points), roundoff(chosen)))
+
+
+def few_by(tree: Tree, points: np.ndarray, count: int, slack: float) -> np.ndarray:
+    """Finds `nearest_few` in a tree of the places; equal distances differ by a `slack` at most."""
     # Distances are ranked: a distance within the slack of the one before has its rank. The sort is
     # by rank, then by number. If the last rank reaches the end of the search, more places are
     # searched.
-    tree, slack = Tree(chosen), max(roundoff(points), roundoff(chosen))
     nearest, left = np.zeros((len(points), count), dtype=np.int64), np.arange(len(points))
-    looked = min(count - 1 + TIES, len(chosen))
+    looked = min(count - 1 + TIES, tree.n)
     while left.size:
         found = tree.query(points[left], k=looked)
         distance, places = (np.asarray(table).reshape(len(left), looked) for table in found)
         is_more = np.diff(distance, axis=1) > SAME * distance[:, :-1] + slack
         rank = np.cumsum(is_more, axis=1)
         rank = np.concatenate([np.zeros((len(left), 1), dtype=np.int64), rank], axis=1)
-        order = np.argsort(rank * len(chosen) + places, axis=1)[:, :count]
+        order = np.argsort(rank * tree.n + places, axis=1)[:, :count]
         nearest[left] = np.take_along_axis(places, order, axis=1)
-        left = left[rank[:, -1] == rank[:, count - 1]] if looked < len(chosen) else left[:0]
-        looked = min(4 * looked, len(chosen))
+        left = left[rank[:, -1] == rank[:, count - 1]] if looked < tree.n else left[:0]
+        looked = min(4 * looked, tree.n)
     return nearest

@@ -13,7 +13,7 @@ import functools
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
-from ..package.cores import Tree
+from ..package.cores import Tree, by_blocks
 from ..package.orders import BETWEEN, canonical_order
 from ..package.rounding import roundoff, spacing
 from . import simplices
@@ -85,13 +85,19 @@ class _Graph(Delaunay):
     @functools.cached_property
     def transform(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Inverse of the edges from the last corner, and that corner: (k, d + 1, d)."""
-        corners = self.points[self.simplices]
-        last = corners[:, -1]
-        edges = [corners[:, i] - last for i in range(self.ndim)]
-        rows = cofactors(edges)
-        volume = np.einsum("kd,kd->k", rows[0], edges[0])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.stack([*(row / volume[:, None] for row in rows), last], axis=1)
+        transform = np.empty((len(self.simplices), self.ndim + 1, self.ndim))
+
+        def invert(part: slice) -> None:
+            corners = self.points[self.simplices[part]]
+            last = corners[:, -1]
+            edges = [corners[:, i] - last for i in range(self.ndim)]
+            rows = cofactors(edges)
+            volume = np.einsum("kd,kd->k", rows[0], edges[0])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                np.stack([*(row / volume[:, None] for row in rows), last], axis=1, out=transform[part])
+
+        by_blocks(invert, len(transform))
+        return transform
 
 
 def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
@@ -100,12 +106,18 @@ def _graph(nodes: np.ndarray, flat: float) -> Delaunay:
         with contextlib.suppress(QhullError):
             graph = _Graph(_jittered(snapped, phase))
             break
-    if graph is None or not (smallest_height(nodes[graph.simplices]) > flat).any():
+    if graph is None or not _has_volume(nodes, graph.simplices, flat):
         raise ValueError(
             f"the {len(nodes)} surface nodes lie in one {'line' if nodes.shape[1] == 2 else 'plane'}, so no Delaunay graph "
             "spans the mesh. Add the other boundaries (far field, walls) as fixed nodes."
         )
     return graph
+
+
+def _has_volume(nodes: np.ndarray, simplices: np.ndarray, flat: float) -> bool:
+    """Checks whether any simplex is higher than `flat`; mostly one of the first is."""
+    parts = np.split(simplices, range(4096, len(simplices), 4096))
+    return any(bool((smallest_height(nodes[part]) > flat).any()) for part in parts)
 
 
 def _without_coincident(unit: np.ndarray, closest: float) -> np.ndarray:

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from ..package.cores import by_blocks
 from ..package.errors import MeshError, place_of
 from ..package.orders import morton_order
 from .graph import JITTER, Graph, graph_of
@@ -54,7 +55,11 @@ def locate(
     if near is not None:
         order = _inwards(order, *_among(wanted, *near, len(points)), targets, graph.unit)
     simplex = np.empty(len(targets), dtype=np.int64)
-    simplex[order] = graph.delaunay.find_simplex(targets[order])
+
+    def find(part: slice) -> None:  # parts do not follow the cores: a point on a face may have several answers
+        simplex[order[part]] = graph.delaunay.find_simplex(targets[order[part]])
+
+    by_blocks(find, len(targets))
     smallest = graph.smallest_weight(simplex, targets)
     poor = np.flatnonzero(~(smallest >= -TOLERANCE))
     outside = 0
@@ -66,7 +71,8 @@ def locate(
         beyond_sides = np.where(beyond > graph.flat + JITTER, beyond, 0)
         _check_inside(points, wanted[still], beyond_sides * graph.size - graph.slack)
         outside = int((beyond > 0).sum())
-    return Location(graph.unique[graph.delaunay.simplices[simplex]].astype(np.int32), len(poor), outside)
+    vertices = graph.unique.astype(np.int32)[graph.delaunay.simplices]
+    return Location(vertices[simplex], len(poor), outside)
 
 
 def _among(wanted: np.ndarray, ids: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from ..package.cores import Tree
+from ..package.cores import Tree, by_blocks
 from ..package.orders import morton_order
-from ..package.rounding import SAME, nearest_few
+from ..package.rounding import SAME, few_by, nearest_few, roundoff
 
 FEW = 16
 """Most walls for which every wall has a search tree of its own."""
@@ -52,11 +52,13 @@ def near_walls(
     near, first, distance = order[hit], first[hit], distance[hit]
     around = once(("around", digest(wall), count), lambda: _around(surface, wall, 2 * count))
     rows = np.empty((len(near), count + 1), dtype=np.int32)
-    for start in range(0, len(near), 65536):
-        part = slice(start, start + 65536)
+
+    def compare(part: slice) -> None:
         candidates = around[first[part]]
         offsets = [surface[candidates, axis] - points[near[part], axis, None] for axis in range(points.shape[1])]
         rows[part, :count] = _closest(candidates, np.sum([a * a for a in offsets], axis=0), count)
+
+    by_blocks(compare, len(near))
     rows[:, count] = rows[:, 0]
     is_nearest = np.ones(len(near), dtype=bool)
     for label in np.unique(wall[first]):
@@ -122,20 +124,50 @@ def _nearest(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the nearest node of several lists within their bounds, and its distance, else infinite.
 
-    With `reach` (b,), a node counts only within its own reach.
+    With `reach` (b,), a node counts only within its own reach. Of equally near lists the first
+    counts.
     """
+    trees = [once(("tree", digest(members)), lambda members=members: _tree(surface[members])) for members, _ in bounded]
     distance, nearest = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
-    for members, bound in bounded:
-        tree = once(("tree", digest(members)), lambda members=members: _tree(surface[members]))
-        distances, rows = map(np.asarray, tree.query(points, k=min(2, len(members)), distance_upper_bound=bound))
-        distances, rows = distances.reshape(len(points), -1), rows.reshape(len(points), -1)
-        least, row = distances[:, 0], np.minimum(rows[:, 0], len(members) - 1)
-        equal = np.flatnonzero((distances[:, -1] <= (1 + SAME) * least) & (rows[:, -1] < len(members)))
-        row[equal] = nearest_few(points[equal], surface[members], 1)[:, 0]
+    place, slack = np.zeros(len(points), dtype=np.int32), max(roundoff(points), roundoff(surface))
+
+    def search(k: int, rows: np.ndarray) -> None:
+        members, bound = bounded[k]
+        if not len(rows):
+            return
+        found = trees[k].alone(points[rows], k=min(2, len(members)), distance_upper_bound=bound)
+        distances, row = (np.asarray(table).reshape(len(rows), -1) for table in found)
+        equal = np.flatnonzero((distances[:, -1] <= (1 + SAME) * distances[:, 0]) & (row[:, -1] < len(members)))
+        least, row = distances[:, 0], np.minimum(row[:, 0], len(members) - 1)
+        row[equal] = few_by(trees[k], points[rows[equal]], 1, slack)[:, 0]
         node = members[row]
-        closer = least < (distance if reach is None else np.minimum(distance, reach[node]))
-        distance[closer], nearest[closer] = least[closer], node[closer]
+        closer = (least < distance[rows]) | ((least == distance[rows]) & (k < place[rows]))
+        closer &= least < (np.inf if reach is None else reach[node])
+        better = rows[closer]
+        distance[better], nearest[better], place[better] = least[closer], node[closer], k
+
+    def search_all(part: slice) -> None:
+        # A list is searched only for points whose nearest node so far is farther than the list's
+        # box. The list with the nearest box comes first: it holds the nearest node of most points.
+        away = np.stack([_to_box(points[part], tree) for tree in trees])
+        away[away > np.array([[(1 + SAME) * bound] for _, bound in bounded])] = np.inf
+        first = away.argmin(axis=0)
+        for is_first in (True, False):
+            for k, gap in enumerate(away):
+                wanted = ((first == k) == is_first) & (gap <= (1 + SAME) * distance[part]) & (gap < np.inf)
+                search(k, part.start + np.flatnonzero(wanted))
+
+    by_blocks(search_all, len(points) if bounded else 0)
     return distance, nearest
+
+
+def _to_box(points: np.ndarray, tree: Tree) -> np.ndarray:
+    """Measures the distances (n,) of points from the box of a tree's points."""
+    gaps = (
+        np.maximum(np.maximum(low - x, x - high), 0)
+        for x, low, high in zip(points.T, tree.mins, tree.maxes, strict=True)
+    )
+    return np.sqrt(sum(gap * gap for gap in gaps))
 
 
 def _tree(points: np.ndarray) -> Tree:

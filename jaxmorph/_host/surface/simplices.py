@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..linear import products
+from ..package.cores import by_blocks
 
 
 def smallest_weight(
@@ -14,8 +15,8 @@ def smallest_weight(
     small.
     """
     smallest = np.empty(len(points))
-    for start in range(0, len(points), 65536):
-        part = slice(start, start + 65536)
+
+    def weigh(part: slice) -> None:
         corners = nodes[simplices[simplex[part]]]
         edges = [corners[:, i] - corners[:, -1] for i in range(points.shape[1])]
         rows = cofactors(edges)
@@ -26,6 +27,8 @@ def smallest_weight(
             least = np.minimum(np.min(weights, axis=0), 1 - np.sum(weights, axis=0))
         sound = (simplex[part] >= 0) & (smallest_height(corners) > flat)
         smallest[part] = np.where(sound, least, -np.inf)
+
+    by_blocks(weigh, len(points))
     return smallest
 
 

@@ -51,8 +51,8 @@ class Grid:
         """Shares out the nodes of a mesh that the first process has."""
         shares = None
         if mesh is not None:
-            each = (np.unique(part, return_inverse=True) for part in np.array_split(mesh.file_nodes, comm.size))
-            shares = [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in each]
+            parts = (np.unique(part, return_inverse=True) for part in np.array_split(mesh.file_nodes, comm.size))
+            shares = [(np.asarray(mesh.points)[nodes], nodes, rows) for nodes, rows in parts]
         points, nodes, rows = comm.scatter(shares)
         return Grid(comm, points, nodes, rows, mesh, mesh)
 

@@ -238,7 +238,7 @@ def _part(mesh: jm.Mesh, is_own: np.ndarray) -> jm.Mesh:
     inside |= {name: ids[np.isin(ids, nodes)] for name, ids in mesh.patches.items()}
     own = {name: np.searchsorted(nodes, ids) for name, ids in inside.items() if len(ids)}
     cells, patches = ({name: own[name] for name in names if name in own} for names in (mesh.cells, mesh.patches))
-    periodic = tuple(each for each in io.periodic(mesh) if str(each.patch) in patches)
+    periodic = tuple(pair for pair in io.periodic(mesh) if str(pair.patch) in patches)
     rest = {"content": None, "polyhedra": None, "cell_ids": None, "in_file": None}
     source = dataclasses.replace(mesh.source, file_nodes=listed, periodic=periodic, **rest)
     return jm.Mesh(np.asarray(mesh.points)[nodes], cells, patches, source=source)

@@ -38,13 +38,13 @@ def boxes_of(options: Options, mesh: Mesh, moving: Sequence[str], is_setting: bo
     if len(degrees) != len(groups):
         raise options.error("FFD_DEGREE", f"{len(degrees)} groups of degrees for {len(groups)} boxes")
     made = []
-    for (name, *words), each in zip(groups, degrees, strict=True):
+    for (name, *words), words_of_degrees in zip(groups, degrees, strict=True):
         numbers = [options.number("FFD_DEFINITION", word) for word in words]
         if len(numbers) != 24:
             raise options.error(
                 "FFD_DEFINITION", f"24 numbers for box {name}, eight corners, expected; found {len(numbers)}"
             )
-        counts = [int(options.number("FFD_DEGREE", word)) + 1 for word in each[:d]]
+        counts = [int(options.number("FFD_DEGREE", word)) + 1 for word in words_of_degrees[:d]]
         shape = shapes.Hexahedron(np.reshape(numbers, (8, 3))[: 2**d, :d], counts, degree=degree)
         made.append(io.Box(name, shape, np.asarray(shape.lattice()), _surface(shape, mesh, moving)))
     return tuple(made)

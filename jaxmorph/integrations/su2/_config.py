@@ -201,9 +201,9 @@ def _shape(
     scales = [each.scale * (relaxed if each.size == 1 and each.kind != "HICKS_HENNE_CAMBER" else 1) for each in listed]
     rest = [1 / scale if each.kind.startswith("SCALE") else 0.0 for each, scale in zip(listed, scales, strict=True)]
     names = [
-        f"{each.kind}[{k}]" + (f"[{part}]" if each.size > 1 else "")
-        for k, each in enumerate(listed)
-        for part in range(each.size)
+        f"{variable.kind}[{k}]" + (f"[{part}]" if variable.size > 1 else "")
+        for k, variable in enumerate(listed)
+        for part in range(variable.size)
     ]
     factors, neutral = (jnp.asarray(np.repeat(values, sizes)) for values in (scales, rest))
     return DesignVariables(tuple(names), tuple(parts), factors, neutral, jnp.asarray(free))

@@ -24,8 +24,8 @@ def planes(
     d, degrees = lattice.shape[-1], [count - 1 for count in lattice.shape[:-1]]
     word = options.choice("FFD_CONTINUITY", "2ND_DERIVATIVE", *KEPT)
     if word == "USER_INPUT":
-        given = [{int(value) for value in options.numbers(f"FFD_FIX_{axis}")} for axis in "IJK"[:d]]
-        return tuple({k for k in each if 0 <= k <= top} for each, top in zip(given, degrees, strict=True))
+        planes_of = [{int(value) for value in options.numbers(f"FFD_FIX_{axis}")} for axis in "IJK"[:d]]
+        return tuple({k for k in planes if 0 <= k <= top} for planes, top in zip(planes_of, degrees, strict=True))
     is_symmetric = options.choice("FFD_SYMMETRY_PLANE", "NO", "NO", "YES") == "YES"
     fixed: tuple[set[int], ...] = tuple(set() for _ in range(d))
     for direction, top in enumerate(degrees):

@@ -79,7 +79,7 @@ def variables(options: Options, definition: bool) -> tuple[list[Variable], list[
         groups = [[]] * len(kinds)
     if len(groups) != len(kinds):
         raise options.error("DV_PARAM", f"{len(groups)} groups of parameters for {len(kinds)} of DV_KIND")
-    listed = [_variable(options, "DV_PARAM", *each) for each in zip(kinds, groups, strict=True)]
+    listed = [_variable(options, "DV_PARAM", *entry) for entry in zip(kinds, groups, strict=True)]
     return listed, options.words("DV_MARKER")
 
 
@@ -98,8 +98,8 @@ def _definition(options: Options) -> tuple[list[Variable], list[str]]:
         markers.append(rest[0])
     if not listed:
         raise ValueError(f"{options.path}: DEFINITION_DV= is missing.")
-    if any(each != markers[0] for each in markers):
-        other = next(each for each in markers if each != markers[0])
+    if any(marker != markers[0] for marker in markers):
+        other = next(marker for marker in markers if marker != markers[0])
         raise options.error(name, f"variables of different markers, {' '.join(markers[0])} and {' '.join(other)}")
     return listed, markers[0]
 
